@@ -1,0 +1,218 @@
+"""Reading recordings from disk."""
+
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import torchjoint as tj
+from torchjoint.datasets.files import read_cloud, read_depth, read_image, write_cloud
+from torchjoint.datasets.folder import invert_pose
+
+
+@pytest.fixture(scope="module")
+def synthetic():
+    return tj.synthetic.make_scene(seed=1, size="small")
+
+
+def write_folder(folder, synthetic, *, cloud=True, depth=True):
+    """A plain folder, written with nothing of the reader's code."""
+    folder.mkdir()
+    frames = synthetic.scene.frames
+    np.savetxt(folder / "camera-intrinsics.txt", frames[0].intrinsics.numpy())
+    for index, frame in enumerate(frames):
+        stem = f"frame-{index * 5:06d}"
+        pixels = (frame.image * 255).round().byte().permute(1, 2, 0).numpy()
+        Image.fromarray(pixels).save(folder / f"{stem}.color.png")
+        np.savetxt(folder / f"{stem}.pose.txt", np.linalg.inv(frame.world_to_camera.numpy()))
+        if depth:
+            millimetres = (frame.depth * 1000).round().numpy().astype(np.uint16)
+            millimetres[0, 0] = 65535
+            Image.fromarray(millimetres).save(folder / f"{stem}.depth.png")
+    if cloud:
+        write_cloud(folder / "cloud.ply", synthetic.scene.points, synthetic.scene.colors)
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path, synthetic):
+    return write_folder(tmp_path / "recording", synthetic)
+
+
+def test_a_folder_comes_back(folder, synthetic):
+    scene = tj.load_scene(folder)
+    assert torch.equal(scene.points, synthetic.scene.points)
+    torch.testing.assert_close(scene.colors, synthetic.scene.colors, atol=0.003, rtol=0)
+    assert [frame.name for frame in scene.frames] == [f"frame-{i * 5:06d}" for i in range(6)]
+    for got, expected in zip(scene.frames, synthetic.scene.frames, strict=True):
+        torch.testing.assert_close(got.image, expected.image, atol=0.003, rtol=0)
+        torch.testing.assert_close(got.world_to_camera, expected.world_to_camera)
+        torch.testing.assert_close(got.intrinsics, expected.intrinsics)
+        assert got.depth[0, 0] == 0
+        torch.testing.assert_close(got.depth[1:], expected.depth[1:], atol=0.001, rtol=0)
+
+
+def test_frames_are_read_when_they_are_asked_for(folder):
+    scene = tj.load_scene(folder)
+    (folder / "frame-000005.color.png").write_bytes(b"no image")
+    assert scene.frames[0].size == (120, 160)
+    with pytest.raises(ValueError, match=r"frame-000005\.color\.png: not a whole image"):
+        scene.frames[1]
+    assert len(scene.frames[2:4]) == 2
+
+
+def test_label_images_become_initial_segmentations(folder):
+    labels = np.zeros((120, 160), dtype=np.uint16)
+    labels[:, 80:] = 300
+    Image.fromarray(labels).save(folder / "frame-000000.labels.png")
+    scene = tj.load_scene(folder)
+    assert scene.frames[0].labels.unique().tolist() == [-1, 299]
+    assert scene.frames[1].labels is None
+
+
+def test_a_cloud_is_fused_and_kept(tmp_path, synthetic):
+    recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
+    kept = tmp_path / "cloud.ply"
+    scene = tj.load_scene(recording, cloud=kept, voxel_size=0.05)
+    again = tj.load_scene(recording, cloud=kept)
+    assert len(scene.points) > 1000
+    assert torch.equal(scene.points, again.points)
+    fresh = tj.load_scene(recording, voxel_size=0.05)
+    assert torch.equal(scene.points, fresh.points)
+    # The fused cloud lies on what the sensor measured: most points are near one of the synthetic cloud's.
+    distance = torch.cdist(scene.points, synthetic.scene.points).amin(1)
+    assert distance.median() < 0.06
+
+
+def test_without_cloud_and_depth_there_is_nothing_to_segment(tmp_path, synthetic):
+    recording = write_folder(tmp_path / "recording", synthetic, cloud=False, depth=False)
+    with pytest.raises(ValueError, match=r"none has a depth image, and there is no cloud\.ply"):
+        tj.load_scene(recording)
+
+
+@pytest.mark.parametrize("voxel_size", [0, -1, float("nan")])
+def test_bad_voxel_size(tmp_path, synthetic, voxel_size):
+    recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
+    with pytest.raises(ValueError, match="voxel_size: expected"):
+        tj.load_scene(recording, voxel_size=voxel_size)
+
+
+def test_a_missing_pose(folder):
+    (folder / "frame-000010.pose.txt").unlink()
+    with pytest.raises(FileNotFoundError, match=r"frame-000010\.pose\.txt: missing; every colour frame needs its pose"):
+        tj.load_scene(folder)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 2 3", r"frame-000010\.pose\.txt: expected 4x4 = 16 numbers, got 3"),
+        ("a " * 16, r"frame-000010\.pose\.txt: expected numbers"),
+        ("nan " * 16, r"frame-000010\.pose\.txt: expected finite values"),
+        ("1 " * 16, r"frame-000010\.pose\.txt: expected a rigid transform"),
+    ],
+)
+def test_bad_poses(folder, text, message):
+    (folder / "frame-000010.pose.txt").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        tj.load_scene(folder).frames[2]
+
+
+def test_missing_intrinsics(folder):
+    (folder / "camera-intrinsics.txt").unlink()
+    with pytest.raises(FileNotFoundError, match=r"camera-intrinsics\.txt: missing; expected a text file with a 3x3"):
+        tj.load_scene(folder)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.95])
+def test_a_truncated_jpeg(folder, tmp_path, share):
+    picture = tmp_path / "whole.jpg"
+    noise = np.random.default_rng(0).integers(0, 255, (120, 160, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(picture)
+    data = picture.read_bytes()
+    (folder / "frame-000000.color.png").unlink()
+    (folder / "frame-000000.color.jpg").write_bytes(data[: int(len(data) * share)])
+    with pytest.raises(ValueError, match=r"frame-000000\.color\.jpg: not a whole image"):
+        tj.load_scene(folder).frames[0]
+
+
+def test_a_truncated_cloud(folder):
+    data = (folder / "cloud.ply").read_bytes()
+    (folder / "cloud.ply").write_bytes(data[: len(data) // 2])
+    with pytest.raises(ValueError, match=r"cloud\.ply: "):
+        tj.load_scene(folder)
+
+
+def test_depth_of_another_size_and_depth_in_8_bits(folder):
+    Image.fromarray(np.ones((10, 10), dtype=np.uint16)).save(folder / "frame-000000.depth.png")
+    with pytest.raises(ValueError, match=r"depth of frame 'frame-000000': expected shape \[120, 160\], got \[10, 10\]"):
+        tj.load_scene(folder).frames[0]
+    Image.fromarray(np.ones((120, 160), dtype=np.uint8)).save(folder / "frame-000000.depth.png")
+    with pytest.raises(ValueError, match=r"depth\.png: expected a 16-bit grey image, got mode L"):
+        tj.load_scene(folder).frames[0]
+
+
+def test_no_such_scene(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"scene: .*nowhere does not exist"):
+        tj.load_scene(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("kind", ["empty folder", "file"])
+def test_an_unknown_format_says_what_was_looked_for(tmp_path, kind):
+    path = tmp_path / "thing"
+    path.mkdir() if kind == "empty folder" else path.write_text("x")
+    with pytest.raises(
+        ValueError, match=r"is of no known format\. Looked for: folder: camera-intrinsics\.txt and frame"
+    ):
+        tj.load_scene(path)
+
+
+def test_clouds_keep_labels_for_other_tools(tmp_path):
+    points, labels = torch.rand(7, 3), torch.arange(7)
+    write_cloud(tmp_path / "out.ply", points, torch.rand(7, 3), labels)
+    from open3d import t
+
+    cloud = t.io.read_point_cloud(str(tmp_path / "out.ply"))
+    assert cloud.point.label.numpy().ravel().tolist() == labels.tolist()
+    assert torch.equal(read_cloud(tmp_path / "out.ply")[0], points)
+    assert [file.name for file in tmp_path.iterdir()] == ["out.ply"]
+
+
+def test_inverting_a_pose():
+    frame = tj.synthetic.make_scene(seed=0).scene.frames[0].world_to_camera
+    torch.testing.assert_close(invert_pose(frame), torch.linalg.inv(frame))
+
+
+class TestKitchen:
+    """The real recording."""
+
+    def test_frames(self, shared):
+        frames = tj.datasets.folder.FolderFrames(shared / "data" / "kitchen")
+        assert len(frames) == 200
+        frame = frames[3]
+        assert frame.name == "frame-000015"
+        assert frame.size == (480, 640)
+        assert 0.5 < frame.depth[frame.depth > 0].median() < 5
+
+    def test_depth_and_colour_files(self, shared):
+        folder = shared / "data" / "kitchen"
+        assert read_image(folder / "frame-000000.color.jpg").shape == (3, 480, 640)
+        depth = read_depth(folder / "frame-000000.depth.png")
+        assert depth.max() < 65
+
+    def test_segmenting_a_few_frames(self, shared, tmp_path):
+        source = shared / "data" / "kitchen"
+        some = tmp_path / "some"
+        some.mkdir()
+        for index in range(0, 100, 20):
+            for suffix in ("color.jpg", "depth.png", "pose.txt"):
+                shutil.copy(source / f"frame-{index:06d}.{suffix}", some)
+        shutil.copy(source / "camera-intrinsics.txt", some)
+        scene = tj.load_scene(some, voxel_size=0.03)
+        result = tj.JointSegmenter()(scene)
+        assert 5 < result.num_point_segments < 200
+        # The views overlap: what the first two see is largely the same objects.
+        shared_ids = set(result.images[0].unique().tolist()) & set(result.images[1].unique().tolist())
+        assert len([i for i in shared_ids if i < result.num_point_segments]) > 3

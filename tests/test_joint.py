@@ -1,0 +1,357 @@
+"""The whole method: same labels however it is run, and right answers or clear errors at the edges."""
+
+import dataclasses
+import warnings
+
+import pytest
+import torch
+from torch import nn
+
+import torchjoint as tj
+from torchjoint.checkpoint import Checkpoint, run_key
+from torchjoint.pose_check import PoseWarning
+
+CONFIG = tj.Config().set(["point_segments.min_size=20", "image_segments.min_size=20"])
+PAPER = tj.Config.from_preset("paper").set(["point_segments.min_size=20", "image_segments.min_size=20"])
+
+
+@pytest.fixture(scope="module")
+def synthetic():
+    return tj.synthetic.make_scene(seed=3, size="small")
+
+
+@pytest.fixture(scope="module", params=[CONFIG, PAPER], ids=["default", "paper"])
+def config(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def result(synthetic, config):
+    return tj.JointSegmenter(config)(synthetic.scene)
+
+
+def assert_same(first, second):
+    assert torch.equal(first.points, second.points)
+    assert sorted(first.names) == sorted(second.names)
+    for index, name in enumerate(first.names):
+        assert torch.equal(first.images[index], second.images[second.names.index(name)]), name
+
+
+class TestSameLabels:
+    def test_from_two_runs(self, synthetic, config, result):
+        assert_same(result, tj.JointSegmenter(config)(synthetic.scene))
+
+    def test_from_one_thread_and_two(self, synthetic, config, result):
+        threads = torch.get_num_threads()
+        try:
+            for count in (1, 2, 3):
+                torch.set_num_threads(count)
+                assert_same(result, tj.JointSegmenter(config)(synthetic.scene))
+                assert torch.get_num_threads() == count
+        finally:
+            torch.set_num_threads(threads)
+
+    def test_from_frames_in_another_order(self, synthetic, config, result):
+        scene = dataclasses.replace(synthetic.scene, frames=[synthetic.scene.frames[i] for i in (4, 0, 5, 2, 1, 3)])
+        other = tj.JointSegmenter(config)(scene)
+        assert other.names[0] == synthetic.scene.frames[4].name
+        assert_same(result, other)
+
+    @pytest.mark.parametrize("batch_size", [1, 4])
+    def test_from_batches_of_another_size(self, synthetic, config, result, batch_size):
+        assert_same(result, tj.JointSegmenter(config)(synthetic.scene, batch_size=batch_size))
+
+    def test_from_update_and_compute(self, synthetic, config, result):
+        scene, segmenter = synthetic.scene, tj.JointSegmenter(config)
+        segmenter.reset(scene.points, scene.colors)
+        for frame in scene.frames:
+            segmenter.update(frame)
+            segmenter.compute()  # at any time, and without consequence
+        assert_same(result, segmenter.compute())
+
+    def test_from_two_segmenters_merged(self, synthetic, config, result):
+        scene = synthetic.scene
+        first, second = tj.JointSegmenter(config), tj.JointSegmenter(config)
+        for segmenter, frames in ((first, scene.frames[1::2]), (second, scene.frames[::2])):
+            segmenter.reset(scene.points, scene.colors)
+            segmenter.update(frames)
+        first.merge(second)
+        assert_same(result, first.compute())
+
+    def test_from_a_run_that_died_and_was_resumed(self, synthetic, config, result, tmp_path):
+        scene = synthetic.scene
+        key = run_key(scene, config, len(scene.frames))
+
+        class Dies(list):
+            def __getitem__(self, index):
+                if index == 4:
+                    raise KeyboardInterrupt
+                return super().__getitem__(index)
+
+        checkpoint = Checkpoint(tmp_path / "state", key)
+        segmenter = tj.JointSegmenter(config)
+        dying = dataclasses.replace(scene, frames=Dies(scene.frames))
+        with pytest.raises(KeyboardInterrupt):
+            segmenter(dying, batch_size=2, checkpoint=checkpoint)
+        checkpoint.save(segmenter.state, now=True)
+        loads = []
+
+        class Counts(list):
+            def __getitem__(self, index):
+                loads.append(index)
+                return super().__getitem__(index)
+
+        resumed = dataclasses.replace(scene, frames=Counts(scene.frames))
+        again = tj.JointSegmenter(config)(resumed, batch_size=2, checkpoint=Checkpoint(tmp_path / "state", key))
+        assert_same(result, again)
+        assert loads[-2:] == [4, 5]
+        other = Checkpoint(tmp_path / "state", "another run")
+        assert other.load() is None
+
+
+class TestIdSpace:
+    def test_points_are_numbered_by_first_appearance(self, result):
+        _, first = torch.unique(result.points, return_inverse=True)
+        highest = torch.cummax(result.points, 0).values
+        assert result.points[0] == 0
+        assert (highest[1:] - highest[:-1] <= 1).all()
+        assert int(first.max()) + 1 == result.num_point_segments
+
+    def test_ids_without_points_are_private_to_an_image(self, result):
+        seen = set()
+        for labels in result.images:
+            private = set(labels[labels >= result.num_point_segments].tolist())
+            assert not private & seen
+            seen |= private
+        assert seen == set(range(result.num_point_segments, result.num_point_segments + len(seen)))
+
+    def test_types(self, synthetic, result):
+        assert result.points.dtype == torch.int64
+        assert result.images[0].dtype == torch.int64
+        assert [labels.shape for labels in result.images] == [frame.size for frame in synthetic.scene.frames]
+        assert len(result.images[1:3]) == 2
+
+
+class TestOtherSegmentations:
+    """Step 1-2 replaced by somebody else's segmentation."""
+
+    def test_frames_that_bring_labels(self, synthetic):
+        """With true image labels, and evidence strong enough, even what geometry cannot see is found."""
+        frames = [
+            dataclasses.replace(frame, labels=labels)
+            for frame, labels in zip(synthetic.scene.frames, synthetic.image_labels, strict=True)
+        ]
+        plain = tj.JointSegmenter(CONFIG)(synthetic.scene)
+        helped = tj.JointSegmenter(CONFIG)(dataclasses.replace(synthetic.scene, frames=frames))
+        f_plain, f_helped = (tj.metrics.objects_and_parts(r.points, synthetic.point_labels).f for r in (plain, helped))
+        assert f_helped > f_plain
+        covering = [
+            tj.metrics.segmentation_covering(helped.images[i], synthetic.image_labels[i]).symmetric
+            for i in range(len(frames))
+        ]
+        assert min(covering) > 0.6
+
+    def test_labels_may_be_any_numbers_and_leave_pixels_out(self, synthetic):
+        frame, labels = synthetic.scene.frames[0], synthetic.image_labels[0]
+        strange = labels * 10**12 + 7
+        strange[:20] = -1
+        dense = labels.clone()
+        dense[:20] = -1
+        results = [
+            tj.JointSegmenter(CONFIG)(
+                dataclasses.replace(synthetic.scene, frames=[dataclasses.replace(frame, labels=given)])
+            )
+            for given in (strange, dense)
+        ]
+        assert_same(*results)
+        assert (results[0].images[0][:20] == -1).all()
+        assert (results[0].images[0][20:] >= 0).all()
+
+    def test_any_module_may_segment_images(self, synthetic):
+        class Quarters(nn.Module):
+            def forward(self, images):
+                _, _, height, width = images.shape
+                rows, columns = torch.arange(height) * 2 // height, torch.arange(width) * 2 // width
+                return (rows[:, None] * 2 + columns).expand(images.shape[0], -1, -1)
+
+        segmenter = tj.JointSegmenter(CONFIG, image_segmenter=Quarters())
+        result = segmenter(synthetic.scene)
+        assert result.initial_images[0].unique().tolist() == [0, 1, 2, 3]
+
+    def test_any_module_may_detect_boundaries(self, synthetic):
+        class Flat(nn.Module):
+            def __init__(self):
+                super().__init__()
+                self.level = nn.Parameter(torch.tensor(0.5))
+
+            def forward(self, images):
+                return images.new_ones(images[:, 0].shape) * self.level
+
+        result = tj.JointSegmenter(CONFIG, boundary=Flat())(synthetic.scene)
+        assert not result.points.requires_grad
+        assert not torch.equal(result.initial_images[0], tj.JointSegmenter(CONFIG)(synthetic.scene).initial_images[0])
+
+    def test_modules_with_wrong_output(self, synthetic):
+        class Wrong(nn.Module):
+            def forward(self, images):
+                return images
+
+        with pytest.raises(ValueError, match=r"boundary: expected \[B, H, W\]"):
+            tj.JointSegmenter(CONFIG, boundary=Wrong())(synthetic.scene)
+        with pytest.raises(TypeError, match="image_segmenter's output: expected an integer dtype"):
+            tj.JointSegmenter(CONFIG, image_segmenter=Wrong())(synthetic.scene)
+
+
+class TestEdges:
+    def test_no_frames_is_plain_3d_segmentation(self, synthetic):
+        scene = dataclasses.replace(synthetic.scene, frames=())
+        result = tj.JointSegmenter(CONFIG)(scene)
+        assert len(result.images) == 0
+        assert 3 < result.num_point_segments < len(scene.points) / 20 + 1
+
+    def test_one_frame(self, synthetic):
+        scene = dataclasses.replace(synthetic.scene, frames=synthetic.scene.frames[:1])
+        result = tj.JointSegmenter(CONFIG)(scene)
+        assert len(result.images) == 1
+        assert len(set(result.images[0].unique().tolist()) & set(result.points.unique().tolist())) > 2
+
+    def test_a_frame_that_sees_nothing(self, synthetic):
+        away = synthetic.scene.frames[0].world_to_camera.clone()
+        away[:3, 3] += 1000 * torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
+        blind = dataclasses.replace(synthetic.scene.frames[0], world_to_camera=away, name="blind")
+        frames = [*synthetic.scene.frames, blind]
+        result = tj.JointSegmenter(CONFIG)(dataclasses.replace(synthetic.scene, frames=frames))
+        plain = tj.JointSegmenter(CONFIG)(synthetic.scene)
+        assert torch.equal(result.points, plain.points)
+        assert (result.images[-1] >= result.num_point_segments).all()
+
+    def test_no_frame_sees_anything(self, synthetic):
+        away = synthetic.scene.frames[0].world_to_camera.clone()
+        away[2, 3] = -1000
+        blind = dataclasses.replace(synthetic.scene.frames[0], world_to_camera=away)
+        with (
+            pytest.warns(PoseWarning, match="no point of the cloud is in view"),
+            pytest.raises(ValueError, match="frames: none of the 1 images sees a point; wrong poses"),
+        ):
+            tj.JointSegmenter(CONFIG)(dataclasses.replace(synthetic.scene, frames=[blind]))
+
+    def test_images_of_different_sizes(self, synthetic):
+        first, second = synthetic.scene.frames[:2]
+        half = torch.nn.functional.avg_pool2d(second.image[None], 2)[0]
+        scale = torch.tensor([[0.5, 1, 0.5], [1, 0.5, 0.5], [1, 1, 1]], dtype=torch.float64)
+        shift = torch.tensor([[0, 0, -0.25], [0, 0, -0.25], [0, 0, 0]], dtype=torch.float64)
+        small = tj.Frame(half, second.intrinsics * scale + shift, second.world_to_camera, name="small")
+        result = tj.JointSegmenter(CONFIG)(dataclasses.replace(synthetic.scene, frames=[first, small, second]))
+        assert [tuple(labels.shape) for labels in result.images] == [first.size, (60, 80), second.size]
+        big, little = result.images[2][::2, ::2], result.images[1]
+        assert tj.metrics.segmentation_covering(little, big).symmetric > 0.5  # the same view, the same ids
+        assert (big == little).float().mean() > 0.6
+
+    @pytest.mark.parametrize("count", [1, 2, 3])
+    def test_few_points(self, synthetic, count):
+        frame = synthetic.scene.frames[0]
+        center = -(frame.world_to_camera[:3, :3].T @ frame.world_to_camera[:3, 3])
+        ahead = (center + 2 * frame.world_to_camera[2, :3]).float()
+        points = ahead + 0.01 * torch.rand(count, 3, generator=torch.Generator().manual_seed(0))
+        result = tj.JointSegmenter(CONFIG)(tj.Scene(points, [dataclasses.replace(frame, depth=None)]))
+        assert result.points.tolist() == [0] * count
+        assert (result.images[0] == 0).any()
+
+    def test_duplicate_points(self, synthetic, config):
+        points = synthetic.scene.points.repeat(2, 1)
+        result = tj.JointSegmenter(config)(tj.Scene(points, synthetic.scene.frames))
+        assert torch.equal(result.points[: len(points) // 2], result.points[len(points) // 2 :])
+
+    def test_a_point_at_the_camera(self, synthetic, config):
+        pose = synthetic.scene.frames[0].world_to_camera
+        center = -(pose[:3, :3].T @ pose[:3, 3]).float()
+        points = torch.cat([synthetic.scene.points, center[None]])
+        result = tj.JointSegmenter(config)(tj.Scene(points, synthetic.scene.frames))
+        assert len(result.points) == len(points)
+
+    def test_grey_images(self, synthetic):
+        frames = [dataclasses.replace(f, image=f.image.mean(0)) for f in synthetic.scene.frames]
+        result = tj.JointSegmenter(CONFIG)(dataclasses.replace(synthetic.scene, frames=frames))
+        assert result.num_point_segments > 3
+
+    def test_nan_points(self, synthetic):
+        points = synthetic.scene.points.clone()
+        points[5, 1] = torch.nan
+        with pytest.raises(ValueError, match="points: expected finite values, got 1 NaN"):
+            tj.JointSegmenter(CONFIG).reset(points)
+
+    def test_given_normals_are_used(self, synthetic):
+        points = synthetic.scene.points
+        flat = torch.tensor([0.0, 0.0, 1.0]).expand(len(points), -1)
+        config = CONFIG.set(["propagation.weight=0", "point_segments.min_size=0", "point_segments.scale=0"])
+        result = tj.JointSegmenter(config)(tj.Scene(points, normals=flat))
+        assert result.num_point_segments < 10  # all weights are 0: the segments are the graph's components
+
+    def test_use_before_reset(self, synthetic):
+        with pytest.raises(RuntimeError, match=r"call reset\(points\)"):
+            tj.JointSegmenter().update(synthetic.scene.frames[0])
+        with pytest.raises(RuntimeError, match=r"call reset\(points\)"):
+            tj.JointSegmenter().compute()
+
+    def test_merging_what_does_not_belong_together(self, synthetic):
+        first, second = tj.JointSegmenter(CONFIG), tj.JointSegmenter(CONFIG)
+        first.reset(synthetic.scene.points)
+        with pytest.raises(ValueError, match="other: expected a segmenter that was reset with the same points"):
+            first.merge(second)
+        second.reset(synthetic.scene.points + 1)
+        with pytest.raises(ValueError, match="same points"):
+            first.merge(second)
+        with pytest.raises(ValueError, match="same config"):
+            first.merge(tj.JointSegmenter(PAPER))
+
+
+class TestPoseCheck:
+    def warnings_of(self, scene):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            segmenter = tj.JointSegmenter(CONFIG)
+            try:
+                segmenter(scene)
+            except ValueError as error:
+                assert "sees a point" in str(error)  # noqa: PT017
+        return [str(w.message) for w in caught if issubclass(w.category, PoseWarning)]
+
+    def changed(self, synthetic, change):
+        return dataclasses.replace(synthetic.scene, frames=[change(frame) for frame in synthetic.scene.frames])
+
+    def test_right_poses_are_silent(self, synthetic):
+        assert self.warnings_of(synthetic.scene) == []
+
+    @pytest.mark.parametrize("with_depth", [True, False])
+    def test_inverted_poses(self, synthetic, with_depth):
+        def invert(frame):
+            pose = torch.linalg.inv(frame.world_to_camera)
+            return dataclasses.replace(frame, world_to_camera=pose, depth=frame.depth if with_depth else None)
+
+        messages = self.warnings_of(self.changed(synthetic, invert))
+        assert len(messages) == 1
+        assert "the poses look inverted" in messages[0]
+
+    def test_wrong_axes(self, synthetic):
+        opengl = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
+        messages = self.warnings_of(
+            self.changed(synthetic, lambda f: dataclasses.replace(f, world_to_camera=opengl @ f.world_to_camera))
+        )
+        assert messages
+        assert "look inverted" not in messages[0]
+
+    def test_a_shifted_pose(self, synthetic):
+        def shift(frame):
+            pose = frame.world_to_camera.clone()
+            pose[:3, 3] += 1.0
+            return dataclasses.replace(frame, world_to_camera=pose)
+
+        messages = self.warnings_of(self.changed(synthetic, shift))
+        assert any("the depth images and the cloud disagree" in message for message in messages)
+
+    def test_intrinsics_of_another_image_size(self, synthetic):
+        double = torch.tensor([[2.0, 1, 2], [1, 2, 2], [1, 1, 1]], dtype=torch.float64)
+        messages = self.warnings_of(
+            self.changed(synthetic, lambda f: dataclasses.replace(f, intrinsics=f.intrinsics * double))
+        )
+        assert any("those of another image size" in message for message in messages)

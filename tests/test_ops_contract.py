@@ -1,0 +1,184 @@
+"""What holds for every operator: errors, torch.compile, opcheck, the GIL; and that the package lists its folders."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from torchjoint.ops import felzenszwalb, min_cut
+
+EDGES = torch.tensor([[0, 1, 2], [1, 2, 3]])
+VALUES = torch.tensor([0.1, 5.0, 0.2])
+SOURCE = torch.tensor([torch.inf, 0.0, 0.0, 0.0])
+SINK = torch.tensor([0.0, 0.0, 0.0, 2.0])
+NAN = float("nan")
+
+FELZENSZWALB = {"edge_index": EDGES, "weight": VALUES, "num_nodes": 4, "scale": 1.0, "min_size": 0}
+MIN_CUT = {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK}
+
+
+def changed(tensor: torch.Tensor, value: float, *position: int) -> torch.Tensor:
+    tensor = tensor.clone()
+    tensor[position] = value
+    return tensor
+
+
+ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = [
+    (felzenszwalb, {"edge_index": [[0], [1]]}, TypeError, "edge_index: expected a torch.Tensor, got list"),
+    (felzenszwalb, {"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
+    (felzenszwalb, {"edge_index": EDGES.t()}, ValueError, "edge_index: expected shape [2, E], got [3, 2]"),
+    (felzenszwalb, {"edge_index": EDGES[0]}, ValueError, "edge_index: expected shape [2, E], got [3]"),
+    (felzenszwalb, {"edge_index": EDGES.to("meta")}, ValueError, "edge_index: expected a CPU tensor, got one on meta"),
+    (felzenszwalb, {"edge_index": EDGES.to_sparse()}, ValueError, "edge_index: expected a dense tensor"),
+    (felzenszwalb, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
+    (felzenszwalb, {"edge_index": changed(EDGES, -1, 0, 1)}, ValueError, "numbers in [0, 4), got -1 at edge 1"),
+    (felzenszwalb, {"edge_index": changed(EDGES, 2**40, 0, 1)}, ValueError, f"got {2**40} at edge 1"),
+    (felzenszwalb, {"num_nodes": 0}, ValueError, "edge_index: expected node numbers in [0, 0), got 0 at edge 0"),
+    (felzenszwalb, {"weight": None}, TypeError, "weight: expected a torch.Tensor, got NoneType"),
+    (felzenszwalb, {"weight": VALUES.half()}, TypeError, "weight: expected dtype torch.float32 or torch.float64, got"),
+    (felzenszwalb, {"weight": VALUES[:2]}, ValueError, "weight: expected shape [E] = [3], got [2]"),
+    (felzenszwalb, {"weight": VALUES[None]}, ValueError, "weight: expected shape [E], got [1, 3]"),
+    (felzenszwalb, {"weight": VALUES.to("meta")}, ValueError, "weight: expected a CPU tensor, got one on meta"),
+    (felzenszwalb, {"weight": changed(VALUES, NAN, 1)}, ValueError, "weight: expected no NaN, got NaN at edge 1"),
+    (felzenszwalb, {"num_nodes": -1}, ValueError, "num_nodes: expected a number >= 0, got -1"),
+    (felzenszwalb, {"num_nodes": 4.0}, TypeError, "num_nodes: expected int, got float"),
+    (felzenszwalb, {"num_nodes": True}, TypeError, "num_nodes: expected int, got bool"),
+    (felzenszwalb, {"num_nodes": 2**31}, ValueError, "num_nodes: expected less than 2^31, got 2147483648"),
+    (felzenszwalb, {"scale": -0.5}, ValueError, "scale: expected a number >= 0, got -0.5"),
+    (felzenszwalb, {"scale": NAN}, ValueError, "scale: expected a number >= 0, got nan"),
+    (felzenszwalb, {"scale": "1"}, TypeError, "scale: expected int or float, got str"),
+    (felzenszwalb, {"min_size": -1}, ValueError, "min_size: expected a number >= 0, got -1"),
+    (felzenszwalb, {"min_size": 1.5}, TypeError, "min_size: expected int, got float"),
+    (min_cut, {"edge_index": EDGES.float()}, TypeError, "edge_index: expected dtype torch.int64, got torch.float32"),
+    (min_cut, {"edge_index": EDGES.t()}, ValueError, "edge_index: expected shape [2, E], got [3, 2]"),
+    (min_cut, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
+    (min_cut, {"edge_index": changed(EDGES, -7, 1, 0)}, ValueError, "numbers in [0, 4), got -7 at edge 0"),
+    (min_cut, {"capacity": VALUES.long()}, TypeError, "capacity: expected dtype torch.float32 or torch.float64, got"),
+    (min_cut, {"capacity": VALUES[1:]}, ValueError, "capacity: expected shape [E] = [3], got [2]"),
+    (min_cut, {"capacity": -VALUES}, ValueError, "capacity: expected finite numbers >= 0, got -0.1 at edge 0"),
+    (min_cut, {"capacity": changed(VALUES, NAN, 2)}, ValueError, "capacity: expected finite numbers >= 0, got nan"),
+    (min_cut, {"capacity": changed(VALUES, torch.inf, 2)}, ValueError, "numbers >= 0, got inf at edge 2"),
+    (min_cut, {"source_capacity": SOURCE[None]}, ValueError, "source_capacity: expected shape [N], got [1, 4]"),
+    (min_cut, {"source_capacity": SOURCE - 1}, ValueError, "source_capacity: expected numbers >= 0, got -1 at node 1"),
+    (min_cut, {"source_capacity": SOURCE.bool()}, TypeError, "source_capacity: expected dtype torch.float32 or"),
+    (min_cut, {"sink_capacity": SINK[:3]}, ValueError, "sink_capacity: expected shape [N] = [4], got [3]"),
+    (min_cut, {"sink_capacity": changed(SINK, NAN, 1)}, ValueError, "sink_capacity: expected numbers >= 0, got nan"),
+    (min_cut, {"sink_capacity": SOURCE}, ValueError, "source_capacity and sink_capacity: both are infinite at node 0"),
+]
+
+
+@pytest.mark.parametrize(("op", "change", "error", "message"), ERRORS)
+def test_errors_name_the_argument(
+    op: Callable[..., Any], change: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    arguments = (FELZENSZWALB if op is felzenszwalb else MIN_CUT) | change
+    with pytest.raises(error, match=re.escape(message)) as caught:
+        op(**arguments)
+    assert ".cpp" not in str(caught.value)
+
+
+def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
+    fh, mc = torch.ops.torchjoint.felzenszwalb.default, torch.ops.torchjoint.min_cut.default
+    for call in (
+        lambda: fh(EDGES.int(), VALUES, 4, 1.0),
+        lambda: fh(EDGES.t(), VALUES, 4, 1.0),
+        lambda: fh(EDGES, VALUES.half(), 4, 1.0),
+        lambda: fh(EDGES, VALUES[:2], 4, 1.0),
+        lambda: fh(EDGES, VALUES, -1, 1.0),
+        lambda: fh(EDGES, VALUES, 2**31, 1.0),
+        lambda: fh(EDGES, VALUES, 4, NAN),
+        lambda: fh(EDGES, VALUES, 4, 1.0, -1),
+        lambda: mc(EDGES, VALUES[:2], SOURCE, SINK),
+        lambda: mc(EDGES, VALUES, SOURCE, SINK[:2]),
+        lambda: mc(EDGES, VALUES, SOURCE[None], SINK),
+    ):
+        with pytest.raises(ValueError, match="expected"):
+            call()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_opcheck(dtype: torch.dtype) -> None:
+    values, source, sink = VALUES.to(dtype), SOURCE.to(dtype), SINK.to(dtype)
+    torch.library.opcheck(torch.ops.torchjoint.felzenszwalb.default, (EDGES, values, 4, 1.0, 2))
+    torch.library.opcheck(torch.ops.torchjoint.min_cut.default, (EDGES, values, source, sink))
+
+
+def test_no_gradient_flows() -> None:
+    weight = VALUES.clone().requires_grad_()
+    assert not felzenszwalb(EDGES, weight, 4, 1.0).requires_grad
+    assert not any(result.requires_grad for result in min_cut(EDGES, weight, SOURCE, SINK))
+
+
+@pytest.mark.filterwarnings("ignore")  # the compiler's own
+def test_compile_without_graph_breaks() -> None:
+    @torch.compile(fullgraph=True, dynamic=True)
+    def compiled(
+        edge_index: torch.Tensor, weight: torch.Tensor, source: torch.Tensor, sink: torch.Tensor, scale: float
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        labels = felzenszwalb(edge_index, weight * 2, source.shape[0], scale, 1)
+        side, flow = min_cut(edge_index, weight + 1, source, sink)
+        return labels + 1, ~side, flow * 2
+
+    for num_nodes, scale in ((4, 1.0), (9, 0.5), (30, 2.0)):
+        generator = torch.Generator().manual_seed(num_nodes)
+        edges = torch.randint(num_nodes, (2, 3 * num_nodes), generator=generator)
+        weight, source = torch.rand(2, 3 * num_nodes, generator=generator)
+        source, sink = source[:num_nodes] * 9, source[-num_nodes:] * 9
+        labels, other_side, flow = compiled(edges, weight, source, sink, scale)
+        side, expected_flow = min_cut(edges, weight + 1, source, sink)
+        assert torch.equal(labels, felzenszwalb(edges, weight * 2, num_nodes, scale, 1) + 1)
+        assert torch.equal(other_side, ~side)
+        assert torch.equal(flow, expected_flow * 2)
+
+    with pytest.raises(ValueError, match=re.escape("expected node numbers in [0, 30), got 99 at edge 0")):
+        compiled(changed(edges, 99, 0, 0), weight, source, sink, scale)
+    with pytest.raises(ValueError, match="capacity: expected finite numbers >= 0, got nan at edge 0"):
+        compiled(edges, changed(weight, NAN, 0), source, sink, scale)
+
+
+def test_gil_is_released() -> None:
+    """While one thread is inside the operator, another one runs Python."""
+    num_edges = 3_000_000
+    edges = torch.randint(num_edges, (2, num_edges))
+    weight = torch.rand(num_edges)
+    inside: list[float] = []
+
+    def call() -> None:
+        start = time.perf_counter()
+        felzenszwalb(edges, weight, num_edges, 1.0)
+        inside.extend((start, time.perf_counter()))
+
+    thread = threading.Thread(target=call)
+    ticks = []
+    thread.start()
+    while thread.is_alive():
+        ticks.append(time.perf_counter())
+        time.sleep(0.001)
+    start, end = inside
+    # With the GIL held no tick falls into the call, except perhaps at its very ends.
+    margin = (end - start) / 4
+    assert sum(start + margin < tick < end - margin for tick in ticks) >= 3
+
+
+def test_missing_binary_is_explained() -> None:
+    code = "import sys; sys.modules['torchjoint._C'] = None\nimport torchjoint.ops"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.returncode != 0
+    assert "ImportError: the compiled extension torchjoint._C is missing or does not load" in result.stderr
+
+
+def test_every_folder_is_packaged() -> None:
+    root = Path(__file__).parents[1]
+    listed = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    found = {".".join(path.parent.relative_to(root).parts) for path in (root / "torchjoint").rglob("__init__.py")}
+    assert found | {"torchjoint.configs"} == set(listed)

@@ -1,0 +1,102 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torchjoint.config import PointGraphConfig
+from torchjoint.point_graph import (
+    angle_between,
+    estimate_normals,
+    geometric_weights,
+    nearest_neighbors,
+    undirected_edges,
+)
+
+
+def random_points(count, seed=0):
+    return torch.rand(count, 3, generator=torch.Generator().manual_seed(seed))
+
+
+def test_nearest_neighbors_against_all_distances():
+    points = random_points(200)
+    neighbors = nearest_neighbors(points, 7)
+    distances = torch.cdist(points.double(), points.double()).fill_diagonal_(torch.inf)
+    expected = distances.sort(dim=1)
+    assert torch.equal(neighbors.indices, expected.indices[:, :7])
+    torch.testing.assert_close(neighbors.distances.double(), expected.values[:, :7])
+
+
+def test_duplicate_points_are_never_their_own_neighbours():
+    points = torch.cat([torch.zeros(10, 3), random_points(5)])
+    neighbors = nearest_neighbors(points, 4)
+    assert neighbors.indices.shape == (15, 4)
+    assert not (neighbors.indices == torch.arange(15)[:, None]).any()
+    assert (neighbors.distances[:10] == 0).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_fewer_points_than_neighbours(count):
+    points = random_points(count)
+    neighbors = nearest_neighbors(points, 16)
+    assert neighbors.indices.shape == (count, count - 1)
+    assert neighbors.spacing.shape == (count,)
+    assert undirected_edges(neighbors.indices).shape == (2, count * (count - 1) // 2)
+    assert estimate_normals(points, neighbors.indices).norm(dim=1).tolist() == pytest.approx([1.0] * count)
+
+
+@given(st.integers(2, 40), st.integers(1, 12), st.integers(0, 10_000))
+def test_undirected_edges_are_the_symmetrised_graph_once(num_points, count, seed):
+    generator = np.random.default_rng(seed)
+    count = min(count, num_points - 1)
+    rows = [generator.permutation(np.delete(np.arange(num_points), i))[:count] for i in range(num_points)]
+    neighbors = torch.from_numpy(np.stack(rows))
+    edges = undirected_edges(neighbors)
+    expected = {(min(i, j), max(i, j)) for i in range(num_points) for j in rows[i].tolist()}
+    assert (edges[0] < edges[1]).all()
+    assert edges.shape[1] == len(expected)
+    assert {tuple(edge) for edge in edges.T.tolist()} == expected
+
+
+def test_normals_of_a_tilted_plane():
+    normal = torch.tensor([1.0, 2.0, -2.0]) / 3
+    u, v = torch.tensor([2.0, -1.0, 0.0]), torch.linalg.cross(normal, torch.tensor([2.0, -1.0, 0.0]))
+    spots = random_points(300)[:, :2]
+    points = 100.0 + spots[:, :1] * u + spots[:, 1:] * v  # far from the origin: float32 must not suffer
+    normals = estimate_normals(points, nearest_neighbors(points, 20).indices)
+    assert (normals @ normal).abs().min() > 0.9999
+
+
+def test_theta_by_hand():
+    first = torch.tensor([[1.0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 0, 0]])
+    second = torch.tensor([[0.0, 1, 0], [-1, 0, 0], [-1, 0, 0], [math.cos(2.5), math.sin(2.5), 0]])
+    oriented = torch.tensor([True, True, False, False])
+    expected = torch.tensor([math.pi / 2, math.pi, 0.0, math.pi - 2.5])
+    torch.testing.assert_close(angle_between(first, second, oriented), expected)
+
+
+def test_theta_is_exact_for_small_angles():
+    # arccos of a float32 dot product would give 0 here.
+    second = torch.tensor([[math.cos(1e-4), math.sin(1e-4), 0.0]])
+    theta = angle_between(torch.tensor([[1.0, 0, 0]]), second, torch.tensor([True]))
+    assert theta.item() == pytest.approx(1e-4, rel=1e-4)
+
+
+def test_eq_3_by_hand():
+    points = torch.tensor([[0.0, 0, 0], [3.0, 4, 0]])  # 5 m apart
+    normals = torch.tensor([[1.0, 0, 0], [0, 0, 1.0]])  # pi / 2
+    colors = torch.tensor([[0.0, 0, 0], [0.6, 0.0, 0.8]])  # 1 apart
+    config = PointGraphConfig(distance_weight=0.1, angle_weight=2.0, color_weight=0.25)
+    edge_index, oriented = torch.tensor([[0], [1]]), torch.tensor([True, True])
+    weight = geometric_weights(points, edge_index, normals, oriented, config, colors)
+    assert weight.item() == pytest.approx(0.1 * 5 + 2.0 * math.pi / 2 + 0.25 * 1)
+
+
+def test_colour_needs_colours():
+    config = PointGraphConfig(color_weight=1.0)
+    with pytest.raises(ValueError, match="colors: point_graph.color_weight > 0 needs the colours"):
+        geometric_weights(
+            torch.zeros(2, 3), torch.tensor([[0], [1]]), torch.ones(2, 3), torch.ones(2, dtype=torch.bool), config
+        )

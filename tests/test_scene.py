@@ -1,0 +1,80 @@
+import pytest
+import torch
+
+from torchjoint import Frame, Scene
+
+K = torch.tensor([[100.0, 0, 31.5], [0, 100, 23.5], [0, 0, 1]])
+POSE = torch.eye(4)
+IMAGE = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0))
+
+
+def test_dtypes_and_sizes():
+    frame = Frame(IMAGE, K, POSE, depth=torch.ones(48, 64, dtype=torch.float64), labels=torch.zeros(48, 64).int())
+    assert frame.size == (48, 64)
+    assert frame.intrinsics.dtype == frame.world_to_camera.dtype == torch.float64
+    assert frame.depth.dtype == torch.float32
+    assert frame.labels.dtype == torch.int64
+
+
+@pytest.mark.parametrize("shape", [(48, 64), (1, 48, 64)])
+def test_grey_images_are_repeated(shape):
+    frame = Frame(torch.full(shape, 0.5), K, POSE)
+    assert frame.image.shape == (3, 48, 64)
+    assert (frame.image == 0.5).all()
+
+
+def test_8_bit_images_are_divided_by_255():
+    assert Frame(torch.full((3, 4, 4), 255, dtype=torch.uint8), K, POSE).image.max() == 1.0
+
+
+def rotation_scaled(factor):
+    pose = torch.eye(4)
+    pose[:3, :3] *= factor
+    return pose
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"image": [1, 2]}, TypeError, r"image of frame 'f': expected a torch.Tensor, got list"),
+        (
+            {"image": torch.rand(4, 5, 6)},
+            ValueError,
+            r"image of frame 'f': expected shape \[3, H, W\].*got \[4, 5, 6\]",
+        ),
+        ({"image": torch.rand(3, 0, 6)}, ValueError, r"image of frame 'f': expected at least one pixel"),
+        ({"image": IMAGE * 255}, ValueError, r"image of frame 'f': expected values in \[0, 1\]"),
+        ({"image": IMAGE / 0 - IMAGE / 0}, ValueError, r"image of frame 'f': expected finite values"),
+        ({"image": IMAGE.long()}, TypeError, r"image of frame 'f': expected a floating dtype"),
+        ({"intrinsics": torch.eye(4)}, ValueError, r"intrinsics of frame 'f': expected shape \[3, 3\], got \[4, 4\]"),
+        ({"intrinsics": torch.zeros(3, 3)}, ValueError, r"intrinsics of frame 'f': expected \[\[fx, s, cx\]"),
+        ({"world_to_camera": torch.eye(3)}, ValueError, r"world_to_camera of frame 'f': expected shape \[4, 4\]"),
+        ({"world_to_camera": POSE * torch.nan}, ValueError, r"world_to_camera of frame 'f': expected finite values"),
+        ({"world_to_camera": rotation_scaled(2)}, ValueError, r"world_to_camera of frame 'f': expected a rigid"),
+        ({"world_to_camera": rotation_scaled(-1)}, ValueError, r"expected a rigid transform.*det R = -1"),
+        ({"depth": torch.ones(4, 4)}, ValueError, r"depth of frame 'f': expected shape \[48, 64\], got \[4, 4\]"),
+        ({"labels": torch.ones(48, 64)}, TypeError, r"labels of frame 'f': expected an integer dtype"),
+        ({"labels": torch.full((48, 64), -2)}, ValueError, r"labels of frame 'f': expected labels >= -1.*got -2"),
+    ],
+)
+def test_bad_frames(change, error, message):
+    arguments = {"image": IMAGE, "intrinsics": K, "world_to_camera": POSE, "name": "f"} | change
+    with pytest.raises(error, match=message):
+        Frame(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"points": torch.zeros(0, 3)}, ValueError, "points: expected at least one point, got an empty cloud"),
+        ({"points": torch.zeros(5, 2)}, ValueError, r"points: expected shape \[N, 3\], got \[5, 2\]"),
+        ({"points": torch.zeros(5, 3) / 0}, ValueError, "points: expected finite values, got 15 NaN or infinite of 15"),
+        ({"points": [[0, 0, 0]]}, TypeError, "points: expected a torch.Tensor, got list"),
+        ({"points": torch.zeros(5, 3).long()}, TypeError, "points: expected a floating dtype, got torch.int64"),
+        ({"points": torch.zeros(5, 3), "colors": torch.zeros(4, 3)}, ValueError, r"colors: expected shape \[5, 3\]"),
+        ({"points": torch.zeros(5, 3), "normals": torch.zeros(5)}, ValueError, r"normals: expected shape \[5, 3\]"),
+    ],
+)
+def test_bad_scenes(arguments, error, message):
+    with pytest.raises(error, match=message):
+        Scene(**arguments)

@@ -1,0 +1,31 @@
+"""torchjoint: joint, class-agnostic instance segmentation of a point cloud and posed images, on a CPU.
+
+>>> import torchjoint as tj
+>>> synthetic = tj.synthetic.make_scene(seed=0)
+>>> result = tj.JointSegmenter.from_preset("indoor")(synthetic.scene)
+>>> result.points.shape, result.images[0].shape
+(torch.Size([6000]), torch.Size([120, 160]))
+"""
+
+from importlib.metadata import version
+
+from torchjoint import datasets, metrics, ops, synthetic
+from torchjoint.config import Config
+from torchjoint.datasets import load_scene
+from torchjoint.joint import JointSegmenter
+from torchjoint.scene import Frame, Scene, Segmentation
+
+__version__ = version("torchjoint")
+
+__all__ = [
+    "Config",
+    "Frame",
+    "JointSegmenter",
+    "Scene",
+    "Segmentation",
+    "datasets",
+    "load_scene",
+    "metrics",
+    "ops",
+    "synthetic",
+]

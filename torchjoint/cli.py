@@ -1,0 +1,141 @@
+"""The command line: torchjoint demo | segment | show."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import tyro
+
+from torchjoint import metrics
+from torchjoint.checkpoint import Checkpoint, run_key
+from torchjoint.config import Config
+from torchjoint.datasets import load_scene
+from torchjoint.joint import JointSegmenter
+from torchjoint.output import output_folder, read_points, write_result
+from torchjoint.scene import Scene, Segmentation
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """What the method is told."""
+
+    preset: str = "indoor"
+    """A preset that comes with the package, or a YAML file of your own."""
+    set: tuple[str, ...] = ()
+    """Single parameters: --set propagation.weight=0.2 refinement.merge_ratio=0.95"""
+
+    def config(self) -> Config:
+        """The preset with the assignments applied."""
+        is_file = self.preset.endswith((".yaml", ".yml"))
+        config = Config.from_yaml(self.preset) if is_file else Config.from_preset(self.preset)
+        return config.set(self.set)
+
+
+Flat = tyro.conf.OmitArgPrefixes[Parameters]
+Out = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+
+
+def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = Parameters(), overwrite: bool = True) -> None:
+    """Segments an embedded synthetic scene and scores the result against its exact truth; needs no data.
+
+    Args:
+        out: folder for the result.
+        parameters: what the method is told.
+        overwrite: replace the result of an earlier demo.
+    """
+    from torchjoint.synthetic import make_scene
+
+    print("making a synthetic scene ...")
+    synthetic = make_scene(seed=0, size="medium")
+    result = _run(synthetic.scene, out, parameters.config(), "synthetic, seed 0, medium", overwrite)
+    in_3d = metrics.objects_and_parts(result.points, synthetic.point_labels)
+    covering = metrics.segmentation_covering(result.points, synthetic.point_labels)
+    print(f"against the truth, in 3D: covering {covering.symmetric:.2f}, F for objects and parts {in_3d.f:.2f}")
+
+
+def segment(
+    scene: tyro.conf.Positional[Path],
+    out: Out,
+    parameters: Flat = Parameters(),
+    overwrite: bool = False,
+    voxel_size: float = 0.02,
+    max_frames: int | None = None,
+) -> None:
+    """Segments a recording: a folder of posed frames, with or without a cloud.
+
+    A run that was interrupted goes on where it was when it is started again with the same arguments.
+
+    Args:
+        scene: folder of frames; see the README for the layouts that are known.
+        out: folder for the result: points.ply, points.npz, images/, overview.png, run.yaml.
+        parameters: what the method is told.
+        overwrite: replace OUT if it exists.
+        voxel_size: metres, where the cloud must be fused from depth.
+        max_frames: use this many frames, evenly spread over the recording.
+    """
+    config = parameters.config()
+    if max_frames is not None and max_frames < 0:
+        raise ValueError(f"--max-frames: expected >= 0, got {max_frames}")
+    with output_folder(out, overwrite=overwrite) as partial:
+        loaded = load_scene(scene, cloud=_fused_cloud(scene, partial, voxel_size), voxel_size=voxel_size)
+        if max_frames is not None and max_frames < len(loaded.frames):
+            chosen = torch.linspace(0, len(loaded.frames) - 1, max_frames).round().long().tolist()
+            loaded = Scene(
+                loaded.points, [loaded.frames[i] for i in chosen], loaded.colors, loaded.normals, loaded.name
+            )
+        checkpoint = Checkpoint(partial / "state", run_key(loaded, config, len(loaded.frames)))
+        result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
+        write_result(partial, loaded, result, config, str(scene))
+        shutil.rmtree(partial / "state")
+    _summarize(result, out)
+
+
+def show(out: tyro.conf.Positional[Path], open_browser: bool = True) -> None:
+    """Makes a page of a result's cloud that any browser shows (viewer.html), and opens it.
+
+    Args:
+        out: folder that `torchjoint segment` wrote.
+        open_browser: open the page; otherwise only write it.
+    """
+    from torchjoint.show import write_viewer
+
+    result = read_points(out)
+    page = out / "viewer.html"
+    write_viewer(page, result.points, result.labels, result.colors)
+    print(f"{page}\n{out / 'overview.png'}")
+    if open_browser:
+        webbrowser.open(page.resolve().as_uri())
+
+
+def main() -> None:
+    """Entry point; errors of the user's making are one line."""
+    try:
+        tyro.extras.subcommand_cli_from_dict({"demo": demo, "segment": segment, "show": show}, prog="torchjoint")
+    except (ValueError, TypeError, OSError) as error:
+        sys.exit(f"torchjoint: error: {error}")
+
+
+def _run(scene: Scene, out: Path, config: Config, source: str, overwrite: bool) -> Segmentation:
+    with output_folder(out, overwrite=overwrite) as partial:
+        result = JointSegmenter(config)(scene, progress=True)
+        write_result(partial, scene, result, config, source)
+    _summarize(result, out)
+    return result
+
+
+def _fused_cloud(scene: Path, partial: Path, voxel_size: float) -> Path | None:
+    """Where a fused cloud is kept: beside the output, unless the recording brings a cloud."""
+    return None if (scene / "cloud.ply").is_file() else partial / f"cloud-{voxel_size * 1000:g}mm.ply"
+
+
+def _summarize(result: Segmentation, out: Path) -> None:
+    seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in result.seconds.items())
+    print(f"{len(result.points)} points in {result.num_point_segments} segments, {len(result.images)} images")
+    print(f"seconds by stage (added up over threads): {seconds}")
+    print(f"written to {out}: overview.png, points.ply, points.npz, images/, run.yaml")

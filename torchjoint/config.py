@@ -1,0 +1,339 @@
+"""Parameters of the method: one frozen dataclass a stage, YAML presets, unknown keys and bad values refused by name.
+
+Every parameter is declared once, with its unit, range and effect, by :func:`parameter`; the checks, the README's
+table and the command line's help all read that declaration.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+StageT = TypeVar("StageT")
+
+
+def parameter(
+    default: Any,
+    doc: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    above: float | None = None,
+    sensible: str = "",
+    choices: Sequence[str] = (),
+) -> Any:
+    """Declares a parameter: its default, what turning it does, unit, allowed range and sensible range."""
+    return field(
+        default=default,
+        metadata={
+            "doc": doc,
+            "unit": unit,
+            "low": low,
+            "high": high,
+            "above": above,
+            "sensible": sensible,
+            "choices": tuple(choices),
+        },
+    )
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Base of the stages: checks every parameter against its declaration when the object is made."""
+
+    def __post_init__(self) -> None:
+        for spec in dataclasses.fields(self):
+            value = _check(f"{stage_name(type(self))}.{spec.name}", getattr(self, spec.name), spec)
+            object.__setattr__(self, spec.name, value)
+
+
+@dataclass(frozen=True)
+class BoundaryConfig(Stage):
+    """Step 1: how strongly a pixel looks like an object boundary."""
+
+    detector: str = parameter("gradient", "boundary detector", choices=("gradient",))
+    smoothing: float = parameter(
+        1.0, "Gaussian blur before the gradient; more ignores texture and softens edges", unit="px", low=0,
+        high=20, sensible="0.5-3",
+    )  # fmt: skip
+    contrast: float = parameter(
+        6.0, "colour gradient at which a boundary has strength 1 - 1/e; less sees fainter edges", unit="Lab units/px",
+        above=0, sensible="2-20",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ImageGraphConfig(Stage):
+    """Step 1, eq. 2: weights of the 8-connected pixel graph."""
+
+    smoothing: float = parameter(
+        0.8, "Gaussian blur of the colours; more ignores noise and fine texture", unit="px", low=0, high=20,
+        sensible="0-2",
+    )  # fmt: skip
+    color_weight: float = parameter(1.0, "w_c, weight of the RGB distance of two pixels", low=0, sensible="0-2")
+    boundary_weight: float = parameter(
+        0.5, "w_b, weight of the weaker boundary of two pixels; more closes gaps in faint contours", low=0,
+        sensible="0-2",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ImageSegmentsConfig(Stage):
+    """Step 2: Felzenszwalb-Huttenlocher on the pixel graph."""
+
+    scale: float = parameter(
+        2.0, "k; more gives larger segments", unit="weight x px", low=0, sensible="0.3-10 for 640x480"
+    )
+    min_size: int = parameter(100, "smaller segments are joined to a neighbour", unit="px", low=0, sensible="20-1000")
+
+
+@dataclass(frozen=True)
+class PointGraphConfig(Stage):
+    """Step 3, eq. 3-4: the k-nearest-neighbour graph of the cloud and its geometric weight."""
+
+    neighbors: int = parameter(16, "K, neighbours of a point in the graph", low=1, high=200, sensible="8-30")
+    normal_neighbors: int = parameter(
+        40, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=3, high=500,
+        sensible="10-80",
+    )  # fmt: skip
+    distance_weight: float = parameter(
+        0.0, "w_d, weight of the distance of two points; separates sparse from dense", unit="1/m", low=0,
+        sensible="0-10",
+    )  # fmt: skip
+    angle_weight: float = parameter(1.0, "w_theta, weight of the angle of two normals", unit="1/rad", low=0)
+    color_weight: float = parameter(
+        0.0, "weight of the RGB distance of two points; needs Scene.colors", low=0, sensible="0-1"
+    )
+
+
+@dataclass(frozen=True)
+class VisibilityConfig(Stage):
+    """Step 4: which points an image sees."""
+
+    method: str = parameter(
+        "zbuffer", "z-buffer of splats, or hidden point removal (Katz et al. 2007)",
+        choices=("zbuffer", "hidden_point_removal"),
+    )  # fmt: skip
+    near: float = parameter(0.05, "points closer to the camera plane are not seen", unit="m", above=0)
+    far: float = parameter(100.0, "points farther than this are not seen", unit="m", above=0)
+    footprint: float = parameter(
+        1.0, "z-buffer: half width of a point's splat in units of its own spacing; more closes holes", above=0,
+        high=10, sensible="0.5-2",
+    )  # fmt: skip
+    max_footprint: int = parameter(
+        8, "z-buffer: half width of a splat at the most; more costs time", unit="px", low=0, high=100, sensible="4-20"
+    )
+    depth_tolerance: float = parameter(
+        0.03, "z-buffer: how far behind the nearest splat a point still counts as seen", unit="m", above=0,
+        sensible="0.01-0.1 indoors, 0.3-1 outdoors",
+    )  # fmt: skip
+    radius_factor: float = parameter(
+        0.01, "hidden point removal: sphere radius = max distance x N x this; more lets hidden points through",
+        above=0, sensible="0.001-0.1",
+    )  # fmt: skip
+    margin: float = parameter(
+        0.1, "hidden point removal: how much larger than the image the frustum crop is, so that occluders beside "
+        "the image count", unit="image widths", low=0, high=5,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PropagationConfig(Stage):
+    """Step 5, eq. 5-6: what the image segmentations say about each edge of the point graph."""
+
+    window: int = parameter(
+        3, "t, side of the window around a point's pixel (odd); more forgives pose error and softens borders",
+        unit="px", low=1, high=31, sensible="1-7",
+    )  # fmt: skip
+    overlap_threshold: float = parameter(
+        0.5, "r_o, overlap of two windows at which an image says neither same nor different", low=0, high=1
+    )
+    normalization: str = parameter(
+        "saturating", "L of eq. 6: 'all' images (the paper's letter), or an edge's own views, trusted in full from "
+        "`saturation` on", choices=("saturating", "all"),
+    )  # fmt: skip
+    saturation: int = parameter(
+        3, "s, views after which an edge is trusted in full (normalization: saturating)", unit="views", low=1,
+        sensible="1-10",
+    )  # fmt: skip
+    weight: float = parameter(
+        0.15, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation", low=0, sensible="0.05-0.5"
+    )
+
+
+@dataclass(frozen=True)
+class PointSegmentsConfig(Stage):
+    """Step 6: Felzenszwalb-Huttenlocher on the point graph."""
+
+    scale: float = parameter(20.0, "k; more gives larger segments", unit="weight x points", low=0)
+    min_size: int = parameter(100, "smaller segments are joined to a neighbour", unit="points", low=0)
+
+
+@dataclass(frozen=True)
+class RefinementConfig(Stage):
+    """Step 7, eq. 7-14: the 3D labels merge and split the segments of each image."""
+
+    radius: float = parameter(
+        3.0, "R, visible points closer than this in the image are compared", unit="px", above=0, high=100,
+        sensible="2-8; at least the spacing of the projected points",
+    )  # fmt: skip
+    merge_ratio: float | None = parameter(
+        None, "r_m, two image segments merge when this share of their point pairs has one 3D label; null: off "
+        "(merging chains whole images together, and step 8 joins segments of one label anyway)", low=0, high=1,
+        sensible="null, or 0.9-1",
+    )  # fmt: skip
+    split_min_edges: int | None = parameter(
+        10, "n_s, external point pairs inside an image segment before it is cut in two; null: never cut", low=1,
+        sensible="5-100",
+    )  # fmt: skip
+    max_splits: int = parameter(8, "how often a segment may be cut again, at the most", low=1, high=64)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that :class:`torchjoint.JointSegmenter` can be told; see each stage for its parameters."""
+
+    boundary: BoundaryConfig = field(default_factory=BoundaryConfig)
+    image_graph: ImageGraphConfig = field(default_factory=ImageGraphConfig)
+    image_segments: ImageSegmentsConfig = field(default_factory=ImageSegmentsConfig)
+    point_graph: PointGraphConfig = field(default_factory=PointGraphConfig)
+    visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
+    propagation: PropagationConfig = field(default_factory=PropagationConfig)
+    point_segments: PointSegmentsConfig = field(default_factory=PointSegmentsConfig)
+    refinement: RefinementConfig = field(default_factory=RefinementConfig)
+
+    def __post_init__(self) -> None:
+        for spec in dataclasses.fields(self):
+            expected = STAGES[spec.name]
+            if not isinstance(getattr(self, spec.name), expected):
+                came = type(getattr(self, spec.name)).__name__
+                raise TypeError(f"{spec.name}: expected a {expected.__name__}, got {came}")
+        if self.propagation.window % 2 == 0:
+            raise ValueError(f"propagation.window: expected an odd number, got {self.propagation.window}")
+        if self.visibility.far <= self.visibility.near:
+            raise ValueError(
+                f"visibility.far: expected more than near ({self.visibility.near}), got {self.visibility.far}"
+            )
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any] | None) -> Config:
+        """Makes a config from nested dicts, e.g. ``{"propagation": {"weight": 0.2}}``; what is absent is default.
+
+        Raises:
+            ValueError, TypeError: an unknown stage or parameter, or a bad value, by name.
+        """
+        return cls().replace(values or {})
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> Config:
+        """Reads a YAML file of the form of :meth:`to_dict`; errors name the file."""
+        return cls._parse(Path(path).read_text(encoding="utf-8"), str(path))
+
+    @classmethod
+    def from_preset(cls, name: str) -> Config:
+        """Reads one of the presets that come with the package, see :func:`presets`."""
+        known = presets()
+        if name not in known:
+            raise ValueError(f"preset: expected one of {', '.join(known)}, got {name!r}")
+        return cls._parse(known[name].read_text(encoding="utf-8"), f"preset {name!r}")
+
+    @classmethod
+    def _parse(cls, text: str, source: str) -> Config:
+        try:
+            values = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ValueError(f"{source}: not valid YAML: {error}") from error
+        if values is not None and not isinstance(values, dict):
+            raise ValueError(f"{source}: expected stages with parameters, got a {type(values).__name__}")
+        try:
+            return cls.from_dict(values)
+        except (ValueError, TypeError) as error:
+            raise type(error)(f"{source}: {error}") from error
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """Nested plain dicts, as :meth:`from_dict` takes them."""
+        return dataclasses.asdict(self)
+
+    def replace(self, values: Mapping[str, Any]) -> Config:
+        """A copy with some parameters replaced: ``config.replace({"propagation": {"weight": 0.2}})``."""
+        stages = {}
+        for stage, parameters in values.items():
+            if stage not in STAGES:
+                raise ValueError(f"{stage}: unknown stage, expected one of {', '.join(STAGES)}")
+            if not isinstance(parameters, Mapping):
+                raise TypeError(f"{stage}: expected parameters by name, got {parameters!r}")
+            current = getattr(self, stage)
+            names = [spec.name for spec in dataclasses.fields(current)]
+            for name in parameters:
+                if name not in names:
+                    raise ValueError(f"{stage}.{name}: unknown parameter, expected one of {', '.join(names)}")
+            stages[stage] = dataclasses.replace(current, **parameters)
+        return dataclasses.replace(self, **stages)
+
+    def set(self, assignments: Sequence[str]) -> Config:
+        """A copy with assignments applied as the command line writes them: ``["propagation.weight=0.2"]``."""
+        config = self
+        for assignment in assignments:
+            key, equals, text = assignment.partition("=")
+            stage, dot, name = key.strip().partition(".")
+            if not equals or not dot:
+                raise ValueError(f"--set: expected stage.parameter=value, got {assignment!r}")
+            config = config.replace({stage: {name: yaml.safe_load(text)}})
+        return config
+
+
+STAGES: dict[str, type[Stage]] = {
+    "boundary": BoundaryConfig,
+    "image_graph": ImageGraphConfig,
+    "image_segments": ImageSegmentsConfig,
+    "point_graph": PointGraphConfig,
+    "visibility": VisibilityConfig,
+    "propagation": PropagationConfig,
+    "point_segments": PointSegmentsConfig,
+    "refinement": RefinementConfig,
+}
+
+
+def presets() -> dict[str, Any]:
+    """The presets that come with the package: name -> readable resource."""
+    files = resources.files("torchjoint.configs").iterdir()
+    return {Path(file.name).stem: file for file in sorted(files, key=lambda f: f.name) if file.name.endswith(".yaml")}
+
+
+def stage_name(stage: type) -> str:
+    """The key of a stage's class in :class:`Config`."""
+    return next((name for name, cls in STAGES.items() if cls is stage), stage.__name__)
+
+
+def _check(name: str, value: Any, spec: dataclasses.Field[Any]) -> Any:
+    """Checks one value against its declaration; whole floats pass for ints, ints for floats."""
+    optional = "None" in str(spec.type)
+    if value is None:
+        if optional:
+            return None
+        raise TypeError(f"{name}: expected {spec.type}, got null")
+    kind = str(spec.type).split(" |")[0]
+    if kind == "str":
+        if value not in spec.metadata["choices"]:
+            raise ValueError(f"{name}: expected one of {', '.join(spec.metadata['choices'])}, got {value!r}")
+        return value
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{name}: expected {spec.type}, got {value!r}")
+    if not math.isfinite(value):
+        raise ValueError(f"{name}: expected a finite number, got {value}")
+    if kind == "int" and value != int(value):
+        raise TypeError(f"{name}: expected a whole number, got {value}")
+    low, high, above = (spec.metadata[key] for key in ("low", "high", "above"))
+    if (low is not None and value < low) or (above is not None and value <= above):
+        raise ValueError(f"{name}: expected {f'>= {low}' if low is not None else f'> {above}'}, got {value}")
+    if high is not None and value > high:
+        raise ValueError(f"{name}: expected <= {high}, got {value}")
+    return int(value) if kind == "int" else float(value)

@@ -1,0 +1,117 @@
+"""Single files: images, depth, matrices, clouds. Errors name the file and what is wrong with it."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image, UnidentifiedImageError
+from torch import Tensor
+
+
+def read_image(path: Path) -> Tensor:
+    """An 8-bit image of any mode -> [3, H, W] uint8 RGB."""
+    array = np.array(_opened(path).convert("RGB"))
+    return torch.from_numpy(array).permute(2, 0, 1).contiguous()
+
+
+def read_depth(path: Path, unit: float = 0.001) -> Tensor:
+    """A 16-bit depth image -> [H, W] float32 metres, 0 = unknown (raw 0 and 65535)."""
+    image = _opened(path)
+    if image.mode not in ("I;16", "I;16B", "I"):
+        raise ValueError(f"{path}: expected a 16-bit grey image, got mode {image.mode}")
+    raw = np.array(image, dtype=np.int32)
+    return torch.from_numpy(np.where((raw == 65535) | (raw < 0), 0, raw).astype(np.float32) * np.float32(unit))
+
+
+def read_label_image(path: Path) -> Tensor:
+    """An 8- or 16-bit label image -> [H, W] int64."""
+    image = _opened(path)
+    if image.mode not in ("L", "P", "I;16", "I;16B", "I"):
+        raise ValueError(f"{path}: expected a grey or palette image of labels, got mode {image.mode}")
+    return torch.from_numpy(np.array(image).astype(np.int64))
+
+
+def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
+    """A text file of numbers -> float64 of that shape."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a text file with a {shape[0]}x{shape[1]} matrix")
+    try:
+        values = np.array(path.read_text(encoding="utf-8").replace(",", " ").split(), dtype=np.float64)
+    except ValueError as error:
+        raise ValueError(f"{path}: expected numbers, got {error}") from error
+    if values.size != shape[0] * shape[1]:
+        raise ValueError(f"{path}: expected {shape[0]}x{shape[1]} = {shape[0] * shape[1]} numbers, got {values.size}")
+    return torch.from_numpy(values.reshape(shape))
+
+
+def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
+    """A PLY or PCD file -> points [N, 3], colours [N, 3] or None, normals [N, 3] or None."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a point cloud")
+    if path.suffix == ".ply":
+        _check_ply_is_whole(path)
+    import open3d
+
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        cloud = open3d.io.read_point_cloud(str(path))
+    if not cloud.has_points():
+        raise ValueError(f"{path}: no points could be read; truncated, empty or not a point cloud")
+    colors = torch.from_numpy(np.asarray(cloud.colors)).float() if cloud.has_colors() else None
+    normals = torch.from_numpy(np.asarray(cloud.normals)).float() if cloud.has_normals() else None
+    return torch.from_numpy(np.asarray(cloud.points)).float(), colors, normals
+
+
+def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels: Tensor | None = None) -> None:
+    """Writes a binary PLY with positions, 8-bit colours and an int32 property `label`; beside, then renamed."""
+    from open3d import core, t
+
+    cloud = t.geometry.PointCloud(core.Tensor(points.float().numpy()))
+    if colors is not None:
+        cloud.point.colors = core.Tensor((colors.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
+    if labels is not None:
+        cloud.point.label = core.Tensor(labels.to(torch.int32)[:, None].numpy())
+    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+    if not t.io.write_point_cloud(str(partial), cloud):
+        raise OSError(f"{path}: could not be written")
+    os.replace(partial, path)
+
+
+_PLY_SIZES = {
+    "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
+    "int": 4, "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8,
+}  # fmt: skip
+
+
+def _check_ply_is_whole(path: Path) -> None:
+    """Open3D reads a truncated file without a word, and leaves the missing points to chance."""
+    header, end, body = path.read_bytes().partition(b"end_header\n")
+    lines = [line.split() for line in header.decode("ascii", errors="replace").splitlines()]
+    formats = [line[1] for line in lines if line[:1] == ["format"] and len(line) > 1]
+    if not header.startswith(b"ply") or not end or not formats:
+        raise ValueError(f"{path}: not a PLY file, or its header is truncated")
+    count, stride, element = 0, 0, ""
+    for line in lines:
+        if line[:1] == ["element"] and len(line) == 3 and line[2].isdigit():
+            element = line[1]
+            count = int(line[2]) if element == "vertex" else count
+        elif line[:1] == ["property"] and element == "vertex":
+            stride += _PLY_SIZES.get(line[1], 0)
+    ascii_body = formats[0] == "ascii"
+    present = body.count(b"\n") + (not body.endswith(b"\n")) if ascii_body else len(body) // max(stride, 1)
+    if present < count:
+        raise ValueError(f"{path}: truncated: expected {count} points, got {present}")
+
+
+def _opened(path: Path) -> Image.Image:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected an image")
+    try:
+        image = Image.open(io.BytesIO(path.read_bytes()))
+        image.load()
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+        raise ValueError(f"{path}: not a whole image: {error}") from error
+    return image

@@ -1,0 +1,66 @@
+"""A cloud from posed depth images, where a recording brings none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from torchjoint.scene import Frame
+
+#: Depth beyond this many metres is left out: a depth camera's error grows with the square of the distance.
+FAR = 5.0
+
+
+def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: bool = True) -> tuple[Tensor, Tensor]:
+    """Fuses depth images into a truncated signed distance volume (Curless and Levoy 1996) and takes its surface.
+
+    Args:
+        frames: with depth.
+        voxel_size: metres.
+
+    Returns:
+        points [N, 3] metres and colours [N, 3], sorted by coordinates so that they come in the same order every time.
+
+    Raises:
+        ValueError: no frame has depth, or none of it makes a surface.
+    """
+    if not 1e-4 <= voxel_size <= 10:
+        raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
+    from open3d import camera, geometry, pipelines
+
+    volume = pipelines.integration.ScalableTSDFVolume(
+        voxel_length=voxel_size,
+        sdf_trunc=4 * voxel_size,
+        color_type=pipelines.integration.TSDFVolumeColorType.RGB8,
+    )
+    fused = 0
+    for index in tqdm(range(len(frames)), desc="fuse", unit="frame", disable=not progress):
+        frame = frames[index]
+        if frame.depth is None:
+            continue
+        fused += 1
+        color = np.ascontiguousarray((frame.image * 255).round().to(torch.uint8).permute(1, 2, 0).numpy())
+        image = geometry.RGBDImage.create_from_color_and_depth(
+            geometry.Image(color),
+            geometry.Image(frame.depth.contiguous().numpy()),
+            depth_scale=1.0,
+            depth_trunc=FAR,
+            convert_rgb_to_intensity=False,
+        )
+        k = frame.intrinsics
+        intrinsic = camera.PinholeCameraIntrinsic(
+            frame.size[1], frame.size[0], float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
+        )
+        volume.integrate(image, intrinsic, frame.world_to_camera.numpy())
+    if fused == 0:
+        raise ValueError("frames: none has a depth image, and there is no cloud.ply: there is no cloud to segment")
+    cloud = volume.extract_point_cloud()
+    points, colors = np.asarray(cloud.points).astype(np.float32), np.asarray(cloud.colors).astype(np.float32)
+    if len(points) == 0:
+        raise ValueError(f"depth: the {fused} depth images give no surface; expected metres, mostly below {FAR}")
+    order = np.lexsort(points.T)
+    return torch.from_numpy(points[order]), torch.from_numpy(colors[order]).clamp(0, 1)

@@ -1,0 +1,335 @@
+"""The joint segmentation of a point cloud and its images: Algorithm 1 of the paper in reading order.
+
+M. Abello, J. Mangelson, M. Kaess, "A Graph-Based Method for Joint Instance Segmentation of Point Clouds and Image
+Sequences", ICRA 2021.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from torchjoint import ops
+from torchjoint.boundary import make_boundary
+from torchjoint.checkpoint import Checkpoint
+from torchjoint.config import Config
+from torchjoint.image_graph import pixel_weights, segment_image
+from torchjoint.point_graph import estimate_normals, geometric_weights, nearest_neighbors, undirected_edges
+from torchjoint.pose_check import check_poses
+from torchjoint.propagation import disagreement, edge_overlaps, label_windows
+from torchjoint.refinement import joint_labels, merge_segments, pixel_pairs, split_segments
+from torchjoint.scene import Frame, LabelImages, Scene, Segmentation, as_labels
+from torchjoint.state import JointState, Observation
+from torchjoint.threads import map_frames, one_thread_per_operation
+from torchjoint.timing import Stopwatch
+from torchjoint.visibility import Visible, visible_points
+
+
+class _Cloud(NamedTuple):
+    """The cloud and what of the point graph does not depend on any image."""
+
+    points: Tensor  # [N, 3]
+    colors: Tensor | None
+    normals: Tensor  # [N, 3]
+    normals_are_given: bool  # and so their signs are meant
+    spacing: Tensor  # [N]
+    edge_index: Tensor  # [2, E]
+
+
+class JointSegmenter(nn.Module):
+    """Segments one point cloud and a sequence of posed images together.
+
+    Either in one go, ``segmenter(scene)``, or frame by frame: :meth:`reset` with the cloud, :meth:`update` with frames
+    in any order, :meth:`compute` at any time. Both give the same labels, whatever the order of the frames and the
+    number of threads; segmenters that saw different frames of one cloud can be merged (:meth:`merge`).
+
+    Args:
+        config: parameters; default ``Config()``.
+        boundary: a boundary detector, [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1], to take the place of the
+            one that the config names (step 1).
+        image_segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none, to take the place of the
+            graph segmentation of images (steps 1-2). Labels that a frame brings with it come before either.
+
+    Example:
+        >>> import torchjoint as tj
+        >>> scene = tj.synthetic.make_scene(seed=0).scene
+        >>> result = tj.JointSegmenter()(scene)
+        >>> result.points.shape, len(result.images)
+        (torch.Size([6000]), 6)
+    """
+
+    def __init__(
+        self,
+        config: Config | None = None,
+        *,
+        boundary: nn.Module | None = None,
+        image_segmenter: nn.Module | None = None,
+    ) -> None:
+        super().__init__()
+        self.config = config or Config()
+        self.boundary = boundary or make_boundary(self.config.boundary)
+        self.image_segmenter = image_segmenter
+        self.stopwatch = Stopwatch()
+        self._cloud: _Cloud | None = None
+        self._state: JointState | None = None
+
+    @classmethod
+    def from_preset(cls, name: str) -> JointSegmenter:
+        """A segmenter with one of the package's presets, e.g. ``"indoor"`` or ``"paper"``."""
+        return cls(Config.from_preset(name))
+
+    @torch.no_grad()
+    def forward(
+        self, scene: Scene, *, progress: bool = False, batch_size: int = 8, checkpoint: Checkpoint | None = None
+    ) -> Segmentation:
+        """Segments a whole scene.
+
+        Args:
+            scene: the cloud and its frames; with no frames this is plain 3D segmentation.
+            progress: show progress bars.
+            batch_size: frames held in memory at a time.
+            checkpoint: where the state is saved now and then, and the run resumed from.
+
+        Raises:
+            ValueError: there are frames, and none of them sees a point.
+
+        Warns:
+            PoseWarning: poses or intrinsics look wrong.
+        """
+        self.reset(scene.points, scene.colors, scene.normals)
+        check_poses(scene, self._require_cloud().spacing, self.config.visibility)
+        num_frames = len(scene.frames)
+        if checkpoint is not None:
+            self.state = checkpoint.load() or self.state
+        done = len(self.state.observations)
+        with tqdm(total=num_frames, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
+            for start in range(done, num_frames, batch_size):
+                indices = range(start, min(start + batch_size, num_frames))
+                self.update(self._load_frames(scene.frames, indices))
+                bar.update(len(indices))
+                if checkpoint is not None:
+                    checkpoint.save(self.state)
+        if num_frames and not any(o.visible.point.numel() for o in self.state.observations):
+            raise ValueError(f"frames: none of the {num_frames} images sees a point; wrong poses, axes or units?")
+        return self.compute(progress=progress)
+
+    def _load_frames(self, frames: Sequence[Frame], indices: range) -> list[Frame]:
+        with self.stopwatch("load frames"):
+            return map_frames(frames.__getitem__, indices)
+
+    @torch.no_grad()
+    def reset(self, points: Tensor, colors: Tensor | None = None, normals: Tensor | None = None) -> None:
+        """Forgets all frames and starts on a cloud (step 3).
+
+        Args:
+            points: [N, 3] metres, world frame.
+            colors: optional [N, 3] RGB in [0, 1], used where the config weighs colour.
+            normals: optional [N, 3] unit normals, signs as they should be; estimated and turned to the cameras else.
+        """
+        cloud = Scene(points, colors=colors, normals=normals)
+        self.stopwatch = Stopwatch()
+        config = self.config.point_graph
+        with one_thread_per_operation(), self.stopwatch("point graph"):
+            count = config.neighbors if cloud.normals is not None else max(config.neighbors, config.normal_neighbors)
+            neighbors = nearest_neighbors(cloud.points, count)
+            self._cloud = _Cloud(
+                cloud.points,
+                cloud.colors,
+                cloud.normals
+                if cloud.normals is not None
+                else estimate_normals(cloud.points, neighbors.indices[:, : config.normal_neighbors]),
+                cloud.normals is not None,
+                neighbors.spacing,
+                undirected_edges(neighbors.indices[:, : config.neighbors]),
+            )
+        self._state = JointState.empty(self._cloud.edge_index.shape[1], self._cloud.points.shape[0])
+
+    @torch.no_grad()
+    def update(self, frames: Frame | Sequence[Frame]) -> None:
+        """Sees one frame or several (steps 1, 2, 4, 5). Frames of one size go through the image modules as a batch."""
+        state = self.state
+        with one_thread_per_operation():
+            for batch in _batches_of_one_size([frames] if isinstance(frames, Frame) else frames):
+                boundaries, labels = self._segment_images(batch)
+                observations = map_frames(
+                    lambda item: self._observe(*item), zip(batch, boundaries, labels, strict=True)
+                )
+                for observation, facing, edges, overlaps in observations:
+                    state.views[edges] += 1
+                    state.overlap_sum[edges] += overlaps
+                    state.facing[observation.visible.point] += facing
+                    state.observations.append(observation)
+
+    @torch.no_grad()
+    def compute(self, *, progress: bool = False) -> Segmentation:
+        """The segmentation from all frames seen so far (steps 6-8); more frames may follow.
+
+        Returns:
+            labels of the points, and of the frames in the order in which they came.
+        """
+        state = self.state
+        with one_thread_per_operation():
+            point_labels = self._segment_points()
+            sizes = torch.bincount(point_labels)
+            bar = tqdm(total=len(state.observations), desc="refine", unit="frame", disable=not progress)
+
+            def refine(observation: Observation) -> tuple[Tensor, int]:
+                refined = self._refine(observation, point_labels, sizes)
+                bar.update()
+                return refined
+
+            with bar:
+                refined = map_frames(refine, state.observations)
+        return Segmentation(
+            points=point_labels,
+            images=LabelImages(_private_ids(refined, [o.name for o in state.observations], sizes.shape[0])),
+            initial_images=LabelImages([o.labels for o in state.observations]),
+            names=tuple(o.name for o in state.observations),
+            seconds=dict(self.stopwatch.seconds),
+        )
+
+    @property
+    def state(self) -> JointState:
+        """What was seen since :meth:`reset`; may be set to resume. Raises RuntimeError before a reset."""
+        if self._state is None:
+            raise RuntimeError("JointSegmenter: call reset(points) before update, compute or state")
+        return self._state
+
+    @state.setter
+    def state(self, state: JointState) -> None:
+        if state.views.shape != self.state.views.shape or state.facing.shape != self.state.facing.shape:
+            raise ValueError("state: expected the state of a segmenter that was reset with the same cloud")
+        self._state = state
+
+    def _require_cloud(self) -> _Cloud:
+        if self._cloud is None:
+            raise RuntimeError("JointSegmenter: call reset(points) first")
+        return self._cloud
+
+    def merge(self, other: JointSegmenter) -> None:
+        """Adds what another segmenter saw of the same cloud with the same config."""
+        if other.config != self.config:
+            raise ValueError("other: expected a segmenter with the same config")
+        if self._cloud is None or other._cloud is None or not torch.equal(self._cloud.points, other._cloud.points):
+            raise ValueError("other: expected a segmenter that was reset with the same points")
+        self.state = self.state + other.state
+
+    def _segment_images(self, frames: Sequence[Frame]) -> tuple[Tensor, Sequence[Tensor]]:
+        """Steps 1 and 2 for frames of one size: boundaries [B, H, W] and initial labels, B times [H, W]."""
+        images = torch.stack([frame.image for frame in frames])
+        with self.stopwatch("boundaries"):
+            boundaries = self.boundary(images)
+        if boundaries.shape != images[:, 0].shape:
+            raise ValueError(f"boundary: expected [B, H, W] = {list(images[:, 0].shape)}, got {list(boundaries.shape)}")
+        with self.stopwatch("image segments"):
+            if all(frame.labels is not None for frame in frames):
+                return boundaries, [_dense(frame.labels) for frame in frames if frame.labels is not None]
+            if self.image_segmenter is None:
+                segmented: Sequence[Tensor] = map_frames(
+                    lambda item: self._segment_by_graph(*item), zip(images, boundaries, strict=True)
+                )
+            else:
+                segmented = [
+                    as_labels(x, frames[0].size, "image_segmenter's output") for x in self.image_segmenter(images)
+                ]
+        return boundaries, [
+            _dense(labels if frame.labels is None else frame.labels)
+            for frame, labels in zip(frames, segmented, strict=True)
+        ]
+
+    def _segment_by_graph(self, image: Tensor, boundary: Tensor) -> Tensor:
+        weights = pixel_weights(image, boundary, self.config.image_graph)
+        return segment_image(weights, (image.shape[1], image.shape[2]), self.config.image_segments)
+
+    def _observe(self, frame: Frame, boundary: Tensor, labels: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor]:
+        """Steps 4 and 5 for one frame: the observation, votes for normals' signs, edges and their overlaps."""
+        cloud = self._require_cloud()
+        with self.stopwatch("visibility"):
+            visible = visible_points(
+                cloud.points, cloud.spacing, frame.intrinsics, frame.world_to_camera, frame.size, self.config.visibility
+            )
+            facing = _faces_camera(cloud, visible, frame.world_to_camera)
+        with self.stopwatch("propagation"):
+            windows = label_windows(labels, visible, self.config.propagation.window)
+            edges, overlaps = edge_overlaps(cloud.edge_index, cloud.points.shape[0], visible, windows)
+        observation = Observation(
+            frame.name, labels.to(torch.int32), visible, _to_8_bits(frame.image), _to_8_bits(boundary)
+        )
+        return observation, facing, edges, overlaps
+
+    def _segment_points(self) -> Tensor:
+        """Step 6, with what steps 3 and 5 left to do: orient the normals, eq. 6, and the whole weight of eq. 3."""
+        cloud, state, config = self._require_cloud(), self.state, self.config
+        with self.stopwatch("point segments"):
+            facing = torch.ones_like(state.facing) if cloud.normals_are_given else state.facing
+            normals = torch.where(facing[:, None] < 0, -cloud.normals, cloud.normals)
+            weights = geometric_weights(
+                cloud.points, cloud.edge_index, normals, facing != 0, config.point_graph, cloud.colors
+            )
+            if state.observations and config.propagation.weight > 0:
+                num_images = len(state.observations)
+                r = disagreement(state.views, state.overlap_sum, num_images, config.propagation)
+                weights = weights + config.propagation.weight * r
+            return ops.felzenszwalb(
+                cloud.edge_index, weights, cloud.points.shape[0], config.point_segments.scale,
+                config.point_segments.min_size,
+            )  # fmt: skip
+
+    def _refine(self, observation: Observation, point_labels: Tensor, sizes: Tensor) -> tuple[Tensor, int]:
+        """Steps 7 and 8 for one frame: labels, those without a point numbered from the number of 3D segments."""
+        config, visible = self.config.refinement, observation.visible
+        labels = observation.labels.long()
+        at_point = point_labels[visible.point]
+        with self.stopwatch("refinement"):
+            if config.merge_ratio is not None or config.split_min_edges is not None:
+                pairs = pixel_pairs(visible, at_point, config.radius)
+                if config.merge_ratio is not None:
+                    labels = merge_segments(labels, visible, pairs, config.merge_ratio)
+                if config.split_min_edges is not None:
+                    image, boundary = observation.image.float() / 255, observation.boundary.float() / 255
+                    weights = pixel_weights(image, boundary, self.config.image_graph)
+                    labels = split_segments(labels, weights, visible, at_point, pairs, config)
+        with self.stopwatch("joint labels"):
+            return joint_labels(labels, visible, at_point, sizes, sizes.shape[0])
+
+
+def _batches_of_one_size(frames: Sequence[Frame]) -> Iterator[list[Frame]]:
+    for _, batch in groupby(frames, key=lambda frame: frame.size):
+        yield list(batch)
+
+
+def _dense(labels: Tensor) -> Tensor:
+    """Numbers labels 0, 1, ... in their order; -1 stays."""
+    values, dense = torch.unique(labels, return_inverse=True)
+    return dense - int((values < 0).sum())
+
+
+def _to_8_bits(values: Tensor) -> Tensor:
+    return (values.clamp(0, 1) * 255).round().to(torch.uint8)
+
+
+def _faces_camera(cloud: _Cloud, visible: Visible, world_to_camera: Tensor) -> Tensor:
+    """[M] int64: 1 where a visible point's normal shows to the camera's side, -1 where it shows away."""
+    center = -(world_to_camera[:3, :3].T @ world_to_camera[:3, 3]).float()
+    to_camera = center - cloud.points[visible.point]
+    x, y, z = (cloud.normals[visible.point] * to_camera).unbind(1)
+    return ((x + y) + z).sign().long()
+
+
+def _private_ids(refined: Sequence[tuple[Tensor, int]], names: Sequence[str], num_segments: int) -> list[Tensor]:
+    """Makes ids >= num_segments unique over all images, counting in the order of the frames' names.
+
+    The names' order, and not that in which frames came, so that the latter does not change labels.
+    """
+    images: list[Tensor] = [labels for labels, _ in refined]
+    offset = 0
+    for index in sorted(range(len(names)), key=lambda i: names[i]):
+        labels, next_free = refined[index]
+        images[index] = torch.where(labels >= num_segments, labels + offset, labels)
+        offset += next_free - num_segments
+    return images

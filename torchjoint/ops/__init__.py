@@ -1,0 +1,20 @@
+"""The two graph algorithms everything else is built on, compiled, as torch operators.
+
+They work on CPU tensors, take any strides, are deterministic, release the GIL, and go through :func:`torch.compile`.
+Their slow and obvious twins are in :mod:`torchjoint.ops.reference`.
+"""
+
+import torch  # noqa: F401  the extension links to the libraries that torch has loaded
+
+try:
+    from torchjoint import _C  # type: ignore[attr-defined]  # noqa: F401  registers the operators
+except ImportError as error:
+    raise ImportError(
+        "the compiled extension torchjoint._C is missing or does not load: install the package with "
+        f"`pip install .` (in a checkout: `pip install -e .`), with torch >= 2.10. The cause: {error}"
+    ) from error
+
+from torchjoint.ops.felzenszwalb import felzenszwalb
+from torchjoint.ops.min_cut import min_cut
+
+__all__ = ["felzenszwalb", "min_cut"]

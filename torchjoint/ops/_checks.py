@@ -1,0 +1,53 @@
+"""Checks of what can be known without looking at values: types, dtypes, shapes, devices.
+
+They cost nothing and are safe under :func:`torch.compile`. Values (node numbers, NaN, signs) are checked by the
+compiled kernels, while they read them anyway, and come back as :class:`ValueError` as well.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+FLOATING = (torch.float32, torch.float64)
+
+
+def check_tensor(name: str, value: object, dtypes: tuple[torch.dtype, ...]) -> None:
+    """Raise unless ``value`` is a dense CPU tensor of one of the dtypes."""
+    if not isinstance(value, Tensor):
+        raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
+    if value.dtype not in dtypes:
+        raise TypeError(f"{name}: expected dtype {' or '.join(map(str, dtypes))}, got {value.dtype}")
+    if value.device.type != "cpu":
+        raise ValueError(f"{name}: expected a CPU tensor, got one on {value.device}")
+    if value.layout != torch.strided:
+        raise ValueError(f"{name}: expected a dense tensor, got layout {value.layout}")
+
+
+def check_edge_index(edge_index: object) -> None:
+    """Raise unless ``edge_index`` is an int64 CPU tensor ``[2, E]``."""
+    check_tensor("edge_index", edge_index, (torch.int64,))
+    assert isinstance(edge_index, Tensor)
+    if edge_index.dim() != 2 or edge_index.shape[0] != 2:
+        raise ValueError(f"edge_index: expected shape [2, E], got {list(edge_index.shape)}")
+
+
+def check_vector(name: str, value: object, length: int | None, length_name: str) -> None:
+    """Raise unless ``value`` is a floating CPU tensor ``[length]``; None allows any length."""
+    check_tensor(name, value, FLOATING)
+    assert isinstance(value, Tensor)
+    if value.dim() != 1:
+        raise ValueError(f"{name}: expected shape [{length_name}], got {list(value.shape)}")
+    if length is not None and value.shape[0] != length:
+        raise ValueError(f"{name}: expected shape [{length_name}] = [{length}], got {list(value.shape)}")
+
+
+def check_number(name: str, value: object, kinds: tuple[type, ...]) -> None:
+    """Raise unless ``value`` is a number of the given kinds, not negative and not NaN."""
+    if isinstance(value, bool) or not isinstance(value, kinds):
+        expected = " or ".join(kind.__name__ for kind in kinds)
+        raise TypeError(f"{name}: expected {expected}, got {type(value).__name__}")
+    if torch.compiler.is_compiling():
+        return  # a traced number has no value to report; the kernel refuses it
+    if not value >= 0:  # type: ignore[operator]  # also refuses NaN
+        raise ValueError(f"{name}: expected a number >= 0, got {value}")

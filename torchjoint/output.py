@@ -1,0 +1,120 @@
+"""A result on disk: the folder that `torchjoint segment` writes and `torchjoint show` opens."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+from zipfile import BadZipFile
+
+import numpy as np
+import torch
+import yaml
+from PIL import Image
+from torch import Tensor
+
+from torchjoint.config import Config
+from torchjoint.datasets.files import write_cloud
+from torchjoint.scene import Scene, Segmentation
+from torchjoint.show import label_colors, overview
+
+#: 16-bit label images hold label + 1, 0 = none.
+MAX_LABEL = 2**16 - 2
+
+
+class PointResult(NamedTuple):
+    """The arrays of `points.npz`."""
+
+    points: Tensor  #: [N, 3] float32 metres
+    labels: Tensor  #: [N] int64
+    colors: Tensor | None  #: [N, 3] float32
+
+
+@contextmanager
+def output_folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """A folder to write into that becomes `out` when all went well; else it stays beside, to be resumed.
+
+    Raises:
+        FileExistsError: `out` exists, and not `overwrite`.
+    """
+    if out.exists() and not overwrite:
+        raise FileExistsError(f"{out}: exists already; choose another folder, or --overwrite")
+    partial = out.with_name(out.name + ".partial")
+    partial.mkdir(parents=True, exist_ok=True)
+    yield partial
+    old = out.with_name(out.name + ".old")
+    shutil.rmtree(old, ignore_errors=True)
+    if out.exists():
+        os.replace(out, old)
+    os.replace(partial, out)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def write_result(folder: Path, scene: Scene, result: Segmentation, config: Config, source: str) -> None:
+    """Writes points.ply, points.npz, images/NAME.png, overview.png and run.yaml into a folder.
+
+    Raises:
+        ValueError: more labels than 16-bit images can hold, or two frames of one name.
+    """
+    write_cloud(folder / "points.ply", scene.points, label_colors(result.points), result.points)
+    arrays = {"points": scene.points, "labels": result.points} | (
+        {} if scene.colors is None else {"colors": scene.colors}
+    )
+    np.savez_compressed(folder / "points.npz", **{key: value.numpy() for key, value in arrays.items()})  # type: ignore[arg-type]
+    _write_label_images(folder / "images", result)
+    overview(scene, result).savefig(folder / "overview.png", dpi=100)
+    (folder / "run.yaml").write_text(yaml.safe_dump(_run_record(scene, result, config, source), sort_keys=False))
+
+
+def read_points(folder: Path) -> PointResult:
+    """Reads `points.npz` of a result; errors name the file."""
+    file = folder / "points.npz"
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            values = {key: torch.from_numpy(arrays[key]) for key in arrays.files}
+        return PointResult(values["points"], values["labels"], values.get("colors"))
+    except (ValueError, KeyError, OSError, EOFError, BadZipFile) as error:
+        raise ValueError(f"{file}: not a whole result: {error!r}") from error
+
+
+def _write_label_images(folder: Path, result: Segmentation) -> None:
+    names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
+    if len(set(names)) < len(names):
+        raise ValueError("frames: two have the same name, and so would their label images")
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for name, labels in zip(names, result.images, strict=True):
+        if int(labels.max()) > MAX_LABEL:
+            raise ValueError(
+                f"image segments: ids up to {int(labels.max())} do not fit 16-bit images (at most {MAX_LABEL}); "
+                "raise image_segments.min_size or point_segments.min_size"
+            )
+        Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{name}.png")
+
+
+def _run_record(scene: Scene, result: Segmentation, config: Config, source: str) -> dict[str, Any]:
+    packages = ("torchjoint", "torch", "kornia", "numpy", "scipy", "open3d")
+    return {
+        "scene": source,
+        "counts": {
+            "points": len(scene.points),
+            "frames": len(result.images),
+            "point_segments": result.num_point_segments,
+            "image_segments_without_points": _count_private(result),
+        },
+        "seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
+        "versions": {"python": platform.python_version()} | {name: version(name) for name in packages},
+        "config": config.to_dict(),
+    }
+
+
+def _count_private(result: Segmentation) -> int:
+    last = max((int(labels.max()) for labels in result.images), default=-1)
+    return max(0, last + 1 - result.num_point_segments)
