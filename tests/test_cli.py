@@ -128,7 +128,7 @@ def test_errors_are_one_line(recording, monkeypatch, tmp_path, arguments, messag
 
 
 def test_a_scene_that_is_not_there(monkeypatch, tmp_path):
-    with pytest.raises(SystemExit, match="scene: .*nowhere does not exist"):
+    with pytest.raises(SystemExit, match=r"scene: .*nowhere does not exist"):
         run(monkeypatch, "segment", tmp_path / "nowhere", "-o", tmp_path / "out")
 
 

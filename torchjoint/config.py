@@ -109,6 +109,14 @@ class PointGraphConfig(Stage):
         sensible="0-10",
     )  # fmt: skip
     angle_weight: float = parameter(1.0, "w_theta, weight of the angle of two normals", unit="1/rad", low=0)
+    convex_factor: float = parameter(
+        0.3,
+        "the angle counts only this much where the surface is convex: objects mostly are, and the borders between "
+        "them concave; 1 is the paper's letter",
+        low=0,
+        high=1,
+        sensible="0.1-1",
+    )
     color_weight: float = parameter(
         0.0, "weight of the RGB distance of two points; needs Scene.colors", low=0, sensible="0-1"
     )

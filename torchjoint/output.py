@@ -77,7 +77,7 @@ def read_points(folder: Path) -> PointResult:
     if not file.is_file():
         raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
     try:
-        with np.load(file, allow_pickle=False) as arrays:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
             values = {key: torch.from_numpy(arrays[key]) for key in arrays.files}
         return PointResult(values["points"], values["labels"], values.get("colors"))
     except (ValueError, KeyError, OSError, EOFError, BadZipFile) as error:

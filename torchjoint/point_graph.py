@@ -109,6 +109,17 @@ def angle_between(first: Tensor, second: Tensor, oriented: Tensor) -> Tensor:
     return torch.atan2(cross.sqrt(), torch.where(oriented, dot, dot.abs()))
 
 
+def is_convex(step: Tensor, turn: Tensor) -> Tensor:
+    """Whether the surface bends away from its normals between two points: (n_j - n_i) . (p_j - p_i) > 0.
+
+    Args:
+        step: [E, 3] p_j - p_i.
+        turn: [E, 3] n_j - n_i, of normals that show outwards.
+    """
+    x, y, z = (step * turn).unbind(1)
+    return (x + y) + z > 0
+
+
 def geometric_weights(
     points: Tensor,
     edge_index: Tensor,
@@ -118,6 +129,9 @@ def geometric_weights(
     colors: Tensor | None = None,
 ) -> Tensor:
     """The part of eq. 3 that needs no image: w_d |p_i - p_j| + w_theta theta (+ a colour term, where asked for).
+
+    Where both normals' signs are known and the surface is convex, theta counts `convex_factor` times (our own addition;
+    1 is the paper's letter).
 
     Args:
         points: [N, 3] metres.
@@ -133,7 +147,12 @@ def geometric_weights(
         ValueError: the config weighs colour and there is none.
     """
     i, j = edge_index
-    weight = config.angle_weight * angle_between(normals[i], normals[j], oriented[i] & oriented[j])
+    known = oriented[i] & oriented[j]
+    angle = angle_between(normals[i], normals[j], known)
+    if config.convex_factor < 1:
+        convex = known & is_convex(points[j] - points[i], normals[j] - normals[i])
+        angle = torch.where(convex, config.convex_factor * angle, angle)
+    weight = config.angle_weight * angle
     if config.distance_weight > 0:
         weight = weight + config.distance_weight * _distance(points[i], points[j])
     if config.color_weight > 0:

@@ -103,7 +103,7 @@ def split_segments(
         on_sink_side = _cut(labels, edge_index, weights, source, sink)
         if not on_sink_side.any():
             break
-        cut_labels, renamed = torch.unique(labels[on_sink_side], return_inverse=True)
+        _, renamed = torch.unique(labels[on_sink_side], return_inverse=True)
         labels[on_sink_side] = int(labels.max()) + 1 + renamed
     return labels.view(size)
 

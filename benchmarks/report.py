@@ -1,0 +1,37 @@
+"""Tables of benchmarks/README.md: each benchmark rewrites its own part, between two marks."""
+
+import platform
+import re
+from pathlib import Path
+
+import torch
+
+README = Path(__file__).parent / "README.md"
+
+
+def write_part(name: str, text: str) -> None:
+    """Replaces what stands between `<!-- name -->` and `<!-- end name -->`."""
+    page = README.read_text(encoding="utf-8")
+    pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end {name} -->)", flags=re.DOTALL)
+    if not pattern.search(page):
+        raise ValueError(f"{README}: no part <!-- {name} --> ... <!-- end {name} -->")
+    README.write_text(pattern.sub(lambda match: f"{match[1]}{text.rstrip()}\n{match[2]}", page), encoding="utf-8")
+
+
+def table(columns: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table, numbers to the right."""
+    lines = [f"| {' | '.join(columns)} |", f"|{'|'.join(['---', *['---:'] * (len(columns) - 1)])}|"]
+    return "\n".join(lines + [f"| {' | '.join(row)} |" for row in rows])
+
+
+def machine() -> str:
+    """One line on where the numbers come from."""
+    model = next(
+        (line.split(":")[1].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")),
+        platform.processor(),
+    )
+    return f"{model}, {torch.get_num_threads()} threads, {platform.system()}, torch {torch.__version__.split('+')[0]}"
+
+
+def _lines(path: str) -> list[str]:
+    return Path(path).read_text(encoding="utf-8").splitlines() if Path(path).is_file() else []

@@ -1,0 +1,81 @@
+"""Joint against its own parts on synthetic scenes with exact truth: `python benchmarks/synthetic.py`.
+
+Ten scenes of size "medium", seeds 0-9, one setting for all (the default config, tuned on seeds 100-107). In 3D, joint
+against geometry alone: with the same parameters without images, and with parameters of its own, from the same search
+on the same seeds. In 2D, the final label images against the initial ones, mean over a scene's frames.
+"""
+
+import statistics
+
+import report
+import torch
+
+import torchjoint as tj
+from torchjoint.scene import Scene, Segmentation
+
+SEEDS = range(10)
+#: Best setting of geometry alone in the search that found the default config.
+GEOMETRY_BEST = ["propagation.weight=0"]
+
+
+def scores(pred: torch.Tensor, target: torch.Tensor) -> tuple[float, float]:
+    covering = tj.metrics.segmentation_covering(pred, target).symmetric
+    return covering, tj.metrics.objects_and_parts(pred, target).f
+
+
+def mean(pairs: list[tuple[float, float]]) -> tuple[float, float]:
+    covering, f = zip(*pairs, strict=True)
+    return statistics.mean(covering), statistics.mean(f)
+
+
+def score_images(images: list[torch.Tensor], truth: tuple[torch.Tensor, ...]) -> tuple[float, float]:
+    return mean([scores(image, target) for image, target in zip(images, truth, strict=True)])
+
+
+def run(scene: Scene, settings: list[str]) -> Segmentation:
+    return tj.JointSegmenter(tj.Config().set(settings))(scene)
+
+
+def main() -> None:
+    columns = ["scene", "3D, same without images", "3D, geometry's best", "3D, joint", "2D, initial", "2D, final"]
+    results: list[list[tuple[float, float]]] = []
+    for seed in SEEDS:
+        synthetic = tj.synthetic.make_scene(seed, "medium")
+        joint = run(synthetic.scene, [])
+        cloud_only = Scene(synthetic.scene.points, synthetic.scene.frames, synthetic.scene.colors)
+        same = run(cloud_only, ["propagation.weight=0"])
+        best = run(cloud_only, GEOMETRY_BEST)
+        results.append(
+            [
+                *(scores(result.points, synthetic.point_labels) for result in (same, best, joint)),
+                score_images(list(joint.initial_images), synthetic.image_labels),
+                score_images(list(joint.images), synthetic.image_labels),
+            ]
+        )
+        print(seed, " ".join(f"{covering:.3f}/{f:.3f}" for covering, f in results[-1]), flush=True)
+    by_column = [mean(list(column)) for column in zip(*results, strict=True)]
+    rows = [[str(seed), *(f"{c:.3f} / {f:.3f}" for c, f in row)] for seed, row in zip(SEEDS, results, strict=True)]
+    rows.append(["**mean**", *(f"**{c:.3f} / {f:.3f}**" for c, f in by_column)])
+    text = report.table(columns, rows) + "\n\n" + "\n".join(_verdicts(results)) + f"\n\n{report.machine()}."
+    report.write_part("synthetic", text)
+
+
+def _verdicts(results: list[list[tuple[float, float]]]) -> list[str]:
+    """In how many scenes the better one wins, measure by measure, and where it does not."""
+    lines = []
+    for name, less, more in (
+        ("joint over the same without images (3D)", 0, 2),
+        ("joint over geometry's best (3D)", 1, 2),
+        ("final over initial (2D)", 3, 4),
+    ):
+        for measure, key in (("covering", 0), ("F", 1)):
+            gains = [row[more][key] - row[less][key] for row in results]
+            losses = [str(seed) for seed, gain in zip(SEEDS, gains, strict=True) if gain <= 0]
+            error = statistics.stdev(gains) / len(gains) ** 0.5
+            where = f"; not in {', '.join(losses)}" if losses else ""
+            lines.append(f"- {name}, {measure}: {statistics.mean(gains):+.3f} (standard error {error:.3f}){where}")
+    return lines
+
+
+if __name__ == "__main__":
+    main()
