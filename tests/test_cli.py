@@ -1,5 +1,6 @@
 """The command line, end to end: files that open in other people's tools, nothing overwritten or half written."""
 
+import shutil
 import sys
 
 import numpy as np
@@ -87,22 +88,49 @@ def test_an_existing_result_is_kept(out, recording, monkeypatch):
 def test_overwrite(recording, monkeypatch, tmp_path):
     folder = tmp_path / "twice"
     folder.mkdir()
-    (folder / "old").write_text("old")
+    (folder / "thesis.tex").write_text("precious")
+    with pytest.raises(SystemExit, match=r"twice: is no result of torchjoint \(it has no run\.yaml\)"):
+        run(monkeypatch, "segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
+    assert (folder / "thesis.tex").read_text() == "precious"
+    (folder / "run.yaml").write_text("an earlier result")
     run(monkeypatch, "segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
-    assert not (folder / "old").exists()
+    assert not (folder / "thesis.tex").exists()
     assert len(list((folder / "images").iterdir())) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["twice"]
 
 
 def test_what_fails_leaves_no_result(tmp_path):
     def write_and_die():
-        with output_folder(tmp_path / "out") as partial:
+        with output_folder(tmp_path / "out", "source") as partial:
             (partial / "half").write_text("x")
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         write_and_die()
     assert not (tmp_path / "out").exists()
+    with output_folder(tmp_path / "out", "source") as partial:
+        assert (partial / "half").exists()  # to be resumed
+    shutil.rmtree(tmp_path / "out")
+    with pytest.raises(KeyboardInterrupt):
+        write_and_die()
+    with output_folder(tmp_path / "out", "another source") as partial:
+        assert not (partial / "half").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("kind", ["file", "dangling link", "recording"])
+def test_outputs_that_cannot_be(recording, monkeypatch, tmp_path, kind):
+    out = tmp_path / "out"
+    if kind == "file":
+        out.write_text("precious")
+    elif kind == "dangling link":
+        out.symlink_to(tmp_path / "nowhere")
+    else:
+        out = recording
+    with pytest.raises(SystemExit, match=r"exists and is not a folder|holds, the recording itself"):
+        run(monkeypatch, "segment", recording, "-o", out, "--overwrite", *SMALL)
+    assert kind != "file" or out.read_text() == "precious"
+    assert (recording / "camera-intrinsics.txt").exists()
 
 
 def test_a_fused_cloud_is_kept_beside_the_output(synthetic, monkeypatch, tmp_path):
@@ -124,7 +152,7 @@ def test_a_fused_cloud_is_kept_beside_the_output(synthetic, monkeypatch, tmp_pat
 def test_errors_are_one_line(recording, monkeypatch, tmp_path, arguments, message):
     with pytest.raises(SystemExit, match=message):
         run(monkeypatch, "segment", recording, "-o", tmp_path / "out", *arguments)
-    assert not (tmp_path / "out").exists()
+    assert list(tmp_path.iterdir()) in ([], [tmp_path / "out.partial"])
 
 
 def test_a_scene_that_is_not_there(monkeypatch, tmp_path):

@@ -71,6 +71,12 @@ def test_set_as_on_the_command_line():
             Config().set([bad])
 
 
+def test_numbers_as_people_write_them():
+    assert Config().set(["propagation.weight=1e-3"]).propagation.weight == 0.001
+    with pytest.raises(ValueError, match=r"propagation\.weight: expected a value, got '\['"):
+        Config().set(["propagation.weight=["])
+
+
 def test_yaml_errors_name_the_file(tmp_path):
     file = tmp_path / "mine.yaml"
     for text, message in (

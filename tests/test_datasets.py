@@ -117,7 +117,13 @@ def test_a_missing_pose(folder):
 def test_bad_poses(folder, text, message):
     (folder / "frame-000010.pose.txt").write_text(text)
     with pytest.raises(ValueError, match=message):
-        tj.load_scene(folder).frames[2]
+        tj.load_scene(folder)  # before any frame is worked on
+
+
+def test_two_images_of_one_frame(folder):
+    shutil.copy(folder / "frame-000010.color.png", folder / "frame-000010.color.jpg")
+    with pytest.raises(ValueError, match="frame 'frame-000010' has two colour images"):
+        tj.load_scene(folder)
 
 
 def test_missing_intrinsics(folder):
@@ -143,6 +149,38 @@ def test_a_truncated_cloud(folder):
     (folder / "cloud.ply").write_bytes(data[: len(data) // 2])
     with pytest.raises(ValueError, match=r"cloud\.ply: "):
         tj.load_scene(folder)
+
+
+@pytest.mark.parametrize("name", ["cloud.ply", "cloud.PLY"])
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+@pytest.mark.parametrize("kind", ["uchar", "float"])
+def test_other_people_s_clouds(tmp_path, name, newline, kind):
+    one = "255" if kind == "uchar" else "1.0"
+    lines = ["ply", "format ascii 1.0", "comment by hand", "element vertex 2", "property double x", "property double y"]
+    lines += ["property double z", *(f"property {kind} {color}" for color in ("red", "green", "blue")), "end_header"]
+    (tmp_path / name).write_text(newline.join([*lines, f"1 2 3 {one} 0 0", f"4 5 6 0 {one} 0", ""]), newline="")
+    points, colors, normals = read_cloud(tmp_path / name)
+    assert points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert colors.tolist() == [[1, 0, 0], [0, 1, 0]]
+    assert normals is None
+    (tmp_path / name).write_text(newline.join([*lines, f"1 2 3 {one} 0 0"]), newline="")
+    with pytest.raises(ValueError, match="truncated: expected 2 points, got 1"):
+        read_cloud(tmp_path / name)
+
+
+def test_a_cloud_with_nan(tmp_path):
+    (tmp_path / "c.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+        "end_header\n1 2 3\nnan nan nan\n"
+    )
+    with pytest.raises(ValueError, match=r"c\.ply: 1 of 2 points are NaN or infinite; remove them"):
+        read_cloud(tmp_path / "c.ply")
+
+
+def test_16_bit_colour(folder):
+    Image.fromarray(np.ones((120, 160), dtype=np.uint16)).save(folder / "frame-000000.color.png")
+    with pytest.raises(ValueError, match=r"color\.png: expected an 8-bit image, got mode I;16"):
+        tj.load_scene(folder).frames[0]
 
 
 def test_depth_of_another_size_and_depth_in_8_bits(folder):
@@ -176,7 +214,7 @@ def test_clouds_keep_labels_for_other_tools(tmp_path):
 
     cloud = t.io.read_point_cloud(str(tmp_path / "out.ply"))
     assert cloud.point.label.numpy().ravel().tolist() == labels.tolist()
-    assert torch.equal(read_cloud(tmp_path / "out.ply")[0], points)
+    assert torch.equal(read_cloud(tmp_path / "out.ply")[0].float(), points)
     assert [file.name for file in tmp_path.iterdir()] == ["out.ply"]
 
 

@@ -9,6 +9,7 @@ from torch import nn
 
 import torchjoint as tj
 from torchjoint.checkpoint import Checkpoint, run_key
+from torchjoint.point_graph import estimate_normals, nearest_neighbors
 from torchjoint.pose_check import PoseWarning
 
 CONFIG = tj.Config().set(["point_segments.min_size=20", "image_segments.min_size=20"])
@@ -57,6 +58,15 @@ class TestSameLabels:
         assert other.names[0] == synthetic.scene.frames[4].name
         assert_same(result, other)
 
+    def test_from_unnamed_frames_in_another_order(self, synthetic, config):
+        order = (4, 0, 5, 2, 1, 3)
+        frames = [dataclasses.replace(frame, name="") for frame in synthetic.scene.frames]
+        first = tj.JointSegmenter(config)(dataclasses.replace(synthetic.scene, frames=frames))
+        other = tj.JointSegmenter(config)(dataclasses.replace(synthetic.scene, frames=[frames[i] for i in order]))
+        assert torch.equal(first.points, other.points)
+        for place, index in enumerate(order):
+            assert torch.equal(first.images[index], other.images[place])
+
     @pytest.mark.parametrize("batch_size", [1, 4])
     def test_from_batches_of_another_size(self, synthetic, config, result, batch_size):
         assert_same(result, tj.JointSegmenter(config)(synthetic.scene, batch_size=batch_size))
@@ -80,7 +90,7 @@ class TestSameLabels:
 
     def test_from_a_run_that_died_and_was_resumed(self, synthetic, config, result, tmp_path):
         scene = synthetic.scene
-        key = run_key(scene, config, len(scene.frames))
+        key = run_key("synthetic 3", config)
 
         class Dies(list):
             def __getitem__(self, index):
@@ -105,8 +115,12 @@ class TestSameLabels:
         again = tj.JointSegmenter(config)(resumed, batch_size=2, checkpoint=Checkpoint(tmp_path / "state", key))
         assert_same(result, again)
         assert loads[-2:] == [4, 5]
-        other = Checkpoint(tmp_path / "state", "another run")
-        assert other.load() is None
+        with (tmp_path / "state" / "sums.pt").open("r+b") as file:
+            file.truncate(100)
+        with pytest.warns(UserWarning, match="state: damaged, starting over"):
+            assert Checkpoint(tmp_path / "state", key).load() is None
+        assert Checkpoint(tmp_path / "state", run_key("synthetic 4", config)).load() is None
+        assert [file.name for file in (tmp_path / "state").iterdir()] == ["key.txt"]
 
 
 class TestIdSpace:
@@ -141,8 +155,9 @@ class TestOtherSegmentations:
             dataclasses.replace(frame, labels=labels)
             for frame, labels in zip(synthetic.scene.frames, synthetic.image_labels, strict=True)
         ]
+        trusting = CONFIG.set(["propagation.weight=0.6", "propagation.window=1"])
         plain = tj.JointSegmenter(CONFIG)(synthetic.scene)
-        helped = tj.JointSegmenter(CONFIG)(dataclasses.replace(synthetic.scene, frames=frames))
+        helped = tj.JointSegmenter(trusting)(dataclasses.replace(synthetic.scene, frames=frames))
         f_plain, f_helped = (tj.metrics.objects_and_parts(r.points, synthetic.point_labels).f for r in (plain, helped))
         assert f_helped > f_plain
         covering = [
@@ -191,6 +206,16 @@ class TestOtherSegmentations:
         assert not result.points.requires_grad
         assert not torch.equal(result.initial_images[0], tj.JointSegmenter(CONFIG)(synthetic.scene).initial_images[0])
 
+    def test_a_network_s_batch_statistics_do_not_count(self, synthetic):
+        class Net(nn.Sequential):
+            def forward(self, images):
+                return (super().forward(images)[:, 0] > 0).long()
+
+        torch.manual_seed(0)
+        net = Net(nn.Conv2d(3, 1, 3, padding=1), nn.BatchNorm2d(1))
+        results = [tj.JointSegmenter(CONFIG, image_segmenter=net)(synthetic.scene, batch_size=size) for size in (1, 4)]
+        assert_same(*results)
+
     def test_modules_with_wrong_output(self, synthetic):
         class Wrong(nn.Module):
             def forward(self, images):
@@ -200,6 +225,19 @@ class TestOtherSegmentations:
             tj.JointSegmenter(CONFIG, boundary=Wrong())(synthetic.scene)
         with pytest.raises(TypeError, match="image_segmenter's output: expected an integer dtype"):
             tj.JointSegmenter(CONFIG, image_segmenter=Wrong())(synthetic.scene)
+
+        class Strong(nn.Module):
+            def forward(self, images):
+                return images[:, 0] * 255
+
+        class Many(nn.Module):
+            def forward(self, images):
+                return torch.zeros(len(images) + 1, *images.shape[2:], dtype=torch.int64)
+
+        with pytest.raises(ValueError, match=r"boundary: expected values in \[0, 1\]"):
+            tj.JointSegmenter(CONFIG, boundary=Strong())(synthetic.scene)
+        with pytest.raises(ValueError, match="image_segmenter's output: expected 6 images, got 7"):
+            tj.JointSegmenter(CONFIG, image_segmenter=Many())(synthetic.scene)
 
 
 class TestEdges:
@@ -287,6 +325,19 @@ class TestEdges:
         result = tj.JointSegmenter(config)(tj.Scene(points, normals=flat))
         assert result.num_point_segments < 10  # all weights are 0: the segments are the graph's components
 
+    def test_the_signs_of_given_normals_do_not_matter_where_cameras_look(self, synthetic):
+        points = synthetic.scene.points
+        normals = estimate_normals(points, nearest_neighbors(points, 30).indices)
+        signs = torch.where(torch.rand(len(points), 1, generator=torch.Generator().manual_seed(0)) < 0.5, -1.0, 1.0)
+        scenes = [dataclasses.replace(synthetic.scene, normals=n) for n in (normals, signs * normals)]
+        results = [tj.JointSegmenter(CONFIG)(scene) for scene in scenes]
+        seen = tj.JointSegmenter(CONFIG)
+        seen.reset(points)
+        seen.update(synthetic.scene.frames)
+        agree = (results[0].points == results[1].points)[seen.state.facing != 0]
+        assert tj.metrics.segmentation_covering(results[0].points, results[1].points).symmetric > 0.85
+        assert agree.numel() > 0.9 * len(points)
+
     def test_use_before_reset(self, synthetic):
         with pytest.raises(RuntimeError, match=r"call reset\(points\)"):
             tj.JointSegmenter().update(synthetic.scene.frames[0])
@@ -303,6 +354,13 @@ class TestEdges:
             first.merge(second)
         with pytest.raises(ValueError, match="same config"):
             first.merge(tj.JointSegmenter(PAPER))
+        second.reset(synthetic.scene.points)
+        for segmenter in (first, second):
+            segmenter.update(synthetic.scene.frames[0])
+        with pytest.raises(ValueError, match=r"saw other frames, both saw \['frame-000000'\]"):
+            first.merge(second)
+        with pytest.raises(ValueError, match="saw other frames"):
+            first.merge(first)
 
 
 class TestPoseCheck:

@@ -72,6 +72,26 @@ def test_bad_frames(change, error, message):
         ({"points": [[0, 0, 0]]}, TypeError, "points: expected a torch.Tensor, got list"),
         ({"points": torch.zeros(5, 3).long()}, TypeError, "points: expected a floating dtype, got torch.int64"),
         ({"points": torch.zeros(5, 3), "colors": torch.zeros(4, 3)}, ValueError, r"colors: expected shape \[5, 3\]"),
+        (
+            {"points": torch.full((5, 3), 5.4e6)},
+            ValueError,
+            r"points: coordinates up to 5\.4e\+06 m would keep only 0\.64",
+        ),
+        (
+            {"points": torch.zeros(5, 3), "colors": torch.ones(5, 3) * 255},
+            ValueError,
+            r"colors: expected values in \[0",
+        ),
+        (
+            {"points": torch.zeros(5, 3), "normals": torch.zeros(5, 3)},
+            ValueError,
+            "normals: expected unit vectors, got 5",
+        ),
+        (
+            {"points": torch.zeros(5, 3), "frames": iter([])},
+            TypeError,
+            "frames: expected a sequence of Frame, got list_it",
+        ),
         ({"points": torch.zeros(5, 3), "normals": torch.zeros(5)}, ValueError, r"normals: expected shape \[5, 3\]"),
     ],
 )

@@ -6,13 +6,14 @@ import hashlib
 import os
 import shutil
 import time
+import warnings
+from importlib.metadata import version
 from pathlib import Path
 
 import torch
 import yaml
 
 from torchjoint.config import Config
-from torchjoint.scene import Scene
 from torchjoint.state import JointState, Observation
 
 #: Seconds between two saves.
@@ -38,13 +39,19 @@ class Checkpoint:
         self._last_save = time.monotonic()
 
     def load(self) -> JointState | None:
-        """The last state saved, or None."""
+        """The last state saved, or None; a damaged one is left out with a warning."""
         if not (self.directory / "sums.pt").is_file():
             return None
-        values = torch.load(self.directory / "sums.pt", weights_only=True)
-        self._saved = values.pop("count")
-        observations = [torch.load(self._file(i), weights_only=True) for i in range(self._saved)]
-        return JointState(**values, observations=[Observation.from_dict(o) for o in observations])
+        try:
+            values = torch.load(self.directory / "sums.pt", weights_only=True)
+            count = values.pop("count")
+            observations = [torch.load(self._file(i), weights_only=True) for i in range(count)]
+            state = JointState(**values, observations=[Observation.from_dict(o) for o in observations])
+        except Exception as error:  # whatever a damaged file leads to
+            warnings.warn(f"{self.directory}: damaged, starting over ({error})", stacklevel=2)
+            return None
+        self._saved = count
+        return state
 
     def save(self, state: JointState, *, now: bool = False) -> None:
         """Saves if the last save is `INTERVAL` seconds ago, or `now`."""
@@ -63,8 +70,7 @@ class Checkpoint:
         return self.directory / f"observation-{index:06d}.pt"
 
 
-def run_key(scene: Scene, config: Config, num_frames: int) -> str:
-    """Tells two runs apart: a hash of the cloud, the parameters and the number of frames."""
-    digest = hashlib.sha256(scene.points.contiguous().numpy().tobytes())
-    digest.update(yaml.safe_dump([config.to_dict(), scene.name, num_frames]).encode())
-    return digest.hexdigest()
+def run_key(source: str, config: Config) -> str:
+    """Tells two runs apart: what they are made of (files and their times, for a recording) and the parameters."""
+    record = yaml.safe_dump([version("torchjoint"), source, config.to_dict()])
+    return hashlib.sha256(record.encode()).hexdigest()

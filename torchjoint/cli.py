@@ -1,24 +1,28 @@
-"""The command line: torchjoint demo | segment | show."""
+"""The command line: torchjoint demo | segment | show | parameters."""
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 import sys
 import webbrowser
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, cast
 
 import torch
 import tyro
+from torch.utils.data import Dataset, Subset
 
 from torchjoint import metrics
 from torchjoint.checkpoint import Checkpoint, run_key
-from torchjoint.config import Config
+from torchjoint.config import Config, parameter_table
 from torchjoint.datasets import load_scene
+from torchjoint.datasets.files import fingerprint
 from torchjoint.joint import JointSegmenter
 from torchjoint.output import output_folder, read_points, write_result
-from torchjoint.scene import Scene, Segmentation
+from torchjoint.scene import Frame, Scene, Segmentation
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = Parameters(), ov
     Args:
         out: folder for the result.
         parameters: what the method is told.
-        overwrite: replace the result of an earlier demo.
+        overwrite: replace the result of an earlier demo (and nothing else).
     """
     from torchjoint.synthetic import make_scene
 
@@ -75,21 +79,24 @@ def segment(
         scene: folder of frames; see the README for the layouts that are known.
         out: folder for the result: points.ply, points.npz, images/, overview.png, run.yaml.
         parameters: what the method is told.
-        overwrite: replace OUT if it exists.
+        overwrite: replace OUT if it is an earlier result.
         voxel_size: metres, where the cloud must be fused from depth.
         max_frames: use this many frames, evenly spread over the recording.
     """
     config = parameters.config()
     if max_frames is not None and max_frames < 0:
         raise ValueError(f"--max-frames: expected >= 0, got {max_frames}")
-    with output_folder(out, overwrite=overwrite) as partial:
-        loaded = load_scene(scene, cloud=_fused_cloud(scene, partial, voxel_size), voxel_size=voxel_size)
+    if out.resolve() in (scene.resolve(), *scene.resolve().parents):
+        raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
+    source = f"{fingerprint(scene)} {voxel_size}"
+    with output_folder(out, source, overwrite=overwrite) as partial:
+        cloud = _fused_cloud(scene, partial, voxel_size)
+        loaded = load_scene(scene, cloud=cloud, voxel_size=voxel_size, progress=True)
         if max_frames is not None and max_frames < len(loaded.frames):
             chosen = torch.linspace(0, len(loaded.frames) - 1, max_frames).round().long().tolist()
-            loaded = Scene(
-                loaded.points, [loaded.frames[i] for i in chosen], loaded.colors, loaded.normals, loaded.name
-            )
-        checkpoint = Checkpoint(partial / "state", run_key(loaded, config, len(loaded.frames)))
+            frames = cast(Sequence[Frame], Subset(cast(Dataset[Frame], loaded.frames), chosen))  # stays lazy
+            loaded = dataclasses.replace(loaded, frames=frames)
+        checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames}", config))
         result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
         write_result(partial, loaded, result, config, str(scene))
         shutil.rmtree(partial / "state")
@@ -113,16 +120,29 @@ def show(out: tyro.conf.Positional[Path], open_browser: bool = True) -> None:
         webbrowser.open(page.resolve().as_uri())
 
 
+def parameters() -> None:
+    """Prints all parameters of the method with default, unit, sensible range and effect (Markdown)."""
+    print(parameter_table())
+
+
 def main() -> None:
     """Entry point; errors of the user's making are one line."""
     try:
-        tyro.extras.subcommand_cli_from_dict({"demo": demo, "segment": segment, "show": show}, prog="torchjoint")
+        commands: dict[str, Callable[..., Any]] = {
+            "demo": demo,
+            "segment": segment,
+            "show": show,
+            "parameters": parameters,
+        }
+        tyro.extras.subcommand_cli_from_dict(commands, prog="torchjoint")
+    except KeyboardInterrupt:
+        sys.exit("torchjoint: interrupted; `segment` goes on where it was when it is started again")
     except (ValueError, TypeError, OSError) as error:
         sys.exit(f"torchjoint: error: {error}")
 
 
 def _run(scene: Scene, out: Path, config: Config, source: str, overwrite: bool) -> Segmentation:
-    with output_folder(out, overwrite=overwrite) as partial:
+    with output_folder(out, source, overwrite=overwrite) as partial:
         result = JointSegmenter(config)(scene, progress=True)
         write_result(partial, scene, result, config, source)
     _summarize(result, out)

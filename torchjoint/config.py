@@ -133,16 +133,30 @@ class VisibilityConfig(Stage):
     near: float = parameter(0.05, "points closer to the camera plane are not seen", unit="m", above=0)
     far: float = parameter(100.0, "points farther than this are not seen", unit="m", above=0)
     footprint: float = parameter(
-        1.0, "z-buffer: half width of a point's splat in units of its own spacing; more closes holes", above=0,
-        high=10, sensible="0.5-2",
-    )  # fmt: skip
+        0.5,
+        "z-buffer: half width of a point's splat in units of its own spacing; more closes holes, and hides points "
+        "beside what is in front of them",
+        above=0,
+        high=10,
+        sensible="0.3-1",
+    )
     max_footprint: int = parameter(
         8, "z-buffer: half width of a splat at the most; more costs time", unit="px", low=0, high=100, sensible="4-20"
     )
     depth_tolerance: float = parameter(
-        0.03, "z-buffer: how far behind the nearest splat a point still counts as seen", unit="m", above=0,
-        sensible="0.01-0.1 indoors, 0.3-1 outdoors",
-    )  # fmt: skip
+        0.02,
+        "z-buffer: how far behind the nearest splat a point still counts as seen; about the noise of the points",
+        unit="m",
+        above=0,
+        sensible="0.01-0.05 indoors, 0.2-1 outdoors",
+    )
+    slant_tolerance: float = parameter(
+        2.0,
+        "z-buffer: further tolerance in units of a point's own spacing; less loses points on slanted surfaces",
+        low=0,
+        high=10,
+        sensible="1-3",
+    )
     radius_factor: float = parameter(
         0.01, "hidden point removal: sphere radius = max distance x N x this; more lets hidden points through",
         above=0, sensible="0.001-0.1",
@@ -294,7 +308,11 @@ class Config:
             stage, dot, name = key.strip().partition(".")
             if not equals or not dot:
                 raise ValueError(f"--set: expected stage.parameter=value, got {assignment!r}")
-            config = config.replace({stage: {name: yaml.safe_load(text)}})
+            try:
+                value = yaml.safe_load(text)
+            except yaml.YAMLError:
+                raise ValueError(f"{key.strip()}: expected a value, got {text!r}") from None
+            config = config.replace({stage: {name: value}})
         return config
 
 
@@ -333,6 +351,11 @@ def _check(name: str, value: Any, spec: dataclasses.Field[Any]) -> Any:
         if value not in spec.metadata["choices"]:
             raise ValueError(f"{name}: expected one of {', '.join(spec.metadata['choices'])}, got {value!r}")
         return value
+    if isinstance(value, str):  # YAML 1.1 takes 1e-3 for a string
+        try:
+            value = float(value)
+        except ValueError:
+            raise TypeError(f"{name}: expected {spec.type}, got {value!r}") from None
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{name}: expected {spec.type}, got {value!r}")
     if not math.isfinite(value):
@@ -345,3 +368,19 @@ def _check(name: str, value: Any, spec: dataclasses.Field[Any]) -> Any:
     if high is not None and value > high:
         raise ValueError(f"{name}: expected <= {high}, got {value}")
     return int(value) if kind == "int" else float(value)
+
+
+def parameter_table() -> str:
+    """All parameters as Markdown tables, a stage each: what the README shows."""
+    parts = []
+    for name, stage in STAGES.items():
+        rows = []
+        for spec in dataclasses.fields(stage):
+            meta = spec.metadata
+            default = "null" if spec.default is None else f"{spec.default}"
+            doc = meta["doc"] + (f" (one of: {', '.join(meta['choices'])})" if meta["choices"] else "")
+            rows.append(f"| `{spec.name}` | {default} | {meta['unit']} | {meta['sensible']} | {doc} |")
+        title = (stage.__doc__ or "").split("\n")[0].rstrip(".")
+        head = "| parameter | default | unit | sensible | what it does |\n|---|---:|---|---|---|"
+        parts.append(f"**`{name}`**: {title}.\n\n{head}\n" + "\n".join(rows))
+    return "\n\n".join(parts)

@@ -6,6 +6,7 @@ Sequences", ICRA 2021.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import NamedTuple
@@ -36,7 +37,7 @@ class _Cloud(NamedTuple):
     points: Tensor  # [N, 3]
     colors: Tensor | None
     normals: Tensor  # [N, 3]
-    normals_are_given: bool  # and so their signs are meant
+    normals_are_given: bool  # and so their signs mean something even where no camera sees the point
     spacing: Tensor  # [N]
     edge_index: Tensor  # [2, E]
 
@@ -77,6 +78,7 @@ class JointSegmenter(nn.Module):
         self.stopwatch = Stopwatch()
         self._cloud: _Cloud | None = None
         self._state: JointState | None = None
+        self.eval()  # a network's batch statistics must not depend on how frames are batched
 
     @classmethod
     def from_preset(cls, name: str) -> JointSegmenter:
@@ -114,6 +116,8 @@ class JointSegmenter(nn.Module):
                 bar.update(len(indices))
                 if checkpoint is not None:
                     checkpoint.save(self.state)
+        if checkpoint is not None:
+            checkpoint.save(self.state, now=True)
         if num_frames and not any(o.visible.point.numel() for o in self.state.observations):
             raise ValueError(f"frames: none of the {num_frames} images sees a point; wrong poses, axes or units?")
         return self.compute(progress=progress)
@@ -129,7 +133,7 @@ class JointSegmenter(nn.Module):
         Args:
             points: [N, 3] metres, world frame.
             colors: optional [N, 3] RGB in [0, 1], used where the config weighs colour.
-            normals: optional [N, 3] unit normals, signs as they should be; estimated and turned to the cameras else.
+            normals: optional [N, 3], estimated where absent; turned to the cameras that see a point, where any does.
         """
         cloud = Scene(points, colors=colors, normals=normals)
         self.stopwatch = Stopwatch()
@@ -151,7 +155,10 @@ class JointSegmenter(nn.Module):
 
     @torch.no_grad()
     def update(self, frames: Frame | Sequence[Frame]) -> None:
-        """Sees one frame or several (steps 1, 2, 4, 5). Frames of one size go through the image modules as a batch."""
+        """Sees one frame or several (steps 1, 2, 4, 5).
+
+        Consecutive frames of one size go through the image modules as a batch.
+        """
         state = self.state
         with one_thread_per_operation():
             for batch in _batches_of_one_size([frames] if isinstance(frames, Frame) else frames):
@@ -187,7 +194,7 @@ class JointSegmenter(nn.Module):
                 refined = map_frames(refine, state.observations)
         return Segmentation(
             points=point_labels,
-            images=LabelImages(_private_ids(refined, [o.name for o in state.observations], sizes.shape[0])),
+            images=LabelImages(_private_ids(refined, state.observations, sizes.shape[0])),
             initial_images=LabelImages([o.labels for o in state.observations]),
             names=tuple(o.name for o in state.observations),
             seconds=dict(self.stopwatch.seconds),
@@ -212,11 +219,14 @@ class JointSegmenter(nn.Module):
         return self._cloud
 
     def merge(self, other: JointSegmenter) -> None:
-        """Adds what another segmenter saw of the same cloud with the same config."""
+        """Adds what another segmenter saw: other frames of the same cloud, with the same config."""
         if other.config != self.config:
             raise ValueError("other: expected a segmenter with the same config")
-        if self._cloud is None or other._cloud is None or not torch.equal(self._cloud.points, other._cloud.points):
+        if self._cloud is None or other._cloud is None or not _same_cloud(self._cloud, other._cloud):
             raise ValueError("other: expected a segmenter that was reset with the same points")
+        both = {o.name for o in self.state.observations if o.name} & {o.name for o in other.state.observations}
+        if other is self or both:
+            raise ValueError(f"other: expected a segmenter that saw other frames, both saw {sorted(both)[:3]}")
         self.state = self.state + other.state
 
     def _segment_images(self, frames: Sequence[Frame]) -> tuple[Tensor, Sequence[Tensor]]:
@@ -226,6 +236,8 @@ class JointSegmenter(nn.Module):
             boundaries = self.boundary(images)
         if boundaries.shape != images[:, 0].shape:
             raise ValueError(f"boundary: expected [B, H, W] = {list(images[:, 0].shape)}, got {list(boundaries.shape)}")
+        if not ((boundaries >= 0) & (boundaries <= 1)).all():
+            raise ValueError("boundary: expected values in [0, 1] and no NaN")
         with self.stopwatch("image segments"):
             if all(frame.labels is not None for frame in frames):
                 return boundaries, [_dense(frame.labels) for frame in frames if frame.labels is not None]
@@ -234,9 +246,10 @@ class JointSegmenter(nn.Module):
                     lambda item: self._segment_by_graph(*item), zip(images, boundaries, strict=True)
                 )
             else:
-                segmented = [
-                    as_labels(x, frames[0].size, "image_segmenter's output") for x in self.image_segmenter(images)
-                ]
+                output = self.image_segmenter(images)
+                if len(output) != len(frames):
+                    raise ValueError(f"image_segmenter's output: expected {len(frames)} images, got {len(output)}")
+                segmented = [as_labels(x, frames[0].size, "image_segmenter's output") for x in output]
         return boundaries, [
             _dense(labels if frame.labels is None else frame.labels)
             for frame, labels in zip(frames, segmented, strict=True)
@@ -266,7 +279,10 @@ class JointSegmenter(nn.Module):
         """Step 6, with what steps 3 and 5 left to do: orient the normals, eq. 6, and the whole weight of eq. 3."""
         cloud, state, config = self._require_cloud(), self.state, self.config
         with self.stopwatch("point segments"):
-            facing = torch.ones_like(state.facing) if cloud.normals_are_given else state.facing
+            # A surface is seen from outside: the cameras know better than a file which way its normals show.
+            facing = state.facing
+            if cloud.normals_are_given:
+                facing = torch.where(facing == 0, 1, facing)
             normals = torch.where(facing[:, None] < 0, -cloud.normals, cloud.normals)
             weights = geometric_weights(
                 cloud.points, cloud.edge_index, normals, facing != 0, config.point_graph, cloud.colors
@@ -295,7 +311,8 @@ class JointSegmenter(nn.Module):
                     weights = pixel_weights(image, boundary, self.config.image_graph)
                     labels = split_segments(labels, weights, visible, at_point, pairs, config)
         with self.stopwatch("joint labels"):
-            return joint_labels(labels, visible, at_point, sizes, sizes.shape[0])
+            named, next_free = joint_labels(labels, visible, at_point, sizes, sizes.shape[0])
+            return named.to(torch.int32), next_free
 
 
 def _batches_of_one_size(frames: Sequence[Frame]) -> Iterator[list[Frame]]:
@@ -321,14 +338,26 @@ def _faces_camera(cloud: _Cloud, visible: Visible, world_to_camera: Tensor) -> T
     return ((x + y) + z).sign().long()
 
 
-def _private_ids(refined: Sequence[tuple[Tensor, int]], names: Sequence[str], num_segments: int) -> list[Tensor]:
+def _same_cloud(first: _Cloud, second: _Cloud) -> bool:
+    return torch.equal(first.points, second.points) and torch.equal(first.normals, second.normals)
+
+
+def _private_ids(
+    refined: Sequence[tuple[Tensor, int]], observations: Sequence[Observation], num_segments: int
+) -> list[Tensor]:
     """Makes ids >= num_segments unique over all images, counting in the order of the frames' names.
 
-    The names' order, and not that in which frames came, so that the latter does not change labels.
+    The names' order (and among equal names that of the content), and not that in which frames came, so that the
+    latter does not change labels.
     """
-    images: list[Tensor] = [labels for labels, _ in refined]
+
+    def key(index: int) -> tuple[str, bytes]:
+        seen = observations[index]
+        return seen.name, hashlib.sha256(seen.labels.numpy().tobytes() + seen.image.numpy().tobytes()).digest()
+
+    images = [labels for labels, _ in refined]
     offset = 0
-    for index in sorted(range(len(names)), key=lambda i: names[i]):
+    for index in sorted(range(len(refined)), key=key):
         labels, next_free = refined[index]
         images[index] = torch.where(labels >= num_segments, labels + offset, labels)
         offset += next_free - num_segments

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -36,23 +37,43 @@ class PointResult(NamedTuple):
 
 
 @contextmanager
-def output_folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
+def output_folder(out: Path, source: str, *, overwrite: bool = False) -> Iterator[Path]:
     """A folder to write into that becomes `out` when all went well; else it stays beside, to be resumed.
 
+    Args:
+        out: the result's folder.
+        source: what the result is made of; the remains of a run from another source are thrown away.
+        overwrite: replace an earlier result, and nothing but a result (a folder with a run.yaml).
+
     Raises:
-        FileExistsError: `out` exists, and not `overwrite`.
+        FileExistsError: `out` exists, and not `overwrite`, or it is not a result.
     """
-    if out.exists() and not overwrite:
-        raise FileExistsError(f"{out}: exists already; choose another folder, or --overwrite")
+    out = Path(os.path.abspath(out))
+    _check_replaceable(out, overwrite)
     partial = out.with_name(out.name + ".partial")
+    source_file = partial / "source.txt"
+    if partial.exists() and not (source_file.is_file() and source_file.read_text(encoding="utf-8") == source):
+        shutil.rmtree(partial)
     partial.mkdir(parents=True, exist_ok=True)
+    source_file.write_text(source, encoding="utf-8")
     yield partial
-    old = out.with_name(out.name + ".old")
-    shutil.rmtree(old, ignore_errors=True)
+    source_file.unlink()
+    trash = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     if out.exists():
-        os.replace(out, old)
+        os.replace(out, trash / "old")
     os.replace(partial, out)
-    shutil.rmtree(old, ignore_errors=True)
+    shutil.rmtree(trash)
+
+
+def _check_replaceable(out: Path, overwrite: bool) -> None:
+    if out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise FileExistsError(f"{out}: exists and is not a folder; choose another name for the output")
+    if not out.exists():
+        return
+    if not overwrite:
+        raise FileExistsError(f"{out}: exists already; choose another folder, or --overwrite")
+    if any(out.iterdir()) and not (out / "run.yaml").is_file():
+        raise FileExistsError(f"{out}: is no result of torchjoint (it has no run.yaml) and will not be overwritten")
 
 
 def write_result(folder: Path, scene: Scene, result: Segmentation, config: Config, source: str) -> None:
@@ -87,7 +108,8 @@ def read_points(folder: Path) -> PointResult:
 def _write_label_images(folder: Path, result: Segmentation) -> None:
     names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
     if len(set(names)) < len(names):
-        raise ValueError("frames: two have the same name, and so would their label images")
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"frames: two have the name {twice!r}, and so would their label images")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     for name, labels in zip(names, result.images, strict=True):

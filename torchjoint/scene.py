@@ -29,6 +29,9 @@ from torch import Tensor
 #: 7 digits; a pose that was averaged or interpolated carelessly is off by much more).
 RIGID_TOLERANCE = 1e-3
 
+#: Metres from the origin at which float32 coordinates are still exact to a millimetre.
+LARGEST_COORDINATE = 8192.0
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -84,7 +87,7 @@ class Scene:
         points: [N, 3] metres, world frame; N >= 1, finite.
         frames: a sequence of :class:`Frame`; may be lazy (read at access) and may be empty (plain 3D segmentation).
         colors: optional [N, 3] RGB in [0, 1].
-        normals: optional [N, 3]; estimated where absent.
+        normals: optional [N, 3], showing out of the surface; estimated where absent.
         name: used in messages.
 
     Raises:
@@ -100,12 +103,19 @@ class Scene:
     def __post_init__(self) -> None:
         points = as_points(self.points)
         object.__setattr__(self, "points", points)
-        for key in ("colors", "normals"):
-            value = getattr(self, key)
-            if value is not None:
-                value = _as_float(value, key, torch.float32)
-                _check_shape(value, tuple(points.shape), key)
-                object.__setattr__(self, key, value)
+        if not (hasattr(self.frames, "__len__") and hasattr(self.frames, "__getitem__")):
+            raise TypeError(f"frames: expected a sequence of Frame, got {type(self.frames).__name__}")
+        if self.colors is not None:
+            colors = _in_unit_range(self.colors, "colors")
+            _check_shape(colors, tuple(points.shape), "colors")
+            object.__setattr__(self, "colors", colors)
+        if self.normals is not None:
+            normals = _as_float(self.normals, "normals", torch.float32)
+            _check_shape(normals, tuple(points.shape), "normals")
+            length = normals.norm(dim=1, keepdim=True)
+            if float(length.min()) < 1e-3:
+                raise ValueError(f"normals: expected unit vectors, got {int((length < 1e-3).sum())} of length 0")
+            object.__setattr__(self, "normals", normals / length)
 
 
 class LabelImages(Sequence[Tensor]):
@@ -153,13 +163,19 @@ class Segmentation:
 
 
 def as_points(points: Tensor, name: str = "points") -> Tensor:
-    """Checks a cloud: [N, 3], N >= 1, finite; returns it as float32."""
-    points = _as_float(points, name, torch.float32)
+    """Checks a cloud: [N, 3], N >= 1, finite, near enough to the origin; returns it as float32."""
+    points = _as_float(points, name, torch.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"{name}: expected shape [N, 3], got {list(points.shape)}")
     if points.shape[0] == 0:
         raise ValueError(f"{name}: expected at least one point, got an empty cloud")
-    return points
+    largest = points.abs().max().item()
+    if largest > LARGEST_COORDINATE:
+        raise ValueError(
+            f"{name}: coordinates up to {largest:.4g} m would keep only {largest * 2**-23:.2g} m in float32; subtract "
+            "an offset from points and camera positions"
+        )
+    return points.to(torch.float32)
 
 
 def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
@@ -200,13 +216,18 @@ def _as_image(image: Tensor, name: str) -> Tensor:
         raise ValueError(f"{name}: expected shape [3, H, W] (or grey: [1, H, W], [H, W]), got {list(image.shape)}")
     if image.numel() == 0:
         raise ValueError(f"{name}: expected at least one pixel, got {list(image.shape)}")
-    if image.dtype == torch.uint8:
-        image = image.to(torch.float32) / 255
-    image = _as_float(image, name, torch.float32)
-    low, high = image.min().item(), image.max().item()
+    return _in_unit_range(image, name).expand(3, -1, -1)
+
+
+def _in_unit_range(value: Tensor, name: str) -> Tensor:
+    """Checks colours in [0, 1]; returns them as float32, 8-bit ones divided by 255."""
+    if isinstance(value, Tensor) and value.dtype == torch.uint8:
+        value = value.to(torch.float32) / 255
+    value = _as_float(value, name, torch.float32)
+    low, high = (value.min().item(), value.max().item()) if value.numel() else (0.0, 0.0)
     if low < -1e-4 or high > 1 + 1e-4:
         raise ValueError(f"{name}: expected values in [0, 1] (or uint8), got [{low:.4g}, {high:.4g}]")
-    return image.clamp(0, 1).expand(3, -1, -1)
+    return value.clamp(0, 1)
 
 
 def _as_intrinsics(intrinsics: Tensor, name: str) -> Tensor:

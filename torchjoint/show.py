@@ -53,7 +53,8 @@ def overview(scene: Scene, result: Segmentation, num_frames: int = 5) -> Any:
     if not count:
         _draw_cloud(figure, scene, result)
         return figure
-    top, bottom = np.ravel(figure.subfigures(2, 1, height_ratios=[7.5, 5.0]))
+    parts: Any = figure.subfigures(2, 1, height_ratios=[7.5, 5.0])
+    top, bottom = parts
     _draw_frames(top, scene, result, torch.linspace(0, len(result.images) - 1, count).round().long().tolist())
     _draw_cloud(bottom, scene, result)
     return figure

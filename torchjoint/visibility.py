@@ -108,7 +108,9 @@ def zbuffer_visible(
             r, c = near_row + down, near_column + right
             inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
             buffer.scatter_reduce_(0, (r * width + c)[inside], z[inside], "amin")
-    return projected.z <= buffer[row * width + column] + config.depth_tolerance
+    # On a slanted surface the splat of a neighbour may lie in front of a point by as much as their distance.
+    tolerance = config.depth_tolerance + config.slant_tolerance * spacing[projected.point]
+    return projected.z <= buffer[row * width + column] + tolerance
 
 
 def hidden_point_removal(points: Tensor, center: Tensor, radius_factor: float) -> Tensor:

@@ -13,7 +13,9 @@ __all__ = ["folder", "load_scene"]
 FORMATS = {"folder": folder}
 
 
-def load_scene(path: str | Path, *, cloud: str | Path | None = None, voxel_size: float = 0.02) -> Scene:
+def load_scene(
+    path: str | Path, *, cloud: str | Path | None = None, voxel_size: float = 0.02, progress: bool = False
+) -> Scene:
     """Loads a scene; its format is detected, its frames are read when they are asked for.
 
     Args:
@@ -23,6 +25,7 @@ def load_scene(path: str | Path, *, cloud: str | Path | None = None, voxel_size:
             fused from the depth images.
         cloud: a PLY file to use as the cloud; where it does not exist yet, the fused cloud is written there.
         voxel_size: of the fusion, metres; points come out about this far apart.
+        progress: show a progress bar while fusing.
 
     Raises:
         FileNotFoundError, ValueError: naming the file, and what was looked for where no format fits.
@@ -32,6 +35,8 @@ def load_scene(path: str | Path, *, cloud: str | Path | None = None, voxel_size:
         raise FileNotFoundError(f"scene: {path} does not exist")
     for module in FORMATS.values():
         if module.recognizes(path):
-            return module.load(path, cloud=None if cloud is None else Path(cloud), voxel_size=voxel_size)
+            return module.load(
+                path, cloud=None if cloud is None else Path(cloud), voxel_size=voxel_size, progress=progress
+            )
     looked_for = "; ".join(f"{name}: {module.WHAT}" for name, module in FORMATS.items())
     raise ValueError(f"scene: {path} is of no known format. Looked for: {looked_for}")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,10 @@ from torch import Tensor
 
 def read_image(path: Path) -> Tensor:
     """An 8-bit image of any mode -> [3, H, W] uint8 RGB."""
-    array = np.array(_opened(path).convert("RGB"))
+    image = _opened(path)
+    if image.mode.startswith(("I", "F")):
+        raise ValueError(f"{path}: expected an 8-bit image, got mode {image.mode}")
+    array = np.array(image.convert("RGB"))
     return torch.from_numpy(array).permute(2, 0, 1).contiguous()
 
 
@@ -49,20 +54,32 @@ def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
 
 
 def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
-    """A PLY or PCD file -> points [N, 3], colours [N, 3] or None, normals [N, 3] or None."""
+    """A PLY or PCD file -> points [N, 3] float64, colours [N, 3] or None, normals [N, 3] or None (also if all zero)."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud")
-    if path.suffix == ".ply":
-        _check_ply_is_whole(path)
+    header = _check_ply_is_whole(path) if path.suffix.lower() == ".ply" else []
     import open3d
 
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
         cloud = open3d.io.read_point_cloud(str(path))
     if not cloud.has_points():
         raise ValueError(f"{path}: no points could be read; truncated, empty or not a point cloud")
+    points = torch.from_numpy(np.asarray(cloud.points))
+    if not torch.isfinite(points).all():
+        bad = int((~torch.isfinite(points)).any(1).sum())
+        raise ValueError(f"{path}: {bad} of {len(points)} points are NaN or infinite; remove them")
     colors = torch.from_numpy(np.asarray(cloud.colors)).float() if cloud.has_colors() else None
+    if colors is not None and ["property", "float", "red"] in header:
+        colors = colors * 255  # Open3D takes colours for 8-bit ones whatever their type
     normals = torch.from_numpy(np.asarray(cloud.normals)).float() if cloud.has_normals() else None
-    return torch.from_numpy(np.asarray(cloud.points)).float(), colors, normals
+    return points, colors, normals if normals is not None and normals.any() else None
+
+
+def fingerprint(folder: Path) -> str:
+    """Tells whether files of a folder were changed: a hash of their names, sizes and times."""
+    files = sorted(file for file in folder.iterdir() if file.is_file()) if folder.is_dir() else []
+    stats = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
+    return hashlib.sha256(repr((str(folder.resolve()), stats)).encode()).hexdigest()
 
 
 def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels: Tensor | None = None) -> None:
@@ -86,12 +103,14 @@ _PLY_SIZES = {
 }  # fmt: skip
 
 
-def _check_ply_is_whole(path: Path) -> None:
-    """Open3D reads a truncated file without a word, and leaves the missing points to chance."""
-    header, end, body = path.read_bytes().partition(b"end_header\n")
+def _check_ply_is_whole(path: Path) -> list[list[str]]:
+    """Open3D reads a truncated file without a word, and leaves the missing points to chance. Returns the header."""
+    data = path.read_bytes()
+    end = re.search(rb"end_header\r?\n", data)
+    header, body = (data[: end.start()], data[end.end() :]) if end else (data[:1000], b"")
     lines = [line.split() for line in header.decode("ascii", errors="replace").splitlines()]
     formats = [line[1] for line in lines if line[:1] == ["format"] and len(line) > 1]
-    if not header.startswith(b"ply") or not end or not formats:
+    if not header.startswith(b"ply") or end is None or not formats:
         raise ValueError(f"{path}: not a PLY file, or its header is truncated")
     count, stride, element = 0, 0, ""
     for line in lines:
@@ -104,6 +123,7 @@ def _check_ply_is_whole(path: Path) -> None:
     present = body.count(b"\n") + (not body.endswith(b"\n")) if ascii_body else len(body) // max(stride, 1)
     if present < count:
         raise ValueError(f"{path}: truncated: expected {count} points, got {present}")
+    return lines
 
 
 def _opened(path: Path) -> Image.Image:

@@ -37,7 +37,7 @@ def recognizes(path: Path) -> bool:
     return path.is_dir() and bool(_color_files(path))
 
 
-def load(path: Path, *, cloud: Path | None = None, voxel_size: float = 0.02) -> Scene:
+def load(path: Path, *, cloud: Path | None = None, voxel_size: float = 0.02, progress: bool = False) -> Scene:
     """Loads the folder; see :func:`torchjoint.load_scene`."""
     frames = FolderFrames(path)
     if cloud is None and (path / "cloud.ply").is_file():
@@ -45,7 +45,7 @@ def load(path: Path, *, cloud: Path | None = None, voxel_size: float = 0.02) -> 
     if cloud is not None and cloud.is_file():
         points, colors, normals = read_cloud(cloud)
     else:
-        points, colors = fuse_cloud(frames, voxel_size)
+        points, colors = fuse_cloud(frames, voxel_size, progress=progress)
         normals = None
         if cloud is not None:
             write_cloud(cloud, points, colors)
@@ -57,6 +57,7 @@ class FolderFrames(Sequence[Frame]):
 
     Raises:
         FileNotFoundError: a frame without a pose, or no intrinsics.
+        ValueError: a pose that is not rigid, two images of one frame.
     """
 
     def __init__(self, path: Path) -> None:
@@ -64,6 +65,12 @@ class FolderFrames(Sequence[Frame]):
         for file in self._colors:
             if not _beside(file, ".pose.txt").is_file():
                 raise FileNotFoundError(f"{_beside(file, '.pose.txt')}: missing; every colour frame needs its pose")
+        stems = [file.name.split(".")[0] for file in self._colors]
+        if len(set(stems)) < len(stems):
+            twice = next(stem for stem in stems if stems.count(stem) > 1)
+            raise ValueError(f"{path}: frame {twice!r} has two colour images")
+        # All poses at once: a bad one is to be found before hours of work, not after.
+        self._poses = [_read_pose(_beside(file, ".pose.txt")) for file in self._colors]
         self._intrinsics = read_matrix(path / "camera-intrinsics.txt", (3, 3))
 
     def __len__(self) -> int:
@@ -81,11 +88,15 @@ class FolderFrames(Sequence[Frame]):
         return Frame(
             read_image(file),
             self._intrinsics,
-            invert_pose(as_pose(read_matrix(_beside(file, ".pose.txt"), (4, 4)), str(_beside(file, ".pose.txt")))),
+            invert_pose(self._poses[index]),
             depth=read_depth(depth) if depth.is_file() else None,
             labels=read_label_image(labels) - 1 if labels.is_file() else None,
             name=file.name.split(".")[0],
         )
+
+
+def _read_pose(path: Path) -> Tensor:
+    return as_pose(read_matrix(path, (4, 4)), str(path))
 
 
 def invert_pose(pose: Tensor) -> Tensor:

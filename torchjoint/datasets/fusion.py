@@ -15,7 +15,7 @@ from torchjoint.scene import Frame
 FAR = 5.0
 
 
-def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: bool = True) -> tuple[Tensor, Tensor]:
+def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: bool = False) -> tuple[Tensor, Tensor]:
     """Fuses depth images into a truncated signed distance volume (Curless and Levoy 1996) and takes its surface.
 
     Args:

@@ -1,0 +1,58 @@
+"""The README says what is true."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import torchjoint as tj
+from torchjoint.config import parameter_table
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def between(name):
+    return re.search(rf"<!-- {name} -->\n(.*?)<!-- end {name} -->", README, flags=re.DOTALL)[1].strip()
+
+
+def test_the_table_of_parameters_is_the_code_s():
+    """If not: `torchjoint parameters` prints it."""
+    assert between("parameters") == parameter_table().strip()
+
+
+def test_ci_runs_the_test_command():
+    command = re.search(r"<!-- test command -->\n```bash\n(.*)\n```", README)[1]
+    assert "-c constraints.txt" in command
+    assert command.rstrip().endswith("pytest -n 2")
+    assert "<!-- test command -->" in (ROOT / ".ci" / "run").read_text()
+
+
+def test_files_that_are_linked_exist():
+    for link in re.findall(r"\]\((?!http)([^)#]+)\)", README):
+        assert (ROOT / link).exists(), link
+
+
+def test_names_in_the_text_exist():
+    for name in set(re.findall(r"\btj\.([A-Za-z_.]+)", README)):
+        thing = tj
+        for part in name.rstrip(".").split("."):
+            thing = getattr(thing, part)
+    for name in tj.__all__:
+        assert getattr(tj, name) is not None
+
+
+def test_constraints_pin_what_is_tested():
+    """Here, and so in CI, the versions of constraints.txt are the ones that run."""
+    import torch
+
+    pins = dict(re.findall(r"^([\w.-]+)==(\S+)$", (ROOT / "constraints.txt").read_text(), flags=re.MULTILINE))
+    assert pins["torch"] == torch.__version__.split("+")[0]
+
+
+@pytest.mark.parametrize("module", ["open3d", "matplotlib", "sklearn", "plotly", "tyro"])
+def test_import_is_light(module):
+    code = f"import sys, torchjoint; sys.exit({module!r} in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
