@@ -65,7 +65,7 @@ class BoundaryConfig(Stage):
         high=20, sensible="0.5-3",
     )  # fmt: skip
     contrast: float = parameter(
-        6.0, "colour gradient at which a boundary has strength 1 - 1/e; less sees fainter edges", unit="Lab units/px",
+        8.0, "colour gradient at which a boundary has strength 1 - 1/e; less sees fainter edges", unit="Lab units/px",
         above=0, sensible="2-20",
     )  # fmt: skip
 
@@ -75,12 +75,12 @@ class ImageGraphConfig(Stage):
     """Step 1, eq. 2: weights of the 8-connected pixel graph."""
 
     smoothing: float = parameter(
-        0.8, "Gaussian blur of the colours; more ignores noise and fine texture", unit="px", low=0, high=20,
+        0.0, "Gaussian blur of the colours; more ignores noise and fine texture", unit="px", low=0, high=20,
         sensible="0-2",
     )  # fmt: skip
     color_weight: float = parameter(1.0, "w_c, weight of the RGB distance of two pixels", low=0, sensible="0-2")
     boundary_weight: float = parameter(
-        0.5, "w_b, weight of the weaker boundary of two pixels; more closes gaps in faint contours", low=0,
+        0.3, "w_b, weight of the weaker boundary of two pixels; more closes gaps in faint contours", low=0,
         sensible="0-2",
     )  # fmt: skip
 
@@ -90,7 +90,7 @@ class ImageSegmentsConfig(Stage):
     """Step 2: Felzenszwalb-Huttenlocher on the pixel graph."""
 
     scale: float = parameter(
-        2.0, "k; more gives larger segments", unit="weight x px", low=0, sensible="0.3-10 for 640x480"
+        1.0, "k; more gives larger segments", unit="weight x px", low=0, sensible="0.3-10 for 640x480"
     )
     min_size: int = parameter(100, "smaller segments are joined to a neighbour", unit="px", low=0, sensible="20-1000")
 
@@ -101,16 +101,16 @@ class PointGraphConfig(Stage):
 
     neighbors: int = parameter(16, "K, neighbours of a point in the graph", low=1, high=200, sensible="8-30")
     normal_neighbors: int = parameter(
-        40, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=3, high=500,
+        30, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=3, high=500,
         sensible="10-80",
     )  # fmt: skip
     distance_weight: float = parameter(
-        0.0, "w_d, weight of the distance of two points; separates sparse from dense", unit="1/m", low=0,
+        0.2, "w_d, weight of the distance of two points; separates sparse from dense", unit="1/m", low=0,
         sensible="0-10",
     )  # fmt: skip
     angle_weight: float = parameter(1.0, "w_theta, weight of the angle of two normals", unit="1/rad", low=0)
     convex_factor: float = parameter(
-        0.3,
+        0.1,
         "the angle counts only this much where the surface is convex: objects mostly are, and the borders between "
         "them concave; 1 is the paper's letter",
         low=0,
@@ -176,18 +176,18 @@ class PropagationConfig(Stage):
         unit="px", low=1, high=31, sensible="1-7",
     )  # fmt: skip
     overlap_threshold: float = parameter(
-        0.5, "r_o, overlap of two windows at which an image says neither same nor different", low=0, high=1
+        0.7, "r_o, overlap of two windows at which an image says neither same nor different", low=0, high=1
     )
     normalization: str = parameter(
         "saturating", "L of eq. 6: 'all' images (the paper's letter), or an edge's own views, trusted in full from "
         "`saturation` on", choices=("saturating", "all"),
     )  # fmt: skip
     saturation: int = parameter(
-        3, "s, views after which an edge is trusted in full (normalization: saturating)", unit="views", low=1,
+        1, "s, views after which an edge is trusted in full (normalization: saturating)", unit="views", low=1,
         sensible="1-10",
     )  # fmt: skip
     weight: float = parameter(
-        0.15, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation", low=0, sensible="0.05-0.5"
+        0.23, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation", low=0, sensible="0.05-0.5"
     )
 
 
@@ -195,7 +195,7 @@ class PropagationConfig(Stage):
 class PointSegmentsConfig(Stage):
     """Step 6: Felzenszwalb-Huttenlocher on the point graph."""
 
-    scale: float = parameter(20.0, "k; more gives larger segments", unit="weight x points", low=0)
+    scale: float = parameter(5.5, "k; more gives larger segments", unit="weight x points", low=0)
     min_size: int = parameter(100, "smaller segments are joined to a neighbour", unit="points", low=0)
 
 
