@@ -321,7 +321,8 @@ class TestEdges:
     def test_given_normals_are_used(self, synthetic):
         points = synthetic.scene.points
         flat = torch.tensor([0.0, 0.0, 1.0]).expand(len(points), -1)
-        config = CONFIG.set(["propagation.weight=0", "point_segments.min_size=0", "point_segments.scale=0"])
+        bare = ["propagation.weight=0", "point_graph.distance_weight=0"]
+        config = CONFIG.set([*bare, "point_segments.min_size=0", "point_segments.scale=0"])
         result = tj.JointSegmenter(config)(tj.Scene(points, normals=flat))
         assert result.num_point_segments < 10  # all weights are 0: the segments are the graph's components
 

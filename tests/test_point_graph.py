@@ -99,7 +99,7 @@ def test_convex_edges_count_less():
     points = torch.tensor([[-1.0, 0, 0], [0, 0, -1]])
     edge_index, known = torch.tensor([[0], [1]]), torch.ones(2, dtype=torch.bool)
     box, corner = torch.tensor([[0.0, 0, 1], [1, 0, 0]]), torch.tensor([[0.0, 0, -1], [-1, 0, 0]])
-    config = PointGraphConfig(angle_weight=2.0, convex_factor=0.25)
+    config = PointGraphConfig(angle_weight=2.0, convex_factor=0.25, distance_weight=0)
 
     def weight(normals, oriented):
         return geometric_weights(points, edge_index, normals, oriented, config).item()

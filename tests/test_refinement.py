@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from torchjoint import ops
 from torchjoint.config import RefinementConfig
 from torchjoint.image_graph import grid_edges
-from torchjoint.refinement import joint_labels, merge_segments, pixel_pairs, split_segments
+from torchjoint.joint_labels import joint_labels
+from torchjoint.refinement import merge_segments, pixel_pairs, split_segments
 from torchjoint.visibility import Visible
 
 

@@ -6,40 +6,28 @@ Sequences", ICRA 2021.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from itertools import groupby
-from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
 from torchjoint import ops
-from torchjoint.boundary import make_boundary
 from torchjoint.checkpoint import Checkpoint
 from torchjoint.config import Config
-from torchjoint.image_graph import pixel_weights, segment_image
-from torchjoint.point_graph import estimate_normals, geometric_weights, nearest_neighbors, undirected_edges
+from torchjoint.image_graph import pixel_weights
+from torchjoint.image_segmenter import ImageSegmenter
+from torchjoint.joint_labels import joint_labels, separate_private_ids
+from torchjoint.point_graph import PointGraph, build_point_graph, faces_camera, geometric_weights, orient_normals
 from torchjoint.pose_check import check_poses
 from torchjoint.propagation import disagreement, edge_overlaps, label_windows
-from torchjoint.refinement import joint_labels, merge_segments, pixel_pairs, split_segments
-from torchjoint.scene import Frame, LabelImages, Scene, Segmentation, as_labels
+from torchjoint.refinement import merge_segments, pixel_pairs, split_segments
+from torchjoint.scene import Frame, LabelImages, Scene, Segmentation
 from torchjoint.state import JointState, Observation
 from torchjoint.threads import map_frames, one_thread_per_operation
 from torchjoint.timing import Stopwatch
-from torchjoint.visibility import Visible, visible_points
-
-
-class _Cloud(NamedTuple):
-    """The cloud and what of the point graph does not depend on any image."""
-
-    points: Tensor  # [N, 3]
-    colors: Tensor | None
-    normals: Tensor  # [N, 3]
-    normals_are_given: bool  # and so their signs mean something even where no camera sees the point
-    spacing: Tensor  # [N]
-    edge_index: Tensor  # [2, E]
+from torchjoint.visibility import visible_points
 
 
 class JointSegmenter(nn.Module):
@@ -73,10 +61,9 @@ class JointSegmenter(nn.Module):
     ) -> None:
         super().__init__()
         self.config = config or Config()
-        self.boundary = boundary or make_boundary(self.config.boundary)
-        self.image_segmenter = image_segmenter
+        self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
-        self._cloud: _Cloud | None = None
+        self._graph: PointGraph | None = None
         self._state: JointState | None = None
         self.eval()  # a network's batch statistics must not depend on how frames are batched
 
@@ -104,7 +91,7 @@ class JointSegmenter(nn.Module):
             PoseWarning: poses or intrinsics look wrong.
         """
         self.reset(scene.points, scene.colors, scene.normals)
-        check_poses(scene, self._require_cloud().spacing, self.config.visibility)
+        check_poses(scene, self._require_graph().spacing, self.config.visibility)
         num_frames = len(scene.frames)
         if checkpoint is not None:
             self.state = checkpoint.load() or self.state
@@ -137,21 +124,9 @@ class JointSegmenter(nn.Module):
         """
         cloud = Scene(points, colors=colors, normals=normals)
         self.stopwatch = Stopwatch()
-        config = self.config.point_graph
         with one_thread_per_operation(), self.stopwatch("point graph"):
-            count = config.neighbors if cloud.normals is not None else max(config.neighbors, config.normal_neighbors)
-            neighbors = nearest_neighbors(cloud.points, count)
-            self._cloud = _Cloud(
-                cloud.points,
-                cloud.colors,
-                cloud.normals
-                if cloud.normals is not None
-                else estimate_normals(cloud.points, neighbors.indices[:, : config.normal_neighbors]),
-                cloud.normals is not None,
-                neighbors.spacing,
-                undirected_edges(neighbors.indices[:, : config.neighbors]),
-            )
-        self._state = JointState.empty(self._cloud.edge_index.shape[1], self._cloud.points.shape[0])
+            self._graph = build_point_graph(cloud, self.config.point_graph)
+        self._state = JointState.empty(self._graph.edge_index.shape[1], self._graph.num_points)
 
     @torch.no_grad()
     def update(self, frames: Frame | Sequence[Frame]) -> None:
@@ -162,7 +137,7 @@ class JointSegmenter(nn.Module):
         state = self.state
         with one_thread_per_operation():
             for batch in _batches_of_one_size([frames] if isinstance(frames, Frame) else frames):
-                boundaries, labels = self._segment_images(batch)
+                boundaries, labels = self.image_segmenter(batch, self.stopwatch)
                 observations = map_frames(
                     lambda item: self._observe(*item), zip(batch, boundaries, labels, strict=True)
                 )
@@ -194,7 +169,7 @@ class JointSegmenter(nn.Module):
                 refined = map_frames(refine, state.observations)
         return Segmentation(
             points=point_labels,
-            images=LabelImages(_private_ids(refined, state.observations, sizes.shape[0])),
+            images=LabelImages(separate_private_ids(refined, state.observations, sizes.shape[0])),
             initial_images=LabelImages([o.labels for o in state.observations]),
             names=tuple(o.name for o in state.observations),
             seconds=dict(self.stopwatch.seconds),
@@ -213,63 +188,32 @@ class JointSegmenter(nn.Module):
             raise ValueError("state: expected the state of a segmenter that was reset with the same cloud")
         self._state = state
 
-    def _require_cloud(self) -> _Cloud:
-        if self._cloud is None:
+    def _require_graph(self) -> PointGraph:
+        if self._graph is None:
             raise RuntimeError("JointSegmenter: call reset(points) first")
-        return self._cloud
+        return self._graph
 
     def merge(self, other: JointSegmenter) -> None:
         """Adds what another segmenter saw: other frames of the same cloud, with the same config."""
         if other.config != self.config:
             raise ValueError("other: expected a segmenter with the same config")
-        if self._cloud is None or other._cloud is None or not _same_cloud(self._cloud, other._cloud):
+        if self._graph is None or other._graph is None or not self._graph.is_same(other._graph):
             raise ValueError("other: expected a segmenter that was reset with the same points")
         both = {o.name for o in self.state.observations if o.name} & {o.name for o in other.state.observations}
         if other is self or both:
             raise ValueError(f"other: expected a segmenter that saw other frames, both saw {sorted(both)[:3]}")
         self.state = self.state + other.state
 
-    def _segment_images(self, frames: Sequence[Frame]) -> tuple[Tensor, Sequence[Tensor]]:
-        """Steps 1 and 2 for frames of one size: boundaries [B, H, W] and initial labels, B times [H, W]."""
-        images = torch.stack([frame.image for frame in frames])
-        with self.stopwatch("boundaries"):
-            boundaries = self.boundary(images)
-        if boundaries.shape != images[:, 0].shape:
-            raise ValueError(f"boundary: expected [B, H, W] = {list(images[:, 0].shape)}, got {list(boundaries.shape)}")
-        if not ((boundaries >= 0) & (boundaries <= 1)).all():
-            raise ValueError("boundary: expected values in [0, 1] and no NaN")
-        with self.stopwatch("image segments"):
-            if all(frame.labels is not None for frame in frames):
-                return boundaries, [_dense(frame.labels) for frame in frames if frame.labels is not None]
-            if self.image_segmenter is None:
-                segmented: Sequence[Tensor] = map_frames(
-                    lambda item: self._segment_by_graph(*item), zip(images, boundaries, strict=True)
-                )
-            else:
-                output = self.image_segmenter(images)
-                if len(output) != len(frames):
-                    raise ValueError(f"image_segmenter's output: expected {len(frames)} images, got {len(output)}")
-                segmented = [as_labels(x, frames[0].size, "image_segmenter's output") for x in output]
-        return boundaries, [
-            _dense(labels if frame.labels is None else frame.labels)
-            for frame, labels in zip(frames, segmented, strict=True)
-        ]
-
-    def _segment_by_graph(self, image: Tensor, boundary: Tensor) -> Tensor:
-        weights = pixel_weights(image, boundary, self.config.image_graph)
-        return segment_image(weights, (image.shape[1], image.shape[2]), self.config.image_segments)
-
     def _observe(self, frame: Frame, boundary: Tensor, labels: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor]:
         """Steps 4 and 5 for one frame: the observation, votes for normals' signs, edges and their overlaps."""
-        cloud = self._require_cloud()
+        graph = self._require_graph()
         with self.stopwatch("visibility"):
-            visible = visible_points(
-                cloud.points, cloud.spacing, frame.intrinsics, frame.world_to_camera, frame.size, self.config.visibility
-            )
-            facing = _faces_camera(cloud, visible, frame.world_to_camera)
+            camera = (frame.intrinsics, frame.world_to_camera, frame.size)
+            visible = visible_points(graph.points, graph.spacing, *camera, self.config.visibility)
+            facing = faces_camera(graph, visible.point, frame.world_to_camera)
         with self.stopwatch("propagation"):
             windows = label_windows(labels, visible, self.config.propagation.window)
-            edges, overlaps = edge_overlaps(cloud.edge_index, cloud.points.shape[0], visible, windows)
+            edges, overlaps = edge_overlaps(graph.edge_index, graph.num_points, visible, windows)
         observation = Observation(
             frame.name, labels.to(torch.int32), visible, _to_8_bits(frame.image), _to_8_bits(boundary)
         )
@@ -277,22 +221,18 @@ class JointSegmenter(nn.Module):
 
     def _segment_points(self) -> Tensor:
         """Step 6, with what steps 3 and 5 left to do: orient the normals, eq. 6, and the whole weight of eq. 3."""
-        cloud, state, config = self._require_cloud(), self.state, self.config
+        graph, state, config = self._require_graph(), self.state, self.config
         with self.stopwatch("point segments"):
-            # A surface is seen from outside: the cameras know better than a file which way its normals show.
-            facing = state.facing
-            if cloud.normals_are_given:
-                facing = torch.where(facing == 0, 1, facing)
-            normals = torch.where(facing[:, None] < 0, -cloud.normals, cloud.normals)
+            normals, oriented = orient_normals(graph, state.facing)
             weights = geometric_weights(
-                cloud.points, cloud.edge_index, normals, facing != 0, config.point_graph, cloud.colors
+                graph.points, graph.edge_index, normals, oriented, config.point_graph, graph.colors
             )
             if state.observations and config.propagation.weight > 0:
                 num_images = len(state.observations)
                 r = disagreement(state.views, state.overlap_sum, num_images, config.propagation)
                 weights = weights + config.propagation.weight * r
             return ops.felzenszwalb(
-                cloud.edge_index, weights, cloud.points.shape[0], config.point_segments.scale,
+                graph.edge_index, weights, graph.num_points, config.point_segments.scale,
                 config.point_segments.min_size,
             )  # fmt: skip
 
@@ -320,45 +260,5 @@ def _batches_of_one_size(frames: Sequence[Frame]) -> Iterator[list[Frame]]:
         yield list(batch)
 
 
-def _dense(labels: Tensor) -> Tensor:
-    """Numbers labels 0, 1, ... in their order; -1 stays."""
-    values, dense = torch.unique(labels, return_inverse=True)
-    return dense - int((values < 0).sum())
-
-
 def _to_8_bits(values: Tensor) -> Tensor:
     return (values.clamp(0, 1) * 255).round().to(torch.uint8)
-
-
-def _faces_camera(cloud: _Cloud, visible: Visible, world_to_camera: Tensor) -> Tensor:
-    """[M] int64: 1 where a visible point's normal shows to the camera's side, -1 where it shows away."""
-    center = -(world_to_camera[:3, :3].T @ world_to_camera[:3, 3]).float()
-    to_camera = center - cloud.points[visible.point]
-    x, y, z = (cloud.normals[visible.point] * to_camera).unbind(1)
-    return ((x + y) + z).sign().long()
-
-
-def _same_cloud(first: _Cloud, second: _Cloud) -> bool:
-    return torch.equal(first.points, second.points) and torch.equal(first.normals, second.normals)
-
-
-def _private_ids(
-    refined: Sequence[tuple[Tensor, int]], observations: Sequence[Observation], num_segments: int
-) -> list[Tensor]:
-    """Makes ids >= num_segments unique over all images, counting in the order of the frames' names.
-
-    The names' order (and among equal names that of the content), and not that in which frames came, so that the
-    latter does not change labels.
-    """
-
-    def key(index: int) -> tuple[str, bytes]:
-        seen = observations[index]
-        return seen.name, hashlib.sha256(seen.labels.numpy().tobytes() + seen.image.numpy().tobytes()).digest()
-
-    images = [labels for labels, _ in refined]
-    offset = 0
-    for index in sorted(range(len(refined)), key=key):
-        labels, next_free = refined[index]
-        images[index] = torch.where(labels >= num_segments, labels + offset, labels)
-        offset += next_free - num_segments
-    return images

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint.config import PointGraphConfig
+from torchjoint.scene import Scene
 
 
 class Neighbors(NamedTuple):
@@ -22,6 +23,43 @@ class Neighbors(NamedTuple):
         """[N] metres: how far a point is from its closest few neighbours, a measure of the local density."""
         few = self.distances[:, :4]
         return few.mean(dim=1) if few.shape[1] else few.new_zeros(few.shape[0])
+
+
+class PointGraph(NamedTuple):
+    """The cloud as a graph, with all that depends on no image."""
+
+    points: Tensor  #: [N, 3]
+    colors: Tensor | None  #: [N, 3]
+    normals: Tensor  #: [N, 3] unit length, of any sign
+    normals_are_given: bool  #: and so their signs mean something where no camera sees the point
+    spacing: Tensor  #: [N] metres
+    edge_index: Tensor  #: [2, E]
+
+    @property
+    def num_points(self) -> int:
+        """N."""
+        return self.points.shape[0]
+
+    def is_same(self, other: PointGraph) -> bool:
+        """Whether both are of the same points with the same normals."""
+        return torch.equal(self.points, other.points) and torch.equal(self.normals, other.normals)
+
+
+def build_point_graph(cloud: Scene, config: PointGraphConfig) -> PointGraph:
+    """Neighbours, edges and normals of a cloud (its frames are not looked at)."""
+    count = config.neighbors if cloud.normals is not None else max(config.neighbors, config.normal_neighbors)
+    neighbors = nearest_neighbors(cloud.points, count)
+    normals = cloud.normals
+    if normals is None:
+        normals = estimate_normals(cloud.points, neighbors.indices[:, : config.normal_neighbors])
+    return PointGraph(
+        cloud.points,
+        cloud.colors,
+        normals,
+        cloud.normals is not None,
+        neighbors.spacing,
+        undirected_edges(neighbors.indices[:, : config.neighbors]),
+    )
 
 
 def nearest_neighbors(points: Tensor, count: int) -> Neighbors:
@@ -90,6 +128,27 @@ def estimate_normals(points: Tensor, neighbors: Tensor, chunk: int = 16384) -> T
         _, vectors = torch.linalg.eigh(around.transpose(1, 2) @ around)
         normals.append(vectors[:, :, 0].float())
     return torch.cat(normals)
+
+
+def faces_camera(graph: PointGraph, point: Tensor, world_to_camera: Tensor) -> Tensor:
+    """[M] int64, for each of the points [M]: 1 where its normal shows to the camera's side, -1 where away from it."""
+    center = -(world_to_camera[:3, :3].T @ world_to_camera[:3, 3]).float()
+    x, y, z = (graph.normals[point] * (center - graph.points[point])).unbind(1)
+    return ((x + y) + z).sign().long()
+
+
+def orient_normals(graph: PointGraph, facing: Tensor) -> tuple[Tensor, Tensor]:
+    """Turns normals to the cameras: a surface is seen from outside.
+
+    Args:
+        facing: [N] sum of :func:`faces_camera` over the images that see a point.
+
+    Returns:
+        normals [N, 3], and whether each one's sign is known, [N] bool.
+    """
+    if graph.normals_are_given:  # the cameras know better than a file, but a file better than nobody
+        facing = torch.where(facing == 0, 1, facing)
+    return torch.where(facing[:, None] < 0, -graph.normals, graph.normals), facing != 0
 
 
 def angle_between(first: Tensor, second: Tensor, oriented: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Steps 7 and 8: the 3D labels merge and split the segments of an image, and name them."""
+"""Step 7: the 3D labels merge and split the segments of an image."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.config import RefinementConfig
 from torchjoint.image_graph import grid_edges
+from torchjoint.joint_labels import starts_group
 from torchjoint.visibility import Visible
 
 
@@ -75,7 +76,8 @@ def split_segments(
 ) -> Tensor:
     """Cuts image segments in which different 3D labels meet (eq. 13-14), and cuts the parts again.
 
-    A segment is cut when at least n_s external pairs lie wholly inside it: between the two 3D labels A, B that most
+    A segment is cut when at least n_s external pairs lie wholly inside it (pairs within one pixel cannot be cut apart
+    and do not count): between the two 3D labels A, B that most
     of those pairs join (ties: the lowest), with the pixels that A's points hit as source and B's as sink, by a
     minimum cut of the segment's own pixel graph. All segments of the image are cut at once: their graphs are one
     graph with as many components.
@@ -122,7 +124,7 @@ def _label_pairs(
     # Rows are sorted by (segment, A, B): a stable sort by falling count leaves the lowest pair first among ties.
     order = torch.argsort(count, descending=True, stable=True)
     order = order[torch.argsort(of_segment[order], stable=True)]
-    best = order[_starts_group(of_segment[order])]
+    best = order[starts_group(of_segment[order])]
     return rows[:, best[total >= min_edges]]
 
 
@@ -167,54 +169,3 @@ def _cut(labels: Tensor, edge_index: Tensor, weights: Tensor, source: Tensor, si
     on_sink_side = torch.zeros_like(source)
     on_sink_side[in_active] = ~source_side
     return on_sink_side
-
-
-def joint_labels(
-    labels: Tensor, visible: Visible, point_labels: Tensor, segment_sizes: Tensor, first_free: int
-) -> tuple[Tensor, int]:
-    """Names each image segment by the 3D segment most of its points are of (step 8).
-
-    Ties go to the larger 3D segment, then to the lower id. Segments that no point falls in keep ids of their own,
-    numbered from `first_free` by first appearance.
-
-    Args:
-        labels: [H, W] int64, -1 = none (stays so).
-        point_labels: [M] int64, 3D label of each visible point.
-        segment_sizes: [S] int64, number of points of each 3D segment.
-
-    Returns:
-        ([H, W] int64, the next free id).
-    """
-    segment = labels[visible.row, visible.column]
-    inside = segment >= 0
-    num_points = segment_sizes.shape[0]
-    key, votes = torch.unique(segment[inside] * num_points + point_labels[inside], return_counts=True)
-    segment, winner = key // num_points, key % num_points
-    # By segment, then votes, then size, then the lower id: stable sorts by the last criterion first (ids ascend).
-    order = torch.arange(key.shape[0])
-    for criterion in (-segment_sizes[winner], -votes, segment):
-        order = order[torch.argsort(criterion[order], stable=True)]
-    best = order[_starts_group(segment[order])]
-    names = torch.full((int(labels.max()) + 1,), -1)
-    names[segment[best]] = winner[best]
-    return _number_rest(labels, names, first_free)
-
-
-def _starts_group(sorted_values: Tensor) -> Tensor:
-    """[n] bool: True where a value differs from the one before it."""
-    starts = torch.ones_like(sorted_values, dtype=torch.bool)
-    starts[1:] = sorted_values[1:] != sorted_values[:-1]
-    return starts
-
-
-def _number_rest(labels: Tensor, names: Tensor, first_free: int) -> tuple[Tensor, int]:
-    """Gives the segments that have no name yet ids of their own, by first appearance."""
-    flat = labels.reshape(-1)
-    first_pixel = torch.full((names.shape[0],), flat.shape[0])
-    used = flat >= 0
-    first_pixel.scatter_reduce_(0, flat[used], torch.nonzero(used).squeeze(1), "amin")
-    unnamed = torch.nonzero((names < 0) & (first_pixel < flat.shape[0])).squeeze(1)
-    unnamed = unnamed[torch.argsort(first_pixel[unnamed])]
-    names[unnamed] = first_free + torch.arange(unnamed.shape[0])
-    named = torch.where(used, names[flat.clamp(min=0)], -1) if names.numel() else flat
-    return named.view_as(labels), first_free + unnamed.shape[0]

@@ -1,0 +1,72 @@
+"""Steps 1 and 2 together: what a batch of frames looks like to the rest of the method, by whatever means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from torchjoint.boundary import make_boundary
+from torchjoint.config import Config
+from torchjoint.image_graph import pixel_weights, segment_image
+from torchjoint.scene import Frame, as_labels
+from torchjoint.threads import map_frames
+from torchjoint.timing import Stopwatch
+
+
+class ImageSegmenter(nn.Module):
+    """Boundaries and initial labels of frames of one size.
+
+    Labels that a frame brings with it come first, then those of `segmenter`, then those of the image graph.
+
+    Args:
+        config: parameters.
+        boundary: any module [B, 3, H, W] -> [B, H, W] in [0, 1]; default: the one that the config names.
+        segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none; default: the image graph.
+    """
+
+    def __init__(self, config: Config, boundary: nn.Module | None = None, segmenter: nn.Module | None = None) -> None:
+        super().__init__()
+        self.config = config
+        self.boundary = boundary or make_boundary(config.boundary)
+        self.segmenter = segmenter
+
+    def forward(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> tuple[Tensor, list[Tensor]]:
+        """Boundaries [B, H, W], and B label images [H, W] int64, numbered 0, 1, ..., -1 = none."""
+        images = torch.stack([frame.image for frame in frames])
+        with stopwatch("boundaries"):
+            boundaries = self._detect(images)
+        with stopwatch("image segments"):
+            given = [frame.labels for frame in frames]
+            missing = any(labels is None for labels in given)
+            segmented: Sequence[Tensor | None] = self._segment(images, boundaries) if missing else [None] * len(given)
+            labels = [own if own is not None else other for own, other in zip(given, segmented, strict=True)]
+            return boundaries, [_dense(image) for image in labels if image is not None]
+
+    def _detect(self, images: Tensor) -> Tensor:
+        boundaries = self.boundary(images)
+        if boundaries.shape != images[:, 0].shape:
+            raise ValueError(f"boundary: expected [B, H, W] = {list(images[:, 0].shape)}, got {list(boundaries.shape)}")
+        if not ((boundaries >= 0) & (boundaries <= 1)).all():
+            raise ValueError("boundary: expected values in [0, 1] and no NaN")
+        return boundaries
+
+    def _segment(self, images: Tensor, boundaries: Tensor) -> list[Tensor]:
+        size = (images.shape[2], images.shape[3])
+        if self.segmenter is None:
+            return map_frames(lambda pair: self._segment_by_graph(*pair), zip(images, boundaries, strict=True))
+        output = self.segmenter(images)
+        if len(output) != len(images):
+            raise ValueError(f"image_segmenter's output: expected {len(images)} images, got {len(output)}")
+        return [as_labels(labels, size, "image_segmenter's output") for labels in output]
+
+    def _segment_by_graph(self, image: Tensor, boundary: Tensor) -> Tensor:
+        weights = pixel_weights(image, boundary, self.config.image_graph)
+        return segment_image(weights, (image.shape[1], image.shape[2]), self.config.image_segments)
+
+
+def _dense(labels: Tensor) -> Tensor:
+    """Numbers labels 0, 1, ... in their order; -1 stays."""
+    values, dense = torch.unique(labels, return_inverse=True)
+    return dense - int((values < 0).sum())
