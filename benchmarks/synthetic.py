@@ -6,17 +6,17 @@ against geometry alone: with the same parameters without images, and with parame
 on the same seeds. In 2D, the final label images against the initial ones, mean over a scene's frames.
 """
 
+import dataclasses
 import statistics
 
 import report
 import torch
 
 import torchjoint as tj
-from torchjoint.scene import Scene, Segmentation
 
 SEEDS = range(10)
 #: Best setting of geometry alone in the search that found the default config.
-GEOMETRY_BEST = ["propagation.weight=0", "point_segments.scale=2.5"]
+GEOMETRY_BEST = ["point_segments.scale=2.5"]
 
 
 def scores(pred: torch.Tensor, target: torch.Tensor) -> tuple[float, float]:
@@ -33,8 +33,12 @@ def score_images(images: list[torch.Tensor], truth: tuple[torch.Tensor, ...]) ->
     return mean([scores(image, target) for image, target in zip(images, truth, strict=True)])
 
 
-def run(scene: Scene, settings: list[str]) -> Segmentation:
-    return tj.JointSegmenter(tj.Config().set(settings))(scene)
+def geometry_alone(joint: tj.JointSegmenter, points: torch.Tensor, settings: list[str]) -> torch.Tensor:
+    """Labels of the points without any image, but for the turning of the normals, which joint does with images too."""
+    segmenter = tj.JointSegmenter(tj.Config().set(["propagation.weight=0", *settings]))
+    segmenter.reset(points)
+    segmenter.state = dataclasses.replace(joint.state, observations=[])
+    return segmenter.compute().points
 
 
 def main() -> None:
@@ -42,16 +46,12 @@ def main() -> None:
     results: list[list[tuple[float, float]]] = []
     for seed in SEEDS:
         synthetic = tj.synthetic.make_scene(seed, "large", num_views=24, num_points=120_000)
-        joint = run(synthetic.scene, [])
-        same = run(synthetic.scene, ["propagation.weight=0"])  # the frames still turn the normals
-        best = run(synthetic.scene, GEOMETRY_BEST)
-        results.append(
-            [
-                *(scores(result.points, synthetic.point_labels) for result in (same, best, joint)),
-                score_images(list(joint.initial_images), synthetic.image_labels),
-                score_images(list(joint.images), synthetic.image_labels),
-            ]
-        )
+        segmenter = tj.JointSegmenter()
+        joint = segmenter(synthetic.scene)
+        same, best = (geometry_alone(segmenter, synthetic.scene.points, s) for s in ([], GEOMETRY_BEST))
+        in_3d = [scores(points, synthetic.point_labels) for points in (same, best, joint.points)]
+        in_2d = [score_images(list(i), synthetic.image_labels) for i in (joint.initial_images, joint.images)]
+        results.append(in_3d + in_2d)
         print(seed, " ".join(f"{covering:.3f}/{f:.3f}" for covering, f in results[-1]), flush=True)
     by_column = [mean(list(column)) for column in zip(*results, strict=True)]
     rows = [[str(seed), *(f"{c:.3f} / {f:.3f}" for c, f in row)] for seed, row in zip(SEEDS, results, strict=True)]

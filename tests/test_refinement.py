@@ -5,7 +5,6 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchjoint import ops
 from torchjoint.config import RefinementConfig
 from torchjoint.image_graph import grid_edges
 from torchjoint.joint_labels import joint_labels
@@ -82,20 +81,35 @@ class TestSplit:
         assert (got[:, :3] == 0).all()
         assert (got[:, 3:] == 1).all()
 
-    def test_eq_14_by_hand(self):
-        # A row of three pixels between source and sink: cut where exp(-w / sigma) is least, sigma the mean weight.
-        labels, weights = torch.zeros(1, 4, dtype=torch.int64), torch.tensor([0.1, 0.5, 0.3])
-        got = self.split(labels, weights, [(0, 0), (0, 3)], [1, 2], RefinementConfig(radius=3, split_min_edges=1))
-        assert got.tolist() == [[0, 0, 0, 0]]  # the two seeds are 3 px apart, pairs reach 2
-        got = self.split(
-            labels, weights, [(0, 0), (0, 1), (0, 3)], [1, 1, 2], RefinementConfig(radius=3, split_min_edges=1)
-        )
-        assert got.tolist() == [[0, 0, 1, 1]]
-        sigma = (0.1 + 0.5 + 0.3) / 3
-        capacity = torch.tensor([math.exp(-w / sigma) for w in (0.1, 0.5, 0.3)], dtype=torch.float64)
-        source = torch.tensor([torch.inf, torch.inf, 0, 0], dtype=torch.float64)
-        _, flow = ops.min_cut(torch.tensor([[0, 1, 2], [1, 2, 3]]), capacity, source, source.flip(0) * 1.0)
-        assert flow.item() == pytest.approx(math.exp(-0.5 / sigma))
+    @pytest.mark.parametrize("filler", [0.5, 1.0, 2.0, 3.0, 5.0, 8.0])
+    def test_eq_14_by_hand(self, filler):
+        """Capacities exp(-w / sigma), sigma the mean weight, decide which of two borders is cut.
+
+        Three columns, source left, sink right. Two edges of weight 0.5 cross the first border and one of weight 0.2
+        the second; the rest of both borders has weight `filler`, which also moves sigma.
+        """
+        weights, of_border = [], {1: [0.5, 0.5, filler, filler], 2: [0.2, filler, filler, filler]}
+        waiting = {border: list(values) for border, values in of_border.items()}
+        for a, b in grid_edges(2, 3).T.tolist():
+            columns = {a % 3, b % 3}
+            weights.append(0.01 if len(columns) == 1 else waiting[max(columns)].pop(0))
+        sigma = sum(weights) / len(weights)
+        first, second = (sum(math.exp(-w / sigma) for w in of_border[border]) for border in (1, 2))
+        labels, pixels = torch.zeros(2, 3, dtype=torch.int64), [(0, 0), (1, 0), (0, 2), (1, 2)]
+        config = RefinementConfig(radius=2, split_min_edges=1)
+        got = self.split(labels, torch.tensor(weights), pixels, [1, 1, 2, 2], config)
+        middle = 1 if first < second else 0  # with the sink where the first border is the cheaper cut
+        assert got.tolist() == [[0, middle, 1]] * 2
+
+    def test_eq_14_s_cases_are_on_both_sides(self):
+        """Else the test above would not notice a wrong sigma."""
+        cheaper = set()
+        for filler in (0.5, 8.0):
+            sigma = (3 * 0.01 + 2 * 0.5 + 0.2 + 5 * filler) / 11
+            first = 2 * math.exp(-0.5 / sigma) + 2 * math.exp(-filler / sigma)
+            second = math.exp(-0.2 / sigma) + 3 * math.exp(-filler / sigma)
+            cheaper.add(first < second)
+        assert cheaper == {True, False}
 
     def test_the_gate_counts_external_pairs(self):
         labels, weights = self.edge_image()

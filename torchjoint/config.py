@@ -187,7 +187,7 @@ class PropagationConfig(Stage):
         sensible="1-10",
     )  # fmt: skip
     weight: float = parameter(
-        0.25, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation", low=0, sensible="0.05-0.5"
+        0.12, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation", low=0, sensible="0.05-0.5"
     )
 
 
@@ -195,7 +195,7 @@ class PropagationConfig(Stage):
 class PointSegmentsConfig(Stage):
     """Step 6: Felzenszwalb-Huttenlocher on the point graph."""
 
-    scale: float = parameter(5.5, "k; more gives larger segments", unit="weight x points", low=0)
+    scale: float = parameter(4.5, "k; more gives larger segments", unit="weight x points", low=0)
     min_size: int = parameter(120, "smaller segments are joined to a neighbour", unit="points", low=0)
 
 
