@@ -40,7 +40,7 @@ def label_colors(labels: Tensor, num_point_segments: int | None = None) -> Tenso
     return torch.where(labels[..., None] < 0, NONE_COLOR, colors)
 
 
-def overview(scene: Scene, result: Segmentation, num_frames: int = 5) -> Any:
+def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
     """A matplotlib figure: for some frames the input, the initial and the final segmentation; and the cloud.
 
     In the final images and in the cloud one colour is one object; pale regions have no point of the cloud. The
