@@ -152,12 +152,22 @@ def test_a_fused_cloud_is_kept_beside_the_output(synthetic, monkeypatch, tmp_pat
 def test_errors_are_one_line(recording, monkeypatch, tmp_path, arguments, message):
     with pytest.raises(SystemExit, match=message):
         run(monkeypatch, "segment", recording, "-o", tmp_path / "out", *arguments)
-    assert list(tmp_path.iterdir()) in ([], [tmp_path / "out.partial"])
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_scene_that_is_not_there(monkeypatch, tmp_path):
     with pytest.raises(SystemExit, match=r"scene: .*nowhere does not exist"):
         run(monkeypatch, "segment", tmp_path / "nowhere", "-o", tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_in_the_way_is_left_alone(recording, monkeypatch, tmp_path):
+    mine = tmp_path / "out.partial" / "thesis.tex"
+    mine.parent.mkdir()
+    mine.write_text("precious")
+    with pytest.raises(SystemExit, match=r"out\.partial: is in the way and not of an earlier run"):
+        run(monkeypatch, "segment", recording, "-o", tmp_path / "out", *SMALL)
+    assert mine.read_text() == "precious"
 
 
 def test_show(out, monkeypatch, capsys):
@@ -184,3 +194,5 @@ def test_demo(monkeypatch, tmp_path, capsys):
     run(monkeypatch, "demo", "-o", tmp_path / "demo", *SMALL)
     assert (tmp_path / "demo" / "overview.png").is_file()
     assert "against the truth, in 3D: covering 0." in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="demo: exists already"):
+        run(monkeypatch, "demo", "-o", tmp_path / "demo", *SMALL)

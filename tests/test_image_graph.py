@@ -91,6 +91,18 @@ class TestGradientBoundary:
         together = GradientBoundary()(images)
         assert torch.equal(together, torch.stack([GradientBoundary()(image[None])[0] for image in images]))
 
+    def test_one_image_does_not_depend_on_threads(self):
+        image = torch.rand(1, 3, 333, 471, generator=torch.Generator().manual_seed(2))
+        threads, results = torch.get_num_threads(), []
+        try:
+            for count in (1, 2, 3):
+                torch.set_num_threads(count)
+                results.append(GradientBoundary()(image))
+        finally:
+            torch.set_num_threads(threads)
+        assert torch.equal(results[0], results[1])
+        assert torch.equal(results[0], results[2])
+
     @pytest.mark.parametrize("shape", [(1, 3, 1, 1), (1, 3, 1, 7), (1, 3, 3, 2)])
     def test_tiny_images(self, shape):
         assert GradientBoundary(smoothing=2.0)(torch.rand(shape)).shape == (shape[0], *shape[2:])

@@ -109,8 +109,13 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_opcheck(dtype: torch.dtype) -> None:
     values, source, sink = VALUES.to(dtype), SOURCE.to(dtype), SINK.to(dtype)
-    torch.library.opcheck(torch.ops.torchjoint.felzenszwalb.default, (EDGES, values, 4, 1.0, 2))
-    torch.library.opcheck(torch.ops.torchjoint.min_cut.default, (EDGES, values, source, sink))
+    for operator, arguments in (
+        (torch.ops.torchjoint.felzenszwalb.default, (EDGES, values, 4, 1.0, 2)),
+        (torch.ops.torchjoint.min_cut.default, (EDGES, values, source, sink)),
+    ):
+        results = torch.library.opcheck(operator, arguments)
+        assert results
+        assert set(results.values()) == {"SUCCESS"}
 
 
 def test_no_gradient_flows() -> None:

@@ -45,13 +45,13 @@ Flat = tyro.conf.OmitArgPrefixes[Parameters]
 Out = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 
 
-def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = Parameters(), overwrite: bool = True) -> None:
+def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = Parameters(), overwrite: bool = False) -> None:
     """Segments an embedded synthetic scene and scores the result against its exact truth; needs no data.
 
     Args:
         out: folder for the result.
         parameters: what the method is told.
-        overwrite: replace the result of an earlier demo (and nothing else).
+        overwrite: replace OUT if it is an earlier result.
     """
     from torchjoint.synthetic import make_scene
 

@@ -46,17 +46,25 @@ def output_folder(out: Path, source: str, *, overwrite: bool = False) -> Iterato
         overwrite: replace an earlier result, and nothing but a result (a folder with a run.yaml).
 
     Raises:
-        FileExistsError: `out` exists, and not `overwrite`, or it is not a result.
+        FileExistsError: `out` exists, and not `overwrite`, or it is not a result; or the place for the partial
+            result beside it is taken by something else.
     """
     out = Path(os.path.abspath(out))
     _check_replaceable(out, overwrite)
     partial = out.with_name(out.name + ".partial")
     source_file = partial / "source.txt"
-    if partial.exists() and not (source_file.is_file() and source_file.read_text(encoding="utf-8") == source):
+    if partial.exists() and not source_file.is_file():
+        raise FileExistsError(f"{partial}: is in the way and not of an earlier run; move it, or choose another output")
+    if partial.exists() and source_file.read_text(encoding="utf-8") != source:
         shutil.rmtree(partial)
     partial.mkdir(parents=True, exist_ok=True)
     source_file.write_text(source, encoding="utf-8")
-    yield partial
+    try:
+        yield partial
+    except BaseException:
+        if list(partial.iterdir()) == [source_file]:  # nothing to resume: leave nothing behind
+            shutil.rmtree(partial)
+        raise
     source_file.unlink()
     trash = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     if out.exists():

@@ -40,7 +40,8 @@ def map_frames(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
     items = list(items)
     workers = min(_workers.get() or torch.get_num_threads(), len(items))
     if workers <= 1:
-        return [function(item) for item in items]
+        with one_thread_per_operation():
+            return [function(item) for item in items]
 
     def on_one_thread(item: T) -> R:
         # A new Python thread starts with torch's global setting; nested calls must not spread any further.
