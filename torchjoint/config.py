@@ -1,58 +1,20 @@
 """Parameters of the method: one frozen dataclass a stage, YAML presets, unknown keys and bad values refused by name.
 
-Every parameter is declared once, with its unit, range and effect, by :func:`parameter`; the checks, the README's
-table and the command line's help all read that declaration.
+Every parameter is declared once (:mod:`torchjoint.parameter`); the checks and the README's table read that declaration.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import yaml
 
-StageT = TypeVar("StageT")
-
-
-def parameter(
-    default: Any,
-    doc: str,
-    *,
-    unit: str = "",
-    low: float | None = None,
-    high: float | None = None,
-    above: float | None = None,
-    sensible: str = "",
-    choices: Sequence[str] = (),
-) -> Any:
-    """Declares a parameter: its default, what turning it does, unit, allowed range and sensible range."""
-    return field(
-        default=default,
-        metadata={
-            "doc": doc,
-            "unit": unit,
-            "low": low,
-            "high": high,
-            "above": above,
-            "sensible": sensible,
-            "choices": tuple(choices),
-        },
-    )
-
-
-@dataclass(frozen=True)
-class Stage:
-    """Base of the stages: checks every parameter against its declaration when the object is made."""
-
-    def __post_init__(self) -> None:
-        for spec in dataclasses.fields(self):
-            value = _check(f"{stage_name(type(self))}.{spec.name}", getattr(self, spec.name), spec)
-            object.__setattr__(self, spec.name, value)
+from torchjoint.parameter import Stage, parameter
 
 
 @dataclass(frozen=True)
@@ -316,58 +278,25 @@ class Config:
         return config
 
 
-STAGES: dict[str, type[Stage]] = {
-    "boundary": BoundaryConfig,
-    "image_graph": ImageGraphConfig,
-    "image_segments": ImageSegmentsConfig,
-    "point_graph": PointGraphConfig,
-    "visibility": VisibilityConfig,
-    "propagation": PropagationConfig,
-    "point_segments": PointSegmentsConfig,
-    "refinement": RefinementConfig,
-}
+_STAGES: tuple[type[Stage], ...] = (
+    BoundaryConfig,
+    ImageGraphConfig,
+    ImageSegmentsConfig,
+    PointGraphConfig,
+    VisibilityConfig,
+    PropagationConfig,
+    PointSegmentsConfig,
+    RefinementConfig,
+)
+
+#: The stages by their names in :class:`Config`, in the order of the method.
+STAGES = {stage.key(): stage for stage in _STAGES}
 
 
 def presets() -> dict[str, Any]:
     """The presets that come with the package: name -> readable resource."""
     files = resources.files("torchjoint.configs").iterdir()
     return {Path(file.name).stem: file for file in sorted(files, key=lambda f: f.name) if file.name.endswith(".yaml")}
-
-
-def stage_name(stage: type) -> str:
-    """The key of a stage's class in :class:`Config`."""
-    return next((name for name, cls in STAGES.items() if cls is stage), stage.__name__)
-
-
-def _check(name: str, value: Any, spec: dataclasses.Field[Any]) -> Any:
-    """Checks one value against its declaration; whole floats pass for ints, ints for floats."""
-    optional = "None" in str(spec.type)
-    if value is None:
-        if optional:
-            return None
-        raise TypeError(f"{name}: expected {spec.type}, got null")
-    kind = str(spec.type).split(" |")[0]
-    if kind == "str":
-        if value not in spec.metadata["choices"]:
-            raise ValueError(f"{name}: expected one of {', '.join(spec.metadata['choices'])}, got {value!r}")
-        return value
-    if isinstance(value, str):  # YAML 1.1 takes 1e-3 for a string
-        try:
-            value = float(value)
-        except ValueError:
-            raise TypeError(f"{name}: expected {spec.type}, got {value!r}") from None
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{name}: expected {spec.type}, got {value!r}")
-    if not math.isfinite(value):
-        raise ValueError(f"{name}: expected a finite number, got {value}")
-    if kind == "int" and value != int(value):
-        raise TypeError(f"{name}: expected a whole number, got {value}")
-    low, high, above = (spec.metadata[key] for key in ("low", "high", "above"))
-    if (low is not None and value < low) or (above is not None and value <= above):
-        raise ValueError(f"{name}: expected {f'>= {low}' if low is not None else f'> {above}'}, got {value}")
-    if high is not None and value > high:
-        raise ValueError(f"{name}: expected <= {high}, got {value}")
-    return int(value) if kind == "int" else float(value)
 
 
 def parameter_table() -> str:
