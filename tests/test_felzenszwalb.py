@@ -57,6 +57,16 @@ def test_equals_twin_on_larger_graphs() -> None:
         assert torch.equal(felzenszwalb(*args), felzenszwalb_reference(*args))
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_equals_twin_where_edges_fill_several_groups(seed: int) -> None:
+    """Past 2^15 edges weights are distributed before they are sorted; in a wide range, a narrow one, with many ties."""
+    num_nodes = 30_000
+    edge_index, weight = random_graph(seed, num_nodes, 4 * num_nodes)
+    weight = (weight, weight.exp(), 1 + weight / 1e5, (9 * weight).round(), weight.sign(), weight.clamp(min=0))[seed]
+    args = (edge_index, weight, num_nodes, 0.5, 5)
+    assert torch.equal(felzenszwalb(*args), felzenszwalb_reference(*args))
+
+
 def test_float64_is_rounded_to_float32() -> None:
     edge_index, weight = random_graph(0, 500, 2000)
     exact = weight.double() + 1e-12 * torch.arange(2000, dtype=torch.float64)

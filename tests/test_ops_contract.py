@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -9,13 +10,14 @@ import threading
 import time
 import tomllib
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from torchjoint.ops import felzenszwalb, min_cut
+from torchjoint.ops import felzenszwalb, felzenszwalb_image, min_cut
 
 EDGES = torch.tensor([[0, 1, 2], [1, 2, 3]])
 VALUES = torch.tensor([0.1, 5.0, 0.2])
@@ -24,7 +26,15 @@ SINK = torch.tensor([0.0, 0.0, 0.0, 2.0])
 NAN = float("nan")
 
 FELZENSZWALB = {"edge_index": EDGES, "weight": VALUES, "num_nodes": 4, "scale": 1.0, "min_size": 0}
+IMAGES = torch.arange(48.0).view(2, 3, 2, 4) / 48
+FELZENSZWALB_IMAGE = {"images": IMAGES, "boundaries": IMAGES[:, 0], "scale": 1.0}
 MIN_CUT = {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK}
+
+ARGUMENTS: dict[Callable[..., Any], dict[str, Any]] = {
+    felzenszwalb: FELZENSZWALB,
+    felzenszwalb_image: FELZENSZWALB_IMAGE,
+    min_cut: MIN_CUT,
+}
 
 
 def changed(tensor: torch.Tensor, value: float, *position: int) -> torch.Tensor:
@@ -59,6 +69,20 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (felzenszwalb, {"scale": "1"}, TypeError, "scale: expected int or float, got str"),
     (felzenszwalb, {"min_size": -1}, ValueError, "min_size: expected a number >= 0, got -1"),
     (felzenszwalb, {"min_size": 1.5}, TypeError, "min_size: expected int, got float"),
+    (felzenszwalb_image, {"images": IMAGES.numpy()}, TypeError, "images: expected a torch.Tensor, got ndarray"),
+    (felzenszwalb_image, {"images": IMAGES.double()}, TypeError, "images: expected dtype torch.float32, got"),
+    (felzenszwalb_image, {"images": IMAGES.byte()}, TypeError, "images: expected dtype torch.float32, got torch.uint8"),
+    (felzenszwalb_image, {"images": IMAGES[0]}, ValueError, "images: expected shape [B, C, H, W], got [3, 2, 4]"),
+    (felzenszwalb_image, {"images": changed(IMAGES, NAN, 1, 2)}, ValueError, "images: expected numbers between"),
+    (felzenszwalb_image, {"images": changed(IMAGES, torch.inf, 0)}, ValueError, "images: expected numbers between"),
+    (felzenszwalb_image, {"boundaries": IMAGES}, ValueError, "boundaries: expected shape [B, H, W] = [2, 2, 4], got"),
+    (felzenszwalb_image, {"boundaries": IMAGES[:1, 0]}, ValueError, "boundaries: expected shape [B, H, W] = [2, 2, 4]"),
+    (felzenszwalb_image, {"boundaries": -IMAGES[:, 0] / 0}, ValueError, "boundaries: expected numbers between"),
+    (felzenszwalb_image, {"boundaries": 3}, TypeError, "boundaries: expected a torch.Tensor, got int"),
+    (felzenszwalb_image, {"scale": -1.0}, ValueError, "scale: expected a number >= 0, got -1.0"),
+    (felzenszwalb_image, {"min_size": 1.5}, TypeError, "min_size: expected int, got float"),
+    (felzenszwalb_image, {"color_weight": NAN}, ValueError, "color_weight: expected a number >= 0, got nan"),
+    (felzenszwalb_image, {"boundary_weight": -2}, ValueError, "boundary_weight: expected a number >= 0, got -2"),
     (min_cut, {"edge_index": EDGES.float()}, TypeError, "edge_index: expected dtype torch.int64, got torch.float32"),
     (min_cut, {"edge_index": EDGES.t()}, ValueError, "edge_index: expected shape [2, E], got [3, 2]"),
     (min_cut, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
@@ -81,14 +105,14 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
 def test_errors_name_the_argument(
     op: Callable[..., Any], change: dict[str, Any], error: type[Exception], message: str
 ) -> None:
-    arguments = (FELZENSZWALB if op is felzenszwalb else MIN_CUT) | change
     with pytest.raises(error, match=re.escape(message)) as caught:
-        op(**arguments)
+        op(**ARGUMENTS[op] | change)
     assert ".cpp" not in str(caught.value)
 
 
 def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
     fh, mc = torch.ops.torchjoint.felzenszwalb.default, torch.ops.torchjoint.min_cut.default
+    image = torch.ops.torchjoint.felzenszwalb_image.default
     for call in (
         lambda: fh(EDGES.int(), VALUES, 4, 1.0),
         lambda: fh(EDGES.t(), VALUES, 4, 1.0),
@@ -98,6 +122,13 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         lambda: fh(EDGES, VALUES, 2**31, 1.0),
         lambda: fh(EDGES, VALUES, 4, NAN),
         lambda: fh(EDGES, VALUES, 4, 1.0, -1),
+        lambda: image(IMAGES[0], None, 1.0),
+        lambda: image(IMAGES.double(), None, 1.0),
+        lambda: image(IMAGES, IMAGES[:, 0, :1], 1.0),
+        lambda: image(IMAGES, None, NAN),
+        lambda: image(IMAGES, None, 1.0, -1),
+        lambda: image(IMAGES, None, 1.0, 1, NAN),
+        lambda: image(IMAGES, None, 1.0, 1, 1.0, -1.0),
         lambda: mc(EDGES, VALUES[:2], SOURCE, SINK),
         lambda: mc(EDGES, VALUES, SOURCE, SINK[:2]),
         lambda: mc(EDGES, VALUES, SOURCE[None], SINK),
@@ -111,6 +142,8 @@ def test_opcheck(dtype: torch.dtype) -> None:
     values, source, sink = VALUES.to(dtype), SOURCE.to(dtype), SINK.to(dtype)
     for operator, arguments in (
         (torch.ops.torchjoint.felzenszwalb.default, (EDGES, values, 4, 1.0, 2)),
+        (torch.ops.torchjoint.felzenszwalb_image.default, (IMAGES, IMAGES[:, 0], 1.0, 2)),
+        (torch.ops.torchjoint.felzenszwalb_image.default, (IMAGES, None, 1.0)),
         (torch.ops.torchjoint.min_cut.default, (EDGES, values, source, sink)),
     ):
         results = torch.library.opcheck(operator, arguments)
@@ -121,6 +154,7 @@ def test_opcheck(dtype: torch.dtype) -> None:
 def test_no_gradient_flows() -> None:
     weight = VALUES.clone().requires_grad_()
     assert not felzenszwalb(EDGES, weight, 4, 1.0).requires_grad
+    assert not felzenszwalb_image(IMAGES.clone().requires_grad_(), scale=1.0).requires_grad
     assert not any(result.requires_grad for result in min_cut(EDGES, weight, SOURCE, SINK))
 
 
@@ -151,19 +185,34 @@ def test_compile_without_graph_breaks() -> None:
         compiled(edges, changed(weight, NAN, 0), source, sink, scale)
 
 
-def test_gil_is_released() -> None:
-    """While one thread is inside the operator, another one runs Python."""
-    num_edges = 3_000_000
-    edges = torch.randint(num_edges, (2, num_edges))
-    weight = torch.rand(num_edges)
+def large_graph(num_edges: int) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    return torch.randint(num_edges, (2, num_edges), generator=generator), torch.rand(num_edges, generator=generator)
+
+
+def long_call(op: Callable[..., Any]) -> Callable[[], Any]:
+    """A call of the operator that takes some tenths of a second."""
+    if op is felzenszwalb_image:
+        images = torch.rand(1, 3, 1500, 1500, generator=torch.Generator().manual_seed(0))
+        return lambda: felzenszwalb_image(images, scale=1.0)
+    edges, weight = large_graph(3_000_000 if op is felzenszwalb else 1_000_000)
+    if op is felzenszwalb:
+        return lambda: felzenszwalb(edges, weight, len(weight), 1.0)
+    return lambda: min_cut(edges, weight, 9 * weight, 9 * weight.flip(0))
+
+
+@pytest.mark.parametrize("op", ARGUMENTS)
+def test_gil_is_released(op: Callable[..., Any]) -> None:
+    """While one thread is inside the operator, another one runs Python, and so may be inside it, too."""
+    call = long_call(op)
     inside: list[float] = []
 
-    def call() -> None:
+    def timed() -> None:
         start = time.perf_counter()
-        felzenszwalb(edges, weight, num_edges, 1.0)
+        call()
         inside.extend((start, time.perf_counter()))
 
-    thread = threading.Thread(target=call)
+    thread = threading.Thread(target=timed)
     ticks = []
     thread.start()
     while thread.is_alive():
@@ -173,6 +222,48 @@ def test_gil_is_released() -> None:
     # With the GIL held no tick falls into the call, except perhaps at its very ends.
     margin = (end - start) / 4
     assert sum(start + margin < tick < end - margin for tick in ticks) >= 3
+
+
+@pytest.mark.parametrize("op", ARGUMENTS)
+def test_two_threads_at_once_give_the_same_results(op: Callable[..., Any]) -> None:
+    call = long_call(op)
+    expected = call()
+    with ThreadPoolExecutor(2) as pool:
+        for result in pool.map(lambda _: call(), range(4)):
+            torch.testing.assert_close(result, expected, rtol=0, atol=0)
+
+
+def test_memory_does_not_grow() -> None:
+    """1000 calls of each operator leave no more behind than their first hundred did."""
+    code = """
+import gc, sys, torch
+sys.path.insert(0, "tests")
+from test_ops_contract import ARGUMENTS, resident_memory
+torch.set_num_threads(1)
+def calls(times):
+    for _ in range(times):
+        for op, arguments in ARGUMENTS.items():
+            op(**arguments | large.get(op, {}))
+            try:
+                op(**arguments | {"edge_index" if "edge_index" in arguments else "images": None})
+            except TypeError:
+                pass
+    gc.collect()
+    return resident_memory()
+edges, weight = torch.randint(900, (2, 4000)), torch.rand(4000)
+large = {op: {"edge_index": edges, "weight": weight, "num_nodes": 900} for op in ARGUMENTS if "weight" in ARGUMENTS[op]}
+before = calls(100)
+print(calls(1000) - before)
+"""
+    root = Path(__file__).parents[1]
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
+    assert int(result.stdout) < 2**20  # a leak of one of the graphs would be 50 MB
+
+
+def resident_memory() -> int:
+    """Bytes of this process in memory."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def test_missing_binary_is_explained() -> None:

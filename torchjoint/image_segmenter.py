@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from torchjoint.boundary import make_boundary
 from torchjoint.config import Config
-from torchjoint.image_graph import pixel_weights, segment_image
+from torchjoint.image_graph import segment_image
 from torchjoint.scene import Frame, as_labels
 from torchjoint.threads import map_frames
 from torchjoint.timing import Stopwatch
@@ -50,7 +50,7 @@ class ImageSegmenter(nn.Module):
             raise ValueError(f"boundary: expected [B, H, W] = {list(images[:, 0].shape)}, got {list(boundaries.shape)}")
         if not ((boundaries >= 0) & (boundaries <= 1)).all():
             raise ValueError("boundary: expected values in [0, 1] and no NaN")
-        return boundaries
+        return boundaries.float()
 
     def _segment(self, images: Tensor, boundaries: Tensor) -> list[Tensor]:
         size = (images.shape[2], images.shape[3])
@@ -62,8 +62,7 @@ class ImageSegmenter(nn.Module):
         return [as_labels(labels, size, "image_segmenter's output") for labels in output]
 
     def _segment_by_graph(self, image: Tensor, boundary: Tensor) -> Tensor:
-        weights = pixel_weights(image, boundary, self.config.image_graph)
-        return segment_image(weights, (image.shape[1], image.shape[2]), self.config.image_segments)
+        return segment_image(image, boundary, self.config.image_graph, self.config.image_segments)
 
 
 def _dense(labels: Tensor) -> Tensor:

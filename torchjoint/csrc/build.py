@@ -30,5 +30,13 @@ class BuildStableExtension(build_ext):
             ("Py_LIMITED_API", PYTHON_LIMITED_API),
         ]
         # -ffp-contract=off: no fused multiply-add, so that every machine gives the same labels.
-        ext.extra_compile_args += ["-std=c++20", "-O3", "-g0", "-fvisibility=hidden", "-ffp-contract=off", "-Wall"]
+        ext.extra_compile_args += [
+            "-std=c++20",
+            "-O3",
+            "-g0",
+            "-fvisibility=hidden",
+            "-ffp-contract=off",
+            "-fno-math-errno",
+            "-Wall",
+        ]
         super().build_extension(ext)

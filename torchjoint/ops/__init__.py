@@ -1,4 +1,4 @@
-"""The two graph algorithms everything else is built on, compiled, as torch operators.
+"""The graph algorithms everything else is built on, compiled, as torch operators.
 
 They work on CPU tensors, take any strides, are deterministic, release the GIL, and go through :func:`torch.compile`.
 Their slow and obvious twins are in :mod:`torchjoint.ops.reference`.
@@ -15,6 +15,7 @@ except ImportError as error:
     ) from error
 
 from torchjoint.ops.felzenszwalb import felzenszwalb
+from torchjoint.ops.felzenszwalb_image import felzenszwalb_image
 from torchjoint.ops.min_cut import min_cut
 
-__all__ = ["felzenszwalb", "min_cut"]
+__all__ = ["felzenszwalb", "felzenszwalb_image", "min_cut"]

@@ -1,0 +1,49 @@
+// A plain array that is not zeroed: every element is written before it is read.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <new>
+
+#ifdef __linux__
+#include <sys/mman.h>
+#endif
+
+namespace torchjoint {
+
+template <typename T>
+class Array {
+ public:
+  explicit Array(size_t length) : size_(length), data_(allocate(length * sizeof(T))) {}
+
+  T& operator[](size_t i) { return data_.get()[i]; }
+  const T& operator[](size_t i) const { return data_.get()[i]; }
+  T* data() { return data_.get(); }
+  size_t size() const { return size_; }
+
+ private:
+  static_assert(std::is_trivially_copyable_v<T> && std::is_trivially_destructible_v<T>);
+
+  // Random access over many small pages is slow, and so is the first touch of each: ask for huge ones where that pays.
+  static constexpr size_t kHugePage = size_t{2} << 20;
+
+  static size_t alignment(size_t bytes) { return bytes >= 2 * kHugePage ? kHugePage : 64; }
+
+  struct Free {
+    size_t bytes;
+    void operator()(T* data) const { ::operator delete(data, std::align_val_t{alignment(bytes)}); }
+  };
+
+  static std::unique_ptr<T, Free> allocate(size_t bytes) {
+    void* data = ::operator new(bytes, std::align_val_t{alignment(bytes)});
+#ifdef __linux__
+    if (bytes >= 2 * kHugePage) madvise(data, bytes, MADV_HUGEPAGE);
+#endif
+    return {static_cast<T*>(data), Free{bytes}};
+  }
+
+  size_t size_;
+  std::unique_ptr<T, Free> data_;
+};
+
+}  // namespace torchjoint

@@ -1,0 +1,168 @@
+// Graph-based segmentation: P. Felzenszwalb, D. Huttenlocher, "Efficient Graph-Based Image Segmentation", IJCV 2004.
+// Its components, the two passes over the edges, and the whole, for any source of edges.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "array.h"
+#include "ascending.h"
+
+namespace torchjoint {
+
+// A union-find whose roots carry what the predicate needs.
+class Components {
+ public:
+  Components(int64_t num_nodes, float scale, int64_t min_size)
+      : link_(num_nodes), threshold_(num_nodes), scale_(scale),
+        min_size_(static_cast<int32_t>(std::min(min_size, num_nodes))) {
+    std::fill_n(link_.data(), num_nodes, -1);
+    std::fill_n(threshold_.data(), num_nodes, scale);
+  }
+
+  size_t num_nodes() const { return link_.size(); }
+  int32_t size(int32_t root) const { return -link_[root]; }
+  bool is_small(int32_t root) const { return size(root) < min_size_; }
+  float threshold(int32_t root) const { return threshold_[root]; }
+
+  int32_t find(int32_t node) {
+    while (true) {
+      const int32_t parent = link_[node];
+      if (parent < 0) return node;
+      const int32_t grandparent = link_[parent];
+      if (grandparent < 0) return parent;
+      node = link_[node] = grandparent;  // path halving
+    }
+  }
+
+  // Two steps towards the root, with path halving; without branches, which nothing could predict.
+  int32_t climb(int32_t node) {
+    const int32_t link = link_[node];
+    const int32_t parent = link < 0 ? node : link;
+    const int32_t link_of_parent = link_[parent];
+    link_[node] = link_of_parent < 0 ? link : link_of_parent;
+    return link_of_parent < 0 ? parent : link_of_parent;
+  }
+
+  int32_t join(int32_t a, int32_t b) {
+    if (size(a) < size(b)) std::swap(a, b);
+    link_[a] += link_[b];
+    link_[b] = a;
+    return a;
+  }
+
+  // By an edge that is the heaviest of the joint component's spanning tree so far: edges come in ascending order.
+  void join_by(float weight, int32_t a, int32_t b) {
+    const int32_t root = join(a, b);
+    threshold_[root] = weight + scale_ / static_cast<float>(size(root));
+  }
+
+  void prefetch(Ends ends) const {
+    __builtin_prefetch(&link_[ends.u], 1);
+    __builtin_prefetch(&link_[ends.v], 1);
+  }
+
+  void prefetch_root(Ends ends) const {
+    prefetch(ends);
+    __builtin_prefetch(&threshold_[ends.u], 1);
+    __builtin_prefetch(&threshold_[ends.v], 1);
+  }
+
+  // In the order of first appearance.
+  void write_labels(int64_t* labels) {
+    int64_t next = 0;
+    std::fill_n(labels, num_nodes(), -1);
+    for (size_t i = 0; i < num_nodes(); ++i) {
+      int64_t& label = labels[find(static_cast<int32_t>(i))];
+      if (label < 0) label = next++;
+      labels[i] = label;
+    }
+  }
+
+ private:
+  // Apart, since links are needed far more often.
+  Array<int32_t> link_;     // the parent, or, at a root, minus the size
+  Array<float> threshold_;  // of a root: Int(C) + k / |C|
+  float scale_;
+  int32_t min_size_;
+};
+
+// The paper's algorithm 1. A Graph of Ascending, as is JoinSmall.
+class MergeByPredicate {
+ public:
+  MergeByPredicate(Components& components, size_t memory) : components_(components), memory_(memory) {}
+
+  bool filter(Ends& ends) {
+    ends = {components_.climb(ends.u), components_.climb(ends.v)};
+    return ends.u != ends.v;
+  }
+
+  void visit(Ends ends, float weight) {
+    const int32_t a = components_.find(ends.u), b = components_.find(ends.v);
+    if (a == b) return;
+    if (weight <= components_.threshold(a) && weight <= components_.threshold(b)) {
+      components_.join_by(weight, a, b);
+    } else if (components_.is_small(a) || components_.is_small(b)) {
+      refuse({a, b});
+    }
+  }
+
+  void prefetch(Ends ends) const { components_.prefetch(ends); }
+  void prefetch_root(Ends ends) const { components_.prefetch_root(ends); }
+
+  // Refused edges that the second pass may need, in order, unless there were too many to remember.
+  const std::vector<Ends>& refused() const { return refused_; }
+  bool remembers_all() const { return remembers_all_; }
+
+ private:
+  void refuse(Ends ends) {
+    if (refused_.size() < memory_) {
+      refused_.push_back(ends);
+    } else {
+      remembers_all_ = false;
+    }
+  }
+
+  Components& components_;
+  size_t memory_;
+  std::vector<Ends> refused_;
+  bool remembers_all_ = true;
+};
+
+// The second pass: small components are joined to the neighbour they meet first.
+class JoinSmall {
+ public:
+  explicit JoinSmall(Components& components) : components_(components) {}
+
+  bool filter(Ends& ends) {
+    ends = {components_.find(ends.u), components_.find(ends.v)};
+    return ends.u != ends.v && (components_.is_small(ends.u) || components_.is_small(ends.v));
+  }
+
+  void visit(Ends ends, float = 0) {
+    if (filter(ends)) components_.join(ends.u, ends.v);
+  }
+
+  void prefetch(Ends ends) const { components_.prefetch(ends); }
+  void prefetch_root(Ends ends) const { components_.prefetch(ends); }
+
+ private:
+  Components& components_;
+};
+
+// At most about `capacity` edges, and `memory` refused ones, are held in memory at a time.
+template <typename Source>
+void segment(const Source& source, Components& components, size_t capacity, size_t memory) {
+  MergeByPredicate merge(components, memory);
+  visit_ascending(source, merge, capacity);
+  JoinSmall join(components);
+  if (merge.remembers_all()) {
+    for (const Ends& ends : merge.refused()) join.visit(ends);
+  } else {
+    visit_ascending(source, join, capacity);
+  }
+}
+
+}  // namespace torchjoint
