@@ -53,7 +53,7 @@ class RecordSorter {
     if (buffer_.size() < count) buffer_.resize(count);
     Record* from = records;
     Record* to = buffer_.data();
-    for (int shift = 0; shift < std::bit_width(highest - lowest); shift += kDigitBits) {
+    for (int shift = 0; shift < static_cast<int>(std::bit_width(highest - lowest)); shift += kDigitBits) {
       if (distribute(from, to, count, lowest, shift)) std::swap(from, to);
     }
     return from;

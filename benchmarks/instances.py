@@ -1,0 +1,124 @@
+"""What the operators are timed on: real photographs, rooms full of points, and cuts easy and hard."""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import skimage.data
+import torch
+from torch import Tensor
+
+from torchjoint.boundary import GradientBoundary
+from torchjoint.config import ImageGraphConfig
+from torchjoint.image_graph import grid_edges, pixel_weights
+
+
+class Graph(NamedTuple):
+    edge_index: Tensor
+    weight: Tensor
+    num_nodes: int
+
+
+class Cut(NamedTuple):
+    edge_index: Tensor
+    capacity: Tensor
+    source: Tensor
+    sink: Tensor
+    grid: tuple[int, int] | None = None  # size, if it is one
+
+
+@lru_cache(maxsize=4)
+def photograph(height: int, width: int) -> Tensor:
+    """[3, H, W] in [0, 1], with a little noise, so that no two weights are equal."""
+    photo = cv2.resize(skimage.data.coffee(), (width, height), interpolation=cv2.INTER_CUBIC)
+    noise = torch.rand(3, height, width, generator=torch.Generator().manual_seed(0))
+    return (torch.from_numpy(photo).permute(2, 0, 1).contiguous() + noise) / 256
+
+
+def image_graph(image: Tensor) -> Graph:
+    """The edge list of an image, boundaries included."""
+    height, width = image.shape[1:]
+    weight = pixel_weights(image, GradientBoundary()(image[None])[0], ImageGraphConfig())
+    return Graph(grid_edges(height, width), weight, height * width)
+
+
+def room(num_points: int, noise: float = 0.003) -> Tensor:
+    """[N, 3] points on the six sides of a room of 6 x 5 x 3 m and on boxes in it, in no order."""
+    rng = np.random.default_rng(0)
+    sizes = [(np.zeros(3), np.array([6.0, 5.0, 3.0]))]
+    for _ in range(30):
+        size = rng.uniform(0.1, 1.2, 3)
+        sizes.append((rng.uniform(0, 1, 3) * ([6, 5, 3] - size), size))
+    areas = np.array([[s[1] * s[2], s[0] * s[2], s[0] * s[1]] for _, s in sizes]).repeat(2, axis=1).ravel()
+    side = rng.choice(areas.size, num_points, p=areas / areas.sum())
+    box, face = np.divmod(side, 6)
+    corner, extent = (np.stack(parts)[box] for parts in zip(*sizes, strict=True))
+    unit = rng.uniform(0, 1, (num_points, 3))
+    unit[np.arange(num_points), face // 2] = face % 2
+    points = corner + unit * extent + rng.normal(0, noise, (num_points, 3))
+    return torch.from_numpy(points.astype(np.float32))
+
+
+def image_cut(size: int, seeds: int = 40, soft: bool = False) -> Cut:
+    """A photograph's pixel graph as refinement cuts it: exp(-w / mean w), seeds left and right (or soft terminals)."""
+    image = photograph(480, 640)[:, 100 : 100 + size, 150 : 150 + size].contiguous()
+    graph = image_graph(image)
+    capacity = torch.exp(-graph.weight / graph.weight.mean()).double()
+    rng = np.random.default_rng(1)
+    terminals = torch.zeros(2, size, size, dtype=torch.float64)
+    if soft:
+        terminals += torch.from_numpy(rng.uniform(0, 0.4, (2, size, size)))
+    for terminal, start in ((0, 0), (1, size * 2 // 3)):
+        rows, columns = rng.integers(0, size, seeds), rng.integers(start, start + size // 3, seeds)
+        terminals[terminal, rows, columns] = torch.inf
+        terminals[1 - terminal, rows, columns] = 0
+    return Cut(graph.edge_index, capacity, terminals[0].flatten(), terminals[1].flatten(), (size, size))
+
+
+def equal_capacities(size: int) -> Cut:
+    cut = image_cut(size)
+    return cut._replace(capacity=torch.ones_like(cut.capacity))
+
+
+def chain(length: int, terminals_every: int) -> Cut:
+    """A long thin chain with random capacities and random terminals here and there."""
+    generator = torch.Generator().manual_seed(0)
+    nodes = torch.arange(length)
+    source, sink = torch.rand(2, length, generator=generator, dtype=torch.float64)
+    has_terminal = torch.rand(length, generator=generator) < 1 / terminals_every
+    return Cut(
+        torch.stack([nodes[:-1], nodes[1:]]),
+        torch.rand(length - 1, generator=generator, dtype=torch.float64),
+        source * has_terminal,
+        sink * has_terminal,
+    )
+
+
+def bottleneck(size: int) -> Cut:
+    """Two grids with strong edges, joined by one weak one."""
+    grid = grid_edges(size, size)
+    count = size * size
+    generator = torch.Generator().manual_seed(0)
+    capacity = 1 + torch.rand(2 * grid.shape[1] + 1, generator=generator, dtype=torch.float64)
+    capacity[-1] = 0.5
+    bridge = torch.tensor([[count - 1], [count]])
+    source, sink = torch.zeros(2, 2 * count, dtype=torch.float64)
+    source[torch.randint(count, (50,), generator=generator)] = torch.inf
+    sink[count + torch.randint(count, (50,), generator=generator)] = torch.inf
+    return Cut(torch.cat([grid, grid + count, bridge], dim=1), capacity, source, sink)
+
+
+def sparse(num_nodes: int) -> Cut:
+    """A random graph of mean degree 6, with terminals everywhere."""
+    generator = torch.Generator().manual_seed(0)
+    edges = torch.randint(num_nodes, (2, 3 * num_nodes), generator=generator)
+    capacity = torch.rand(3 * num_nodes, generator=generator, dtype=torch.float64)
+    source, sink = torch.rand(2, num_nodes, generator=generator, dtype=torch.float64) * 2
+    return Cut(edges, capacity, source, sink)
+
+
+def square_of(num_edges: float) -> int:
+    """Side of the square image with about so many edges."""
+    return round(math.sqrt(num_edges / 4))

@@ -1,0 +1,163 @@
+"""The graph operators against everything else that is installed: `python benchmarks/ops.py [--largest EDGES]`.
+
+Times are medians of calls taken turn by turn, on one thread. What is compared, on what, stands in peers.py and
+instances.py. PyMaxflow (GPL) and OR-tools take part where somebody has installed them; nothing here needs them.
+"""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import peers
+import report
+import torch
+from floor import argsort_floor
+from instances import (
+    Cut,
+    Graph,
+    bottleneck,
+    chain,
+    equal_capacities,
+    image_cut,
+    image_graph,
+    photograph,
+    room,
+    sparse,
+    square_of,
+)
+from interleaved import medians
+
+import torchjoint as tj
+from torchjoint.config import ImageGraphConfig, PointGraphConfig
+from torchjoint.image_graph import grid_edges, pixel_weights
+from torchjoint.point_graph import estimate_normals, geometric_weights, nearest_neighbors, undirected_edges
+
+SCALE, MIN_SIZE = 1.0, 100
+SIZES = {"640x480": (480, 640), "1296x968": (968, 1296)}
+CUTS: dict[str, Callable[[], Cut]] = {
+    **{f"image {size}x{size}, seeds": lambda size=size: image_cut(size) for size in (50, 100, 200)},
+    **{f"image {size}x{size}, soft": lambda size=size: image_cut(size, soft=True) for size in (50, 100, 200)},
+    "all capacities equal, 100x100": lambda: equal_capacities(100),
+    "chain of 30,000, every 10th with terminals": lambda: chain(30_000, 10),
+    "chain of 30,000, every 1000th with terminals": lambda: chain(30_000, 1000),
+    "two grids 70x70, one bridge": lambda: bottleneck(70),
+    "random, 10,000 nodes, degree 6": lambda: sparse(10_000),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--largest", type=float, default=1e7, help="edges of the largest graph in the plot")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    for name, measure in (("edges given", edge_lists), ("images", images), ("cuts", cuts)):
+        text = f"{measure()}\n\n{report.machine()}."
+        print(text, flush=True)
+        report.write_part(name, text)
+    growth(np.geomspace(1e4, arguments.largest, 7))
+
+
+def edge_lists() -> str:
+    """felzenszwalb against the floor."""
+    rows = []
+    graphs = {f"8-connected {name}": image_graph(photograph(*size)) for name, size in SIZES.items()}
+    graphs["kNN-16 of 150,000 points"] = point_graph(150_000)
+    for name, graph in graphs.items():
+        times = medians(
+            {
+                "floor": argsort_floor(graph.weight),
+                "ours": lambda g=graph: tj.ops.felzenszwalb(*g, SCALE, MIN_SIZE),
+            }
+        )
+        ratio = times["ours"] / times["floor"]
+        rows.append([name, f"{len(graph.weight):,}", f"{times['floor']:.1f}", f"{times['ours']:.1f}", f"{ratio:.2f}"])
+    return report.table(["graph", "edges", "floor, ms", "felzenszwalb, ms", "ratio"], rows)
+
+
+def point_graph(num_points: int) -> Graph:
+    points = room(num_points)
+    neighbors = nearest_neighbors(points, 16).indices
+    edges = undirected_edges(neighbors)
+    normals = estimate_normals(points, neighbors)
+    signs_known = torch.zeros(num_points, dtype=torch.bool)
+    return Graph(edges, geometric_weights(points, edges, normals, signs_known, PointGraphConfig()), num_points)
+
+
+def images() -> str:
+    """From pixels to labels."""
+    names, rows = [], []
+    for name, size in SIZES.items():
+        image = photograph(*size)
+        times = medians(
+            {
+                "felzenszwalb_image": lambda i=image: segment(i),
+                "edge list": lambda i=image: segment_by_edge_list(i),
+                **peers.image_segmenters(image, SCALE, MIN_SIZE),
+            }
+        )
+        names = list(times)
+        ours = times["felzenszwalb_image"]
+        rows.append([name, *(f"{taken:.0f} ({taken / ours:.1f}x)" for taken in times.values())])
+    return report.table(["image", *(f"{name}, ms" for name in names)], rows)
+
+
+def segment(image: torch.Tensor) -> torch.Tensor:
+    return tj.ops.felzenszwalb_image(image[None], scale=SCALE, min_size=MIN_SIZE)
+
+
+def segment_by_edge_list(image: torch.Tensor) -> torch.Tensor:
+    height, width = image.shape[1:]
+    config = ImageGraphConfig(smoothing=0)
+    weight = pixel_weights(image, torch.zeros(height, width), config)
+    edges = grid_edges(height, width)
+    return tj.ops.felzenszwalb(edges, weight, height * width, SCALE, MIN_SIZE)
+
+
+def cuts() -> str:
+    names, rows = [], []
+    for name, make in CUTS.items():
+        cut = make()
+        peers.check_cuts_agree(cut, tj.ops.min_cut(*cut[:4])[0])
+        times = medians({"min_cut": lambda c=cut: tj.ops.min_cut(*c[:4]), **peers.cutters(cut)}, seconds=2)
+        names = list(times)
+        ours = times["min_cut"]
+        rows.append([name, *(f"{taken:.2f} ({taken / ours:.2f}x)" for taken in times.values())])
+    return report.table(["graph", *(f"{name}, ms" for name in names)], rows)
+
+
+def growth(edges: np.ndarray) -> None:
+    """A plot of time against size."""
+    curves: dict[str, dict[float, float]] = {}
+    for count in edges:
+        side = square_of(count)
+        image = photograph(side, side)
+        graph = image_graph(image)
+        functions = {
+            "felzenszwalb, edges given": lambda g=graph: tj.ops.felzenszwalb(*g, SCALE, MIN_SIZE),
+            "felzenszwalb_image": lambda i=image: segment(i),
+            "floor: radix argsort of the weights": argsort_floor(graph.weight),
+            **peers.image_segmenters(image, SCALE, MIN_SIZE),
+        }
+        for name, taken in medians(functions, seconds=2, least=2).items():
+            curves.setdefault(name, {})[len(graph.weight)] = taken
+        print(f"{len(graph.weight):,} edges", flush=True)
+    cut_curves: dict[str, dict[float, float]] = {}
+    for size in (30, 50, 80, 120, 200, 300):
+        cut = image_cut(size)
+        functions = {"min_cut": lambda c=cut: tj.ops.min_cut(*c[:4]), **peers.cutters(cut)}
+        for name, taken in medians(functions, seconds=1, least=2).items():
+            cut_curves.setdefault(name, {})[len(cut.capacity)] = taken
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
+    for axis, title, part in zip(axes, ("graph segmentation", "minimum cut"), (curves, cut_curves), strict=True):
+        for name, points in part.items():
+            axis.loglog(list(points), list(points.values()), "o-", label=name, markersize=3)
+        axis.set(title=title, xlabel="edges", ylabel="ms, one thread")
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=8)
+    figure.savefig(Path(__file__).with_name("growth.png"), dpi=80)
+
+
+if __name__ == "__main__":
+    main()
