@@ -37,13 +37,13 @@ class Components {
     }
   }
 
-  // Two steps towards the root, with path halving; without branches, which nothing could predict.
+  // Two steps towards the root, with path halving. Written without branches, which nothing could predict.
   int32_t climb(int32_t node) {
     const int32_t link = link_[node];
-    const int32_t parent = link < 0 ? node : link;
+    const int32_t parent = select(link < 0, node, link);
     const int32_t link_of_parent = link_[parent];
-    link_[node] = link_of_parent < 0 ? link : link_of_parent;
-    return link_of_parent < 0 ? parent : link_of_parent;
+    link_[node] = select(link_of_parent < 0, link, link_of_parent);
+    return select(link_of_parent < 0, parent, link_of_parent);
   }
 
   int32_t join(int32_t a, int32_t b) {
@@ -82,6 +82,12 @@ class Components {
   }
 
  private:
+  // `condition ? yes : no`, which compilers like to turn into a branch.
+  static int32_t select(bool condition, int32_t yes, int32_t no) {
+    const int32_t mask = -static_cast<int32_t>(condition);
+    return (yes & mask) | (no & ~mask);
+  }
+
   // Apart, since links are needed far more often.
   Array<int32_t> link_;     // the parent, or, at a root, minus the size
   Array<float> threshold_;  // of a root: Int(C) + k / |C|
