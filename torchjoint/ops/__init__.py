@@ -1,4 +1,4 @@
-"""The two graph algorithms everything else is built on, compiled, as torch operators.
+"""The graph algorithms everything else is built on, compiled, as torch operators.
 
 They work on CPU tensors, take any strides, are deterministic, release the GIL, and go through :func:`torch.compile`.
 Their slow and obvious twins are in :mod:`torchjoint.ops.reference`.
@@ -15,6 +15,8 @@ except ImportError as error:
     ) from error
 
 from torchjoint.ops.felzenszwalb import felzenszwalb
+from torchjoint.ops.fit_normals import fit_normals
 from torchjoint.ops.min_cut import min_cut
+from torchjoint.ops.neighbor_edges import neighbor_edges
 
-__all__ = ["felzenszwalb", "min_cut"]
+__all__ = ["felzenszwalb", "fit_normals", "min_cut", "neighbor_edges"]
