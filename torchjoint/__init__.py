@@ -9,7 +9,7 @@
 
 from importlib.metadata import version
 
-from torchjoint import datasets, metrics, ops, synthetic
+from torchjoint import datasets, metrics, ops, synthetic, transforms
 from torchjoint.config import Config
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
@@ -33,4 +33,5 @@ __all__ = [
     "ops",
     "superpoints",
     "synthetic",
+    "transforms",
 ]

@@ -87,4 +87,5 @@ def _dot(first: Tensor, second: Tensor) -> Tensor:
 
 
 def _length(vectors: Tensor) -> Tensor:
-    return _dot(vectors, vectors).sqrt()
+    # By way of float64: torch's float32 root (MKL's) is not always the nearest number, and ScanNet's is.
+    return _dot(vectors, vectors).double().sqrt().float()

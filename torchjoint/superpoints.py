@@ -260,7 +260,7 @@ def _split(nodes: Tensor | None, starts: list[int], name: str) -> list[Tensor | 
     num_clouds = len(starts) - 1
     if nodes is None or num_clouds == 1:
         return [nodes] * num_clouds
-    cloud = torch.bucketize(nodes, torch.tensor(starts[1:]), right=True)
+    cloud = torch.bucketize(nodes.contiguous(), torch.tensor(starts[1:]), right=True)
     across = (cloud != cloud[0]).any(dim=0)
     if across.any():
         raise ValueError(f"{name}: expected points of one cloud, got {nodes[:, across][:, 0].tolist()} across clouds")

@@ -39,4 +39,4 @@ def neighbor_edges(neighbors: Tensor) -> Tensor:
 @torch.library.register_fake("torchjoint::neighbor_edges")
 def _fake(neighbors: Tensor) -> Tensor:
     num_edges = torch.library.get_ctx().new_dynamic_size()
-    return neighbors.new_empty((2, num_edges), dtype=torch.int64)  # type: ignore[arg-type]
+    return neighbors.new_empty((2, num_edges), dtype=torch.int64)
