@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 import torch
 
-from torchjoint.ops import felzenszwalb, min_cut
+from torchjoint.ops import felzenszwalb, fit_normals, min_cut, neighbor_edges
 
 EDGES = torch.tensor([[0, 1, 2], [1, 2, 3]])
 VALUES = torch.tensor([0.1, 5.0, 0.2])
@@ -24,7 +24,16 @@ SINK = torch.tensor([0.0, 0.0, 0.0, 2.0])
 NAN = float("nan")
 
 FELZENSZWALB = {"edge_index": EDGES, "weight": VALUES, "num_nodes": 4, "scale": 1.0, "min_size": 0}
+POINTS = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]])
+NEIGHBORS = torch.tensor([[1, 2], [0, 2], [0, 1], [1, 2]])
+
 MIN_CUT = {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK}
+
+NEIGHBOR_EDGES = {"neighbors": NEIGHBORS}
+FIT_NORMALS = {"points": POINTS, "neighbors": NEIGHBORS}
+VALID = {
+    felzenszwalb: FELZENSZWALB, min_cut: MIN_CUT, neighbor_edges: NEIGHBOR_EDGES, fit_normals: FIT_NORMALS
+}  # fmt: skip
 
 
 def changed(tensor: torch.Tensor, value: float, *position: int) -> torch.Tensor:
@@ -74,6 +83,18 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (min_cut, {"sink_capacity": SINK[:3]}, ValueError, "sink_capacity: expected shape [N] = [4], got [3]"),
     (min_cut, {"sink_capacity": changed(SINK, NAN, 1)}, ValueError, "sink_capacity: expected numbers >= 0, got nan"),
     (min_cut, {"sink_capacity": SOURCE}, ValueError, "source_capacity and sink_capacity: both are infinite at node 0"),
+    (neighbor_edges, {"neighbors": [[1], [0]]}, TypeError, "neighbors: expected a torch.Tensor, got list"),
+    (neighbor_edges, {"neighbors": NEIGHBORS.float()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
+    (neighbor_edges, {"neighbors": NEIGHBORS[0]}, ValueError, "neighbors: expected shape [N, K], got [2]"),
+    (neighbor_edges, {"neighbors": NEIGHBORS.to("meta")}, ValueError, "neighbors: expected a CPU tensor, got one on"),
+    (neighbor_edges, {"neighbors": changed(NEIGHBORS, 4, 2, 1)}, ValueError, "numbers in [0, 4), got 4 in row 2"),
+    (neighbor_edges, {"neighbors": changed(NEIGHBORS, -1, 0, 0).int()}, ValueError, "in [0, 4), got -1 in row 0"),
+    (neighbor_edges, {"neighbors": changed(NEIGHBORS, 2**40, 3, 0)}, ValueError, f"got {2**40} in row 3"),
+    (fit_normals, {"points": POINTS.long()}, TypeError, "points: expected dtype torch.float32 or torch.float64, got"),
+    (fit_normals, {"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [4, 2]"),
+    (fit_normals, {"points": POINTS[:3]}, ValueError, "neighbors: expected shape [N, K] = [3, K], got [4, 2]"),
+    (fit_normals, {"neighbors": NEIGHBORS.short()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
+    (fit_normals, {"neighbors": changed(NEIGHBORS, 4, 1, 0)}, ValueError, "numbers in [0, 4), got 4 in row 1"),
 ]
 
 
@@ -81,7 +102,7 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
 def test_errors_name_the_argument(
     op: Callable[..., Any], change: dict[str, Any], error: type[Exception], message: str
 ) -> None:
-    arguments = (FELZENSZWALB if op is felzenszwalb else MIN_CUT) | change
+    arguments = VALID[op] | change
     with pytest.raises(error, match=re.escape(message)) as caught:
         op(**arguments)
     assert ".cpp" not in str(caught.value)
@@ -89,6 +110,7 @@ def test_errors_name_the_argument(
 
 def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
     fh, mc = torch.ops.torchjoint.felzenszwalb.default, torch.ops.torchjoint.min_cut.default
+    ne, fn = torch.ops.torchjoint.neighbor_edges.default, torch.ops.torchjoint.fit_normals.default
     for call in (
         lambda: fh(EDGES.int(), VALUES, 4, 1.0),
         lambda: fh(EDGES.t(), VALUES, 4, 1.0),
@@ -101,6 +123,11 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         lambda: mc(EDGES, VALUES[:2], SOURCE, SINK),
         lambda: mc(EDGES, VALUES, SOURCE, SINK[:2]),
         lambda: mc(EDGES, VALUES, SOURCE[None], SINK),
+        lambda: ne(NEIGHBORS.float()),
+        lambda: ne(NEIGHBORS[0]),
+        lambda: fn(POINTS.half(), NEIGHBORS),
+        lambda: fn(POINTS[:, :2], NEIGHBORS),
+        lambda: fn(POINTS[:3], NEIGHBORS),
     ):
         with pytest.raises(ValueError, match="expected"):
             call()
@@ -112,6 +139,8 @@ def test_opcheck(dtype: torch.dtype) -> None:
     for operator, arguments in (
         (torch.ops.torchjoint.felzenszwalb.default, (EDGES, values, 4, 1.0, 2)),
         (torch.ops.torchjoint.min_cut.default, (EDGES, values, source, sink)),
+        (torch.ops.torchjoint.neighbor_edges.default, (NEIGHBORS,)),
+        (torch.ops.torchjoint.fit_normals.default, (POINTS.to(dtype), NEIGHBORS.int())),
     ):
         results = torch.library.opcheck(operator, arguments)
         assert results
@@ -122,6 +151,7 @@ def test_no_gradient_flows() -> None:
     weight = VALUES.clone().requires_grad_()
     assert not felzenszwalb(EDGES, weight, 4, 1.0).requires_grad
     assert not any(result.requires_grad for result in min_cut(EDGES, weight, SOURCE, SINK))
+    assert not fit_normals(POINTS.clone().requires_grad_(), NEIGHBORS).requires_grad
 
 
 @pytest.mark.filterwarnings("ignore")  # the compiler's own
@@ -149,6 +179,22 @@ def test_compile_without_graph_breaks() -> None:
         compiled(changed(edges, 99, 0, 0), weight, source, sink, scale)
     with pytest.raises(ValueError, match="capacity: expected finite numbers >= 0, got nan at edge 0"):
         compiled(edges, changed(weight, NAN, 0), source, sink, scale)
+
+
+@pytest.mark.filterwarnings("ignore")  # the compiler's own
+def test_neighbours_compile_without_graph_breaks() -> None:
+    def weigh(points: torch.Tensor, neighbors: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        edges = neighbor_edges(neighbors)  # their number depends on the values
+        normals = fit_normals(points * 2, neighbors)
+        return edges + 1, (normals[edges[0]] * normals[edges[1]]).sum(dim=1)
+
+    with torch._dynamo.config.patch(capture_dynamic_output_shape_ops=True):
+        compiled = torch.compile(weigh, fullgraph=True, dynamic=True)
+        for num_points in (5, 12, 40):
+            generator = torch.Generator().manual_seed(num_points)
+            points = torch.rand(num_points, 3, generator=generator)
+            neighbors = torch.randint(num_points, (num_points, 4), generator=generator)
+            torch.testing.assert_close(compiled(points, neighbors), weigh(points, neighbors))
 
 
 def test_gil_is_released() -> None:

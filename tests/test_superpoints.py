@@ -125,7 +125,7 @@ def test_mesh_edges_and_normals_by_hand():
 @pytest.mark.parametrize("preset", ["room", "outdoor", "segmentator"])
 def test_sides_of_a_box_are_separate(preset):
     points, truth = box_on_floor()
-    parameters = {"scale": 1.0} if preset == "segmentator" else {}
+    parameters = {"scale": 0.1} if preset == "segmentator" else {}
     labels = tj.superpoints(points, preset=preset, **parameters)
     assert labels.dtype == torch.int64
     assert labels.unique().tolist() == list(range(int(labels.max()) + 1))
@@ -138,7 +138,8 @@ def test_colours_separate_what_is_flat():
     points = points[points[:, 2] < 0.01]
     carpet = points[:, 0] > 0.7
     colors = torch.where(carpet[:, None], torch.tensor([0.8, 0.1, 0.1]), torch.tensor([0.2, 0.2, 0.6]))
-    plain = tj.superpoints(points, colors)
+    plain = tj.superpoints(points, colors, color_weight=0)
+    assert torch.equal(plain, tj.superpoints(points))
     colored = tj.superpoints(points, colors, color_weight=1.0)
     assert purity(plain, carpet.long()) < 0.99
     assert purity(colored, carpet.long()) == 1

@@ -47,7 +47,8 @@ def superpoints(
 
     Args:
         points: [N, 3] metres, finite, N >= 1.
-        colors: optional [N, 3] RGB in [0, 1], or uint8; needed if `color_weight` > 0.
+        colors: optional [N, 3] RGB in [0, 1], or uint8; needed if a `color_weight` is given. That of a preset counts
+            where there are colours.
         normals: optional [N, 3], of meaningful sign, any length but 0; fitted to the points where absent.
         edges: optional [2, E] integers, a graph to use instead of that of nearest neighbours.
         faces: optional [F, 3] integers, triangles of a mesh whose vertices are the points: their edges are the graph,
@@ -70,7 +71,7 @@ def superpoints(
         >>> import torch, torchjoint as tj
         >>> floor = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1)) / 10
         >>> wall = floor[:, [2, 1, 0]] + torch.tensor([-0.1, 0.0, 0.1])
-        >>> labels = tj.superpoints(torch.cat([floor, wall]))
+        >>> labels = tj.superpoints(torch.cat([floor, wall]), min_size=50)
         >>> labels.unique(return_counts=True)
         (tensor([0, 1]), tensor([400, 400]))
     """
@@ -83,8 +84,10 @@ def superpoints(
         {name: value for name, value in given.items() if value is not None}
     )
     scene = Scene(points, colors=colors, normals=normals)
-    if config.color_weight > 0 and colors is None:
-        raise ValueError("colors: color_weight > 0 needs the colours of the points, got None")
+    if colors is None:
+        if color_weight:  # asked for, and not just part of a preset
+            raise ValueError("colors: color_weight > 0 needs the colours of the points, got None")
+        config = config.replace({"color_weight": 0.0})
     if edges is not None and faces is not None:
         raise ValueError("edges: expected edges or faces, got both")
     with torch.no_grad(), one_thread_per_operation():
@@ -115,8 +118,9 @@ class Superpoints(nn.Module):
 
     def __init__(self, preset: str | SuperpointsConfig = "room", **parameters: float | str) -> None:
         super().__init__()
-        config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
-        self.config = config.replace(parameters)
+        self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
+        self.config = self.preset.replace(parameters)
+        self.parameters_given = parameters
 
     def forward(
         self,
@@ -126,7 +130,7 @@ class Superpoints(nn.Module):
         ptr: Tensor | None = None,
     ) -> Tensor:
         """Labels [N] int64 of points [N, 3]; see :func:`superpoints`."""
-        return superpoints(points, colors, normals, ptr=ptr, preset=self.config)
+        return superpoints(points, colors, normals, ptr=ptr, preset=self.preset, **self.parameters_given)  # type: ignore[arg-type]
 
     def extra_repr(self) -> str:
         """The parameters, shown when the module is printed."""

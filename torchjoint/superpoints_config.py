@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -20,10 +20,10 @@ class SuperpointsConfig(Stage):
     """Superpoints of a cloud: its graph, the weight of its edges, and Felzenszwalb-Huttenlocher."""
 
     neighbors: int = parameter(
-        12, "neighbours of a point in the graph; more costs time and bridges gaps", low=1, high=200, sensible="8-20"
+        10, "neighbours of a point in the graph; more costs time and bridges gaps", low=1, high=200, sensible="8-30"
     )
     normal_neighbors: int = parameter(
-        24, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=2, high=500,
+        30, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=2, high=500,
         sensible="12-80",
     )  # fmt: skip
     weight: str = parameter(
@@ -43,9 +43,11 @@ class SuperpointsConfig(Stage):
         0.0, "weight of the distance of two points; separates sparse from dense", unit="1/m", low=0, sensible="0-10"
     )
     color_weight: float = parameter(
-        0.0, "weight of the RGB distance of two points; needs colours", low=0, sensible="0-2"
+        0.4, "weight of the RGB distance of two points, where there are colours", low=0, sensible="0-1"
     )
-    scale: float = parameter(1.0, "k; more gives larger superpoints", unit="weight x points", low=0)
+    scale: float = parameter(
+        1.0, "k; more gives larger superpoints", unit="weight x points", low=0, sensible="0.1-5"
+    )
     min_size: int = parameter(20, "smaller superpoints are joined to a neighbour", unit="points", low=0)
 
     @property
@@ -88,6 +90,19 @@ class SuperpointsConfig(Stage):
             if name not in names:
                 raise ValueError(f"{self.key()}.{name}: unknown parameter, expected one of {', '.join(names)}")
         return dataclasses.replace(self, **values)
+
+    def set(self, assignments: Sequence[str]) -> SuperpointsConfig:
+        """A copy with assignments applied as the command line writes them: ``["scale=2", "color_weight=0.5"]``."""
+        values = {}
+        for assignment in assignments:
+            name, equals, text = assignment.partition("=")
+            if not equals or not name.strip():
+                raise ValueError(f"--set: expected parameter=value, got {assignment!r}")
+            try:
+                values[name.strip()] = yaml.safe_load(text)
+            except yaml.YAMLError:
+                raise ValueError(f"{name.strip()}: expected a value, got {text!r}") from None
+        return self.replace(values)
 
 
 def presets() -> dict[str, Any]:

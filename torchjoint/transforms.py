@@ -70,8 +70,9 @@ class AddSuperpoints:
             "colors": colors, "normals": normals, "faces": faces, "edges": edges, "ptr": ptr, "viewpoint": viewpoint
         }  # fmt: skip
         self.to = to
-        config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
-        self.config = config.replace(parameters)
+        self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
+        self.config = self.preset.replace(parameters)
+        self.parameters = parameters
 
     def __call__(self, sample: Sample) -> Sample:
         """A copy of the sample (its tensors are shared) with the labels."""
@@ -84,7 +85,7 @@ class AddSuperpoints:
         faces = given.get("faces")
         if faces is not None and not isinstance(sample, Mapping) and faces.ndim == 2 and faces.shape[1] != 3:
             given["faces"] = faces.T
-        labels = superpoints(points, **given, preset=self.config)
+        labels = superpoints(points, **given, preset=self.preset, **self.parameters)  # type: ignore[arg-type]
         if isinstance(sample, Mapping):
             return type(sample)({**sample, self.to: labels})  # type: ignore[call-arg]
         changed = copy.copy(sample)
