@@ -66,12 +66,16 @@ def test_undirected_edges_are_the_symmetrised_graph_once(num_points, count, seed
 @given(st.integers(1, 40), st.integers(0, 70), st.integers(0, 10_000), st.sampled_from([torch.int32, torch.int64]))
 def test_edges_are_their_twin_s(num_points, count, seed, dtype):
     # Any table: rows that name themselves, or a neighbour twice, and more columns than points.
-    neighbors = torch.randint(num_points, (num_points, count), generator=torch.Generator().manual_seed(seed), dtype=dtype)
+    neighbors = torch.randint(
+        num_points, (num_points, count), generator=torch.Generator().manual_seed(seed), dtype=dtype
+    )
     assert torch.equal(ops.neighbor_edges(neighbors), neighbor_edges_reference(neighbors))
     assert torch.equal(ops.neighbor_edges(neighbors.T.contiguous().T), neighbor_edges_reference(neighbors))
 
 
-@given(st.integers(3, 60), st.integers(2, 20), st.integers(0, 10_000), st.sampled_from(["blob", "plane", "line", "grid"]))
+@given(
+    st.integers(3, 60), st.integers(2, 20), st.integers(0, 10_000), st.sampled_from(["blob", "plane", "line", "grid"])
+)
 def test_normals_are_their_twin_s(num_points, count, seed, kind):
     generator = torch.Generator().manual_seed(seed)
     points = torch.randn(num_points, 3, generator=generator, dtype=torch.float64)

@@ -78,7 +78,8 @@ def test_a_batch_keeps_its_clouds_apart():
 @pytest.mark.parametrize("start", ["fork", "spawn"])
 def test_workers_of_a_loader(start):
     transform = AddSuperpoints()
-    expected = [transform({"points": cloud(index)})["superpoints"] for index in range(5)]  # torch's threads have started
+    # Here first: a fork must not mind that torch has started threads.
+    expected = [transform({"points": cloud(index)})["superpoints"] for index in range(5)]
     loader = DataLoader(
         Clouds(transform), batch_size=None, num_workers=2, multiprocessing_context=start, timeout=60
     )  # fmt: skip

@@ -267,7 +267,7 @@ def map_edges(weigh: Callable[[Tensor], Tensor], edge_index: Tensor) -> Tensor:
 
 
 def by_columns(vectors: Tensor) -> Tensor:
-    """The same [N, 3], but laid out in memory so that each column is in one piece: columns are what is calculated with."""
+    """The same [N, 3], but each column in one piece of memory: columns are what is calculated with."""
     return vectors.T.contiguous().T
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
-
 import torch
 from torch import Tensor, nn
 
 from torchjoint import ops
+from torchjoint.cloud_batch import Cloud, take_apart
 from torchjoint.point_graph import estimate_normals, geometric_weights, nearest_neighbors, undirected_edges
 from torchjoint.scene import Scene
 from torchjoint.segmentator import face_edges, segmentator_turn, vertex_normals
@@ -83,7 +81,6 @@ def superpoints(
     config = (preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)).replace(
         {name: value for name, value in given.items() if value is not None}
     )
-    scene = Scene(points, colors=colors, normals=normals)
     if colors is None:
         if color_weight:  # asked for, and not just part of a preset
             raise ValueError("colors: color_weight > 0 needs the colours of the points, got None")
@@ -91,7 +88,8 @@ def superpoints(
     if edges is not None and faces is not None:
         raise ValueError("edges: expected edges or faces, got both")
     with torch.no_grad(), one_thread_per_operation():
-        clouds = list(_clouds(scene, edges, faces, ptr, viewpoint))
+        scene = Scene(points, colors=colors, normals=normals)
+        clouds = take_apart(scene, edges, faces, ptr, viewpoint)
         labels = map_frames(lambda cloud: _segment(cloud, config), clouds)
         offset = 0
         for part in labels:
@@ -137,43 +135,7 @@ class Superpoints(nn.Module):
         return repr(self.config)
 
 
-class _Cloud(NamedTuple):
-    """One cloud, checked; node numbers are its own."""
-
-    points: Tensor
-    colors: Tensor | None
-    normals: Tensor | None
-    edges: Tensor | None
-    faces: Tensor | None
-    viewpoint: Tensor | None
-
-
-def _clouds(
-    scene: Scene, edges: Tensor | None, faces: Tensor | None, ptr: Tensor | None, viewpoint: Tensor | None
-) -> Iterator[_Cloud]:
-    """Checks what is given beside the points, and takes clouds apart."""
-    num_points = len(scene.points)
-    starts = _checked_ptr(ptr, num_points)
-    num_clouds = len(starts) - 1
-    all_edges = _split(_checked_nodes("edges", edges, num_points), starts, "edges")
-    triangles = None if faces is None else _checked_nodes("faces", faces, num_points)
-    all_faces = _split(triangles, starts, "faces")
-    viewpoint = _checked_viewpoint(viewpoint, num_points, num_clouds)
-    for b, (start, end) in enumerate(zip(starts[:-1], starts[1:], strict=True)):
-        views = None
-        if viewpoint is not None:
-            views = viewpoint[start:end] if len(viewpoint) == num_points else viewpoint[b % len(viewpoint)]
-        yield _Cloud(
-            scene.points[start:end],
-            None if scene.colors is None else scene.colors[start:end],
-            None if scene.normals is None else scene.normals[start:end],
-            all_edges[b],
-            None if all_faces[b] is None else all_faces[b].T,  # type: ignore[union-attr]
-            views,
-        )
-
-
-def _segment(cloud: _Cloud, config: SuperpointsConfig) -> Tensor:
+def _segment(cloud: Cloud, config: SuperpointsConfig) -> Tensor:
     """One cloud -> [N] int64 labels."""
     edges, normals, known = _graph(cloud, config)
     turn = segmentator_turn if config.weight == "segmentator" else None
@@ -182,7 +144,7 @@ def _segment(cloud: _Cloud, config: SuperpointsConfig) -> Tensor:
     return ops.felzenszwalb(edges, weights, len(cloud.points), config.scale, config.min_size)
 
 
-def _graph(cloud: _Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, bool]:
+def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, bool]:
     """Edges [2, E], normals [N, 3], and whether their signs are known."""
     points, normals, edges, known = cloud.points, cloud.normals, cloud.edges, True
     if cloud.faces is not None:
@@ -203,72 +165,3 @@ def _turned_to(viewpoint: Tensor, points: Tensor, normals: Tensor) -> Tensor:
     """A surface is seen from outside: its normals show towards the sensor."""
     x, y, z = (normals * (viewpoint - points)).unbind(1)
     return torch.where(((x + y) + z < 0)[:, None], -normals, normals)
-
-
-def _checked_ptr(ptr: Tensor | None, num_points: int) -> list[int]:
-    if ptr is None:
-        return [0, num_points]
-    _check_integers("ptr", ptr)
-    if ptr.ndim != 1 or len(ptr) < 2:
-        raise ValueError(f"ptr: expected shape [B + 1], B >= 1, got {list(ptr.shape)}")
-    starts: list[int] = ptr.tolist()
-    if starts[0] != 0 or starts[-1] != num_points:
-        raise ValueError(f"ptr: expected to go from 0 to N = {num_points}, got {starts[0]} to {starts[-1]}")
-    for b, (start, end) in enumerate(zip(starts[:-1], starts[1:], strict=True)):
-        if end <= start:
-            raise ValueError(f"ptr: expected ascending numbers (no cloud is empty), got {start}, {end} for cloud {b}")
-    return starts
-
-
-def _checked_nodes(name: str, nodes: Tensor | None, num_points: int) -> Tensor | None:
-    """Edges [2, E] as they are, faces [F, 3] as [3, F]; int64, all in [0, N)."""
-    if nodes is None:
-        return None
-    _check_integers(name, nodes)
-    if name == "edges" and (nodes.ndim != 2 or nodes.shape[0] != 2):
-        raise ValueError(f"edges: expected shape [2, E], got {list(nodes.shape)}")
-    if name == "faces" and (nodes.ndim != 2 or nodes.shape[1] != 3):
-        raise ValueError(f"faces: expected shape [F, 3], got {list(nodes.shape)}")
-    nodes = (nodes if name == "edges" else nodes.T).to(torch.int64)
-    if nodes.numel() and not 0 <= int(nodes.min()) <= int(nodes.max()) < num_points:
-        raise ValueError(
-            f"{name}: expected point numbers in [0, {num_points}), got {int(nodes.min())} to {int(nodes.max())}"
-        )
-    return nodes
-
-
-def _checked_viewpoint(viewpoint: Tensor | None, num_points: int, num_clouds: int) -> Tensor | None:
-    """[1, 3], [B, 3] or [N, 3]."""
-    if viewpoint is None:
-        return None
-    if not isinstance(viewpoint, Tensor) or not viewpoint.is_floating_point():
-        came = viewpoint.dtype if isinstance(viewpoint, Tensor) else type(viewpoint).__name__
-        raise TypeError(f"viewpoint: expected a floating torch.Tensor, got {came}")
-    shape = list(viewpoint.shape)
-    if shape not in ([3], [num_clouds, 3], [num_points, 3]):
-        raise ValueError(f"viewpoint: expected shape [3], [{num_clouds}, 3] or [{num_points}, 3], got {shape}")
-    if not torch.isfinite(viewpoint).all():
-        raise ValueError("viewpoint: expected finite values, got NaN or infinite ones")
-    return viewpoint.detach().float().view(-1, 3)
-
-
-def _check_integers(name: str, value: Any) -> None:
-    if not isinstance(value, Tensor):
-        raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
-    if value.dtype not in (torch.int32, torch.int64):
-        raise TypeError(f"{name}: expected dtype torch.int32 or torch.int64, got {value.dtype}")
-
-
-def _split(nodes: Tensor | None, starts: list[int], name: str) -> list[Tensor | None]:
-    """Edges [2, E] or triangles [3, F] of all clouds -> of each cloud, in its own numbers and the order they came."""
-    num_clouds = len(starts) - 1
-    if nodes is None or num_clouds == 1:
-        return [nodes] * num_clouds
-    cloud = torch.bucketize(nodes.contiguous(), torch.tensor(starts[1:]), right=True)
-    across = (cloud != cloud[0]).any(dim=0)
-    if across.any():
-        raise ValueError(f"{name}: expected points of one cloud, got {nodes[:, across][:, 0].tolist()} across clouds")
-    order = torch.argsort(cloud[0], stable=True)
-    counts = torch.bincount(cloud[0], minlength=num_clouds).tolist()
-    parts = nodes[:, order].split(counts, dim=1)
-    return [part - start for part, start in zip(parts, starts[:-1], strict=True)]

@@ -45,9 +45,7 @@ class SuperpointsConfig(Stage):
     color_weight: float = parameter(
         0.4, "weight of the RGB distance of two points, where there are colours", low=0, sensible="0-1"
     )
-    scale: float = parameter(
-        1.0, "k; more gives larger superpoints", unit="weight x points", low=0, sensible="0.1-5"
-    )
+    scale: float = parameter(1.0, "k; more gives larger superpoints", unit="weight x points", low=0, sensible="0.1-5")
     min_size: int = parameter(20, "smaller superpoints are joined to a neighbour", unit="points", low=0)
 
     @property

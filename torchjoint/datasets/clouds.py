@@ -74,8 +74,9 @@ def _from_rows(rows: npt.NDArray[Any]) -> CloudFile:
 
 
 def _triangles(path: Path) -> Tensor | None:
-    head = path.open("rb").read(4096).split(b"end_header")[0]
-    if b"element face" not in head:
+    with path.open("rb") as stream:
+        header = stream.read(4096).split(b"end_header")[0]
+    if b"element face" not in header:
         return None
     import open3d
 
