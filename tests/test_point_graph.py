@@ -134,7 +134,7 @@ def test_points_are_asked_for_in_pieces(monkeypatch):
     normals = torch.nn.functional.normalize(random_points(500, 1), dim=1)
     edges, known = undirected_edges(expected.indices), torch.ones(500, dtype=torch.bool)
     whole = geometric_weights(points, edges, normals, known, PointGraphConfig())
-    monkeypatch.setattr("torchjoint.point_graph.QUERIES", 64)
+    monkeypatch.setattr("torchjoint.neighbors.QUERIES", 64)
     monkeypatch.setattr("torchjoint.point_graph.EDGES", 128)
     pieces = nearest_neighbors(points, 6)
     assert torch.equal(pieces.indices, expected.indices)

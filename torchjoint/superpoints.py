@@ -7,7 +7,8 @@ from torch import Tensor, nn
 
 from torchjoint import ops
 from torchjoint.cloud_batch import Cloud, take_apart
-from torchjoint.point_graph import estimate_normals, geometric_weights, nearest_neighbors, undirected_edges
+from torchjoint.neighbors import nearest_neighbors
+from torchjoint.point_graph import estimate_normals, geometric_weights, undirected_edges
 from torchjoint.scene import Scene
 from torchjoint.segmentator import face_edges, segmentator_turn, vertex_normals
 from torchjoint.superpoints_config import SuperpointsConfig
@@ -139,6 +140,8 @@ def _segment(cloud: Cloud, config: SuperpointsConfig) -> Tensor:
     """One cloud -> [N] int64 labels."""
     edges, normals, known = _graph(cloud, config)
     turn = segmentator_turn if config.weight == "segmentator" else None
+    if not known:  # which edges are convex cannot be told, so do not ask
+        config = config.replace({"convex_factor": 1.0})
     signs = torch.full((len(cloud.points),), known)
     weights = geometric_weights(cloud.points, edges, normals, signs, config.point_graph, cloud.colors, turn)
     return ops.felzenszwalb(edges, weights, len(cloud.points), config.scale, config.min_size)
