@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 import torch
 
-from torchjoint.ops import felzenszwalb, felzenszwalb_image, min_cut
+from torchjoint.ops import felzenszwalb, felzenszwalb_image, fit_normals, min_cut, neighbor_edges
 
 EDGES = torch.tensor([[0, 1, 2], [1, 2, 3]])
 VALUES = torch.tensor([0.1, 5.0, 0.2])
@@ -27,13 +27,15 @@ NAN = float("nan")
 
 FELZENSZWALB = {"edge_index": EDGES, "weight": VALUES, "num_nodes": 4, "scale": 1.0, "min_size": 0}
 IMAGES = torch.arange(48.0).view(2, 3, 2, 4) / 48
-FELZENSZWALB_IMAGE = {"images": IMAGES, "boundaries": IMAGES[:, 0], "scale": 1.0}
-MIN_CUT = {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK}
+POINTS = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]])
+NEIGHBORS = torch.tensor([[1, 2], [0, 2], [0, 1], [1, 2]])
 
-ARGUMENTS: dict[Callable[..., Any], dict[str, Any]] = {
+VALID: dict[Callable[..., Any], dict[str, Any]] = {
     felzenszwalb: FELZENSZWALB,
-    felzenszwalb_image: FELZENSZWALB_IMAGE,
-    min_cut: MIN_CUT,
+    felzenszwalb_image: {"images": IMAGES, "boundaries": IMAGES[:, 0], "scale": 1.0},
+    min_cut: {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK},
+    neighbor_edges: {"neighbors": NEIGHBORS},
+    fit_normals: {"points": POINTS, "neighbors": NEIGHBORS},
 }
 
 
@@ -98,6 +100,18 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (min_cut, {"sink_capacity": SINK[:3]}, ValueError, "sink_capacity: expected shape [N] = [4], got [3]"),
     (min_cut, {"sink_capacity": changed(SINK, NAN, 1)}, ValueError, "sink_capacity: expected numbers >= 0, got nan"),
     (min_cut, {"sink_capacity": SOURCE}, ValueError, "source_capacity and sink_capacity: both are infinite at node 0"),
+    (neighbor_edges, {"neighbors": [[1], [0]]}, TypeError, "neighbors: expected a torch.Tensor, got list"),
+    (neighbor_edges, {"neighbors": NEIGHBORS.float()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
+    (neighbor_edges, {"neighbors": NEIGHBORS[0]}, ValueError, "neighbors: expected shape [N, K], got [2]"),
+    (neighbor_edges, {"neighbors": NEIGHBORS.to("meta")}, ValueError, "neighbors: expected a CPU tensor, got one on"),
+    (neighbor_edges, {"neighbors": changed(NEIGHBORS, 4, 2, 1)}, ValueError, "numbers in [0, 4), got 4 in row 2"),
+    (neighbor_edges, {"neighbors": changed(NEIGHBORS, -1, 0, 0).int()}, ValueError, "in [0, 4), got -1 in row 0"),
+    (neighbor_edges, {"neighbors": changed(NEIGHBORS, 2**40, 3, 0)}, ValueError, f"got {2**40} in row 3"),
+    (fit_normals, {"points": POINTS.long()}, TypeError, "points: expected dtype torch.float32 or torch.float64, got"),
+    (fit_normals, {"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [4, 2]"),
+    (fit_normals, {"points": POINTS[:3]}, ValueError, "neighbors: expected shape [N, K] = [3, K], got [4, 2]"),
+    (fit_normals, {"neighbors": NEIGHBORS.short()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
+    (fit_normals, {"neighbors": changed(NEIGHBORS, 4, 1, 0)}, ValueError, "numbers in [0, 4), got 4 in row 1"),
 ]
 
 
@@ -106,13 +120,14 @@ def test_errors_name_the_argument(
     op: Callable[..., Any], change: dict[str, Any], error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=re.escape(message)) as caught:
-        op(**ARGUMENTS[op] | change)
+        op(**VALID[op] | change)
     assert ".cpp" not in str(caught.value)
 
 
 def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
     fh, mc = torch.ops.torchjoint.felzenszwalb.default, torch.ops.torchjoint.min_cut.default
     image = torch.ops.torchjoint.felzenszwalb_image.default
+    ne, fn = torch.ops.torchjoint.neighbor_edges.default, torch.ops.torchjoint.fit_normals.default
     for call in (
         lambda: fh(EDGES.int(), VALUES, 4, 1.0),
         lambda: fh(EDGES.t(), VALUES, 4, 1.0),
@@ -132,6 +147,11 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         lambda: mc(EDGES, VALUES[:2], SOURCE, SINK),
         lambda: mc(EDGES, VALUES, SOURCE, SINK[:2]),
         lambda: mc(EDGES, VALUES, SOURCE[None], SINK),
+        lambda: ne(NEIGHBORS.float()),
+        lambda: ne(NEIGHBORS[0]),
+        lambda: fn(POINTS.half(), NEIGHBORS),
+        lambda: fn(POINTS[:, :2], NEIGHBORS),
+        lambda: fn(POINTS[:3], NEIGHBORS),
     ):
         with pytest.raises(ValueError, match="expected"):
             call()
@@ -145,6 +165,8 @@ def test_opcheck(dtype: torch.dtype) -> None:
         (torch.ops.torchjoint.felzenszwalb_image.default, (IMAGES, IMAGES[:, 0], 1.0, 2)),
         (torch.ops.torchjoint.felzenszwalb_image.default, (IMAGES, None, 1.0)),
         (torch.ops.torchjoint.min_cut.default, (EDGES, values, source, sink)),
+        (torch.ops.torchjoint.neighbor_edges.default, (NEIGHBORS,)),
+        (torch.ops.torchjoint.fit_normals.default, (POINTS.to(dtype), NEIGHBORS.int())),
     ):
         results = torch.library.opcheck(operator, arguments)
         assert results
@@ -156,6 +178,7 @@ def test_no_gradient_flows() -> None:
     assert not felzenszwalb(EDGES, weight, 4, 1.0).requires_grad
     assert not felzenszwalb_image(IMAGES.clone().requires_grad_(), scale=1.0).requires_grad
     assert not any(result.requires_grad for result in min_cut(EDGES, weight, SOURCE, SINK))
+    assert not fit_normals(POINTS.clone().requires_grad_(), NEIGHBORS).requires_grad
 
 
 @pytest.mark.filterwarnings("ignore")  # the compiler's own
@@ -185,6 +208,22 @@ def test_compile_without_graph_breaks() -> None:
         compiled(edges, changed(weight, NAN, 0), source, sink, scale)
 
 
+@pytest.mark.filterwarnings("ignore")  # the compiler's own
+def test_neighbours_compile_without_graph_breaks() -> None:
+    def weigh(points: torch.Tensor, neighbors: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        edges = neighbor_edges(neighbors)  # their number depends on the values
+        normals = fit_normals(points * 2, neighbors)
+        return edges + 1, (normals[edges[0]] * normals[edges[1]]).sum(dim=1)
+
+    with torch._dynamo.config.patch(capture_dynamic_output_shape_ops=True):
+        compiled = torch.compile(weigh, fullgraph=True, dynamic=True)
+        for num_points in (5, 12, 40):
+            generator = torch.Generator().manual_seed(num_points)
+            points = torch.rand(num_points, 3, generator=generator)
+            neighbors = torch.randint(num_points, (num_points, 4), generator=generator)
+            torch.testing.assert_close(compiled(points, neighbors), weigh(points, neighbors))
+
+
 def large_graph(num_edges: int) -> tuple[torch.Tensor, torch.Tensor]:
     generator = torch.Generator().manual_seed(0)
     return torch.randint(num_edges, (2, num_edges), generator=generator), torch.rand(num_edges, generator=generator)
@@ -195,13 +234,18 @@ def long_call(op: Callable[..., Any]) -> Callable[[], Any]:
     if op is felzenszwalb_image:
         images = torch.rand(1, 3, 1500, 1500, generator=torch.Generator().manual_seed(0))
         return lambda: felzenszwalb_image(images, scale=1.0)
+    if op in (neighbor_edges, fit_normals):
+        generator = torch.Generator().manual_seed(0)
+        points = torch.rand(500_000, 3, generator=generator)
+        neighbors = torch.randint(len(points), (len(points), 16), generator=generator)
+        return lambda: op(**{"points": points} if op is fit_normals else {}, neighbors=neighbors)
     edges, weight = large_graph(3_000_000 if op is felzenszwalb else 1_000_000)
     if op is felzenszwalb:
         return lambda: felzenszwalb(edges, weight, len(weight), 1.0)
     return lambda: min_cut(edges, weight, 9 * weight, 9 * weight.flip(0))
 
 
-@pytest.mark.parametrize("op", ARGUMENTS)
+@pytest.mark.parametrize("op", VALID)
 def test_gil_is_released(op: Callable[..., Any]) -> None:
     """While one thread is inside the operator, another one runs Python, and so may be inside it, too."""
     call = long_call(op)
@@ -224,7 +268,7 @@ def test_gil_is_released(op: Callable[..., Any]) -> None:
     assert sum(start + margin < tick < end - margin for tick in ticks) >= 3
 
 
-@pytest.mark.parametrize("op", ARGUMENTS)
+@pytest.mark.parametrize("op", VALID)
 def test_two_threads_at_once_give_the_same_results(op: Callable[..., Any]) -> None:
     call = long_call(op)
     expected = call()
@@ -238,20 +282,20 @@ def test_memory_does_not_grow() -> None:
     code = """
 import gc, sys, torch
 sys.path.insert(0, "tests")
-from test_ops_contract import ARGUMENTS, resident_memory
+from test_ops_contract import VALID, resident_memory
 torch.set_num_threads(1)
 def calls(times):
     for _ in range(times):
-        for op, arguments in ARGUMENTS.items():
+        for op, arguments in VALID.items():
             op(**arguments | large.get(op, {}))
             try:
-                op(**arguments | {"edge_index" if "edge_index" in arguments else "images": None})
+                op(**arguments | {next(iter(arguments)): None})
             except TypeError:
                 pass
     gc.collect()
     return resident_memory()
 edges, weight = torch.randint(900, (2, 4000)), torch.rand(4000)
-large = {op: {"edge_index": edges, "weight": weight, "num_nodes": 900} for op in ARGUMENTS if "weight" in ARGUMENTS[op]}
+large = {op: {"edge_index": edges, "weight": weight, "num_nodes": 900} for op in VALID if "weight" in VALID[op]}
 before = calls(100)
 print(calls(1000) - before)
 """

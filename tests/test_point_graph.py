@@ -6,7 +6,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from torchjoint import ops
 from torchjoint.config import PointGraphConfig
+from torchjoint.ops.reference import fit_normals_reference, neighbor_edges_reference
 from torchjoint.point_graph import (
     angle_between,
     estimate_normals,
@@ -26,7 +28,7 @@ def test_nearest_neighbors_against_all_distances():
     distances = torch.cdist(points.double(), points.double()).fill_diagonal_(torch.inf)
     expected = distances.sort(dim=1)
     assert torch.equal(neighbors.indices, expected.indices[:, :7])
-    torch.testing.assert_close(neighbors.distances.double(), expected.values[:, :7])
+    torch.testing.assert_close(neighbors.spacing.double(), expected.values[:, :4].mean(dim=1))
 
 
 def test_duplicate_points_are_never_their_own_neighbours():
@@ -34,7 +36,8 @@ def test_duplicate_points_are_never_their_own_neighbours():
     neighbors = nearest_neighbors(points, 4)
     assert neighbors.indices.shape == (15, 4)
     assert not (neighbors.indices == torch.arange(15)[:, None]).any()
-    assert (neighbors.distances[:10] == 0).all()
+    assert (neighbors.indices[:10] < 10).all()
+    assert (neighbors.spacing[:10] == 0).all()
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
@@ -58,6 +61,86 @@ def test_undirected_edges_are_the_symmetrised_graph_once(num_points, count, seed
     assert (edges[0] < edges[1]).all()
     assert edges.shape[1] == len(expected)
     assert {tuple(edge) for edge in edges.T.tolist()} == expected
+
+
+@given(st.integers(1, 40), st.integers(0, 70), st.integers(0, 10_000), st.sampled_from([torch.int32, torch.int64]))
+def test_edges_are_their_twin_s(num_points, count, seed, dtype):
+    # Any table: rows that name themselves, or a neighbour twice, and more columns than points.
+    neighbors = torch.randint(
+        num_points, (num_points, count), generator=torch.Generator().manual_seed(seed), dtype=dtype
+    )
+    assert torch.equal(ops.neighbor_edges(neighbors), neighbor_edges_reference(neighbors))
+    assert torch.equal(ops.neighbor_edges(neighbors.T.contiguous().T), neighbor_edges_reference(neighbors))
+
+
+@given(
+    st.integers(3, 60), st.integers(2, 20), st.integers(0, 10_000), st.sampled_from(["blob", "plane", "line", "grid"])
+)
+def test_normals_are_their_twin_s(num_points, count, seed, kind):
+    generator = torch.Generator().manual_seed(seed)
+    points = torch.randn(num_points, 3, generator=generator, dtype=torch.float64)
+    if kind == "grid":  # many neighbourhoods that vary alike in several directions, or coincide
+        points = points.round()
+    elif kind != "blob":
+        thin = torch.tensor([1.0, 1.0, 1e-4]) if kind == "plane" else torch.tensor([1.0, 1e-4, 1e-5])
+        points = (points * thin) @ torch.linalg.qr(torch.randn(3, 3, generator=generator, dtype=torch.float64))[0]
+    neighbors = torch.randint(num_points, (num_points, count), generator=generator)
+    normals, expected = ops.fit_normals(points, neighbors), fit_normals_reference(points, neighbors)
+    assert torch.equal(ops.fit_normals(points, neighbors.int()), normals)
+    torch.testing.assert_close(normals.norm(dim=1), torch.ones(num_points))
+    around = torch.cat([points[:, None], points[neighbors]], dim=1)
+    covariance = torch.linalg.matmul((around - around.mean(1, keepdim=True)).mT, around - around.mean(1, keepdim=True))
+    values = torch.linalg.eigvalsh(covariance)
+    # Whatever direction it is, the points vary no more in it than they must.
+    variance = torch.einsum("ni,nij,nj->n", normals.double(), covariance, normals.double())
+    rounding = 1e-25  # of the mean above, where the points coincide
+    assert (variance <= values[:, 0] + 1e-6 * values[:, 2] + rounding).all()
+    one_way = values[:, 1] - values[:, 0] > 1e-6 * values[:, 2] + rounding  # and where there is only one:
+    same = (normals * expected).sum(dim=1)
+    assert (same[one_way].abs() > 1 - 1e-4).all()
+    assert (same[one_way & (expected[:, 2] > 1e-3)] > 0).all()
+    assert (normals[:, 2] >= 0).all()
+
+
+def test_degenerate_neighbourhoods():
+    up = [0.0, 0.0, 1.0]
+    everyone = torch.tensor([[1, 2], [0, 2], [0, 1]])
+    assert ops.fit_normals(torch.zeros(3, 3), everyone).tolist() == [up] * 3
+    assert ops.fit_normals(torch.eye(3), everyone[:, :1]).tolist() == [up] * 3  # two points are no plane
+    for direction in torch.tensor([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 2, 3], [-1, 1e-3, 0]]):
+        line = torch.arange(3.0)[:, None] * direction
+        assert (ops.fit_normals(line, everyone) @ direction).abs().max() < 1e-6
+    octahedron = torch.cat([torch.eye(3), -torch.eye(3)])  # no direction differs from another
+    rows = torch.arange(6).repeat(6, 1)
+    assert (ops.fit_normals(octahedron, rows).norm(dim=1) - 1).abs().max() < 1e-6
+    tiny = 1e-18 * torch.tensor([[0.0, 0, 0], [0, 0, 1], [0, 2, 0]])
+    assert ops.fit_normals(tiny, everyone).tolist() == [[1.0, 0.0, 0.0]] * 3
+
+
+def test_neighbours_normals_and_edges_do_not_depend_on_threads():
+    points = random_points(5000) ** 3
+    before, results = torch.get_num_threads(), []
+    for threads in (1, 2, 5):
+        torch.set_num_threads(threads)
+        neighbors = nearest_neighbors(points, 12)
+        indices = neighbors.indices
+        results.append((*neighbors, ops.fit_normals(points, indices), ops.neighbor_edges(indices)))
+    torch.set_num_threads(before)
+    for other in results[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+
+def test_points_are_asked_for_in_pieces(monkeypatch):
+    points, expected = random_points(500), nearest_neighbors(random_points(500), 6)
+    normals = torch.nn.functional.normalize(random_points(500, 1), dim=1)
+    edges, known = undirected_edges(expected.indices), torch.ones(500, dtype=torch.bool)
+    whole = geometric_weights(points, edges, normals, known, PointGraphConfig())
+    monkeypatch.setattr("torchjoint.neighbors.QUERIES", 64)
+    monkeypatch.setattr("torchjoint.point_graph.EDGES", 128)
+    pieces = nearest_neighbors(points, 6)
+    assert torch.equal(pieces.indices, expected.indices)
+    assert torch.equal(pieces.spacing, expected.spacing)
+    assert torch.equal(geometric_weights(points, edges, normals, known, PointGraphConfig()), whole)
 
 
 def test_normals_of_a_tilted_plane():

@@ -9,6 +9,7 @@ import pytest
 
 import torchjoint as tj
 from torchjoint.config import parameter_table
+from torchjoint.superpoints_config import superpoint_table
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -21,6 +22,11 @@ def between(name):
 def test_the_table_of_parameters_is_the_code_s():
     """If not: `torchjoint parameters` prints it."""
     assert between("parameters") == parameter_table().strip()
+
+
+def test_the_table_of_superpoint_parameters_is_the_code_s():
+    """If not: `torchjoint parameters --superpoints` prints it."""
+    assert between("superpoint parameters") == superpoint_table().strip()
 
 
 def test_ci_runs_the_test_command():

@@ -9,11 +9,13 @@
 
 from importlib.metadata import version
 
-from torchjoint import datasets, metrics, ops, synthetic
+from torchjoint import datasets, metrics, ops, synthetic, transforms
 from torchjoint.config import Config
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
 from torchjoint.scene import Frame, Scene, Segmentation
+from torchjoint.superpoints import Superpoints, superpoints
+from torchjoint.superpoints_config import SuperpointsConfig
 
 __version__ = version("torchjoint")
 
@@ -23,9 +25,13 @@ __all__ = [
     "JointSegmenter",
     "Scene",
     "Segmentation",
+    "Superpoints",
+    "SuperpointsConfig",
     "datasets",
     "load_scene",
     "metrics",
     "ops",
+    "superpoints",
     "synthetic",
+    "transforms",
 ]

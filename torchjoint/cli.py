@@ -1,4 +1,4 @@
-"""The command line: torchjoint demo | segment | show | parameters."""
+"""The command line: torchjoint demo | segment | superpoints | show | parameters."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ from torch.utils.data import Dataset, Subset
 
 from torchjoint import metrics
 from torchjoint.checkpoint import Checkpoint, run_key
+from torchjoint.cli_superpoints import superpoints
 from torchjoint.config import Config, parameter_table
 from torchjoint.datasets import load_scene
 from torchjoint.datasets.files import fingerprint
 from torchjoint.joint import JointSegmenter
 from torchjoint.output import output_folder, read_points, write_result
 from torchjoint.scene import Frame, Scene, Segmentation
+from torchjoint.superpoints_config import superpoint_table
 
 
 @dataclass(frozen=True)
@@ -120,9 +122,13 @@ def show(out: tyro.conf.Positional[Path], open_browser: bool = True) -> None:
         webbrowser.open(page.resolve().as_uri())
 
 
-def parameters() -> None:
-    """Prints all parameters of the method with default, unit, sensible range and effect (Markdown)."""
-    print(parameter_table())
+def parameters(superpoints: bool = False) -> None:
+    """Prints all parameters of the method with default, unit, sensible range and effect (Markdown).
+
+    Args:
+        superpoints: those of `torchjoint superpoints`, with their values in each preset.
+    """
+    print(superpoint_table() if superpoints else parameter_table())
 
 
 def main() -> None:
@@ -131,6 +137,7 @@ def main() -> None:
         commands: dict[str, Callable[..., Any]] = {
             "demo": demo,
             "segment": segment,
+            "superpoints": superpoints,
             "show": show,
             "parameters": parameters,
         }

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
+from torchjoint import ops
 from torchjoint.config import PointGraphConfig
+from torchjoint.neighbors import nearest_neighbors
 from torchjoint.scene import Scene
+from torchjoint.threads import all_threads, map_frames
 
-
-class Neighbors(NamedTuple):
-    """K nearest neighbours of every point, nearest first, the point itself left out."""
-
-    indices: Tensor  #: [N, K] int64
-    distances: Tensor  #: [N, K] float32, metres
-
-    @property
-    def spacing(self) -> Tensor:
-        """[N] metres: how far a point is from its closest few neighbours, a measure of the local density."""
-        few = self.distances[:, :4]
-        return few.mean(dim=1) if few.shape[1] else few.new_zeros(few.shape[0])
+#: Edges that are worked on at a time, so that clouds of millions of points need little memory beyond the result.
+EDGES = 1 << 16
 
 
 class PointGraph(NamedTuple):
@@ -62,72 +55,31 @@ def build_point_graph(cloud: Scene, config: PointGraphConfig) -> PointGraph:
     )
 
 
-def nearest_neighbors(points: Tensor, count: int) -> Neighbors:
-    """The `count` nearest neighbours of each point (all others, where the cloud has fewer).
-
-    Duplicate points are neighbours at distance 0 of one another.
-
-    Args:
-        points: [N, 3] float32.
-        count: K >= 1.
-    """
-    num_points = points.shape[0]
-    count = min(count, num_points - 1)
-    if count == 0:
-        return Neighbors(torch.zeros(num_points, 0, dtype=torch.int64), torch.zeros(num_points, 0))
-    coordinates = points.numpy()
-    tree = cKDTree(coordinates, balanced_tree=False, compact_nodes=False)
-    distance, index = tree.query(coordinates, k=count + 1, workers=-1)
-    index_t, distance_t = torch.from_numpy(index), torch.from_numpy(distance).float()
-    # The point itself usually comes first, but among duplicates any of them may: drop it, or else the farthest.
-    is_self = index_t == torch.arange(num_points)[:, None]
-    is_self[:, -1] |= ~is_self.any(dim=1)
-    keep = ~is_self
-    return Neighbors(index_t[keep].view(num_points, count), distance_t[keep].view(num_points, count))
-
-
 def undirected_edges(neighbors: Tensor) -> Tensor:
     """The edges of the symmetrised neighbour graph, each once with i < j (eq. 3).
 
     Args:
-        neighbors: [N, K] int64.
+        neighbors: [N, K] int32 or int64.
 
     Returns:
         [2, E] int64, in the order in which rows of `neighbors` name them.
     """
-    num_points, count = neighbors.shape
-    source = torch.arange(num_points)[:, None].expand(-1, count)
-    # (i, j) with i > j would be the second mention of an edge if j names i as well.
-    backward = source > neighbors
-    rows, targets = source[backward], neighbors[backward]
-    keep = torch.ones_like(backward)
-    keep[backward] = ~(neighbors[targets] == rows[:, None]).any(dim=1)
-    i, j = source[keep], neighbors[keep]
-    return torch.stack([torch.minimum(i, j), torch.maximum(i, j)])
+    with all_threads():
+        return ops.neighbor_edges(neighbors)
 
 
-def estimate_normals(points: Tensor, neighbors: Tensor, chunk: int = 16384) -> Tensor:
+def estimate_normals(points: Tensor, neighbors: Tensor) -> Tensor:
     """Normals of the planes fitted to each point and its neighbours; their sign is arbitrary.
 
     Args:
         points: [N, 3] float32.
-        neighbors: [N, K] int64. With K < 2 a plane is not defined and the normal is (0, 0, 1).
+        neighbors: [N, K] int32 or int64. With K < 2 a plane is not defined and the normal is (0, 0, 1).
 
     Returns:
         [N, 3] float32, unit length.
     """
-    if neighbors.shape[1] < 2:
-        return points.new_tensor([0.0, 0.0, 1.0]).repeat(points.shape[0], 1)
-    normals = []
-    for start in range(0, points.shape[0], chunk):
-        # Relative to the point itself: centred coordinates keep float32 accurate far from the origin.
-        rows = neighbors[start : start + chunk]
-        around = points[rows] - points[start : start + chunk, None]
-        around = torch.cat([torch.zeros_like(around[:, :1]), around], dim=1).double()
-        around = around - around.mean(dim=1, keepdim=True)
-        _, vectors = torch.linalg.eigh(around.transpose(1, 2) @ around)
-        normals.append(vectors[:, :, 0].float())
-    return torch.cat(normals)
+    with all_threads():
+        return ops.fit_normals(points, neighbors)
 
 
 def faces_camera(graph: PointGraph, point: Tensor, world_to_camera: Tensor) -> Tensor:
@@ -179,6 +131,23 @@ def is_convex(step: Tensor, turn: Tensor) -> Tensor:
     return (x + y) + z > 0
 
 
+#: How much a surface turns from one point to another: from the normals at both ends [E, 3], whether their signs are
+#: known [E], and the way p_j - p_i between them [E, 3], to [E].
+Turn = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
+
+
+def discounted_angle(convex_factor: float) -> Turn:
+    """Theta, which counts `convex_factor` times where the surface is known to be convex."""
+
+    def turn(first: Tensor, second: Tensor, known: Tensor, step: Tensor) -> Tensor:
+        angle = angle_between(first, second, known)
+        if convex_factor == 1:
+            return angle
+        return torch.where(known & is_convex(step, second - first), convex_factor * angle, angle)
+
+    return turn
+
+
 def geometric_weights(
     points: Tensor,
     edge_index: Tensor,
@@ -186,6 +155,7 @@ def geometric_weights(
     oriented: Tensor,
     config: PointGraphConfig,
     colors: Tensor | None = None,
+    turn: Turn | None = None,
 ) -> Tensor:
     """The part of eq. 3 that needs no image: w_d |p_i - p_j| + w_theta theta (+ a colour term, where asked for).
 
@@ -198,6 +168,7 @@ def geometric_weights(
         normals: [N, 3] unit length.
         oriented: [N] bool, whether a normal's sign is known.
         colors: [N, 3] RGB in [0, 1], needed if config.color_weight > 0.
+        turn: another measure than theta of how much the surface turns along an edge.
 
     Returns:
         [E] float32.
@@ -205,22 +176,54 @@ def geometric_weights(
     Raises:
         ValueError: the config weighs colour and there is none.
     """
-    i, j = edge_index
-    known = oriented[i] & oriented[j]
-    angle = angle_between(normals[i], normals[j], known)
-    if config.convex_factor < 1:
-        convex = known & is_convex(points[j] - points[i], normals[j] - normals[i])
-        angle = torch.where(convex, config.convex_factor * angle, angle)
-    weight = config.angle_weight * angle
-    if config.distance_weight > 0:
-        weight = weight + config.distance_weight * _distance(points[i], points[j])
-    if config.color_weight > 0:
-        if colors is None:
-            raise ValueError("colors: point_graph.color_weight > 0 needs the colours of the points, got none")
-        weight = weight + config.color_weight * _distance(colors[i], colors[j])
-    return weight
+    turn = turn or discounted_angle(config.convex_factor)
+    if config.color_weight > 0 and colors is None:
+        raise ValueError("colors: point_graph.color_weight > 0 needs the colours of the points, got none")
+    points, normals = by_columns(points), by_columns(normals)
+    colors = None if colors is None else by_columns(colors)
+
+    def weigh(edges: Tensor) -> Tensor:
+        i, j = edges
+        known = oriented[i] & oriented[j]
+        first, second = rows_of(normals, i), rows_of(normals, j)
+        step = rows_of(points, j) - rows_of(points, i)
+        weight = config.angle_weight * turn(first, second, known, step)
+        if config.distance_weight > 0:
+            weight = weight + config.distance_weight * _length(step)
+        if config.color_weight > 0 and colors is not None:
+            weight = weight + config.color_weight * _length(rows_of(colors, i) - rows_of(colors, j))
+        return weight
+
+    return map_edges(weigh, edge_index)
 
 
-def _distance(first: Tensor, second: Tensor) -> Tensor:
-    x, y, z = (first - second).square().unbind(1)
+def map_edges(weigh: Callable[[Tensor], Tensor], edge_index: Tensor) -> Tensor:
+    """Weights of edges, some at a time on each thread: what is in between stays in the processor's cache.
+
+    Args:
+        weigh: from edges [2, e] to their weights [e] float32.
+        edge_index: [2, E].
+    """
+    weights = torch.empty(edge_index.shape[1])
+    starts = range(0, edge_index.shape[1], EDGES)
+
+    def weigh_some(start: int) -> None:
+        weights[start : start + EDGES] = weigh(edge_index[:, start : start + EDGES])
+
+    map_frames(weigh_some, starts)
+    return weights
+
+
+def by_columns(vectors: Tensor) -> Tensor:
+    """The same [N, 3], but each column in one piece of memory: columns are what is calculated with."""
+    return vectors.T.contiguous().T
+
+
+def rows_of(vectors: Tensor, index: Tensor) -> Tensor:
+    """``vectors[index]``, [E, 3], of and into the layout of :func:`by_columns`."""
+    return torch.stack([column.index_select(0, index) for column in vectors.unbind(1)]).T
+
+
+def _length(vectors: Tensor) -> Tensor:
+    x, y, z = vectors.square().unbind(1)
     return ((x + y) + z).sqrt()

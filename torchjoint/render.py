@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.config import VisibilityConfig
-from torchjoint.point_graph import nearest_neighbors
+from torchjoint.neighbors import nearest_neighbors
 from torchjoint.scene import Scene
 from torchjoint.visibility import visible_points
 

@@ -60,6 +60,20 @@ def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
     return figure
 
 
+def cloud_figure(scene: Scene, labels: Tensor) -> Any:
+    """A matplotlib figure: the cloud in its colours, and beside it in those of its labels.
+
+    Args:
+        scene: the cloud; its frames, where there are any, tell which way is up.
+        labels: [N] int64, -1 = none.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 4.9), layout="constrained")
+    _draw_cloud(figure, scene, Segmentation(labels, ()))
+    return figure
+
+
 def _draw_frames(figure: Any, scene: Scene, result: Segmentation, chosen: list[int]) -> None:
     axes = figure.subplots(3, len(chosen), squeeze=False)
     for column, index in enumerate(chosen):

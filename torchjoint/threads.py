@@ -26,7 +26,7 @@ _workers: ContextVar[int | None] = ContextVar("torchjoint_workers", default=None
 def one_thread_per_operation() -> Iterator[None]:
     """Within: a torch operation runs on one thread, and :func:`map_frames` on as many as torch had before."""
     threads = torch.get_num_threads()
-    token = _workers.set(_workers.get() or threads)
+    token = _workers.set(num_threads())
     torch.set_num_threads(1)
     try:
         yield
@@ -35,10 +35,26 @@ def one_thread_per_operation() -> Iterator[None]:
         _workers.reset(token)
 
 
+def num_threads() -> int:
+    """How many threads the package may use here: as many as torch may; one inside :func:`map_frames`."""
+    return _workers.get() or torch.get_num_threads()
+
+
+@contextmanager
+def all_threads() -> Iterator[None]:
+    """Within: compiled operators use all threads again. For those only whose result does not depend on how many."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(num_threads())
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def map_frames(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
     """``[function(item) for item in items]`` on several Python threads, in the order of the items."""
     items = list(items)
-    workers = min(_workers.get() or torch.get_num_threads(), len(items))
+    workers = min(num_threads(), len(items))
     if workers <= 1:
         with one_thread_per_operation():
             return [function(item) for item in items]

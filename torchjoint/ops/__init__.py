@@ -16,6 +16,8 @@ except ImportError as error:
 
 from torchjoint.ops.felzenszwalb import felzenszwalb
 from torchjoint.ops.felzenszwalb_image import felzenszwalb_image
+from torchjoint.ops.fit_normals import fit_normals
 from torchjoint.ops.min_cut import min_cut
+from torchjoint.ops.neighbor_edges import neighbor_edges
 
-__all__ = ["felzenszwalb", "felzenszwalb_image", "min_cut"]
+__all__ = ["felzenszwalb", "felzenszwalb_image", "fit_normals", "min_cut", "neighbor_edges"]

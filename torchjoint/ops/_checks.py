@@ -51,3 +51,12 @@ def check_number(name: str, value: object, kinds: tuple[type, ...]) -> None:
         return  # a traced number has no value to report; the kernel refuses it
     if not value >= 0:  # type: ignore[operator]  # also refuses NaN
         raise ValueError(f"{name}: expected a number >= 0, got {value}")
+
+
+def check_neighbors(neighbors: object, length: int | None) -> None:
+    """Raise unless ``neighbors`` is an int32 or int64 CPU tensor ``[length, K]``; None allows any length."""
+    check_tensor("neighbors", neighbors, (torch.int32, torch.int64))
+    assert isinstance(neighbors, Tensor)
+    if neighbors.dim() != 2 or (length is not None and neighbors.shape[0] != length):
+        expected = "[N, K]" if length is None else f"[N, K] = [{length}, K]"
+        raise ValueError(f"neighbors: expected shape {expected}, got {list(neighbors.shape)}")

@@ -136,3 +136,47 @@ def min_cut_reference(
     for inside, from_source, to_sink in zip(side, source_capacity.tolist(), sink_capacity.tolist(), strict=True):
         flow += to_sink if inside else from_source
     return torch.tensor(side, dtype=torch.bool), torch.tensor(flow, dtype=torch.float64)
+
+
+def neighbor_edges_reference(neighbors: Tensor) -> Tensor:
+    """What :func:`torchjoint.ops.neighbor_edges` computes; the arguments are not checked.
+
+    Example:
+        >>> neighbor_edges_reference(torch.tensor([[1], [0], [1]]))
+        tensor([[0, 1],
+                [1, 2]])
+    """
+    num_points, count = neighbors.shape
+    neighbors = neighbors.long()
+    source = torch.arange(num_points)[:, None].expand(-1, count)
+    # (i, j) with i > j is the second mention of an edge if j names i as well.
+    backward = source > neighbors
+    rows, targets = source[backward], neighbors[backward]
+    keep = source != neighbors
+    keep[backward] = ~(neighbors[targets] == rows[:, None]).any(dim=1)
+    i, j = source[keep], neighbors[keep]
+    return torch.stack([torch.minimum(i, j), torch.maximum(i, j)])
+
+
+def fit_normals_reference(points: Tensor, neighbors: Tensor) -> Tensor:
+    """What :func:`torchjoint.ops.fit_normals` computes; the arguments are not checked.
+
+    Where a neighbourhood has no one direction in which it varies least, any of them may come.
+
+    Example:
+        >>> points = torch.tensor([[0.0, 0, 0], [0, 0, 1], [0, 2, 0]])
+        >>> fit_normals_reference(points, torch.tensor([[1, 2], [0, 2], [0, 1]])).abs()
+        tensor([[1., 0., 0.],
+                [1., 0., 0.],
+                [1., 0., 0.]])
+    """
+    if neighbors.shape[1] < 2:
+        return torch.tensor([0.0, 0.0, 1.0]).repeat(points.shape[0], 1)
+    points = points.double()
+    around = points[neighbors.long()] - points[:, None]
+    around = torch.cat([torch.zeros_like(around[:, :1]), around], dim=1)
+    around = around - around.mean(dim=1, keepdim=True)
+    _, vectors = torch.linalg.eigh(around.transpose(1, 2) @ around)
+    x, y, z = vectors[:, :, 0].float().unbind(dim=1)
+    sign = torch.where(z != 0, z, torch.where(y != 0, y, x))
+    return torch.where(sign[:, None] < 0, -vectors[:, :, 0], vectors[:, :, 0]).float()

@@ -1,0 +1,326 @@
+"""Superpoints: what they are for, that they never depend on what they must not, and every bad input by name."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+import torchjoint as tj
+from torchjoint.segmentator import face_edges, vertex_normals
+from torchjoint.superpoints_config import SuperpointsConfig, presets, superpoint_table
+
+
+def random(seed):
+    return torch.Generator().manual_seed(seed)
+
+
+def box_on_floor(spacing=0.02, seed=0):
+    """A floor of 1 m x 1 m and the five visible sides of a box of 0.3 m on it: points, truth (0 floor, 1-5 sides)."""
+    steps = torch.arange(0, 1, spacing)
+    x, y = torch.meshgrid(steps, steps, indexing="ij")
+    floor = torch.stack([x.flatten(), y.flatten(), torch.zeros(x.numel())], 1)
+    floor = floor[~((floor[:, :2] > 0.35) & (floor[:, :2] < 0.65)).all(1)]
+    a, b = (steps[steps < 0.3] + spacing / 2 for _ in range(2))
+    u, v = (grid.flatten() for grid in torch.meshgrid(a, b, indexing="ij"))
+    low, high = torch.full_like(u, 0.35), torch.full_like(u, 0.65)
+    sides = [
+        torch.stack([u + 0.35, v + 0.35, torch.full_like(u, 0.3)], 1),
+        torch.stack([low, u + 0.35, v], 1),
+        torch.stack([high, u + 0.35, v], 1),
+        torch.stack([u + 0.35, low, v], 1),
+        torch.stack([u + 0.35, high, v], 1),
+    ]
+    points = torch.cat([floor, *sides])
+    truth = torch.cat([torch.full((len(part),), k) for k, part in enumerate([floor, *sides])])
+    return points + 1e-3 * torch.randn(points.shape, generator=random(seed)), truth
+
+
+def purity(labels, truth):
+    """The share of points that are in the majority of their superpoint."""
+    counts = torch.zeros(int(labels.max()) + 1, int(truth.max()) + 1).index_put_(
+        (labels, truth), torch.ones(len(labels)), accumulate=True
+    )
+    return float(counts.max(dim=1).values.sum() / len(labels))
+
+
+def random_mesh(seed, side=24):
+    """A bumpy sheet of (side - 1)^2 x 2 triangles, some of them missing: points, faces."""
+    height = np.random.default_rng(seed).normal(0, 0.3, (side, side))
+    jitter = np.random.default_rng(seed + 1).uniform(-0.3, 0.3, (side, side, 2))
+    x, y = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
+    points = np.stack([x + jitter[..., 0], y + jitter[..., 1], height], -1).reshape(-1, 3).astype(np.float32)
+    i = (x * side + y)[:-1, :-1].ravel()
+    faces = np.concatenate([np.stack([i, i + side, i + 1], 1), np.stack([i + 1, i + side, i + side + 1], 1)])
+    faces = np.random.default_rng(seed + 2).permutation(faces)[: int(0.95 * len(faces))]
+    return torch.from_numpy(points), torch.from_numpy(faces)
+
+
+def scannet_superpoints(points, faces, threshold, min_size):
+    """ScanNet's recipe once more, one number at a time, with none of the package's code."""
+    p = points.numpy()
+    one = np.float32(1)
+    normals = np.zeros_like(p)
+    counts = np.zeros(len(p), dtype=int)
+    edges = []
+    for a, b, c in faces.tolist():
+        edges += [(a, b), (a, c), (c, b)]
+        u, v = p[b] - p[a], p[c] - p[a]
+        n = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+        n = n / np.sqrt((n[0] * n[0] + n[1] * n[1]) + n[2] * n[2])
+        for vertex in (a, b, c):
+            share = one / np.float32(counts[vertex] + 1)
+            normals[vertex] = share * n + (one - share) * normals[vertex]
+            counts[vertex] += 1
+    weights = []
+    for a, b in edges:
+        d = p[b] - p[a]
+        d = d / np.sqrt((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2])
+        x, y = normals[a], normals[b]
+        w = one - ((x[0] * y[0] + x[1] * y[1]) + x[2] * y[2])
+        weights.append(w * w if (y[0] * d[0] + y[1] * d[1]) + y[2] * d[2] > 0 else w)
+    order = np.argsort(np.array(weights), kind="stable")
+    group = [{i} for i in range(len(p))]
+    limit = dict.fromkeys(range(len(p)), np.float32(threshold))
+    of = list(range(len(p)))  # the component of each vertex
+
+    def join(a, b):
+        for i in group[b]:
+            of[i] = a
+        group[a] |= group[b]
+
+    for e in order:
+        a, b = of[edges[e][0]], of[edges[e][1]]
+        if a != b and weights[e] <= limit[a] and weights[e] <= limit[b]:
+            join(a, b)
+            limit[a] = weights[e] + np.float32(threshold) / np.float32(len(group[a]))
+    for e in order:
+        a, b = of[edges[e][0]], of[edges[e][1]]
+        if a != b and min(len(group[a]), len(group[b])) < min_size:
+            join(a, b)
+    number = {}
+    return torch.tensor([number.setdefault(component, len(number)) for component in of])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_segmentator_is_scannet_s(seed):
+    points, faces = random_mesh(seed)
+    for parameters in ({}, {"scale": 0.1, "min_size": 5}):
+        expected = scannet_superpoints(points, faces, parameters.get("scale", 0.01), parameters.get("min_size", 20))
+        assert expected.max() > 3
+        assert torch.equal(tj.superpoints(points, faces=faces, preset="segmentator", **parameters), expected)
+
+
+def test_mesh_edges_and_normals_by_hand():
+    points = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [9, 9, 9]])
+    faces = torch.tensor([[0, 1, 2], [0, 3, 1], [2, 2, 1]])  # normals +z and +y; the last has no area
+    assert face_edges(faces).T.tolist()[:4] == [[0, 1], [0, 2], [2, 1], [0, 3]]
+    normals = vertex_normals(points, faces)
+    expected = [[0, 0.5, 0.5], [0, 0.5, 0.5], [0, 0, 1], [0, 1, 0], [0, 0, 0]]
+    assert normals.tolist() == expected
+
+
+@pytest.mark.parametrize("preset", ["room", "outdoor", "segmentator"])
+def test_sides_of_a_box_are_separate(preset):
+    points, truth = box_on_floor()
+    parameters = {"scale": 0.1} if preset == "segmentator" else {}
+    labels = tj.superpoints(points, preset=preset, **parameters)
+    assert labels.dtype == torch.int64
+    assert labels.unique().tolist() == list(range(int(labels.max()) + 1))
+    assert purity(labels, truth) > 0.9
+    assert len(labels.unique()) < 80
+
+
+def test_colours_separate_what_is_flat():
+    points, _ = box_on_floor()
+    points = points[points[:, 2] < 0.01]
+    carpet = points[:, 0] > 0.7
+    colors = torch.where(carpet[:, None], torch.tensor([0.8, 0.1, 0.1]), torch.tensor([0.2, 0.2, 0.6]))
+    plain = tj.superpoints(points, colors, color_weight=0)
+    assert torch.equal(plain, tj.superpoints(points))
+    colored = tj.superpoints(points, colors, color_weight=1.0)
+    assert purity(plain, carpet.long()) < 0.99
+    assert purity(colored, carpet.long()) == 1
+    assert torch.equal(colored, tj.superpoints(points, (colors * 255).to(torch.uint8), color_weight=1.0))
+
+
+def test_a_viewpoint_makes_convex_edges_cheap():
+    points, truth = box_on_floor()
+    sensor = torch.tensor([-3.0, -3.0, 5.0])
+    top, left, right = (points[truth == k] for k in (1, 2, 4))  # the sides that it sees
+    seen = torch.cat([top, left, right])
+    unsigned = tj.superpoints(seen)
+    signed = tj.superpoints(seen, viewpoint=sensor)
+    assert len(signed.unique()) < len(unsigned.unique())
+    per_point = sensor.repeat(len(seen), 1)
+    assert torch.equal(signed, tj.superpoints(seen, viewpoint=per_point))
+    assert torch.equal(signed, tj.superpoints(seen, viewpoint=sensor.repeat(1, 1)))
+
+
+def test_normals_that_are_given_are_used():
+    points, truth = box_on_floor()
+    outwards = torch.tensor([[0.0, 0, 1], [0, 0, 1], [-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0]])[truth]
+    labels = tj.superpoints(points, normals=5 * outwards, convex_factor=1.0)
+    assert purity(labels, truth) == 1
+
+
+def test_edges_of_ones_own():
+    points = torch.rand(6, 3, generator=random(0))
+    normals = torch.tensor([[0.0, 0, 1]]).repeat(6, 1)
+    edges = torch.tensor([[0, 1, 3, 4], [1, 2, 4, 5]])
+    labels = tj.superpoints(points, normals=normals, edges=edges, min_size=0)
+    assert labels.tolist() == [0, 0, 0, 1, 1, 1]
+    assert tj.superpoints(points, edges=edges.int(), min_size=3).tolist() == labels.tolist()
+    assert tj.superpoints(points, normals=normals, edges=edges[:, :0], min_size=0).tolist() == list(range(6))
+
+
+def clouds_of_several_kinds():
+    box, _ = box_on_floor()
+    uneven = torch.rand(5000, 3, generator=random(1)) ** 3
+    return [uneven, torch.rand(1, 3, generator=random(1)), box, torch.zeros(30, 3), box[:777]]
+
+
+@pytest.mark.parametrize("preset", ["room", "outdoor"])
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_a_cloud_in_a_batch_is_the_cloud_alone(threads, preset):
+    clouds = clouds_of_several_kinds()
+    viewpoints = torch.rand(len(clouds), 3, generator=random(2))
+    ptr = torch.tensor([0, *np.cumsum([len(cloud) for cloud in clouds])])
+    alone = [tj.superpoints(cloud, preset=preset, viewpoint=v) for cloud, v in zip(clouds, viewpoints, strict=True)]
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        together = tj.superpoints(torch.cat(clouds), ptr=ptr, viewpoint=viewpoints, preset=preset)
+        again = tj.superpoints(clouds[0], preset=preset, viewpoint=viewpoints[0])
+        assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    assert torch.equal(again, alone[0])
+    offset = 0
+    for labels, part in zip(alone, together.split([len(cloud) for cloud in clouds]), strict=True):
+        assert torch.equal(part, labels + offset)
+        offset += int(labels.max()) + 1
+
+
+def test_meshes_in_a_batch_are_the_meshes_alone():
+    meshes = [random_mesh(seed) for seed in (5, 6)]
+    size = len(meshes[0][0])
+    faces = torch.cat([meshes[0][1], meshes[1][1] + size])
+    faces = faces[torch.randperm(len(faces), generator=random(3))]  # of both meshes, mixed
+    order = [faces[(faces < size).all(1)], faces[(faces >= size).all(1)] - size]
+    alone = [tj.superpoints(m[0], faces=f, preset="segmentator") for m, f in zip(meshes, order, strict=True)]
+    points, ptr = torch.cat([m[0] for m in meshes]), torch.tensor([0, size, 2 * size])
+    together = tj.superpoints(points, faces=faces, ptr=ptr.int(), preset="segmentator")
+    assert torch.equal(together, torch.cat([alone[0], alone[1] + alone[0].max() + 1]))
+
+
+def test_strange_clouds():
+    assert tj.superpoints(torch.tensor([[1.0, 2, 3]])).tolist() == [0]
+    assert tj.superpoints(torch.zeros(100, 3)).tolist() == [0] * 100  # all in one place
+    assert len(tj.superpoints(torch.rand(5, 3, generator=random(4)))) == 5  # fewer than neighbours
+    line = torch.arange(50.0)[:, None] * torch.tensor([1.0, 2.0, 3.0])
+    assert len(tj.superpoints(line)) == 50
+    doubled = box_on_floor()[0].repeat(2, 1)
+    assert purity(tj.superpoints(doubled), box_on_floor()[1].repeat(2)) > 0.8
+    points = box_on_floor()[0]
+    strided = torch.stack([points, points], 2)[:, :, 0]
+    assert not strided.is_contiguous()
+    assert torch.equal(tj.superpoints(strided), tj.superpoints(points))
+    assert torch.equal(tj.superpoints(points.double()), tj.superpoints(points))
+
+
+def test_no_gradient_and_no_change_of_the_input():
+    points = box_on_floor()[0].requires_grad_()
+    before = points.detach().clone()
+    assert not tj.superpoints(points, viewpoint=torch.zeros(3)).requires_grad
+    assert torch.equal(points.detach(), before)
+
+
+POINTS = torch.rand(30, 3, generator=torch.Generator().manual_seed(5))
+NAN = torch.full((30, 3), float("nan"))
+EDGES = torch.tensor([[0, 1], [1, 2]])
+ERRORS = [
+    ({"points": [[0.0, 0, 0]]}, TypeError, "points: expected a torch.Tensor, got list"),
+    ({"points": POINTS.long()}, TypeError, "points: expected a floating dtype, got torch.int64"),
+    ({"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [30, 2]"),
+    ({"points": POINTS[:0]}, ValueError, "points: expected at least one point, got an empty cloud"),
+    ({"points": NAN}, ValueError, "points: expected finite values, got 90 NaN or infinite of 90"),
+    ({"points": POINTS / 0}, ValueError, "points: expected finite values"),
+    ({"points": POINTS + 1e6}, ValueError, "subtract an offset"),
+    ({"colors": POINTS[:5]}, ValueError, "colors: expected shape [30, 3], got [5, 3]"),
+    ({"colors": POINTS * 255}, ValueError, "colors: expected values in [0, 1] (or uint8)"),
+    ({"color_weight": 1.0}, ValueError, "colors: color_weight > 0 needs the colours of the points, got None"),
+    ({"normals": NAN}, ValueError, "normals: expected finite values"),
+    ({"normals": 0 * POINTS}, ValueError, "normals: expected unit vectors, got 30 of length 0"),
+    ({"edges": EDGES, "faces": EDGES}, ValueError, "edges: expected edges or faces, got both"),
+    ({"edges": EDGES.T.float()}, TypeError, "edges: expected dtype torch.int32 or torch.int64, got torch.float32"),
+    ({"edges": [[0], [1]]}, TypeError, "edges: expected a torch.Tensor, got list"),
+    ({"edges": torch.zeros(3, 2).long()}, ValueError, "edges: expected shape [2, E], got [3, 2]"),
+    ({"edges": EDGES + 29}, ValueError, "edges: expected point numbers in [0, 30), got 29 to 31"),
+    ({"edges": EDGES - 1}, ValueError, "edges: expected point numbers in [0, 30), got -1 to 1"),
+    ({"edges": EDGES, "ptr": torch.tensor([0, 1, 30])}, ValueError, "edges: expected points of one cloud, got [0, 1]"),
+    ({"faces": EDGES}, ValueError, "faces: expected shape [F, 3], got [2, 2]"),
+    ({"faces": torch.tensor([[0, 1, 30]])}, ValueError, "faces: expected point numbers in [0, 30), got 0 to 30"),
+    ({"ptr": [0, 30]}, TypeError, "ptr: expected a torch.Tensor, got list"),
+    ({"ptr": torch.tensor([0.0, 30])}, TypeError, "ptr: expected dtype torch.int32 or torch.int64"),
+    ({"ptr": torch.tensor([0])}, ValueError, "ptr: expected shape [B + 1], B >= 1, got [1]"),
+    ({"ptr": torch.tensor([0, 20])}, ValueError, "ptr: expected to go from 0 to N = 30, got 0 to 20"),
+    ({"ptr": torch.tensor([1, 30])}, ValueError, "ptr: expected to go from 0 to N = 30, got 1 to 30"),
+    ({"ptr": torch.tensor([0, 20, 10, 30])}, ValueError, "ptr: expected ascending numbers (no cloud is empty), got 20"),
+    ({"ptr": torch.tensor([0, 20, 20, 30])}, ValueError, "got 20, 20 for cloud 1"),
+    ({"viewpoint": (0, 0, 0)}, TypeError, "viewpoint: expected a floating torch.Tensor, got tuple"),
+    ({"viewpoint": torch.zeros(2, 3)}, ValueError, "viewpoint: expected shape [3], [1, 3] or [30, 3], got [2, 3]"),
+    ({"viewpoint": NAN[0]}, ValueError, "viewpoint: expected finite values"),
+    ({"preset": "nope"}, ValueError, "preset: expected one of outdoor, room, segmentator, or a YAML file, got 'nope'"),
+    ({"scale": -1.0}, ValueError, "superpoints.scale: expected >= 0, got -1.0"),
+    ({"neighbors": 0}, ValueError, "superpoints.neighbors: expected >= 1, got 0"),
+    ({"weight": "magic"}, ValueError, "superpoints.weight: expected one of angle, segmentator, got 'magic'"),
+    ({"convex_factor": 2}, ValueError, "superpoints.convex_factor: expected <= 1, got 2"),
+]
+
+
+@pytest.mark.parametrize(("change", "error", "message"), ERRORS)
+def test_errors_name_the_argument(change, error, message):
+    with pytest.raises(error, match=re.escape(message)):
+        tj.superpoints(**({"points": POINTS} | change))
+
+
+def test_module_is_the_function():
+    points, _ = box_on_floor()
+    module = tj.Superpoints("outdoor", scale=0.5)
+    assert torch.equal(module(points), tj.superpoints(points, preset="outdoor", scale=0.5))
+    ptr = torch.tensor([0, 100, len(points)])
+    assert torch.equal(module(points, ptr=ptr), tj.superpoints(points, ptr=ptr, preset=module.config))
+    assert "scale=0.5" in repr(module)
+    with pytest.raises(ValueError, match=r"superpoints\.sclae: unknown parameter, expected one of neighbors, "):
+        tj.Superpoints(sclae=0.5)
+
+
+def test_presets(tmp_path):
+    assert set(presets()) == {"room", "outdoor", "segmentator"}
+    assert not set(presets()) & set(tj.config.presets())
+    assert SuperpointsConfig.from_preset("room") == SuperpointsConfig()
+    for name in presets():
+        config = SuperpointsConfig.from_preset(name)
+        assert f"`{name}`" in superpoint_table()
+        file = tmp_path / "mine.yaml"
+        file.write_text(yaml.safe_dump(dataclasses.asdict(config)))
+        assert SuperpointsConfig.from_preset(str(file)) == config
+    for text, message in (
+        ("scael: 1", r"mine\.yaml: superpoints\.scael: unknown parameter, expected one of neighbors, "),
+        ("scale: {a: 1}", r"mine\.yaml: superpoints\.scale: expected float"),
+        ("- 1", r"mine\.yaml: expected parameters by name, got a list"),
+        ("a: [", r"mine\.yaml: not valid YAML"),
+    ):
+        file.write_text(text)
+        with pytest.raises((ValueError, TypeError), match=message):
+            tj.superpoints(POINTS, preset=str(file))
+
+
+def test_every_parameter_is_an_argument():
+    import inspect
+
+    names = {spec.name for spec in dataclasses.fields(SuperpointsConfig)}
+    assert names <= set(inspect.signature(tj.superpoints).parameters)

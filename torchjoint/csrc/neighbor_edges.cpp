@@ -1,0 +1,96 @@
+// The undirected edges of a table of neighbours, each once.
+#include "neighbors.h"
+
+#include <numeric>
+
+namespace torchjoint {
+namespace {
+
+template <typename Index>
+class EdgeList {
+ public:
+  EdgeList(const Index* neighbors, int64_t num_rows, int64_t row_length)
+      : neighbors_(neighbors), num_rows_(num_rows), row_length_(row_length), words_((row_length + 63) / 64),
+        kept_(num_rows * words_), start_(num_blocks(num_rows) + 1) {}
+
+  // First all threads mark and count the edges of their rows, then they know where to write them.
+  int64_t mark() {
+    for_blocks_of_rows(neighbors_, num_rows_, row_length_, [&](int64_t block, int64_t first, int64_t last) {
+      for (int64_t i = first; i < last; ++i) {
+        const int64_t count = mark_row(i);
+        if (count < 0) return false;
+        start_[block + 1] += count;
+      }
+      return true;
+    });
+    std::partial_sum(start_.begin(), start_.end(), start_.begin());
+    return start_.back();
+  }
+
+  void write(int64_t* smaller, int64_t* larger) const {
+    for_blocks_of_rows(neighbors_, num_rows_, row_length_, [&](int64_t block, int64_t first, int64_t last) {
+      int64_t edge = start_[block];
+      for (int64_t i = first; i < last; ++i) {
+        for (int64_t k = 0; k < row_length_; ++k) {
+          if (!(kept_[i * words_ + k / 64] >> (k % 64) & 1)) continue;
+          const int64_t j = neighbors_[i * row_length_ + k];
+          smaller[edge] = std::min(i, j);
+          larger[edge++] = std::max(i, j);
+        }
+      }
+      return true;
+    });
+  }
+
+ private:
+  // The number of edges that row i names first; -1 if one of its numbers is no row.
+  int64_t mark_row(int64_t i) {
+    const Index* row = neighbors_ + i * row_length_;
+    int64_t count = 0;
+    for (int64_t k = 0; k < row_length_; ++k) {
+      const int64_t j = row[k];
+      if (static_cast<uint64_t>(j) >= static_cast<uint64_t>(num_rows_)) return -1;
+      // An edge to an earlier row was named there already if that row has i, and a loop is no edge.
+      if (j == i || (j < i && names(j, i))) continue;
+      kept_[i * words_ + k / 64] |= uint64_t{1} << (k % 64);
+      ++count;
+    }
+    return count;
+  }
+
+  bool names(int64_t row, int64_t node) const {
+    const Index* names = neighbors_ + row * row_length_;
+    bool found = false;
+    for (int64_t k = 0; k < row_length_; ++k) found |= names[k] == node;
+    return found;
+  }
+
+  const Index* neighbors_;
+  int64_t num_rows_, row_length_, words_;
+  std::vector<uint64_t> kept_;  // a bit for each entry of the table
+  std::vector<int64_t> start_;  // of each block's edges
+};
+
+Tensor neighbor_edges(const Tensor& neighbors) {
+  const Tensor table = checked_neighbors(neighbors);
+  return with_indices(table, [&](const auto* indices) {
+    EdgeList edges(indices, table.size(0), table.size(1));
+    const int64_t num_edges = edges.mark();
+    Tensor edge_index = torch::stable::new_empty(table, {2, num_edges}, ScalarType::Long);
+    int64_t* smaller = edge_index.mutable_data_ptr<int64_t>();
+    edges.write(smaller, smaller + num_edges);
+    return edge_index;
+  });
+}
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
+  m.def("neighbor_edges(Tensor neighbors) -> Tensor");
+}
+
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
+  m.impl("neighbor_edges", TORCH_BOX(&neighbor_edges));
+}
+
+}  // namespace torchjoint

@@ -1,0 +1,53 @@
+// A table of neighbours, [N, K] int32 or int64: its checks, and rows that are worked on by several threads.
+#pragma once
+
+#include "common.h"
+
+#include <algorithm>
+#include <vector>
+
+namespace torchjoint {
+
+// Rows a thread takes at a time. What is computed for a row never depends on it.
+constexpr int64_t kRowsPerBlock = 1024;
+
+inline int64_t num_blocks(int64_t num_rows) { return (num_rows + kRowsPerBlock - 1) / kRowsPerBlock; }
+
+// [N, K] int32 or int64 on the CPU, contiguous.
+inline Tensor checked_neighbors(const Tensor& neighbors) {
+  check(neighbors.is_cpu(), "neighbors: expected a CPU tensor");
+  check(neighbors.scalar_type() == ScalarType::Int || neighbors.scalar_type() == ScalarType::Long,
+        "neighbors: expected dtype torch.int32 or torch.int64");
+  check(neighbors.dim() == 2, "neighbors: expected shape [N, K]");
+  check(neighbors.size(0) <= kMaxCount, "neighbors: expected at most 2^31 - 1 points, got ", neighbors.size(0));
+  return torch::stable::contiguous(neighbors);
+}
+
+// Calls `function` with the table's data as `const int32_t*` or `const int64_t*`.
+template <typename Function>
+auto with_indices(const Tensor& indices, Function&& function) {
+  if (indices.scalar_type() == ScalarType::Int) return function(indices.const_data_ptr<int32_t>());
+  return function(indices.const_data_ptr<int64_t>());
+}
+
+// Calls `function(block, first_row, last_row)` for all blocks of rows, on torch's threads. An exception must not leave
+// such a loop, so `function` returns whether the numbers in its rows are all in [0, N), and the first that is not is
+// reported afterwards.
+template <typename Index, typename Function>
+void for_blocks_of_rows(const Index* neighbors, int64_t num_rows, int64_t row_length, const Function& function) {
+  const int64_t blocks = num_blocks(num_rows);
+  std::vector<char> valid(blocks);
+  torch::stable::parallel_for(0, blocks, 1, [&](int64_t begin, int64_t end) {
+    for (int64_t block = begin; block < end; ++block) {
+      const int64_t first = block * kRowsPerBlock;
+      valid[block] = function(block, first, std::min(first + kRowsPerBlock, num_rows));
+    }
+  });
+  if (std::find(valid.begin(), valid.end(), 0) == valid.end()) return;
+  const Index* bad = std::find_if(neighbors, neighbors + num_rows * row_length,
+                                  [&](Index j) { return static_cast<uint64_t>(j) >= static_cast<uint64_t>(num_rows); });
+  fail("neighbors: expected point numbers in [0, ", num_rows, "), got ", *bad, " in row ",
+       (bad - neighbors) / row_length);
+}
+
+}  // namespace torchjoint

@@ -1,0 +1,49 @@
+"""Normals of planes fitted to neighbourhoods."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from torchjoint.ops._checks import FLOATING, check_neighbors, check_tensor
+
+
+def fit_normals(points: Tensor, neighbors: Tensor) -> Tensor:
+    """Fit a plane to each point and its neighbours: the eigenvector of their covariance's smallest eigenvalue.
+
+    Covariances are taken in float64, relative to the point. A plane has two normals; the upper one is returned: z > 0,
+    or z = 0 and y > 0, or z = y = 0 and x > 0. It is (0, 0, 1) where the points coincide, vary alike in all
+    directions, or are fewer than three (K < 2), and across the line where they are on one.
+
+    Args:
+        points: ``[N, 3]`` float32 or float64, finite.
+        neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point, itself left out.
+
+    Returns:
+        ``[N, 3]`` float32, unit length. Runs on torch's threads; the result does not depend on how many there are.
+        No gradient flows through it.
+
+    Raises:
+        TypeError: an argument of the wrong type or dtype.
+        ValueError: a wrong shape or device, a number outside [0, N).
+
+    Example:
+        >>> import torch
+        >>> points = torch.tensor([[0.0, 0, 0], [0, 0, 1], [0, 2, 0]])  # in the plane x = 0
+        >>> fit_normals(points, torch.tensor([[1, 2], [0, 2], [0, 1]])).abs()
+        tensor([[1., 0., 0.],
+                [1., 0., 0.],
+                [1., 0., 0.]])
+    """
+    check_tensor("points", points, FLOATING)
+    if points.dim() != 2 or points.shape[1] != 3:
+        raise ValueError(f"points: expected shape [N, 3], got {list(points.shape)}")
+    check_neighbors(neighbors, points.shape[0])
+    return cast(Tensor, torch.ops.torchjoint.fit_normals.default(points.detach(), neighbors))
+
+
+@torch.library.register_fake("torchjoint::fit_normals")
+def _fake(points: Tensor, neighbors: Tensor) -> Tensor:
+    return points.new_empty((points.shape[0], 3), dtype=torch.float32)

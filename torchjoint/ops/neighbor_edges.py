@@ -1,0 +1,42 @@
+"""The undirected edges of a table of nearest neighbours."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from torchjoint.ops._checks import check_neighbors
+
+
+def neighbor_edges(neighbors: Tensor) -> Tensor:
+    """Make a table of neighbours symmetric: every pair in which one names the other, once, with i < j.
+
+    Edges come in the order in which the rows of the table name them first. A row that names itself gives no edge; one
+    that names a neighbour twice gives that edge twice (:func:`torchjoint.ops.felzenszwalb` does not mind).
+
+    Args:
+        neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point.
+
+    Returns:
+        ``[2, E]`` int64. Runs on torch's threads; the result does not depend on how many there are.
+
+    Raises:
+        TypeError: an argument of the wrong type or dtype.
+        ValueError: a wrong shape or device, a number outside [0, N).
+
+    Example:
+        >>> import torch
+        >>> neighbor_edges(torch.tensor([[1], [0], [1]]))
+        tensor([[0, 1],
+                [1, 2]])
+    """
+    check_neighbors(neighbors, None)
+    return cast(Tensor, torch.ops.torchjoint.neighbor_edges.default(neighbors))
+
+
+@torch.library.register_fake("torchjoint::neighbor_edges")
+def _fake(neighbors: Tensor) -> Tensor:
+    num_edges = torch.library.get_ctx().new_dynamic_size()
+    return neighbors.new_empty((2, num_edges), dtype=torch.int64)

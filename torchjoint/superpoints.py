@@ -1,0 +1,170 @@
+"""Superpoints: an over-segmentation of a point cloud into small pieces that do not cross the borders of objects."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from torchjoint import ops
+from torchjoint.cloud_batch import Cloud, take_apart
+from torchjoint.neighbors import nearest_neighbors
+from torchjoint.point_graph import estimate_normals, geometric_weights, undirected_edges
+from torchjoint.scene import Scene
+from torchjoint.segmentator import face_edges, segmentator_turn, vertex_normals
+from torchjoint.superpoints_config import SuperpointsConfig
+from torchjoint.threads import map_frames, one_thread_per_operation
+
+
+def superpoints(
+    points: Tensor,
+    colors: Tensor | None = None,
+    normals: Tensor | None = None,
+    *,
+    edges: Tensor | None = None,
+    faces: Tensor | None = None,
+    ptr: Tensor | None = None,
+    viewpoint: Tensor | None = None,
+    preset: str | SuperpointsConfig = "room",
+    neighbors: int | None = None,
+    normal_neighbors: int | None = None,
+    weight: str | None = None,
+    angle_weight: float | None = None,
+    convex_factor: float | None = None,
+    distance_weight: float | None = None,
+    color_weight: float | None = None,
+    scale: float | None = None,
+    min_size: int | None = None,
+) -> Tensor:
+    """Cut a cloud, or several, into superpoints.
+
+    A graph of nearest neighbours (or the edges of a mesh, or your own) is weighted by how much the surface turns along
+    each edge, and segmented as Felzenszwalb and Huttenlocher do (:func:`torchjoint.ops.felzenszwalb`). Points are all
+    that is needed; what else is given is used.
+
+    The signs of fitted normals are arbitrary, so angles count without sign, and convex edges like concave ones, unless
+    `normals`, `faces` or a `viewpoint` tell inside from outside.
+
+    Args:
+        points: [N, 3] metres, finite, N >= 1.
+        colors: optional [N, 3] RGB in [0, 1], or uint8; needed if a `color_weight` is given. That of a preset counts
+            where there are colours.
+        normals: optional [N, 3], of meaningful sign, any length but 0; fitted to the points where absent.
+        edges: optional [2, E] integers, a graph to use instead of that of nearest neighbours.
+        faces: optional [F, 3] integers, triangles of a mesh whose vertices are the points: their edges are the graph,
+            and their normals, where none are given, the normals. With preset "segmentator" and no normals the result
+            is that of ScanNet's segmentator. A vertex of no triangle is a superpoint of its own.
+        ptr: optional [B + 1] integers, where each of B clouds starts, and N: 0 = ptr[0] < ptr[1] < ... < ptr[B] = N.
+        viewpoint: optional [3] metres, where the sensor stood; or one for each cloud [B, 3], or each point [N, 3].
+        preset: "room", "outdoor" or "segmentator", a YAML file, or a config; the other arguments, where not None,
+            replace what it says. :class:`SuperpointsConfig` and the README tell what they do, their units and ranges.
+
+    Returns:
+        [N] int64 labels 0, 1, 2, ... in the order of their first points. Those of a cloud follow those of the cloud
+        before it, and are, but for that offset, the same as if it had come alone. The same input has the same labels,
+        whatever the number of threads.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+
+    Example:
+        >>> import torch, torchjoint as tj
+        >>> floor = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1)) / 10
+        >>> wall = floor[:, [2, 1, 0]] + torch.tensor([-0.1, 0.0, 0.1])
+        >>> labels = tj.superpoints(torch.cat([floor, wall]), min_size=50)
+        >>> labels.unique(return_counts=True)
+        (tensor([0, 1]), tensor([400, 400]))
+    """
+    given = {
+        "neighbors": neighbors, "normal_neighbors": normal_neighbors, "weight": weight, "angle_weight": angle_weight,
+        "convex_factor": convex_factor, "distance_weight": distance_weight, "color_weight": color_weight,
+        "scale": scale, "min_size": min_size,
+    }  # fmt: skip
+    config = (preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)).replace(
+        {name: value for name, value in given.items() if value is not None}
+    )
+    if colors is None:
+        if color_weight:  # asked for, and not just part of a preset
+            raise ValueError("colors: color_weight > 0 needs the colours of the points, got None")
+        config = config.replace({"color_weight": 0.0})
+    if edges is not None and faces is not None:
+        raise ValueError("edges: expected edges or faces, got both")
+    with torch.no_grad(), one_thread_per_operation():
+        scene = Scene(points, colors=colors, normals=normals)
+        clouds = take_apart(scene, edges, faces, ptr, viewpoint)
+        labels = map_frames(lambda cloud: _segment(cloud, config), clouds)
+        offset = 0
+        for part in labels:
+            part += offset
+            offset = int(part.max()) + 1
+        return torch.cat(labels)
+
+
+class Superpoints(nn.Module):
+    """:func:`superpoints` as a module, for a chain of modules and to keep parameters together.
+
+    Args:
+        preset: as of :func:`superpoints`.
+        parameters: replace what the preset says, by name: ``Superpoints("outdoor", scale=2.0)``.
+
+    Raises:
+        ValueError, TypeError: an unknown parameter, or a bad value, by name.
+
+    Example:
+        >>> import torch, torchjoint as tj
+        >>> tj.Superpoints(min_size=2)(torch.rand(100, 3)).shape
+        torch.Size([100])
+    """
+
+    def __init__(self, preset: str | SuperpointsConfig = "room", **parameters: float | str) -> None:
+        super().__init__()
+        self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
+        self.config = self.preset.replace(parameters)
+        self.parameters_given = parameters
+
+    def forward(
+        self,
+        points: Tensor,
+        colors: Tensor | None = None,
+        normals: Tensor | None = None,
+        ptr: Tensor | None = None,
+    ) -> Tensor:
+        """Labels [N] int64 of points [N, 3]; see :func:`superpoints`."""
+        return superpoints(points, colors, normals, ptr=ptr, preset=self.preset, **self.parameters_given)  # type: ignore[arg-type]
+
+    def extra_repr(self) -> str:
+        """The parameters, shown when the module is printed."""
+        return repr(self.config)
+
+
+def _segment(cloud: Cloud, config: SuperpointsConfig) -> Tensor:
+    """One cloud -> [N] int64 labels."""
+    edges, normals, known = _graph(cloud, config)
+    turn = segmentator_turn if config.weight == "segmentator" else None
+    if not known:  # which edges are convex cannot be told, so do not ask
+        config = config.replace({"convex_factor": 1.0})
+    signs = torch.full((len(cloud.points),), known)
+    weights = geometric_weights(cloud.points, edges, normals, signs, config.point_graph, cloud.colors, turn)
+    return ops.felzenszwalb(edges, weights, len(cloud.points), config.scale, config.min_size)
+
+
+def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, bool]:
+    """Edges [2, E], normals [N, 3], and whether their signs are known."""
+    points, normals, edges, known = cloud.points, cloud.normals, cloud.edges, True
+    if cloud.faces is not None:
+        edges = face_edges(cloud.faces)
+        normals = vertex_normals(points, cloud.faces) if normals is None else normals
+    count = max(config.neighbors if edges is None else 0, config.normal_neighbors if normals is None else 0)
+    nearest = nearest_neighbors(points, count).indices if count else torch.empty(0)
+    if normals is None:
+        normals, known = estimate_normals(points, nearest[:, : config.normal_neighbors]), False
+        if cloud.viewpoint is not None:
+            normals, known = _turned_to(cloud.viewpoint, points, normals), True
+    if edges is None:
+        edges = undirected_edges(nearest[:, : config.neighbors])
+    return edges, normals, known
+
+
+def _turned_to(viewpoint: Tensor, points: Tensor, normals: Tensor) -> Tensor:
+    """A surface is seen from outside: its normals show towards the sensor."""
+    x, y, z = (normals * (viewpoint - points)).unbind(1)
+    return torch.where(((x + y) + z < 0)[:, None], -normals, normals)

@@ -1,0 +1,123 @@
+"""Parameters of :func:`torchjoint.superpoints`: one frozen dataclass, and presets of it in `configs/superpoints/`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from torchjoint.config import PointGraphConfig
+from torchjoint.parameter import Stage, parameter
+
+
+@dataclass(frozen=True)
+class SuperpointsConfig(Stage):
+    """Superpoints of a cloud: its graph, the weight of its edges, and Felzenszwalb-Huttenlocher."""
+
+    neighbors: int = parameter(
+        10, "neighbours of a point in the graph; more costs time and bridges gaps", low=1, high=200, sensible="8-30"
+    )
+    normal_neighbors: int = parameter(
+        30, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=2, high=500,
+        sensible="12-80",
+    )  # fmt: skip
+    weight: str = parameter(
+        "angle", "how a surface's turn is measured: the angle of two normals, or ScanNet's 1 - cosine, squared where "
+        "convex", choices=("angle", "segmentator"),
+    )  # fmt: skip
+    angle_weight: float = parameter(1.0, "weight of that turn", unit="1/rad, or 1", low=0)
+    convex_factor: float = parameter(
+        0.1,
+        "an angle counts only this much where the surface is convex, as within most objects; takes effect where the "
+        "normals' signs are known (given, of a mesh, or turned to a viewpoint)",
+        low=0,
+        high=1,
+        sensible="0.1-1",
+    )
+    distance_weight: float = parameter(
+        0.0, "weight of the distance of two points; separates sparse from dense", unit="1/m", low=0, sensible="0-10"
+    )
+    color_weight: float = parameter(
+        0.4, "weight of the RGB distance of two points, where there are colours", low=0, sensible="0-1"
+    )
+    scale: float = parameter(1.0, "k; more gives larger superpoints", unit="weight x points", low=0, sensible="0.1-5")
+    min_size: int = parameter(20, "smaller superpoints are joined to a neighbour", unit="points", low=0)
+
+    @property
+    def point_graph(self) -> PointGraphConfig:
+        """The terms of the weights that superpoints share with step 3 of the joint method."""
+        return PointGraphConfig(
+            distance_weight=self.distance_weight,
+            angle_weight=self.angle_weight,
+            convex_factor=self.convex_factor,
+            color_weight=self.color_weight,
+        )
+
+    @classmethod
+    def from_preset(cls, name: str) -> SuperpointsConfig:
+        """Reads one of the presets that come with the package (see :func:`presets`), or a YAML file of your own."""
+        if name.endswith((".yaml", ".yml")):
+            return cls._parse(Path(name).read_text(encoding="utf-8"), name)
+        known = presets()
+        if name not in known:
+            raise ValueError(f"preset: expected one of {', '.join(known)}, or a YAML file, got {name!r}")
+        return cls._parse(known[name].read_text(encoding="utf-8"), f"preset {name!r}")
+
+    @classmethod
+    def _parse(cls, text: str, source: str) -> SuperpointsConfig:
+        try:
+            values = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ValueError(f"{source}: not valid YAML: {error}") from error
+        if values is not None and not isinstance(values, dict):
+            raise ValueError(f"{source}: expected parameters by name, got a {type(values).__name__}")
+        try:
+            return cls().replace(values or {})
+        except (ValueError, TypeError) as error:
+            raise type(error)(f"{source}: {error}") from error
+
+    def replace(self, values: Mapping[str, Any]) -> SuperpointsConfig:
+        """A copy with some parameters replaced: ``config.replace({"scale": 2.0})``."""
+        names = [spec.name for spec in dataclasses.fields(self)]
+        for name in values:
+            if name not in names:
+                raise ValueError(f"{self.key()}.{name}: unknown parameter, expected one of {', '.join(names)}")
+        return dataclasses.replace(self, **values)
+
+    def set(self, assignments: Sequence[str]) -> SuperpointsConfig:
+        """A copy with assignments applied as the command line writes them: ``["scale=2", "color_weight=0.5"]``."""
+        values = {}
+        for assignment in assignments:
+            name, equals, text = assignment.partition("=")
+            if not equals or not name.strip():
+                raise ValueError(f"--set: expected parameter=value, got {assignment!r}")
+            try:
+                values[name.strip()] = yaml.safe_load(text)
+            except yaml.YAMLError:
+                raise ValueError(f"{name.strip()}: expected a value, got {text!r}") from None
+        return self.replace(values)
+
+
+def presets() -> dict[str, Any]:
+    """The presets that come with the package: name -> readable resource."""
+    files = (resources.files("torchjoint.configs") / "superpoints").iterdir()
+    return {Path(file.name).stem: file for file in sorted(files, key=lambda f: f.name) if file.name.endswith(".yaml")}
+
+
+def superpoint_table() -> str:
+    """All parameters and their values in each preset as a Markdown table: what the README shows."""
+    configs = {name: SuperpointsConfig.from_preset(name) for name in presets()}
+    lines = [
+        f"| parameter | {' | '.join(f'`{name}`' for name in configs)} | unit | sensible | what it does |",
+        f"|---|{'---:|' * len(configs)}---|---|---|",
+    ]
+    for spec in dataclasses.fields(SuperpointsConfig):
+        meta = spec.metadata
+        values = " | ".join(f"{getattr(config, spec.name)}" for config in configs.values())
+        lines.append(f"| `{spec.name}` | {values} | {meta['unit']} | {meta['sensible']} | {meta['doc']} |")
+    return "\n".join(lines)

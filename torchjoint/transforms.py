@@ -1,0 +1,163 @@
+"""Superpoints in a data set's pipeline: labels added to samples, and carried to clouds that were sampled.
+
+A transform takes a sample and returns a new one; it keeps no state, so it runs in the workers of a
+:class:`torch.utils.data.DataLoader`, forked or spawned, where it uses the one thread that torch gives a worker.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from torchjoint.scene import as_points
+from torchjoint.superpoints import superpoints
+from torchjoint.superpoints_config import SuperpointsConfig
+from torchjoint.threads import num_threads
+
+Sample = TypeVar("Sample")
+
+
+class AddSuperpoints:
+    """Adds the superpoints of a sample's cloud to the sample, as [N] int64.
+
+    A sample is a mapping of names to tensors, or an object with attributes, such as torch_geometric's ``Data``:
+    ``AddSuperpoints(points="pos", colors="rgb", normals="normal")``. Of the names only that of the points has to be in
+    the sample; the others are used where they are there, and not None.
+
+    Args:
+        points, colors, normals, faces, edges, ptr, viewpoint: where the sample keeps what
+            :func:`torchjoint.superpoints` takes; None = never use it. Faces of an object (not a mapping) may be
+            [3, F], as torch_geometric has them.
+        to: where the labels go.
+        preset: as of :func:`torchjoint.superpoints`.
+        parameters: replace what the preset says, by name.
+
+    Raises:
+        KeyError: (at a call) the sample has no points, or has the labels already.
+        ValueError, TypeError: as :func:`torchjoint.superpoints`.
+
+    Example:
+        >>> import torch, torchjoint as tj
+        >>> add = tj.transforms.AddSuperpoints(min_size=5)
+        >>> sample = add({"points": torch.rand(50, 3), "name": "cube"})
+        >>> sorted(sample), sample["superpoints"].shape
+        (['name', 'points', 'superpoints'], torch.Size([50]))
+    """
+
+    def __init__(
+        self,
+        points: str = "points",
+        colors: str | None = "colors",
+        normals: str | None = "normals",
+        *,
+        faces: str | None = None,
+        edges: str | None = None,
+        ptr: str | None = "ptr",
+        viewpoint: str | None = "viewpoint",
+        to: str = "superpoints",
+        preset: str | SuperpointsConfig = "room",
+        **parameters: float | str,
+    ) -> None:
+        self.points = points
+        self.names = {
+            "colors": colors, "normals": normals, "faces": faces, "edges": edges, "ptr": ptr, "viewpoint": viewpoint
+        }  # fmt: skip
+        self.to = to
+        self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
+        self.config = self.preset.replace(parameters)
+        self.parameters = parameters
+
+    def __call__(self, sample: Sample) -> Sample:
+        """A copy of the sample (its tensors are shared) with the labels."""
+        points = _get(sample, self.points)
+        if points is None:
+            raise KeyError(f"{self.points}: expected the sample to have its points there, got {_names(sample)}")
+        if _get(sample, self.to) is not None:
+            raise KeyError(f"{self.to}: the sample has that already; choose another name with to=")
+        given = {name: _get(sample, key) for name, key in self.names.items() if key is not None}
+        faces = given.get("faces")
+        if faces is not None and not isinstance(sample, Mapping) and faces.ndim == 2 and faces.shape[1] != 3:
+            given["faces"] = faces.T
+        labels = superpoints(points, **given, preset=self.preset, **self.parameters)  # type: ignore[arg-type]
+        if isinstance(sample, Mapping):
+            return type(sample)({**sample, self.to: labels})  # type: ignore[call-arg]
+        changed = copy.copy(sample)
+        setattr(changed, self.to, labels)
+        return changed
+
+    def __repr__(self) -> str:
+        return f"AddSuperpoints(points={self.points!r}, to={self.to!r}, {self.config})"
+
+
+def transfer_labels(
+    labels: Tensor, from_points: Tensor, to_points: Tensor, max_distance: float | None = None
+) -> Tensor:
+    """Labels for other points of the same scene: each takes that of the nearest labelled one, ties the lowest index.
+
+    For clouds that were subsampled, voxelised or cropped, in either direction.
+
+    Args:
+        labels: [N] or [N, ...], of any dtype; of the labelled points.
+        from_points: [N, 3] metres, N >= 1.
+        to_points: [M, 3] metres.
+        max_distance: metres; points without a labelled one as near as this get -1. None: no limit.
+
+    Returns:
+        [M] or [M, ...], of the dtype of `labels`.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+
+    Example:
+        >>> import torch
+        >>> here, there = torch.tensor([[0.0, 0, 0], [1, 0, 0]]), torch.tensor([[0.2, 0, 0], [0.9, 0, 0], [7, 0, 0]])
+        >>> transfer_labels(torch.tensor([3, 4]), here, there, max_distance=0.5)
+        tensor([ 3,  4, -1])
+    """
+    source = as_points(from_points, "from_points").double().numpy()
+    target = as_points(to_points, "to_points").double().numpy()
+    if not isinstance(labels, Tensor):
+        raise TypeError(f"labels: expected a torch.Tensor, got {type(labels).__name__}")
+    if labels.ndim == 0 or len(labels) != len(source):
+        raise ValueError(f"labels: expected one for each of {len(source)} from_points, got {list(labels.shape)}")
+    if max_distance is not None and not (math.isfinite(max_distance) and max_distance >= 0):
+        raise ValueError(f"max_distance: expected a number >= 0 or None, got {max_distance}")
+    if max_distance is not None and labels.dtype in (torch.bool, torch.uint8):
+        raise TypeError(f"labels: expected a dtype that has -1 (max_distance is given), got {labels.dtype}")
+    index, distance = _nearest(source, target)
+    result = labels[torch.from_numpy(index)]
+    if max_distance is not None:
+        result[torch.from_numpy(distance > max_distance)] = -1
+    return result
+
+
+def _nearest(source: Any, target: Any) -> tuple[Any, Any]:
+    """Index of and distance to the nearest source of each target; of equally near ones the lowest index."""
+    tree = cKDTree(source, balanced_tree=False, compact_nodes=False)
+    nearest, distance = np.empty(len(target), dtype=np.int64), np.empty(len(target))
+    open_, count = np.arange(len(target)), min(2, len(source))
+    while len(open_):
+        # If even the last of those found is as near as the first there may be more: ask again, for more.
+        found, index = tree.query(target[open_], k=np.arange(1, count + 1), workers=num_threads())
+        tied = found == found[:, :1]
+        nearest[open_] = np.where(tied, index, len(source)).min(axis=1)
+        distance[open_] = found[:, 0]
+        more = tied[:, -1] & (count < len(source))
+        open_, count = open_[more], min(4 * count, len(source))
+    return nearest, distance
+
+
+def _get(sample: Any, name: str) -> Any:
+    return sample.get(name) if isinstance(sample, Mapping) else getattr(sample, name, None)
+
+
+def _names(sample: Any) -> str:
+    names = sample if isinstance(sample, Mapping) else getattr(sample, "__dict__", {})
+    return f"{type(sample).__name__} with {', '.join(map(str, names))}"
