@@ -1,0 +1,155 @@
+// How much the label windows at both ends of an edge have in common, for the edges of which an image sees both ends.
+#include "common.h"
+
+#include <algorithm>
+#include <tuple>
+#include <vector>
+
+namespace torchjoint {
+namespace {
+
+struct Bin {
+  int32_t label;
+  int32_t count;
+};
+
+// The labels around pixels, as histograms in ascending order of label; most have a single bin.
+class Windows {
+ public:
+  Windows(const int32_t* labels, int64_t height, int64_t width, int64_t window, int64_t num_points)
+      : labels_(labels), height_(height), width_(width), reach_(window / 2) {
+    starts_.reserve(num_points + 1);
+    sizes_.reserve(num_points);
+    bins_.reserve(num_points);
+    starts_.push_back(0);
+  }
+
+  // Appends the window around a pixel, clipped at the border, pixels without a label (-1) left out.
+  void add(int64_t row, int64_t column) {
+    const int64_t top = std::max<int64_t>(row - reach_, 0), bottom = std::min(row + reach_, height_ - 1);
+    const int64_t left = std::max<int64_t>(column - reach_, 0), right = std::min(column + reach_, width_ - 1);
+    runs_.clear();
+    for (int64_t y = top; y <= bottom; ++y) {
+      for (int64_t x = left; x <= right; ++x) add_pixel(labels_[y * width_ + x]);
+    }
+    int32_t size = 0;
+    for (const Bin& run : runs_) size += run.count;
+    sizes_.push_back(size);
+    if (runs_.size() > 1) std::sort(runs_.begin(), runs_.end(), [](Bin a, Bin b) { return a.label < b.label; });
+    const size_t start = bins_.size();
+    for (const Bin& run : runs_) {
+      if (bins_.size() > start && bins_.back().label == run.label) {
+        bins_.back().count += run.count;
+      } else {
+        bins_.push_back(run);
+      }
+    }
+    starts_.push_back(bins_.size());
+  }
+
+  // Labelled pixels of a window.
+  int32_t size(int32_t slot) const { return sizes_[slot]; }
+
+  // Sum over labels of the smaller of both counts.
+  int32_t intersection(int32_t first, int32_t second) const {
+    size_t a = starts_[first], b = starts_[second];
+    const size_t a_end = starts_[first + 1], b_end = starts_[second + 1];
+    int32_t common = 0;
+    while (a < a_end && b < b_end) {
+      if (bins_[a].label == bins_[b].label) {
+        common += std::min(bins_[a++].count, bins_[b++].count);
+      } else if (bins_[a].label < bins_[b].label) {
+        ++a;
+      } else {
+        ++b;
+      }
+    }
+    return common;
+  }
+
+ private:
+  void add_pixel(int32_t label) {
+    if (label < 0) return;
+    if (!runs_.empty() && runs_.back().label == label) {
+      ++runs_.back().count;
+    } else {
+      runs_.push_back({label, 1});
+    }
+  }
+
+  const int32_t* labels_;
+  int64_t height_, width_, reach_;
+  std::vector<Bin> bins_, runs_;
+  std::vector<size_t> starts_;
+  std::vector<int32_t> sizes_;
+};
+
+std::tuple<Tensor, Tensor> window_overlaps(
+    const Tensor& edge_index, const Tensor& order, const Tensor& start, const Tensor& point, const Tensor& row,
+    const Tensor& column, const Tensor& labels, int64_t window) {
+  const Tensor edges = checked_edge_index(edge_index);
+  const int64_t num_edges = edges.size(1);
+  const Tensor orders = checked_array(order, ScalarType::Int, {num_edges}, "order");
+  const Tensor starts = checked_array(start, ScalarType::Int, {-1}, "start");
+  const int64_t num_nodes = starts.size(0) - 1;
+  check(num_nodes >= 0, "start: expected shape [N + 1], got [0]");
+  const Tensor points = checked_array(point, ScalarType::Long, {-1}, "point");
+  const int64_t num_points = points.size(0);
+  const Tensor rows = checked_array(row, ScalarType::Long, {num_points}, "row");
+  const Tensor columns = checked_array(column, ScalarType::Long, {num_points}, "column");
+  const Tensor image = checked_array(labels, ScalarType::Int, {-1, -1}, "labels");
+  const int64_t height = image.size(0), width = image.size(1);
+  check_image_size(height, width);
+  check(window > 0 && window % 2 == 1 && window < 32768, "window: expected an odd number below 32768, got ", window);
+
+  Windows windows(image.const_data_ptr<int32_t>(), height, width, window, num_points);
+  std::vector<int32_t> slot(num_nodes, -1);  // of a node, among the points seen
+  const int64_t* node = points.const_data_ptr<int64_t>();
+  const int64_t* r = rows.const_data_ptr<int64_t>();
+  const int64_t* c = columns.const_data_ptr<int64_t>();
+  for (int64_t i = 0; i < num_points; ++i) {
+    check_index(node[i], num_nodes, "point", i);
+    check_index(r[i], height, "row", i);
+    check_index(c[i], width, "column", i);
+    check(slot[node[i]] < 0, "point: expected every point once, got ", node[i], " again at ", i);
+    slot[node[i]] = static_cast<int32_t>(i);
+    windows.add(r[i], c[i]);
+  }
+
+  std::vector<int64_t> seen;
+  std::vector<double> overlap;
+  const int64_t* other_end = edges.const_data_ptr<int64_t>() + num_edges;
+  const int32_t* edge_at = orders.const_data_ptr<int32_t>();
+  const int32_t* first_of = starts.const_data_ptr<int32_t>();
+  for (int64_t i = 0; i < num_points; ++i) {
+    const int32_t begin = first_of[node[i]], end = first_of[node[i] + 1];
+    check(begin >= 0 && begin <= end && end <= num_edges, "start: expected ascending numbers in [0, E]");
+    const int32_t size = windows.size(slot[node[i]]);
+    if (size == 0) continue;
+    for (int32_t place = begin; place < end; ++place) {
+      const int32_t edge = edge_at[place];
+      check_index(edge, num_edges, "order", place);
+      const int64_t other = other_end[edge];
+      check_node(other, num_nodes, edge);
+      if (slot[other] < 0 || windows.size(slot[other]) == 0) continue;
+      const int32_t smaller = std::min(size, windows.size(slot[other]));
+      seen.push_back(edge);
+      overlap.push_back(static_cast<double>(windows.intersection(slot[node[i]], slot[other])) / smaller);
+    }
+  }
+  return {to_tensor(seen, ScalarType::Long, edges), to_tensor(overlap, ScalarType::Double, edges)};
+}
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
+  m.def(
+      "window_overlaps(Tensor edge_index, Tensor order, Tensor start, Tensor point, Tensor row, Tensor column,"
+      " Tensor labels, SymInt window) -> (Tensor edge, Tensor overlap)");
+}
+
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
+  m.impl("window_overlaps", TORCH_BOX(&window_overlaps));
+}
+
+}  // namespace torchjoint
