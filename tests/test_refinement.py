@@ -177,7 +177,7 @@ class TestSplit:
 
 class TestJointLabels:
     def test_mode_ties_and_empty_segments(self):
-        labels = torch.tensor([[0, 0, 1, 1, 2, -1]])
+        labels = torch.tensor([[0, 0, 1, 1, 2, -1]], dtype=torch.int32)
         visible = visible_at([(0, 0), (0, 1), (0, 2), (0, 3), (0, 5)])
         point_labels = torch.tensor([3, 3, 0, 2, 1])
         sizes = torch.tensor([10, 10, 50, 10])
@@ -190,13 +190,13 @@ class TestJointLabels:
 
     def test_segments_of_one_label_become_one(self):
         got, _ = joint_labels(
-            torch.tensor([[0, 1]]), visible_at([(0, 0), (0, 1)]), torch.tensor([5, 5]), torch.ones(6).long(), 6
+            torch.tensor([[0, 1]]).int(), visible_at([(0, 0), (0, 1)]), torch.tensor([5, 5]), torch.ones(6).long(), 6
         )
         assert got.tolist() == [[5, 5]]
 
     def test_no_points_at_all(self):
         got, free = joint_labels(
-            torch.tensor([[1, 0], [2, 2]]), visible_at([]), torch.zeros(0).long(), torch.tensor([4]), 1
+            torch.tensor([[1, 0], [2, 2]]).int(), visible_at([]), torch.zeros(0).long(), torch.tensor([4]), 1
         )
         assert got.tolist() == [[1, 2], [3, 3]]  # numbered by first appearance
         assert free == 4
@@ -205,7 +205,7 @@ class TestJointLabels:
     def test_against_a_loop(self, data):
         height, width, num_labels = 4, 5, 4
         flat = data.draw(st.lists(st.integers(-1, 3), min_size=20, max_size=20))
-        labels = torch.tensor(flat).view(height, width)
+        labels = torch.tensor(flat, dtype=torch.int32).view(height, width)
         hits = data.draw(st.lists(st.tuples(st.integers(0, 19), st.integers(0, num_labels - 1)), max_size=30))
         sizes = data.draw(st.lists(st.integers(1, 5), min_size=num_labels, max_size=num_labels))
         visible = visible_at([(pixel // width, pixel % width) for pixel, _ in hits])

@@ -247,8 +247,7 @@ class JointSegmenter(nn.Module):
             colors = smooth(image[None], config.image_graph.smoothing)[0]
             labels = split_segments(labels, colors, boundary, visible, at_point, config.refinement, config.image_graph)
         with self.stopwatch("joint labels"):
-            named, next_free = joint_labels(labels.long(), visible, at_point, sizes, sizes.shape[0])
-            return named.to(torch.int32), next_free
+            return joint_labels(labels, visible, at_point, sizes, sizes.shape[0])
 
 
 def _batches_of_one_size(frames: Sequence[Frame]) -> Iterator[list[Frame]]:
@@ -257,4 +256,4 @@ def _batches_of_one_size(frames: Sequence[Frame]) -> Iterator[list[Frame]]:
 
 
 def _to_8_bits(values: Tensor) -> Tensor:
-    return (values.clamp(0, 1) * 255).round().to(torch.uint8)
+    return values.mul(255).round_().clamp_(0, 255).to(torch.uint8)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import ImageGraphConfig, RefinementConfig
-from torchjoint.joint_labels import starts_group
+from torchjoint.joint_labels import look_up, starts_group
 from torchjoint.visibility import Visible
 
 
@@ -76,8 +76,7 @@ def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, confi
     _, component = connected_components(graph, directed=False)
     component = torch.from_numpy(component).long()
     lowest = torch.full((num_labels,), num_labels).scatter_reduce(0, component, torch.arange(num_labels), "amin")
-    merged = torch.cat([lowest[component], torch.tensor([-1])])  # the last entry serves pixels without a segment
-    return merged.to(labels.dtype)[labels]
+    return look_up(lowest[component].to(labels.dtype), labels, -1)
 
 
 def split_segments(
@@ -150,11 +149,11 @@ def _seeds(
     label_a = torch.full((int(labels.max()) + 2,), -1)  # the last entry serves points without a segment
     label_b = label_a.clone()
     label_a[chosen[0]], label_b[chosen[0]] = chosen[1], chosen[2]
+    at_a, at_b = pixel[point_labels == label_a[segment]], pixel[point_labels == label_b[segment]]
     hit_a, hit_b = torch.zeros(2, labels.numel(), dtype=torch.bool)
-    hit_a[pixel[point_labels == label_a[segment]]] = True
-    hit_b[pixel[point_labels == label_b[segment]]] = True
-    source, sink = torch.nonzero(hit_a & ~hit_b), torch.nonzero(hit_b & ~hit_a)
-    return source.squeeze(1), sink.squeeze(1)
+    hit_a[at_a] = True
+    hit_b[at_b] = True
+    return at_a[~hit_b[at_a]], at_b[~hit_a[at_b]]
 
 
 def _cut(

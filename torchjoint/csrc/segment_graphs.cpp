@@ -25,8 +25,12 @@ struct Image {
   float color_weight, boundary_weight;
 };
 
+struct Pixel {
+  int32_t row, column, label;
+};
+
 struct Step {
-  int64_t down, right;  // from an edge's first end to its second
+  int32_t down, right;  // from an edge's first end to its second
 };
 constexpr std::array<Step, 4> kSteps = {{{0, 1}, {1, 0}, {1, 1}, {-1, 1}}};
 
@@ -36,39 +40,41 @@ struct Graph {
 };
 
 // Nodes are the pixels in their order; edges come by direction, then in the order of their first ends.
-Graph connect(const int32_t* labels, int64_t height, int64_t width, const std::vector<int64_t>& pixel,
-              const std::vector<int32_t>& node, const Image& image) {
+Graph connect(const int32_t* labels, int64_t height, int64_t width, const std::vector<Pixel>& nodes,
+              const std::vector<int32_t>& node_at, const Image& image) {
   Graph graph;
-  for (auto* ends : {&graph.first, &graph.second}) ends->reserve(4 * pixel.size());
-  graph.weight.reserve(4 * pixel.size());
+  for (auto* ends : {&graph.first, &graph.second}) ends->reserve(4 * nodes.size());
+  graph.weight.reserve(4 * nodes.size());
   for (const Step step : kSteps) {
-    for (size_t i = 0; i < pixel.size(); ++i) {
-      const int64_t row = pixel[i] / width + step.down, column = pixel[i] % width + step.right;
+    const int64_t ahead = step.down * width + step.right;
+    for (size_t i = 0; i < nodes.size(); ++i) {
+      const int32_t row = nodes[i].row + step.down, column = nodes[i].column + step.right;
       if (row < 0 || row >= height || column >= width) continue;
-      const int64_t other = row * width + column;
-      if (labels[other] != labels[pixel[i]]) continue;
+      const int64_t here = nodes[i].row * width + nodes[i].column;
+      if (labels[here + ahead] != nodes[i].label) continue;
       graph.first.push_back(static_cast<int32_t>(i));
-      graph.second.push_back(node[other]);
-      graph.weight.push_back(image.weight(pixel[i], other));
+      graph.second.push_back(node_at[here + ahead]);
+      graph.weight.push_back(image.weight(here, here + ahead));
     }
   }
   return graph;
 }
 
 // Weights over the mean weight of their segment: w / sigma of eq. 14; 0 where all of a segment's weights are 0.
-std::vector<double> relative(const Graph& graph, const int32_t* labels, const std::vector<int64_t>& pixel,
-                             int64_t num_labels) {
+std::vector<double> relative(const Graph& graph, const std::vector<Pixel>& nodes, int64_t num_labels) {
   std::vector<double> sum(num_labels);
   std::vector<int64_t> count(num_labels);
   for (size_t e = 0; e < graph.weight.size(); ++e) {
-    const int32_t label = labels[pixel[graph.first[e]]];
+    const int32_t label = nodes[graph.first[e]].label;
     sum[label] += graph.weight[e];
     ++count[label];
   }
-  for (int64_t label = 0; label < num_labels; ++label) sum[label] /= static_cast<double>(std::max<int64_t>(count[label], 1));
+  for (int64_t label = 0; label < num_labels; ++label) {
+    sum[label] /= static_cast<double>(std::max<int64_t>(count[label], 1));
+  }
   std::vector<double> result(graph.weight.size());
   for (size_t e = 0; e < result.size(); ++e) {
-    const double mean = sum[labels[pixel[graph.first[e]]]];
+    const double mean = sum[nodes[graph.first[e]].label];
     result[e] = mean > 0 ? graph.weight[e] / mean : 0;
   }
   return result;
@@ -90,18 +96,23 @@ std::tuple<Tensor, Tensor, Tensor> segment_graphs(
   const int32_t* label = segments.const_data_ptr<int32_t>();
   const bool* is_chosen = choice.const_data_ptr<bool>();
   const int64_t num_labels = choice.size(0);
+  std::vector<Pixel> nodes;
   std::vector<int64_t> pixel;
-  std::vector<int32_t> node(size);  // of the chosen segments' pixels; no other entry is read
-  for (int64_t i = 0; i < size; ++i) {
-    if (label[i] == -1) continue;
-    check_index(label[i], num_labels, "labels", i);
-    if (!is_chosen[label[i]]) continue;
-    node[i] = static_cast<int32_t>(pixel.size());
-    pixel.push_back(i);
+  std::vector<int32_t> node_at(size);  // only the entries of the chosen segments' pixels are read
+  for (int32_t row = 0; row < height; ++row) {
+    for (int32_t column = 0; column < width; ++column) {
+      const int64_t i = row * width + column;
+      if (label[i] == -1) continue;
+      check_index(label[i], num_labels, "labels", i);
+      if (!is_chosen[label[i]]) continue;
+      node_at[i] = static_cast<int32_t>(nodes.size());
+      nodes.push_back({row, column, label[i]});
+      pixel.push_back(i);
+    }
   }
   const Image image{color.const_data_ptr<float>(), boundaries.const_data_ptr<float>(), size,
                     static_cast<float>(color_weight), static_cast<float>(boundary_weight)};
-  const Graph graph = connect(label, height, width, pixel, node, image);
+  const Graph graph = connect(label, height, width, nodes, node_at, image);
 
   const int64_t num_edges = static_cast<int64_t>(graph.weight.size());
   Tensor edge_index = torch::stable::new_empty(segments, {2, num_edges}, ScalarType::Long);
@@ -109,7 +120,7 @@ std::tuple<Tensor, Tensor, Tensor> segment_graphs(
   std::copy(graph.first.begin(), graph.first.end(), ends);
   std::copy(graph.second.begin(), graph.second.end(), ends + num_edges);
   return {to_tensor(pixel, ScalarType::Long, segments), edge_index,
-          to_tensor(relative(graph, label, pixel, num_labels), ScalarType::Double, segments)};
+          to_tensor(relative(graph, nodes, num_labels), ScalarType::Double, segments)};
 }
 
 }  // namespace
