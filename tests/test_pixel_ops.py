@@ -118,10 +118,12 @@ def test_a_whole_image_is_one_segment_graph() -> None:
     generator = torch.Generator().manual_seed(0)
     colors, boundary = torch.rand(3, 9, 13, generator=generator), torch.rand(9, 13, generator=generator)
     labels, chosen = torch.zeros(9, 13, dtype=torch.int32), torch.tensor([True])
-    pixel, edge_index, relative = ops.segment_graphs(labels, chosen, colors, boundary, 0.8, 0.3)
+    pixel, node_ptr, edge_index, edge_ptr, relative = ops.segment_graphs(labels, chosen, colors, boundary, 0.8, 0.3)
     weights = pixel_weights(colors, boundary, ImageGraphConfig(0.0, 0.8, 0.3)).double()
     assert torch.equal(pixel, torch.arange(9 * 13))
     assert torch.equal(edge_index, grid_edges(9, 13))
+    assert node_ptr.tolist() == [0, 9 * 13]
+    assert edge_ptr.tolist() == [0, edge_index.shape[1]]
     torch.testing.assert_close(relative, weights / weights.mean(), rtol=1e-6, atol=0)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -92,8 +93,7 @@ def split_segments(
 
     A segment is cut when at least n_s external pairs lie wholly inside it (pairs within one pixel cannot be cut apart
     and do not count): between the two 3D labels A, B that most of those pairs join (ties: the lowest), with the pixels
-    that A's points hit as source and B's as sink, by a minimum cut of the segment's own pixel graph. All segments of
-    the image are cut at once: their graphs are one graph with as many components.
+    that A's points hit as source and B's as sink, by a minimum cut of the segment's own pixel graph.
 
     Args:
         labels: [H, W] int32, -1 = none (never cut).
@@ -171,12 +171,20 @@ def _cut(
     if not active.any():
         return source[:0]
     # A segment of one exact colour has sigma 0 and all w 0: every edge then costs the same, 1.
-    pixel, edge_index, w_over_sigma = ops.segment_graphs(
+    pixel, node_ptr, edge_index, edge_ptr, w_over_sigma = ops.segment_graphs(
         labels, active, colors, boundary, graph.color_weight, graph.boundary_weight
     )
-    terminals = []
-    for seeds in (source, sink):
-        terminals.append(torch.zeros(pixel.shape[0], dtype=torch.float64))
-        terminals[-1][torch.searchsorted(pixel, seeds[active[segment[seeds]]])] = torch.inf
-    source_side, _ = ops.min_cut(edge_index, torch.exp(-w_over_sigma), *terminals)
-    return pixel[~source_side]
+    capacity = torch.exp(-w_over_sigma)
+    seed = torch.zeros_like(segment, dtype=torch.int64)
+    seed[source], seed[sink] = 1, 2
+    terminals = torch.tensor([[0, torch.inf, 0], [0, 0, torch.inf]], dtype=torch.float64)[:, seed[pixel]]
+    sides = [
+        ops.min_cut(edge_index[:, edges], capacity[edges], *terminals[:, nodes])[0]
+        for nodes, edges in zip(_slices(node_ptr), _slices(edge_ptr), strict=True)
+    ]
+    return pixel[~torch.cat(sides)]
+
+
+def _slices(ptr: Tensor) -> list[slice]:
+    """What lies between each number and the next."""
+    return [slice(start, end) for start, end in pairwise(ptr.tolist())]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict, deque
+from collections import Counter, deque
 from itertools import combinations
 
 import numpy as np
@@ -217,28 +217,40 @@ def pair_counts_reference(
 
 def segment_graphs_reference(
     labels: Tensor, chosen: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float
-) -> tuple[Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """What :func:`torchjoint.ops.segment_graphs` computes; the arguments are not checked."""
-    height, width = labels.shape
-    wanted = [label for label, is_chosen in enumerate(chosen.tolist()) if is_chosen]
-    pixel = torch.nonzero(torch.isin(labels.flatten(), torch.tensor(wanted))).squeeze(1)
-    node = {number: place for place, number in enumerate(pixel.tolist())}
-    edges, weights, segments = [], [], []
-    for down, right in ((0, 1), (1, 0), (1, 1), (-1, 1)):
-        for i in node:
-            row, column = i // width + down, i % width + right
-            if 0 <= row < height and column < width and labels[row, column] == labels[i // width, i % width]:
-                here, there = (i // width, i % width), (row, column)
+    pixels: list[int] = []
+    edges: list[tuple[int, int]] = []
+    weights: list[float] = []
+    node_ptr, edge_ptr = [0], [0]
+    for segment in torch.nonzero(chosen).flatten().tolist():
+        places = torch.nonzero(labels == segment).tolist()
+        number = {tuple(place): i for i, place in enumerate(places)}
+        own = []
+        for down, right in ((0, 1), (1, 0), (1, 1), (-1, 1)):
+            for i, (row, column) in enumerate(places):
+                here, there = (row, column), (row + down, column + right)
+                if there not in number:
+                    continue
                 red, green, blue = (colors[:, *here] - colors[:, *there]).square().numpy()
                 distance = np.sqrt((red + green) + blue)  # numpy's is correctly rounded; torch's, through MKL, is not
                 weakest = min(boundary[here].numpy(), boundary[there].numpy())
-                weights.append(np.float32(color_weight) * distance + np.float32(boundary_weight) * weakest)
-                edges.append((node[i], node[row * width + column]))
-                segments.append(int(labels[here]))
-    sums: defaultdict[int, float] = defaultdict(float)
-    for segment, weight in zip(segments, weights, strict=True):
-        sums[segment] += float(weight)
-    means = {segment: sums[segment] / count for segment, count in Counter(segments).items()}
-    relative = [float(w) / means[s] if means[s] > 0 else 0.0 for s, w in zip(segments, weights, strict=True)]
+                own.append(float(np.float32(color_weight) * distance + np.float32(boundary_weight) * weakest))
+                edges.append((i, number[there]))
+        total = 0.0
+        for weight in own:  # not sum(), which from Python 3.12 on is more precise than adding
+            total += weight
+        mean = total / max(len(own), 1)
+        weights += [weight / mean if mean > 0 else weight for weight in own]
+        pixels += [row * labels.shape[1] + column for row, column in places]
+        node_ptr.append(len(pixels))
+        edge_ptr.append(len(edges))
     edge_index = torch.tensor(edges, dtype=torch.int64).reshape(-1, 2).T.contiguous()
-    return pixel, edge_index, torch.tensor(relative, dtype=torch.float64)
+    relative_weight = torch.tensor(weights, dtype=torch.float64)
+    return (
+        torch.tensor(pixels, dtype=torch.int64),
+        torch.tensor(node_ptr),
+        edge_index,
+        torch.tensor(edge_ptr),
+        relative_weight,
+    )
