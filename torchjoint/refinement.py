@@ -107,7 +107,7 @@ def split_segments(
     """
     if config.split_min_edges is None:
         return labels
-    labels = labels.clone()
+    labels = labels.clone(memory_format=torch.contiguous_format)
     pixel = visible.row * labels.shape[1] + visible.column
     segment = labels.view(-1)[pixel].long()
     next_label = int(labels.max()) + 1 if labels.numel() else 0

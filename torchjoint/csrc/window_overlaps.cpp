@@ -18,10 +18,8 @@ class Windows {
  public:
   Windows(const int32_t* labels, int64_t height, int64_t width, int64_t window, int64_t num_points)
       : labels_(labels), height_(height), width_(width), reach_(window / 2) {
-    starts_.reserve(num_points + 1);
-    sizes_.reserve(num_points);
+    windows_.reserve(num_points);
     bins_.reserve(num_points);
-    starts_.push_back(0);
   }
 
   // Appends the window around a pixel, clipped at the border, pixels without a label (-1) left out.
@@ -32,28 +30,28 @@ class Windows {
     for (int64_t y = top; y <= bottom; ++y) {
       for (int64_t x = left; x <= right; ++x) add_pixel(labels_[y * width_ + x]);
     }
-    int32_t size = 0;
-    for (const Bin& run : runs_) size += run.count;
-    sizes_.push_back(size);
+    Window added{bins_.size(), 0, 0};
+    for (const Bin& run : runs_) added.size += run.count;
     if (runs_.size() > 1) std::sort(runs_.begin(), runs_.end(), [](Bin a, Bin b) { return a.label < b.label; });
-    const size_t start = bins_.size();
     for (const Bin& run : runs_) {
-      if (bins_.size() > start && bins_.back().label == run.label) {
+      if (bins_.size() > added.start && bins_.back().label == run.label) {
         bins_.back().count += run.count;
       } else {
         bins_.push_back(run);
       }
     }
-    starts_.push_back(bins_.size());
+    added.num_bins = static_cast<int32_t>(bins_.size() - added.start);
+    windows_.push_back(added);
   }
 
   // Labelled pixels of a window.
-  int32_t size(int32_t slot) const { return sizes_[slot]; }
+  int32_t size(int32_t slot) const { return windows_[slot].size; }
 
   // Sum over labels of the smaller of both counts.
   int32_t intersection(int32_t first, int32_t second) const {
-    size_t a = starts_[first], b = starts_[second];
-    const size_t a_end = starts_[first + 1], b_end = starts_[second + 1];
+    const Window &one = windows_[first], &other = windows_[second];
+    size_t a = one.start, b = other.start;
+    const size_t a_end = a + one.num_bins, b_end = b + other.num_bins;
     int32_t common = 0;
     while (a < a_end && b < b_end) {
       if (bins_[a].label == bins_[b].label) {
@@ -68,6 +66,12 @@ class Windows {
   }
 
  private:
+  struct Window {
+    size_t start;  // in bins_
+    int32_t num_bins;
+    int32_t size;
+  };
+
   void add_pixel(int32_t label) {
     if (label < 0) return;
     if (!runs_.empty() && runs_.back().label == label) {
@@ -80,8 +84,7 @@ class Windows {
   const int32_t* labels_;
   int64_t height_, width_, reach_;
   std::vector<Bin> bins_, runs_;
-  std::vector<size_t> starts_;
-  std::vector<int32_t> sizes_;
+  std::vector<Window> windows_;
 };
 
 std::tuple<Tensor, Tensor> window_overlaps(
@@ -122,19 +125,20 @@ std::tuple<Tensor, Tensor> window_overlaps(
   const int32_t* edge_at = orders.const_data_ptr<int32_t>();
   const int32_t* first_of = starts.const_data_ptr<int32_t>();
   for (int64_t i = 0; i < num_points; ++i) {
+    const int32_t own = static_cast<int32_t>(i);
     const int32_t begin = first_of[node[i]], end = first_of[node[i] + 1];
     check(begin >= 0 && begin <= end && end <= num_edges, "start: expected ascending numbers in [0, E]");
-    const int32_t size = windows.size(slot[node[i]]);
+    const int32_t size = windows.size(own);
     if (size == 0) continue;
     for (int32_t place = begin; place < end; ++place) {
       const int32_t edge = edge_at[place];
       check_index(edge, num_edges, "order", place);
       const int64_t other = other_end[edge];
       check_node(other, num_nodes, edge);
-      if (slot[other] < 0 || windows.size(slot[other]) == 0) continue;
-      const int32_t smaller = std::min(size, windows.size(slot[other]));
+      const int32_t there = slot[other];
+      if (there < 0 || windows.size(there) == 0) continue;
       seen.push_back(edge);
-      overlap.push_back(static_cast<double>(windows.intersection(slot[node[i]], slot[other])) / smaller);
+      overlap.push_back(static_cast<double>(windows.intersection(own, there)) / std::min(size, windows.size(there)));
     }
   }
   return {to_tensor(seen, ScalarType::Long, edges), to_tensor(overlap, ScalarType::Double, edges)};
