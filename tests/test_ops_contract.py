@@ -45,7 +45,7 @@ SPLAT_DEPTH = {
     "row": PIXELS, "column": PIXELS, "depth": POSITIONS, "reach": torch.tensor([0, 1, 2]), "height": 3, "width": 4,
 }  # fmt: skip
 WINDOW_OVERLAPS = {
-    "edge_index": EDGES, "order": torch.tensor([0, 1, 2], dtype=torch.int32),
+    "order": torch.tensor([0, 1, 2], dtype=torch.int32), "other_end": torch.tensor([1, 2, 3], dtype=torch.int32),
     "start": torch.tensor([0, 1, 2, 3, 3], dtype=torch.int32), "point": torch.tensor([0, 1, 3]), "row": PIXELS,
     "column": PIXELS, "labels": LABELS, "window": 3,
 }  # fmt: skip
@@ -135,10 +135,14 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (splat_depth, {"reach": PIXELS - 1}, ValueError, "reach: expected numbers in [0, 2147483647), got -1 at 0"),
     (splat_depth, {"height": -1}, ValueError, "height: expected a number >= 0, got -1"),
     (splat_depth, {"height": 2**20, "width": 2**20}, ValueError, "expected an image of at most 2^31 - 1 pixels"),
-    (window_overlaps, {"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64"),
-    (window_overlaps, {"edge_index": changed(EDGES, 9, 1, 0)}, ValueError, "numbers in [0, 4), got 9 at edge 0"),
     (window_overlaps, {"order": PIXELS}, TypeError, "order: expected dtype torch.int32, got torch.int64"),
-    (window_overlaps, {"order": PIXELS.int() - 1}, ValueError, "order: expected numbers in [0, 3), got -1 at 0"),
+    (window_overlaps, {"other_end": PIXELS[:2].int()}, ValueError, "other_end: expected shape [E] = [3], got [2]"),
+    (
+        window_overlaps,
+        {"other_end": PIXELS.int() - 1},
+        ValueError,
+        "other_end: expected numbers in [0, 4), got -1 at 0",
+    ),
     (window_overlaps, {"start": PIXELS[:0].int()}, ValueError, "start: expected shape [N + 1], got [0]"),
     (
         window_overlaps,

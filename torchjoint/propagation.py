@@ -23,17 +23,17 @@ OVERLAP_RESOLUTION = 2.0**-24
 class EdgeLists(NamedTuple):
     """The edges of a graph by their first end: an image need only look at the edges of the points it sees."""
 
-    edge_index: Tensor  #: [2, E] int64
     order: Tensor  #: [E] int32, the edges sorted by their first end
+    other_end: Tensor  #: [E] int32, the second end of each of them
     start: Tensor  #: [N + 1] int32, where in `order` those of each point start
 
     @classmethod
     def of(cls, edge_index: Tensor, num_points: int) -> EdgeLists:
         """Sorts the edges of a graph."""
-        order = torch.argsort(edge_index[0], stable=True).to(torch.int32)
+        order = torch.argsort(edge_index[0], stable=True)
         start = torch.zeros(num_points + 1, dtype=torch.int32)
         start[1:] = torch.cumsum(torch.bincount(edge_index[0], minlength=num_points), 0)
-        return cls(edge_index, order, start)
+        return cls(order.to(torch.int32), edge_index[1, order].to(torch.int32), start)
 
 
 def edge_overlaps(edges: EdgeLists, visible: Visible, labels: Tensor, window: int) -> tuple[Tensor, Tensor]:

@@ -88,11 +88,11 @@ class Windows {
 };
 
 std::tuple<Tensor, Tensor> window_overlaps(
-    const Tensor& edge_index, const Tensor& order, const Tensor& start, const Tensor& point, const Tensor& row,
+    const Tensor& order, const Tensor& other_end, const Tensor& start, const Tensor& point, const Tensor& row,
     const Tensor& column, const Tensor& labels, int64_t window) {
-  const Tensor edges = checked_edge_index(edge_index);
-  const int64_t num_edges = edges.size(1);
-  const Tensor orders = checked_array(order, ScalarType::Int, {num_edges}, "order");
+  const Tensor orders = checked_array(order, ScalarType::Int, {-1}, "order");
+  const int64_t num_edges = orders.size(0);
+  const Tensor other_ends = checked_array(other_end, ScalarType::Int, {num_edges}, "other_end");
   const Tensor starts = checked_array(start, ScalarType::Int, {-1}, "start");
   const int64_t num_nodes = starts.size(0) - 1;
   check(num_nodes >= 0, "start: expected shape [N + 1], got [0]");
@@ -119,36 +119,41 @@ std::tuple<Tensor, Tensor> window_overlaps(
     windows.add(r[i], c[i]);
   }
 
-  std::vector<int64_t> seen;
-  std::vector<double> overlap;
-  const int64_t* other_end = edges.const_data_ptr<int64_t>() + num_edges;
-  const int32_t* edge_at = orders.const_data_ptr<int32_t>();
   const int32_t* first_of = starts.const_data_ptr<int32_t>();
+  int64_t at_most = 0;
   for (int64_t i = 0; i < num_points; ++i) {
-    const int32_t own = static_cast<int32_t>(i);
     const int32_t begin = first_of[node[i]], end = first_of[node[i] + 1];
     check(begin >= 0 && begin <= end && end <= num_edges, "start: expected ascending numbers in [0, E]");
-    const int32_t size = windows.size(own);
+    at_most += end - begin;
+  }
+  // Room for all edges of the points, most of which are seen: growing arrays would cost more than what follows.
+  Tensor edge = torch::stable::new_empty(orders, {at_most}, ScalarType::Long);
+  Tensor overlap = torch::stable::new_empty(orders, {at_most}, ScalarType::Double);
+  int64_t* const edges = edge.mutable_data_ptr<int64_t>();
+  double* const overlaps = overlap.mutable_data_ptr<double>();
+  const int32_t* edge_at = orders.const_data_ptr<int32_t>();
+  const int32_t* other_at = other_ends.const_data_ptr<int32_t>();
+  int64_t count = 0;
+  for (int64_t i = 0; i < num_points; ++i) {
+    const int32_t own = static_cast<int32_t>(i), size = windows.size(own);
     if (size == 0) continue;
-    for (int32_t place = begin; place < end; ++place) {
-      const int32_t edge = edge_at[place];
-      check_index(edge, num_edges, "order", place);
-      const int64_t other = other_end[edge];
-      check_node(other, num_nodes, edge);
-      const int32_t there = slot[other];
+    for (int32_t place = first_of[node[i]]; place < first_of[node[i] + 1]; ++place) {
+      check_index(other_at[place], num_nodes, "other_end", place);
+      const int32_t there = slot[other_at[place]];
       if (there < 0 || windows.size(there) == 0) continue;
-      seen.push_back(edge);
-      overlap.push_back(static_cast<double>(windows.intersection(own, there)) / std::min(size, windows.size(there)));
+      edges[count] = edge_at[place];
+      overlaps[count++] =
+          static_cast<double>(windows.intersection(own, there)) / std::min(size, windows.size(there));
     }
   }
-  return {to_tensor(seen, ScalarType::Long, edges), to_tensor(overlap, ScalarType::Double, edges)};
+  return {torch::stable::narrow(edge, 0, 0, count), torch::stable::narrow(overlap, 0, 0, count)};
 }
 
 }  // namespace
 
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def(
-      "window_overlaps(Tensor edge_index, Tensor order, Tensor start, Tensor point, Tensor row, Tensor column,"
+      "window_overlaps(Tensor order, Tensor other_end, Tensor start, Tensor point, Tensor row, Tensor column,"
       " Tensor labels, SymInt window) -> (Tensor edge, Tensor overlap)");
 }
 

@@ -172,8 +172,8 @@ def splat_depth_reference(row: Tensor, column: Tensor, depth: Tensor, reach: Ten
 
 
 def window_overlaps_reference(
-    edge_index: Tensor,
     order: Tensor,
+    other_end: Tensor,
     start: Tensor,
     point: Tensor,
     row: Tensor,
@@ -191,10 +191,10 @@ def window_overlaps_reference(
     windows = {node: around(r, c) for node, r, c in zip(point.tolist(), row.tolist(), column.tolist(), strict=True)}
     edges, overlaps = [], []
     for node in point.tolist():
-        for edge in order[int(start[node]) : int(start[node + 1])].tolist():
-            first, second = windows[node], windows.get(int(edge_index[1, edge]), Counter())
+        for place in range(int(start[node]), int(start[node + 1])):
+            first, second = windows[node], windows.get(int(other_end[place]), Counter())
             if first and second:
-                edges.append(edge)
+                edges.append(int(order[place]))
                 overlaps.append((first & second).total() / min(first.total(), second.total()))
     return torch.tensor(edges, dtype=torch.int64), torch.tensor(overlaps, dtype=torch.float64)
 

@@ -7,12 +7,12 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from torchjoint.ops._checks import check_array, check_edge_index, check_number
+from torchjoint.ops._checks import check_array, check_number
 
 
 def window_overlaps(
-    edge_index: Tensor,
     order: Tensor,
+    other_end: Tensor,
     start: Tensor,
     point: Tensor,
     row: Tensor,
@@ -27,8 +27,8 @@ def window_overlaps(
     are seen are looked at, however many the graph has.
 
     Args:
-        edge_index: ``[2, E]`` int64, undirected edges, each once.
-        order: ``[E]`` int32, the edges sorted by their first end.
+        order: ``[E]`` int32, the numbers of the edges sorted by their first end; each undirected edge once.
+        other_end: ``[E]`` int32, the second end of each of these edges.
         start: ``[N + 1]`` int32, where in ``order`` the edges of each of the N nodes start.
         point: ``[M]`` int64, the nodes that the image sees, each once.
         row, column: ``[M]`` int64, the pixels they fall in.
@@ -45,29 +45,28 @@ def window_overlaps(
 
     Example:
         >>> import torch
-        >>> edge_index = torch.tensor([[0, 0, 1], [1, 2, 2]])
-        >>> order, start = torch.tensor([0, 1, 2]).int(), torch.tensor([0, 2, 3, 3]).int()
+        >>> order, other_end, start = (torch.tensor(x).int() for x in ([0, 1, 2], [1, 2, 2], [0, 2, 3, 3]))
         >>> point, row, column = torch.tensor([0, 2]), torch.tensor([0, 0]), torch.tensor([1, 2])
-        >>> window_overlaps(edge_index, order, start, point, row, column, torch.tensor([[7, 7, 8, 8]]).int(), 3)
+        >>> labels = torch.tensor([[7, 7, 8, 8]]).int()
+        >>> window_overlaps(order, other_end, start, point, row, column, labels, window=3)
         (tensor([1]), tensor([0.6667], dtype=torch.float64))
     """
-    check_edge_index(edge_index)
-    num_edges = edge_index.shape[1]
-    check_array("order", order, torch.int32, (num_edges,), f"[E] = [{num_edges}]")
+    check_array("order", order, torch.int32, (None,), "[E]")
+    check_array("other_end", other_end, torch.int32, (order.shape[0],), f"[E] = [{order.shape[0]}]")
     check_array("start", start, torch.int32, (None,), "[N + 1]")
     check_array("point", point, torch.int64, (None,), "[M]")
     for name, value in (("row", row), ("column", column)):
         check_array(name, value, torch.int64, (point.shape[0],), f"[M] = [{point.shape[0]}]")
     check_array("labels", labels, torch.int32, (None, None), "[H, W]")
     check_number("window", window, (int,))
-    result = torch.ops.torchjoint.window_overlaps.default(edge_index, order, start, point, row, column, labels, window)
+    result = torch.ops.torchjoint.window_overlaps.default(order, other_end, start, point, row, column, labels, window)
     return cast(tuple[Tensor, Tensor], result)
 
 
 @torch.library.register_fake("torchjoint::window_overlaps")
 def _fake(
-    edge_index: Tensor,
     order: Tensor,
+    other_end: Tensor,
     start: Tensor,
     point: Tensor,
     row: Tensor,
@@ -76,4 +75,4 @@ def _fake(
     window: int,
 ) -> tuple[Tensor, Tensor]:
     count = torch.library.get_ctx().new_dynamic_size()
-    return edge_index.new_empty(count), edge_index.new_empty(count, dtype=torch.float64)
+    return order.new_empty(count, dtype=torch.int64), order.new_empty(count, dtype=torch.float64)
