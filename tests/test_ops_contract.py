@@ -17,7 +17,18 @@ from typing import Any
 import pytest
 import torch
 
-from torchjoint.ops import felzenszwalb, felzenszwalb_image, fit_normals, min_cut, neighbor_edges
+from torchjoint.ops import (
+    felzenszwalb,
+    felzenszwalb_image,
+    fit_normals,
+    min_cut,
+    neighbor_edges,
+    pair_counts,
+    project,
+    segment_graphs,
+    splat_depth,
+    window_overlaps,
+)
 
 EDGES = torch.tensor([[0, 1, 2], [1, 2, 3]])
 VALUES = torch.tensor([0.1, 5.0, 0.2])
@@ -30,12 +41,42 @@ IMAGES = torch.arange(48.0).view(2, 3, 2, 4) / 48
 POINTS = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]])
 NEIGHBORS = torch.tensor([[1, 2], [0, 2], [0, 1], [1, 2]])
 
+EYE = torch.eye(4, dtype=torch.float64)
+PIXELS = torch.tensor([0, 1, 2])
+POSITIONS = torch.tensor([0.0, 1.0, 2.0])
+LABELS = torch.tensor([[0, 0, 1, -1], [0, 1, 1, 1], [1, 1, 0, 0]], dtype=torch.int32)
+PROJECT = {
+    "points": torch.tensor([[0.0, 0.0, 2.0], [1.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), "camera_from_world": EYE,
+    "intrinsics": EYE[:3, :3] * 4, "near": 0.1, "far": 9.0, "height": 4, "width": 6, "margin": 1.0,
+}  # fmt: skip
+SPLAT_DEPTH = {
+    "row": PIXELS, "column": PIXELS, "depth": POSITIONS, "reach": torch.tensor([0, 1, 2]), "height": 3, "width": 4,
+}  # fmt: skip
+WINDOW_OVERLAPS = {
+    "order": torch.tensor([0, 1, 2], dtype=torch.int32), "other_end": torch.tensor([1, 2, 3], dtype=torch.int32),
+    "start": torch.tensor([0, 1, 2, 3, 3], dtype=torch.int32), "point": torch.tensor([0, 1, 3]), "row": PIXELS,
+    "column": PIXELS, "labels": LABELS, "window": 3,
+}  # fmt: skip
+PAIR_COUNTS = {
+    "u": POSITIONS, "v": POSITIONS, "pixel": PIXELS, "segment": torch.tensor([0, 0, -1]),
+    "label": torch.tensor([3, 4, 3]), "radius": 2.0,
+}  # fmt: skip
+SEGMENT_GRAPHS = {
+    "labels": LABELS, "chosen": torch.tensor([False, True]), "colors": torch.rand(3, 3, 4),
+    "boundary": torch.rand(3, 4), "color_weight": 1.0, "boundary_weight": 0.5,
+}  # fmt: skip
+#: Every operator, with arguments that are right.
 VALID: dict[Callable[..., Any], dict[str, Any]] = {
     felzenszwalb: FELZENSZWALB,
     felzenszwalb_image: {"images": IMAGES, "boundaries": IMAGES[:, 0], "scale": 1.0},
     min_cut: {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK},
     neighbor_edges: {"neighbors": NEIGHBORS},
     fit_normals: {"points": POINTS, "neighbors": NEIGHBORS},
+    project: PROJECT,
+    splat_depth: SPLAT_DEPTH,
+    window_overlaps: WINDOW_OVERLAPS,
+    pair_counts: PAIR_COUNTS,
+    segment_graphs: SEGMENT_GRAPHS,
 }
 
 
@@ -112,6 +153,63 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (fit_normals, {"points": POINTS[:3]}, ValueError, "neighbors: expected shape [N, K] = [3, K], got [4, 2]"),
     (fit_normals, {"neighbors": NEIGHBORS.short()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
     (fit_normals, {"neighbors": changed(NEIGHBORS, 4, 1, 0)}, ValueError, "numbers in [0, 4), got 4 in row 1"),
+    (project, {"points": [[0, 0, 1]]}, TypeError, "points: expected a torch.Tensor, got list"),
+    (project, {"points": EYE}, TypeError, "points: expected dtype torch.float32, got torch.float64"),
+    (project, {"points": POSITIONS}, ValueError, "points: expected shape [N, 3], got [3]"),
+    (project, {"camera_from_world": EYE[:3]}, ValueError, "camera_from_world: expected shape [4, 4], got [3, 4]"),
+    (project, {"intrinsics": EYE.float()}, TypeError, "intrinsics: expected dtype torch.float64, got torch.float32"),
+    (project, {"near": 0.0}, ValueError, "near: expected a number > 0, got 0"),
+    (project, {"far": NAN}, ValueError, "far: expected a number >= 0, got nan"),
+    (project, {"height": 4.5}, TypeError, "height: expected int, got float"),
+    (project, {"width": -1}, ValueError, "width: expected a number >= 0, got -1"),
+    (project, {"margin": -1}, ValueError, "margin: expected a number >= 0, got -1"),
+    (splat_depth, {"row": PIXELS[None]}, ValueError, "row: expected shape [M], got [1, 3]"),
+    (splat_depth, {"row": PIXELS + 1}, ValueError, "row: expected numbers in [0, 3), got 3 at 2"),
+    (splat_depth, {"column": PIXELS - 1}, ValueError, "column: expected numbers in [0, 4), got -1 at 0"),
+    (splat_depth, {"column": PIXELS[:2]}, ValueError, "column: expected shape [M] = [3], got [2]"),
+    (splat_depth, {"depth": PIXELS}, TypeError, "depth: expected dtype torch.float32, got torch.int64"),
+    (splat_depth, {"depth": changed(POSITIONS, NAN, 1)}, ValueError, "depth: expected no NaN, got NaN at 1"),
+    (splat_depth, {"reach": PIXELS - 1}, ValueError, "reach: expected numbers in [0, 2147483647), got -1 at 0"),
+    (splat_depth, {"height": -1}, ValueError, "height: expected a number >= 0, got -1"),
+    (splat_depth, {"height": 2**20, "width": 2**20}, ValueError, "expected an image of at most 2^31 - 1 pixels"),
+    (window_overlaps, {"order": PIXELS}, TypeError, "order: expected dtype torch.int32, got torch.int64"),
+    (window_overlaps, {"other_end": PIXELS[:2].int()}, ValueError, "other_end: expected shape [E] = [3], got [2]"),
+    (
+        window_overlaps,
+        {"other_end": PIXELS.int() - 1},
+        ValueError,
+        "other_end: expected numbers in [0, 4), got -1 at 0",
+    ),
+    (window_overlaps, {"start": PIXELS[:0].int()}, ValueError, "start: expected shape [N + 1], got [0]"),
+    (
+        window_overlaps,
+        {"start": torch.tensor([0, 9, 9, 9, 9]).int()},
+        ValueError,
+        "start: expected ascending numbers in [0, E]",
+    ),
+    (window_overlaps, {"point": torch.tensor([0, 1, 4])}, ValueError, "point: expected numbers in [0, 4), got 4 at 2"),
+    (window_overlaps, {"point": torch.tensor([0, 1, 0])}, ValueError, "point: expected every point once, got 0 again"),
+    (window_overlaps, {"row": PIXELS + 1}, ValueError, "row: expected numbers in [0, 3), got 3 at 2"),
+    (window_overlaps, {"column": PIXELS - 1}, ValueError, "column: expected numbers in [0, 4), got -1 at 0"),
+    (window_overlaps, {"labels": LABELS.long()}, TypeError, "labels: expected dtype torch.int32, got torch.int64"),
+    (window_overlaps, {"window": 2}, ValueError, "window: expected an odd number below 32768, got 2"),
+    (pair_counts, {"u": PIXELS}, TypeError, "u: expected dtype torch.float32, got torch.int64"),
+    (pair_counts, {"u": changed(POSITIONS, NAN, 1)}, ValueError, "u: expected finite numbers, got nan at 1"),
+    (pair_counts, {"v": changed(POSITIONS, torch.inf, 1)}, ValueError, "v: expected finite numbers, got inf at 1"),
+    (pair_counts, {"v": POSITIONS[:2]}, ValueError, "v: expected shape [M] = [3], got [2]"),
+    (pair_counts, {"pixel": PIXELS - 1}, ValueError, "pixel: expected numbers in [0, 2147483647), got -1 at 0"),
+    (pair_counts, {"segment": PIXELS - 2}, ValueError, "segment: expected numbers in [0, 2147483647), got -2 at 0"),
+    (pair_counts, {"label": PIXELS + 2**40}, ValueError, f"label: expected numbers in [0, 2147483647), got {2**40}"),
+    (pair_counts, {"radius": 0}, ValueError, "radius: expected a finite number > 0, got 0"),
+    (pair_counts, {"radius": "1"}, TypeError, "radius: expected int or float, got str"),
+    (segment_graphs, {"labels": LABELS[0]}, ValueError, "labels: expected shape [H, W], got [4]"),
+    (segment_graphs, {"labels": LABELS + 1}, ValueError, "labels: expected numbers in [0, 2), got 2 at 2"),
+    (segment_graphs, {"labels": LABELS - 1}, ValueError, "labels: expected numbers in [0, 2), got -2 at 3"),
+    (segment_graphs, {"chosen": PIXELS}, TypeError, "chosen: expected dtype torch.bool, got torch.int64"),
+    (segment_graphs, {"colors": torch.rand(3, 4, 3)}, ValueError, "colors: expected shape [3, H, W] = [3, 3, 4], got"),
+    (segment_graphs, {"boundary": torch.rand(3)}, ValueError, "boundary: expected shape [H, W] = [3, 4], got [3]"),
+    (segment_graphs, {"color_weight": -1}, ValueError, "color_weight: expected a number >= 0, got -1"),
+    (segment_graphs, {"boundary_weight": NAN}, ValueError, "boundary_weight: expected a number >= 0, got nan"),
 ]
 
 
@@ -128,6 +226,31 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
     fh, mc = torch.ops.torchjoint.felzenszwalb.default, torch.ops.torchjoint.min_cut.default
     image = torch.ops.torchjoint.felzenszwalb_image.default
     ne, fn = torch.ops.torchjoint.neighbor_edges.default, torch.ops.torchjoint.fit_normals.default
+    named = {op: getattr(torch.ops.torchjoint, op.__name__).default for op in VALID}
+    for op, change in (
+        (project, {"points": EYE}),
+        (project, {"points": POSITIONS}),
+        (project, {"camera_from_world": EYE[:3]}),
+        (project, {"intrinsics": EYE}),
+        (project, {"width": 2**40}),
+        (project, {"margin": NAN}),
+        (splat_depth, {"row": torch.tensor(0)}),
+        (splat_depth, {"column": PIXELS[:2]}),
+        (splat_depth, {"reach": PIXELS.int()}),
+        (splat_depth, {"height": -1}),
+        (window_overlaps, {"order": PIXELS[:2].int()}),
+        (window_overlaps, {"row": PIXELS[:2]}),
+        (window_overlaps, {"labels": LABELS[0]}),
+        (window_overlaps, {"window": -1}),
+        (pair_counts, {"segment": PIXELS[:2]}),
+        (pair_counts, {"radius": NAN}),
+        (segment_graphs, {"colors": torch.rand(3, 4, 3)}),
+        (segment_graphs, {"boundary": torch.rand(3)}),
+        (segment_graphs, {"chosen": PIXELS}),
+        (segment_graphs, {"color_weight": NAN}),
+    ):
+        with pytest.raises(ValueError, match="expected"):
+            named[op](**(VALID[op] | change))
     for call in (
         lambda: fh(EDGES.int(), VALUES, 4, 1.0),
         lambda: fh(EDGES.t(), VALUES, 4, 1.0),
@@ -171,6 +294,13 @@ def test_opcheck(dtype: torch.dtype) -> None:
         results = torch.library.opcheck(operator, arguments)
         assert results
         assert set(results.values()) == {"SUCCESS"}
+
+
+@pytest.mark.parametrize("op", VALID)
+def test_opcheck_of_every_operator(op: Callable[..., Any]) -> None:
+    results = torch.library.opcheck(getattr(torch.ops.torchjoint, op.__name__).default, tuple(VALID[op].values()))
+    assert results
+    assert set(results.values()) == {"SUCCESS"}
 
 
 def test_no_gradient_flows() -> None:
@@ -229,6 +359,9 @@ def large_graph(num_edges: int) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.randint(num_edges, (2, num_edges), generator=generator), torch.rand(num_edges, generator=generator)
 
 
+GRAPH_OPERATORS = (felzenszwalb, felzenszwalb_image, min_cut, neighbor_edges, fit_normals)
+
+
 def long_call(op: Callable[..., Any]) -> Callable[[], Any]:
     """A call of the operator that takes some tenths of a second."""
     if op is felzenszwalb_image:
@@ -245,7 +378,7 @@ def long_call(op: Callable[..., Any]) -> Callable[[], Any]:
     return lambda: min_cut(edges, weight, 9 * weight, 9 * weight.flip(0))
 
 
-@pytest.mark.parametrize("op", VALID)
+@pytest.mark.parametrize("op", GRAPH_OPERATORS)
 def test_gil_is_released(op: Callable[..., Any]) -> None:
     """While one thread is inside the operator, another one runs Python, and so may be inside it, too."""
     call = long_call(op)
@@ -268,7 +401,7 @@ def test_gil_is_released(op: Callable[..., Any]) -> None:
     assert sum(start + margin < tick < end - margin for tick in ticks) >= 3
 
 
-@pytest.mark.parametrize("op", VALID)
+@pytest.mark.parametrize("op", GRAPH_OPERATORS)
 def test_two_threads_at_once_give_the_same_results(op: Callable[..., Any]) -> None:
     call = long_call(op)
     expected = call()

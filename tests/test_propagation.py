@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torchjoint.config import PropagationConfig
-from torchjoint.propagation import disagreement, edge_overlaps, label_windows, window_overlap
+from torchjoint.propagation import OVERLAP_RESOLUTION, EdgeLists, disagreement, edge_overlaps
 from torchjoint.visibility import Visible
 
 
@@ -17,54 +17,64 @@ def visible_at(pixels, points=None):
     return Visible(point, rows, columns, columns.float(), rows.float(), torch.ones(len(pixels)))
 
 
-def test_windows_are_clipped_at_the_border():
-    labels = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
-    windows = label_windows(labels, visible_at([(1, 1), (0, 0), (2, 1)]), 3)
-    assert windows[0].tolist() == [0, 1, 2, 3, 4, 5, 6, 7, 8]
-    assert sorted(windows[1].tolist()) == [-1] * 5 + [0, 1, 3, 4]
-    assert sorted(windows[2].tolist()) == [-1] * 3 + [3, 4, 5, 6, 7, 8]
+def overlaps(labels, pixels, edge_index, window, num_points=None):
+    """What an image says about edges, in the order of the edges."""
+    edges = EdgeLists.of(torch.tensor(edge_index).reshape(2, -1), num_points or len(pixels))
+    edge, overlap = edge_overlaps(edges, visible_at(pixels), torch.tensor(labels, dtype=torch.int32), window)
+    order = torch.argsort(edge)
+    return edge[order].tolist(), overlap[order].tolist()
 
 
-def test_window_of_one_pixel():
-    labels = torch.tensor([[5, 6]])
-    assert label_windows(labels, visible_at([(0, 1)]), 1).tolist() == [[6]]
+def rounded(values):
+    return [round(value / OVERLAP_RESOLUTION) * OVERLAP_RESOLUTION for value in values]
 
 
 def test_eq_5_by_hand():
-    first = torch.tensor([[1, 1, 1, 2, 2, 2, 2, 3, 3], [1, 1, 1, 1, -1, -1, -1, -1, -1], [7] * 9])
-    second = torch.tensor([[1, 2, 2, 2, 4, 4, 4, 4, 3], [1, 1, 2, 2, 2, 2, 2, 2, 2], [8] * 9])
-    # min(3,1) + min(4,3) + min(2,1) = 5 of 9; min(4,2) = 2 of the smaller window's 4; nothing in common.
-    torch.testing.assert_close(window_overlap(first, second), torch.tensor([5 / 9, 2 / 4, 0.0], dtype=torch.float64))
+    labels = [[1, 1, 1, 1, 2, 2], [2, 2, 2, 2, 4, 4], [2, 3, 3, 4, 4, 3]]
+    # Around (1, 1): three 1, four 2, two 3. Around (1, 4): 1, three 2, four 4, one 3. 1 + 3 + 1 of 9.
+    # Around (0, 0), clipped to four pixels: two 1, two 2. With the first: 2 + 2 of 4; with the second: 1 + 2 of 4.
+    assert overlaps(labels, [(1, 1), (1, 4), (0, 0)], [[0, 0, 1], [1, 2, 2]], 3) == (
+        [0, 1, 2],
+        rounded([5 / 9, 4 / 4, 3 / 4]),
+    )
 
 
-def test_a_window_without_labels_says_nothing():
-    none, some = torch.full((1, 9), -1), torch.ones(1, 9, dtype=torch.int64)
-    assert window_overlap(none, some).isnan().all()
-    assert window_overlap(none, none).isnan().all()
+def test_window_of_one_pixel():
+    assert overlaps([[5, 6, 5]], [(0, 0), (0, 1), (0, 2)], [[0, 0], [1, 2]], 1) == ([0, 1], [0.0, 1.0])
 
 
-windows_of_labels = st.lists(st.integers(-1, 4), min_size=9, max_size=9)
+def test_pixels_without_a_label_are_left_out():
+    # Around column 1: two 0; around column 4: one 0, one 1. Around column 7 there is nothing.
+    labels = [[0, 0, -1, -1, 1, 0, -1, -1, -1]]
+    edges = [[0, 0, 1], [1, 2, 2]]
+    assert overlaps(labels, [(0, 1), (0, 4), (0, 7)], edges, 3) == ([0], [0.5])
 
 
-@given(st.lists(st.tuples(windows_of_labels, windows_of_labels), min_size=1, max_size=20))
-def test_overlap_against_counters(pairs):
-    first, second = (torch.tensor([pair[side] for pair in pairs]) for side in (0, 1))
-    for got, (a, b) in zip(window_overlap(first, second).tolist(), pairs, strict=True):
-        counts = [Counter(label for label in window if label >= 0) for window in (a, b)]
-        smaller = min(count.total() for count in counts)
-        if smaller == 0:
-            assert got != got
-        else:
-            assert got == (counts[0] & counts[1]).total() / smaller
+@given(st.data(), st.sampled_from([1, 3, 5]))
+def test_overlap_against_counters(data, window):
+    labels = data.draw(st.lists(st.lists(st.integers(-1, 4), min_size=7, max_size=7), min_size=5, max_size=5))
+    pixels = data.draw(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 6)), min_size=2, max_size=6))
+    pairs = [(i, j) for i in range(len(pixels)) for j in range(i)]
+    expected = {}
+    for edge, (i, j) in enumerate(pairs):
+        counts = []
+        for row, column in (pixels[i], pixels[j]):
+            reach = window // 2
+            rows = labels[max(row - reach, 0) : row + reach + 1]
+            around = [label for line in rows for label in line[max(column - reach, 0) : column + reach + 1]]
+            counts.append(Counter(label for label in around if label >= 0))
+        if all(counts):
+            expected[edge] = (counts[0] & counts[1]).total() / min(count.total() for count in counts)
+    got = overlaps(labels, pixels, list(zip(*pairs, strict=True)), window)
+    assert got == (list(expected), rounded(expected.values()))
 
 
 def test_edges_with_an_unseen_end_are_left_out():
-    labels = torch.tensor([[0, 0, 1, 1]])
+    labels = torch.tensor([[0, 0, 1, 1]], dtype=torch.int32)
     visible = visible_at([(0, 0), (0, 1), (0, 3)], points=[0, 2, 3])
-    edge_index = torch.tensor([[0, 0, 2, 0], [1, 2, 3, 3]])  # point 1 is not seen
-    edges, overlaps = edge_overlaps(edge_index, 4, visible, label_windows(labels, visible, 1))
-    assert edges.tolist() == [1, 2, 3]
-    assert overlaps.tolist() == [1.0, 0.0, 0.0]
+    edges = EdgeLists.of(torch.tensor([[0, 0, 2, 0], [1, 2, 3, 3]]), 4)  # point 1 is not seen
+    edge, overlap = edge_overlaps(edges, visible, labels, 1)
+    assert dict(zip(edge.tolist(), overlap.tolist(), strict=True)) == {1: 1.0, 2: 0.0, 3: 0.0}
 
 
 def test_eq_6_by_hand():

@@ -39,9 +39,19 @@ class GradientBoundary(nn.Module):
 
     def _single(self, image: Tensor) -> Tensor:
         lab = smooth(kornia.color.rgb_to_lab(image[None].contiguous()), self.smoothing)
-        gradient = kornia.filters.spatial_gradient(lab, mode="diff")[0]  # [3, 2, H, W], central differences
-        magnitude = gradient.square().sum(dim=(0, 1)).sqrt()
+        magnitude = _gradient(lab[0]).square_().sum(dim=(0, 1)).sqrt_()
         return 1 - torch.exp(-magnitude / self.contrast)
+
+
+def _gradient(values: Tensor) -> Tensor:
+    """Central differences to the right and down, borders replicated: [C, H, W] -> [C, 2, H, W]."""
+    # The same as kornia's spatial_gradient(mode="diff"), whose convolution takes ten times as long.
+    height, width = values.shape[1:]
+    padded = torch.nn.functional.pad(values[None], (1, 1, 1, 1), mode="replicate")[0]
+    gradient = values.new_empty(values.shape[0], 2, height, width)
+    torch.sub(padded[:, 1:-1, 2:], padded[:, 1:-1, :-2], out=gradient[:, 0])
+    torch.sub(padded[:, 2:, 1:-1], padded[:, :-2, 1:-1], out=gradient[:, 1])
+    return gradient.div_(2)
 
 
 def smooth(images: Tensor, sigma: float) -> Tensor:

@@ -14,15 +14,15 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from torchjoint import ops
+from torchjoint.boundary import smooth
 from torchjoint.checkpoint import Checkpoint
 from torchjoint.config import Config
-from torchjoint.image_graph import pixel_weights
 from torchjoint.image_segmenter import ImageSegmenter
 from torchjoint.joint_labels import joint_labels, separate_private_ids
 from torchjoint.point_graph import PointGraph, build_point_graph, faces_camera, geometric_weights, orient_normals
 from torchjoint.pose_check import check_poses
-from torchjoint.propagation import disagreement, edge_overlaps, label_windows
-from torchjoint.refinement import merge_segments, pixel_pairs, split_segments
+from torchjoint.propagation import EdgeLists, disagreement, edge_overlaps
+from torchjoint.refinement import merge_segments, split_segments
 from torchjoint.scene import Frame, LabelImages, Scene, Segmentation
 from torchjoint.state import JointState, Observation
 from torchjoint.threads import map_frames, one_thread_per_operation
@@ -64,6 +64,7 @@ class JointSegmenter(nn.Module):
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
         self._graph: PointGraph | None = None
+        self._edges: EdgeLists | None = None
         self._state: JointState | None = None
         self.eval()  # a network's batch statistics must not depend on how frames are batched
 
@@ -126,6 +127,7 @@ class JointSegmenter(nn.Module):
         self.stopwatch = Stopwatch()
         with one_thread_per_operation(), self.stopwatch("point graph"):
             self._graph = build_point_graph(cloud, self.config.point_graph)
+            self._edges = EdgeLists.of(self._graph.edge_index, self._graph.num_points)
         self._state = JointState.empty(self._graph.edge_index.shape[1], self._graph.num_points)
 
     @torch.no_grad()
@@ -142,8 +144,8 @@ class JointSegmenter(nn.Module):
                     lambda item: self._observe(*item), zip(batch, boundaries, labels, strict=True)
                 )
                 for observation, facing, edges, overlaps in observations:
-                    state.views[edges] += 1
-                    state.overlap_sum[edges] += overlaps
+                    state.views.index_add_(0, edges, torch.ones_like(edges))
+                    state.overlap_sum.index_add_(0, edges, overlaps)
                     state.facing[observation.visible.point] += facing
                     state.observations.append(observation)
 
@@ -212,11 +214,10 @@ class JointSegmenter(nn.Module):
             visible = visible_points(graph.points, graph.spacing, *camera, self.config.visibility)
             facing = faces_camera(graph, visible.point, frame.world_to_camera)
         with self.stopwatch("propagation"):
-            windows = label_windows(labels, visible, self.config.propagation.window)
-            edges, overlaps = edge_overlaps(graph.edge_index, graph.num_points, visible, windows)
-        observation = Observation(
-            frame.name, labels.to(torch.int32), visible, _to_8_bits(frame.image), _to_8_bits(boundary)
-        )
+            labels = labels.to(torch.int32)
+            assert self._edges is not None  # made with the graph
+            edges, overlaps = edge_overlaps(self._edges, visible, labels, self.config.propagation.window)
+        observation = Observation(frame.name, labels, visible, _to_8_bits(frame.image), _to_8_bits(boundary))
         return observation, facing, edges, overlaps
 
     def _segment_points(self) -> Tensor:
@@ -238,21 +239,15 @@ class JointSegmenter(nn.Module):
 
     def _refine(self, observation: Observation, point_labels: Tensor, sizes: Tensor) -> tuple[Tensor, int]:
         """Steps 7 and 8 for one frame: labels, those without a point numbered from the number of 3D segments."""
-        config, visible = self.config.refinement, observation.visible
-        labels = observation.labels.long()
+        config, visible, labels = self.config, observation.visible, observation.labels
         at_point = point_labels[visible.point]
         with self.stopwatch("refinement"):
-            if config.merge_ratio is not None or config.split_min_edges is not None:
-                pairs = pixel_pairs(visible, at_point, config.radius)
-                if config.merge_ratio is not None:
-                    labels = merge_segments(labels, visible, pairs, config.merge_ratio)
-                if config.split_min_edges is not None:
-                    image, boundary = observation.image.float() / 255, observation.boundary.float() / 255
-                    weights = pixel_weights(image, boundary, self.config.image_graph)
-                    labels = split_segments(labels, weights, visible, at_point, pairs, config)
+            labels = merge_segments(labels, visible, at_point, config.refinement)
+            image, boundary = observation.image.float() / 255, observation.boundary.float() / 255
+            colors = smooth(image[None], config.image_graph.smoothing)[0]
+            labels = split_segments(labels, colors, boundary, visible, at_point, config.refinement, config.image_graph)
         with self.stopwatch("joint labels"):
-            named, next_free = joint_labels(labels, visible, at_point, sizes, sizes.shape[0])
-            return named.to(torch.int32), next_free
+            return joint_labels(labels, visible, at_point, sizes, sizes.shape[0])
 
 
 def _batches_of_one_size(frames: Sequence[Frame]) -> Iterator[list[Frame]]:
@@ -261,4 +256,4 @@ def _batches_of_one_size(frames: Sequence[Frame]) -> Iterator[list[Frame]]:
 
 
 def _to_8_bits(values: Tensor) -> Tensor:
-    return (values.clamp(0, 1) * 255).round().to(torch.uint8)
+    return values.mul(255).round_().clamp_(0, 255).to(torch.uint8)

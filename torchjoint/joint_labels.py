@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Sequence
 
 import torch
@@ -21,26 +22,33 @@ def joint_labels(
     numbered from `first_free` by first appearance.
 
     Args:
-        labels: [H, W] int64, -1 = none (stays so).
+        labels: [H, W] int32, -1 = none (stays so).
         point_labels: [M] int64, 3D label of each visible point.
         segment_sizes: [S] int64, number of points of each 3D segment.
 
     Returns:
-        ([H, W] int64, the next free id).
+        ([H, W] int32, the next free id).
     """
-    segment = labels[visible.row, visible.column]
+    names = torch.full((int(labels.max()) + 1 if labels.numel() else 0,), -1)
+    segment, winner = _most_votes(labels[visible.row, visible.column].long(), point_labels, segment_sizes)
+    names[segment] = winner
+    unnamed = _by_first_appearance(labels, names < 0)
+    names[unnamed] = first_free + torch.arange(unnamed.shape[0])
+    return look_up(names.to(torch.int32), labels, -1), first_free + unnamed.shape[0]
+
+
+def _most_votes(segment: Tensor, point_labels: Tensor, segment_sizes: Tensor) -> tuple[Tensor, Tensor]:
+    """The image segments that points fall in, and the 3D segment that most of each one's points are of."""
     inside = segment >= 0
-    num_points = segment_sizes.shape[0]
-    key, votes = torch.unique(segment[inside] * num_points + point_labels[inside], return_counts=True)
-    segment, winner = key // num_points, key % num_points
+    num_segments = segment_sizes.shape[0]
+    key, votes = torch.unique(segment[inside] * num_segments + point_labels[inside], return_counts=True)
+    segment, winner = key // num_segments, key % num_segments
     # By segment, then votes, then size, then the lower id: stable sorts by the last criterion first (ids ascend).
     order = torch.arange(key.shape[0])
     for criterion in (-segment_sizes[winner], -votes, segment):
         order = order[torch.argsort(criterion[order], stable=True)]
     best = order[starts_group(segment[order])]
-    names = torch.full((int(labels.max()) + 1,), -1)
-    names[segment[best]] = winner[best]
-    return _number_rest(labels, names, first_free)
+    return segment[best], winner[best]
 
 
 def separate_private_ids(
@@ -51,16 +59,20 @@ def separate_private_ids(
     The names' order (and among equal names that of the content), and not that in which frames came, so that the
     latter does not change labels.
     """
+    times_named = Counter(seen.name for seen in observations)
 
     def key(index: int) -> tuple[str, bytes]:
         seen = observations[index]
+        if times_named[seen.name] == 1:
+            return seen.name, b""
         return seen.name, hashlib.sha256(seen.labels.numpy().tobytes() + seen.image.numpy().tobytes()).digest()
 
     images = [labels for labels, _ in refined]
     offset = 0
     for index in sorted(range(len(refined)), key=key):
         labels, next_free = refined[index]
-        images[index] = torch.where(labels >= num_segments, labels + offset, labels)
+        if offset and next_free > num_segments:
+            images[index] = torch.where(labels >= num_segments, labels + offset, labels)
         offset += next_free - num_segments
     return images
 
@@ -72,14 +84,16 @@ def starts_group(sorted_values: Tensor) -> Tensor:
     return starts
 
 
-def _number_rest(labels: Tensor, names: Tensor, first_free: int) -> tuple[Tensor, int]:
-    """Gives the segments that have no name yet ids of their own, by first appearance."""
-    flat = labels.reshape(-1)
-    first_pixel = torch.full((names.shape[0],), flat.shape[0])
-    used = flat >= 0
-    first_pixel.scatter_reduce_(0, flat[used], torch.nonzero(used).squeeze(1), "amin")
-    unnamed = torch.nonzero((names < 0) & (first_pixel < flat.shape[0])).squeeze(1)
-    unnamed = unnamed[torch.argsort(first_pixel[unnamed])]
-    names[unnamed] = first_free + torch.arange(unnamed.shape[0])
-    named = torch.where(used, names[flat.clamp(min=0)], -1) if names.numel() else flat
-    return named.view_as(labels), first_free + unnamed.shape[0]
+def _by_first_appearance(labels: Tensor, wanted: Tensor) -> Tensor:
+    """Those of the wanted labels ([K] bool) that an image has, in the order of their first pixels."""
+    pixel = torch.nonzero(look_up(wanted, labels, False).view(-1)).squeeze(1)
+    first_pixel = torch.full((wanted.shape[0],), labels.numel())
+    first_pixel.scatter_reduce_(0, labels.reshape(-1)[pixel].long(), pixel, "amin")
+    found = torch.nonzero(first_pixel < labels.numel()).squeeze(1)
+    return found[torch.argsort(first_pixel[found])]
+
+
+def look_up(table: Tensor, labels: Tensor, none: float) -> Tensor:
+    """``table[labels]``, and `none` where a label is -1; several times as fast as indexing."""
+    table = torch.cat([table.new_full((1,), none), table])
+    return table.index_select(0, labels.reshape(-1) + 1).view(labels.shape)

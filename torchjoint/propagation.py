@@ -6,9 +6,12 @@ over processes, and be added up.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
+from torchjoint import ops
 from torchjoint.config import PropagationConfig
 from torchjoint.visibility import Visible
 
@@ -17,76 +20,38 @@ from torchjoint.visibility import Visible
 OVERLAP_RESOLUTION = 2.0**-24
 
 
-def label_windows(labels: Tensor, visible: Visible, window: int) -> Tensor:
-    """The t x t labels around each visible point's pixel, clipped at the image's border.
+class EdgeLists(NamedTuple):
+    """The edges of a graph by their first end: an image need only look at the edges of the points it sees."""
+
+    order: Tensor  #: [E] int32, the edges sorted by their first end
+    other_end: Tensor  #: [E] int32, the second end of each of them
+    start: Tensor  #: [N + 1] int32, where in `order` those of each point start
+
+    @classmethod
+    def of(cls, edge_index: Tensor, num_points: int) -> EdgeLists:
+        """Sorts the edges of a graph."""
+        order = torch.argsort(edge_index[0], stable=True)
+        start = torch.zeros(num_points + 1, dtype=torch.int32)
+        start[1:] = torch.cumsum(torch.bincount(edge_index[0], minlength=num_points), 0)
+        return cls(order.to(torch.int32), edge_index[1, order].to(torch.int32), start)
+
+
+def edge_overlaps(edges: EdgeLists, visible: Visible, labels: Tensor, window: int) -> tuple[Tensor, Tensor]:
+    """One image's contribution to the sums: the overlap of the t x t windows around the pixels of each edge's ends.
+
+    Overlap is histogram intersection over the smaller window's size (eq. 5). Windows are clipped at the image's border;
+    pixels without a label are left out of them.
 
     Args:
-        labels: [H, W] int64, -1 = none.
+        labels: [H, W] int32, -1 = none.
         window: t, odd.
 
     Returns:
-        [M, t*t] int64; -1 where there is no pixel or no label.
+        ([S] int64, [S] float64): the edges that the image has something to say about (both ends are visible and have
+        a label in their windows), each once, and their overlaps in [0, 1], rounded to OVERLAP_RESOLUTION.
     """
-    reach = window // 2
-    padded = torch.nn.functional.pad(labels, (reach, reach, reach, reach), value=-1)
-    # Row r of the image is row r + reach of the padded one, so a window starts at the pixel's own indices.
-    steps = torch.arange(window)
-    rows = visible.row[:, None, None] + steps[:, None]
-    columns = visible.column[:, None, None] + steps[None, :]
-    return padded[rows, columns].flatten(1)
-
-
-def window_overlap(first: Tensor, second: Tensor) -> Tensor:
-    """Overlap of two windows: histogram intersection / size of the smaller window (eq. 5).
-
-    Pixels without a label (-1) are left out of a window's size.
-
-    Args:
-        first, second: [E, t*t] int64, -1 = none.
-
-    Returns:
-        [E] float64 in [0, 1]; NaN where a window has no label at all.
-    """
-    size = torch.minimum((first >= 0).sum(1), (second >= 0).sum(1)).double()
-    # Most windows lie within one segment, where the intersection is all or nothing.
-    uniform = (first == first[:, :1]).all(1) & (second == second[:, :1]).all(1)
-    overlap = (first[:, 0] == second[:, 0]).double()
-    mixed = torch.nonzero(~uniform).squeeze(1)
-    overlap[mixed] = _intersection(first[mixed], second[mixed]).double() / size[mixed]
-    overlap[size == 0] = torch.nan
-    return overlap
-
-
-def _intersection(first: Tensor, second: Tensor) -> Tensor:
-    """Size of the histogram intersection of rows, sum over labels l of min(count of l in each), -1 left out."""
-    total = torch.zeros(first.shape[0], dtype=torch.int64)
-    for column in range(first.shape[1]):
-        # A label's minimum is counted once, at its first occurrence in `first`.
-        label = first[:, column : column + 1]
-        is_first = ~(first[:, :column] == label).any(1) & (label[:, 0] >= 0)
-        common = torch.minimum((first == label).sum(1), (second == label).sum(1))
-        total += torch.where(is_first, common, 0)
-    return total
-
-
-def edge_overlaps(edge_index: Tensor, num_points: int, visible: Visible, windows: Tensor) -> tuple[Tensor, Tensor]:
-    """One image's contribution to the sums.
-
-    Args:
-        edge_index: [2, E] of the point graph.
-        windows: [M, t*t] of :func:`label_windows`.
-
-    Returns:
-        ([S] int64, [S] float64): the edges that the image has something to say about, ascending (both ends are
-        visible and have a labelled window), and their overlaps, rounded to OVERLAP_RESOLUTION.
-    """
-    slot = torch.full((num_points,), -1, dtype=torch.int64)
-    slot[visible.point] = torch.arange(visible.point.shape[0])
-    first, second = slot[edge_index[0]], slot[edge_index[1]]
-    seen = torch.nonzero((first >= 0) & (second >= 0)).squeeze(1)
-    overlap = window_overlap(windows[first[seen]], windows[second[seen]])
-    labelled = ~overlap.isnan()
-    return seen[labelled], (overlap[labelled] / OVERLAP_RESOLUTION).round() * OVERLAP_RESOLUTION
+    edge, overlap = ops.window_overlaps(*edges, visible.point, visible.row, visible.column, labels, window)
+    return edge, (overlap / OVERLAP_RESOLUTION).round_() * OVERLAP_RESOLUTION
 
 
 def disagreement(views: Tensor, overlap_sum: Tensor, num_images: int, config: PropagationConfig) -> Tensor:

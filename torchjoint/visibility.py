@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import kornia
 import torch
 from torch import Tensor
 
+from torchjoint import ops
 from torchjoint.config import VisibilityConfig
 
 
@@ -21,7 +21,8 @@ class Projection(NamedTuple):
 
     def select(self, mask: Tensor) -> Projection:
         """The points where `mask` [M] is True."""
-        return Projection(*(values[mask] for values in self))
+        index = torch.nonzero(mask).squeeze(1)
+        return Projection(*(values[index] for values in self))
 
 
 class Visible(NamedTuple):
@@ -57,7 +58,7 @@ def visible_points(
     if config.method == "hidden_point_removal":
         center = -(world_to_camera[:3, :3].T @ world_to_camera[:3, 3])
         projected = projected.select(hidden_point_removal(points[projected.point], center, config.radius_factor))
-        projected = projected.select(_inside(projected.u, projected.v, size, 0.0))
+        projected = projected.select(_inside(projected.u, projected.v, size))
     else:
         projected = projected.select(zbuffer_visible(projected, spacing, float(intrinsics[0, 0]), size, config))
     row, column = (_nearest_pixel(values) for values in (projected.v, projected.u))
@@ -77,13 +78,8 @@ def project(
     Args:
         margin: how much larger than the image the frame is taken on each side, image widths.
     """
-    in_camera = kornia.geometry.transform_points(world_to_camera[None], points[None].double())[0]
-    z = in_camera[:, 2]
-    # kornia projects points behind the camera to ordinary pixels: leave them out first.
-    point = torch.nonzero((z > config.near) & (z < config.far)).squeeze(1)
-    pixels = kornia.geometry.project_points(in_camera[point], intrinsics)
-    projected = Projection(point, pixels[:, 0].float(), pixels[:, 1].float(), z[point].float())
-    return projected.select(_inside(projected.u, projected.v, size, margin * size[1]))
+    camera = (world_to_camera.double(), intrinsics.double())
+    return Projection(*ops.project(points, *camera, config.near, config.far, *size, margin * size[1]))
 
 
 def zbuffer_visible(
@@ -96,21 +92,13 @@ def zbuffer_visible(
     Returns:
         [M] bool.
     """
-    height, width = size
-    radius = (config.footprint * spacing[projected.point] * focal / projected.z).round()
-    radius = radius.clamp(max=config.max_footprint).to(torch.int64)
+    width = spacing[projected.point]
+    reach = (config.footprint * width * focal / projected.z).round().clamp(max=config.max_footprint).to(torch.int64)
     row, column = _nearest_pixel(projected.v), _nearest_pixel(projected.u)
-    buffer = torch.full((height * width,), torch.inf)
-    for reach in range(config.max_footprint + 1):
-        wide_enough = radius >= reach
-        z, near_row, near_column = projected.z[wide_enough], row[wide_enough], column[wide_enough]
-        for down, right in _ring(reach):
-            r, c = near_row + down, near_column + right
-            inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
-            buffer.scatter_reduce_(0, (r * width + c)[inside], z[inside], "amin")
+    nearest = ops.splat_depth(row, column, projected.z, reach, *size)
     # On a slanted surface the splat of a neighbour may lie in front of a point by as much as their distance.
-    tolerance = config.depth_tolerance + config.slant_tolerance * spacing[projected.point]
-    return projected.z <= buffer[row * width + column] + tolerance
+    tolerance = config.depth_tolerance + config.slant_tolerance * width
+    return projected.z <= nearest[row, column] + tolerance
 
 
 def hidden_point_removal(points: Tensor, center: Tensor, radius_factor: float) -> Tensor:
@@ -144,17 +132,11 @@ def hidden_point_removal(points: Tensor, center: Tensor, radius_factor: float) -
     return visible_unique[inverse]
 
 
-def _ring(reach: int) -> list[tuple[int, int]]:
-    """Offsets (down, right) with max(|down|, |right|) = reach."""
-    steps = range(-reach, reach + 1)
-    return [(down, right) for down in steps for right in steps if max(abs(down), abs(right)) == reach]
-
-
 def _nearest_pixel(coordinate: Tensor) -> Tensor:
     return torch.floor(coordinate + 0.5).to(torch.int64)
 
 
-def _inside(u: Tensor, v: Tensor, size: tuple[int, int], margin: float) -> Tensor:
+def _inside(u: Tensor, v: Tensor, size: tuple[int, int]) -> Tensor:
     height, width = size
     column, row = _nearest_pixel(u), _nearest_pixel(v)
-    return (column >= -margin) & (column < width + margin) & (row >= -margin) & (row < height + margin)
+    return (column >= 0) & (column < width) & (row >= 0) & (row < height)

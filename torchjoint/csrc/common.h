@@ -5,10 +5,13 @@
 #include <torch/csrc/stable/ops.h>
 #include <torch/csrc/stable/tensor.h>
 
+#include <algorithm>
 #include <cstdint>
+#include <initializer_list>
 #include <limits>
 #include <sstream>
 #include <stdexcept>
+#include <vector>
 
 namespace torchjoint {
 
@@ -50,6 +53,41 @@ inline Tensor checked_values(const Tensor& values, int64_t length, const char* n
   check(is_floating(values), name, ": expected dtype torch.float32 or torch.float64");
   check(values.dim() == 1 && values.size(0) == length, name, ": expected shape [", length, "]");
   return torch::stable::contiguous(values);
+}
+
+// Of the dtype and shape on the CPU, contiguous. `shape` is only read, and -1 allows any length.
+inline Tensor checked_array(
+    const Tensor& tensor, ScalarType dtype, std::initializer_list<int64_t> shape, const char* name) {
+  check(tensor.is_cpu(), name, ": expected a CPU tensor");
+  check(tensor.scalar_type() == dtype, name, ": expected another dtype");
+  check(tensor.dim() == static_cast<int64_t>(shape.size()), name, ": expected ", shape.size(), " dimensions");
+  int64_t dimension = 0;
+  for (const int64_t length : shape) {
+    const int64_t got = tensor.size(dimension++);
+    check(length < 0 || got == length, name, ": expected length ", length, " in dimension ", dimension - 1, ", got ", got);
+  }
+  return torch::stable::contiguous(tensor);
+}
+
+// The size of an image whose pixels can be numbered in 32 bits.
+inline void check_image_size(int64_t height, int64_t width) {
+  check(height >= 0 && width >= 0 && height <= kMaxCount && width <= kMaxCount && height * width <= kMaxCount,
+        "height, width: expected an image of at most 2^31 - 1 pixels, got ", height, " x ", width);
+}
+
+// Checks that a value is one of 0, ..., count - 1, or names the argument and the position.
+inline void check_index(int64_t value, int64_t count, const char* name, int64_t position) {
+  if (static_cast<uint64_t>(value) >= static_cast<uint64_t>(count)) [[unlikely]] {
+    fail(name, ": expected numbers in [0, ", count, "), got ", value, " at ", position);
+  }
+}
+
+// A new tensor with a vector's values, on the CPU as `like` is.
+template <typename T>
+Tensor to_tensor(const std::vector<T>& values, ScalarType dtype, const Tensor& like) {
+  Tensor tensor = torch::stable::new_empty(like, {static_cast<int64_t>(values.size())}, dtype);
+  std::copy(values.begin(), values.end(), tensor.mutable_data_ptr<T>());
+  return tensor;
 }
 
 inline void check_node(int64_t node, int64_t num_nodes, int64_t edge) {

@@ -1,4 +1,4 @@
-"""The graph algorithms everything else is built on, compiled, as torch operators.
+"""The compiled parts of the method, as torch operators: two graph algorithms, and the inner loops around them.
 
 They work on CPU tensors, take any strides, are deterministic, release the GIL, and go through :func:`torch.compile`.
 Their slow and obvious twins are in :mod:`torchjoint.ops.reference`.
@@ -19,5 +19,21 @@ from torchjoint.ops.felzenszwalb_image import felzenszwalb_image
 from torchjoint.ops.fit_normals import fit_normals
 from torchjoint.ops.min_cut import min_cut
 from torchjoint.ops.neighbor_edges import neighbor_edges
+from torchjoint.ops.pair_counts import pair_counts
+from torchjoint.ops.project import project
+from torchjoint.ops.segment_graphs import segment_graphs
+from torchjoint.ops.splat_depth import splat_depth
+from torchjoint.ops.window_overlaps import window_overlaps
 
-__all__ = ["felzenszwalb", "felzenszwalb_image", "fit_normals", "min_cut", "neighbor_edges"]
+__all__ = [
+    "felzenszwalb",
+    "felzenszwalb_image",
+    "fit_normals",
+    "min_cut",
+    "neighbor_edges",
+    "pair_counts",
+    "project",
+    "segment_graphs",
+    "splat_depth",
+    "window_overlaps",
+]

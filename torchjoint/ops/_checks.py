@@ -42,6 +42,15 @@ def check_vector(name: str, value: object, length: int | None, length_name: str)
         raise ValueError(f"{name}: expected shape [{length_name}] = [{length}], got {list(value.shape)}")
 
 
+def check_array(name: str, value: object, dtype: torch.dtype, shape: tuple[int | None, ...], shape_name: str) -> None:
+    """Raise unless ``value`` is a CPU tensor of the dtype and shape; None allows any length."""
+    check_tensor(name, value, (dtype,))
+    assert isinstance(value, Tensor)
+    lengths_fit = all(want is None or have == want for have, want in zip(value.shape, shape, strict=False))
+    if value.dim() != len(shape) or not lengths_fit:
+        raise ValueError(f"{name}: expected shape {shape_name}, got {list(value.shape)}")
+
+
 def check_number(name: str, value: object, kinds: tuple[type, ...]) -> None:
     """Raise unless ``value`` is a number of the given kinds, not negative and not NaN."""
     if isinstance(value, bool) or not isinstance(value, kinds):

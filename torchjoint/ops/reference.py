@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
+from itertools import combinations
 
 import numpy as np
 import torch
@@ -180,3 +181,120 @@ def fit_normals_reference(points: Tensor, neighbors: Tensor) -> Tensor:
     x, y, z = vectors[:, :, 0].float().unbind(dim=1)
     sign = torch.where(z != 0, z, torch.where(y != 0, y, x))
     return torch.where(sign[:, None] < 0, -vectors[:, :, 0], vectors[:, :, 0]).float()
+
+
+def project_reference(
+    points: Tensor,
+    camera_from_world: Tensor,
+    intrinsics: Tensor,
+    near: float,
+    far: float,
+    height: int,
+    width: int,
+    margin: float = 0.0,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """What :func:`torchjoint.ops.project` computes; the arguments are not checked."""
+    x, y, z = (
+        ((row[0] * points[:, 0].double() + row[1] * points[:, 1].double()) + row[2] * points[:, 2].double()) + row[3]
+        for row in camera_from_world[:3]
+    )
+    u = (intrinsics[0, 0] * x / z + intrinsics[0, 2]).float()
+    v = (intrinsics[1, 1] * y / z + intrinsics[1, 2]).float()
+    column, row = (u + 0.5).floor().double(), (v + 0.5).floor().double()
+    inside = (column >= -margin) & (column < width + margin) & (row >= -margin) & (row < height + margin)
+    point = torch.nonzero((z > near) & (z < far) & inside).squeeze(1)
+    return point, u[point], v[point], z[point].float()
+
+
+def splat_depth_reference(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, height: int, width: int) -> Tensor:
+    """What :func:`torchjoint.ops.splat_depth` computes; the arguments are not checked."""
+    nearest = torch.full((height, width), torch.inf)
+    for r, c, z, k in zip(row.tolist(), column.tolist(), depth, reach.tolist(), strict=True):
+        square = nearest[max(r - k, 0) : r + k + 1, max(c - k, 0) : c + k + 1]
+        square.copy_(torch.minimum(square, z))
+    return nearest
+
+
+def window_overlaps_reference(
+    order: Tensor,
+    other_end: Tensor,
+    start: Tensor,
+    point: Tensor,
+    row: Tensor,
+    column: Tensor,
+    labels: Tensor,
+    window: int,
+) -> tuple[Tensor, Tensor]:
+    """What :func:`torchjoint.ops.window_overlaps` computes; the arguments are not checked."""
+    reach = window // 2
+
+    def around(r: int, c: int) -> Counter[int]:
+        pixels = labels[max(r - reach, 0) : r + reach + 1, max(c - reach, 0) : c + reach + 1]
+        return Counter(pixels[pixels >= 0].tolist())
+
+    windows = {node: around(r, c) for node, r, c in zip(point.tolist(), row.tolist(), column.tolist(), strict=True)}
+    edges, overlaps = [], []
+    for node in point.tolist():
+        for place in range(int(start[node]), int(start[node + 1])):
+            first, second = windows[node], windows.get(int(other_end[place]), Counter())
+            if first and second:
+                edges.append(int(order[place]))
+                overlaps.append((first & second).total() / min(first.total(), second.total()))
+    return torch.tensor(edges, dtype=torch.int64), torch.tensor(overlaps, dtype=torch.float64)
+
+
+def pair_counts_reference(
+    u: Tensor, v: Tensor, pixel: Tensor, segment: Tensor, label: Tensor, radius: float
+) -> tuple[Tensor, Tensor]:
+    """What :func:`torchjoint.ops.pair_counts` computes, by looking at all pairs; the arguments are not checked."""
+    counts: Counter[tuple[int, ...]] = Counter()
+    points = list(zip(u.tolist(), v.tolist(), pixel.tolist(), segment.tolist(), label.tolist(), strict=True))
+    for (u1, v1, pixel1, segment1, label1), (u2, v2, pixel2, segment2, label2) in combinations(points, 2):
+        is_near = (u1 - u2) * (u1 - u2) + (v1 - v2) * (v1 - v2) <= radius * radius
+        is_alike = segment1 == segment2 and label1 == label2
+        if is_near and not is_alike and pixel1 != pixel2 and segment1 >= 0 and segment2 >= 0:
+            counts[*sorted((segment1, segment2)), *sorted((label1, label2))] += 1
+    groups = sorted(counts)
+    rows = torch.tensor(groups, dtype=torch.int64).reshape(-1, 4)
+    return rows.T.contiguous(), torch.tensor([counts[group] for group in groups], dtype=torch.int64)
+
+
+def segment_graphs_reference(
+    labels: Tensor, chosen: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """What :func:`torchjoint.ops.segment_graphs` computes; the arguments are not checked."""
+    pixels: list[int] = []
+    edges: list[tuple[int, int]] = []
+    weights: list[float] = []
+    node_ptr, edge_ptr = [0], [0]
+    for segment in torch.nonzero(chosen).flatten().tolist():
+        places = torch.nonzero(labels == segment).tolist()
+        number = {tuple(place): i for i, place in enumerate(places)}
+        own = []
+        for down, right in ((0, 1), (1, 0), (1, 1), (-1, 1)):
+            for i, (row, column) in enumerate(places):
+                here, there = (row, column), (row + down, column + right)
+                if there not in number:
+                    continue
+                red, green, blue = (colors[:, *here] - colors[:, *there]).square().numpy()
+                distance = np.sqrt((red + green) + blue)  # numpy's is correctly rounded; torch's, through MKL, is not
+                weakest = min(boundary[here].numpy(), boundary[there].numpy())
+                own.append(float(np.float32(color_weight) * distance + np.float32(boundary_weight) * weakest))
+                edges.append((i, number[there]))
+        total = 0.0
+        for weight in own:  # not sum(), which from Python 3.12 on is more precise than adding
+            total += weight
+        mean = total / max(len(own), 1)
+        weights += [weight / mean if mean > 0 else weight for weight in own]
+        pixels += [row * labels.shape[1] + column for row, column in places]
+        node_ptr.append(len(pixels))
+        edge_ptr.append(len(edges))
+    edge_index = torch.tensor(edges, dtype=torch.int64).reshape(-1, 2).T.contiguous()
+    relative_weight = torch.tensor(weights, dtype=torch.float64)
+    return (
+        torch.tensor(pixels, dtype=torch.int64),
+        torch.tensor(node_ptr),
+        edge_index,
+        torch.tensor(edge_ptr),
+        relative_weight,
+    )

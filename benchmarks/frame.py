@@ -1,0 +1,118 @@
+"""What joint segmentation of a frame costs, against structured edges: `python benchmarks/frame.py FOLDER`.
+
+FOLDER is a recording in the style of 7-Scenes; the other scene is synthetic. The yardstick is OpenCV's structured-edge
+detector on the same frames and with as many threads, with a random forest of realistic size (benchmarks/forest.py).
+Both are run in turn, several times over; every figure is the median of the rounds.
+"""
+
+import argparse
+import dataclasses
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import report
+import torch
+from forest import random_detector
+from torch import nn
+
+import torchjoint as tj
+
+#: Stages of the stopwatch that are a frame's own, in the order of the method.
+STAGES = ("boundaries", "image segments", "visibility", "propagation", "refinement", "joint labels")
+BATCH = 8
+
+
+class Given(nn.Module):
+    """Hands out boundaries that were made before, batch by batch."""
+
+    def __init__(self, boundaries: Sequence[torch.Tensor]) -> None:
+        super().__init__()
+        self.boundaries = list(boundaries)
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        batch, self.boundaries = self.boundaries[: len(images)], self.boundaries[len(images) :]
+        return torch.stack(batch)
+
+
+def milliseconds(function: Callable[[], object], num_frames: int) -> float:
+    start = time.perf_counter()
+    function()
+    return (time.perf_counter() - start) / num_frames * 1000
+
+
+def measure(scene: tj.Scene, rounds: int) -> dict[str, float]:
+    """Medians over rounds, milliseconds a frame."""
+    frames = list(scene.frames)
+    boundaries = tj.JointSegmenter().image_segmenter.boundary(torch.stack([frame.image for frame in frames]))
+    images = [np.ascontiguousarray(frame.image.permute(1, 2, 0).numpy()) for frame in frames]
+    with tempfile.TemporaryDirectory() as folder:
+        detector = random_detector(images[0], Path(folder))
+    results: dict[str, list[float]] = {}
+    for _ in range(rounds):
+        one: dict[str, float] = {}
+        one["detectEdges"] = milliseconds(lambda: [detector.detectEdges(image) for image in images], len(frames))
+        for name, module in (("all", None), ("all but boundaries", Given(boundaries))):
+            segmenter = tj.JointSegmenter(boundary=module)
+            segmenter.reset(scene.points, scene.colors)
+            one[name] = milliseconds(lambda segmenter=segmenter: segment(segmenter, frames), len(frames))
+            if module is None:
+                one |= {stage: segmenter.stopwatch.seconds[stage] / len(frames) * 1000 for stage in STAGES}
+        for name, value in one.items():
+            results.setdefault(name, []).append(value)
+    return {name: statistics.median(values) for name, values in results.items()}
+
+
+def segment(segmenter: tj.JointSegmenter, frames: Sequence[tj.Frame]) -> None:
+    for start in range(0, len(frames), BATCH):
+        segmenter.update(frames[start : start + BATCH])
+    segmenter.compute()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--cloud", type=Path, help="kept here, so that it is fused once")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--frames", type=int, default=20, help="of the recording, evenly spread")
+    parser.add_argument("--threads", type=int, default=2)
+    arguments = parser.parse_args()
+    torch.set_num_threads(arguments.threads)
+    cv2.setNumThreads(arguments.threads)
+
+    recording = tj.load_scene(arguments.folder, cloud=arguments.cloud)
+    step = max(1, len(recording.frames) // arguments.frames)
+    recording = dataclasses.replace(recording, frames=recording.frames[::step])
+    scenes = {"recording": recording, "synthetic": tj.synthetic.make_scene(0, "large", num_views=24).scene}
+    results = {name: measure(scene, arguments.rounds) for name, scene in scenes.items()}
+
+    def row(title: str, value: Callable[[dict[str, float]], str]) -> list[str]:
+        return [title, *(value(result) for result in results.values())]
+
+    rows = [row(stage, lambda result, stage=stage: f"{result[stage]:.1f}") for stage in STAGES]
+    for title, name in (
+        ("whole, wall clock", "all"),
+        ("whole but boundary detection, wall clock", "all but boundaries"),
+        ("structured edges (`detectEdges`), wall clock", "detectEdges"),
+    ):
+        rows.append(row(f"**{title}**", lambda result, name=name: f"**{result[name]:.1f}**"))
+    for title, name in (("whole", "all"), ("whole but boundary detection", "all but boundaries")):
+        rows.append(
+            row(f"{title} / detectEdges", lambda result, name=name: f"{result[name] / result['detectEdges']:.2f}")
+        )
+    sizes = "; ".join(
+        f"{name}: {len(scene.frames)} frames {scene.frames[0].size[1]}x{scene.frames[0].size[0]}, "
+        f"{len(scene.points)} points"
+        for name, scene in scenes.items()
+    )
+    text = f"{sizes}.\n\n{report.table(['ms a frame', *results], rows)}\n\n{report.machine()}."
+    print(text)
+    report.write_part("frame", text)
+
+
+if __name__ == "__main__":
+    main()

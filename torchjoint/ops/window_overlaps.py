@@ -1,0 +1,78 @@
+"""Overlap of the label windows around both ends of an edge."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from torchjoint.ops._checks import check_array, check_number
+
+
+def window_overlaps(
+    order: Tensor,
+    other_end: Tensor,
+    start: Tensor,
+    point: Tensor,
+    row: Tensor,
+    column: Tensor,
+    labels: Tensor,
+    window: int,
+) -> tuple[Tensor, Tensor]:
+    """Compare the labels around both ends of an edge, for all edges whose ends an image both sees.
+
+    The overlap of two windows is their histogram intersection over the size of the smaller one (eq. 5 of the paper).
+    Windows are clipped at the image's border, and pixels without a label left out. Only the edges of the points that
+    are seen are looked at, however many the graph has.
+
+    Args:
+        order: ``[E]`` int32, the numbers of the edges sorted by their first end; each undirected edge once.
+        other_end: ``[E]`` int32, the second end of each of these edges.
+        start: ``[N + 1]`` int32, where in ``order`` the edges of each of the N nodes start.
+        point: ``[M]`` int64, the nodes that the image sees, each once.
+        row, column: ``[M]`` int64, the pixels they fall in.
+        labels: ``[H, W]`` int32, negative = none.
+        window: side of the windows, odd.
+
+    Returns:
+        ``edge`` ``[S]`` int64, the edges with both ends seen, and a label in both windows; ``overlap`` ``[S]`` float64
+        in [0, 1]. In the order of ``point``, then of ``order``.
+
+    Raises:
+        TypeError: an argument of the wrong type or dtype.
+        ValueError: a wrong shape or device, a number out of range, a point given twice, an even window.
+
+    Example:
+        >>> import torch
+        >>> order, other_end, start = (torch.tensor(x).int() for x in ([0, 1, 2], [1, 2, 2], [0, 2, 3, 3]))
+        >>> point, row, column = torch.tensor([0, 2]), torch.tensor([0, 0]), torch.tensor([1, 2])
+        >>> labels = torch.tensor([[7, 7, 8, 8]]).int()
+        >>> window_overlaps(order, other_end, start, point, row, column, labels, window=3)
+        (tensor([1]), tensor([0.6667], dtype=torch.float64))
+    """
+    check_array("order", order, torch.int32, (None,), "[E]")
+    check_array("other_end", other_end, torch.int32, (order.shape[0],), f"[E] = [{order.shape[0]}]")
+    check_array("start", start, torch.int32, (None,), "[N + 1]")
+    check_array("point", point, torch.int64, (None,), "[M]")
+    for name, value in (("row", row), ("column", column)):
+        check_array(name, value, torch.int64, (point.shape[0],), f"[M] = [{point.shape[0]}]")
+    check_array("labels", labels, torch.int32, (None, None), "[H, W]")
+    check_number("window", window, (int,))
+    result = torch.ops.torchjoint.window_overlaps.default(order, other_end, start, point, row, column, labels, window)
+    return cast(tuple[Tensor, Tensor], result)
+
+
+@torch.library.register_fake("torchjoint::window_overlaps")
+def _fake(
+    order: Tensor,
+    other_end: Tensor,
+    start: Tensor,
+    point: Tensor,
+    row: Tensor,
+    column: Tensor,
+    labels: Tensor,
+    window: int,
+) -> tuple[Tensor, Tensor]:
+    count = torch.library.get_ctx().new_dynamic_size()
+    return order.new_empty(count, dtype=torch.int64), order.new_empty(count, dtype=torch.float64)
