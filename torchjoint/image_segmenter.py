@@ -40,9 +40,10 @@ class ImageSegmenter(nn.Module):
         with stopwatch("image segments"):
             given = [frame.labels for frame in frames]
             missing = any(labels is None for labels in given)
-            segmented: Sequence[Tensor | None] = self._segment(images, boundaries) if missing else [None] * len(given)
-            labels = [own if own is not None else other for own, other in zip(given, segmented, strict=True)]
-            return boundaries, [_dense(image) for image in labels if image is not None]
+            segmented = self._segment(images, boundaries) if missing else [torch.empty(0)] * len(given)
+            return boundaries, [
+                other if own is None else _dense(own) for own, other in zip(given, segmented, strict=True)
+            ]
 
     def _detect(self, images: Tensor) -> Tensor:
         boundaries = self.boundary(images)
@@ -59,7 +60,7 @@ class ImageSegmenter(nn.Module):
         output = self.segmenter(images)
         if len(output) != len(images):
             raise ValueError(f"image_segmenter's output: expected {len(images)} images, got {len(output)}")
-        return [as_labels(labels, size, "image_segmenter's output") for labels in output]
+        return [_dense(as_labels(labels, size, "image_segmenter's output")) for labels in output]
 
     def _segment_by_graph(self, image: Tensor, boundary: Tensor) -> Tensor:
         return segment_image(image, boundary, self.config.image_graph, self.config.image_segments)
