@@ -63,6 +63,37 @@ def test_undirected_edges_are_the_symmetrised_graph_once(num_points, count, seed
     assert {tuple(edge) for edge in edges.T.tolist()} == expected
 
 
+def beams(gap, step=0.01, length=3.0):
+    """Five straight beams on the ground, `gap` apart, with a point every `step`."""
+    x, y = torch.meshgrid(torch.arange(0, length, step), torch.arange(5) * gap, indexing="ij")
+    return torch.stack([x, y, torch.zeros_like(x)], dim=-1).view(-1, 3)
+
+
+def test_neighbors_that_reach_across_beams():
+    points = beams(gap=0.2)
+    y = points[:, 1]
+    nearest = nearest_neighbors(points, 8).indices.long()
+    assert (y[nearest] == y[:, None]).all()  # all along the beam
+    far = nearest_neighbors(points, 8, reach=0.2).indices.long()
+    assert ((y[far] != y[:, None]).any(dim=1)).float().mean() > 0.95
+    # No point is its own neighbour, none comes twice, and they come nearest first.
+    assert (far != torch.arange(len(points))[:, None]).all()
+    assert (far.sort(dim=1).values.diff(dim=1) > 0).all()
+    distance = (points[far] - points[:, None]).norm(dim=2)
+    assert (distance.diff(dim=1) >= -1e-6).all()
+    # Where they reached far enough at first, nothing has changed.
+    assert torch.equal(nearest_neighbors(points, 8, reach=0.03).indices.long(), nearest)
+
+
+def test_neighbors_reach_no_farther_than_there_are_points():
+    points = random_points(40)
+    everything = nearest_neighbors(points, 30).indices
+    assert torch.equal(nearest_neighbors(points, 30, reach=100.0).indices, everything)  # half of them are too few
+    assert nearest_neighbors(points[:1], 5, reach=1.0).indices.shape == (1, 0)
+    spread = nearest_neighbors(points, 8, reach=100.0).indices
+    assert len(spread.unique()) <= 20  # of half of the points
+
+
 @given(st.integers(1, 40), st.integers(0, 70), st.integers(0, 10_000), st.sampled_from([torch.int32, torch.int64]))
 def test_edges_are_their_twin_s(num_points, count, seed, dtype):
     # Any table: rows that name themselves, or a neighbour twice, and more columns than points.

@@ -122,9 +122,10 @@ def test_mesh_edges_and_normals_by_hand():
     assert normals.tolist() == expected
 
 
-@pytest.mark.parametrize("preset", ["room", "outdoor", "segmentator"])
-def test_sides_of_a_box_are_separate(preset):
+@pytest.mark.parametrize(("preset", "size"), [("room", 1), ("outdoor", 5), ("segmentator", 1)])
+def test_sides_of_a_box_are_separate(preset, size):
     points, truth = box_on_floor()
+    points = size * points
     parameters = {"scale": 0.1} if preset == "segmentator" else {}
     labels = tj.superpoints(points, preset=preset, **parameters)
     assert labels.dtype == torch.int64
@@ -324,3 +325,17 @@ def test_every_parameter_is_an_argument():
 
     names = {spec.name for spec in dataclasses.fields(SuperpointsConfig)}
     assert names <= set(inspect.signature(tj.superpoints).parameters)
+
+
+def test_outdoor_joins_the_rings_of_a_lidar():
+    """The road near the sensor is seen as rings, 0.3 m apart, with a point every 2 cm."""
+    rings = []
+    for radius in torch.arange(4.0, 9.0, 0.3).tolist():
+        angle = torch.arange(-0.6, 0.6, 0.02 / radius)
+        rings.append(torch.stack([radius * angle.cos(), radius * angle.sin(), torch.zeros_like(angle)], dim=1))
+    road = torch.cat(rings)
+    road = road + 0.01 * torch.randn(road.shape, generator=random(0))
+    share = tj.superpoints(road, preset="outdoor").bincount().max() / len(road)
+    share_without = tj.superpoints(road, preset="outdoor", reach=0.0).bincount().max() / len(road)
+    assert share > 0.9
+    assert share_without < 0.5

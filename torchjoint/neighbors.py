@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,9 @@ Array = npt.NDArray[Any]
 #: Points that are asked for at a time, so that clouds of millions of points need little memory beyond the result.
 QUERIES = 1 << 18
 
+#: One in so many points is kept where neighbourhoods do not reach far enough.
+SHARES = (2, 4, 8)
+
 
 class Neighbors(NamedTuple):
     """K nearest neighbours of every point, nearest first, the point itself left out."""
@@ -25,8 +29,12 @@ class Neighbors(NamedTuple):
     spacing: Tensor  #: [N] float32 metres: how far the closest four are on average, a measure of the local density
 
 
-def nearest_neighbors(points: Tensor, count: int) -> Neighbors:
+def nearest_neighbors(points: Tensor, count: int, reach: float = 0.0) -> Neighbors:
     """The `count` nearest neighbours of each point (all others, where the cloud has fewer), nearest first.
+
+    The nearest neighbours of a point of a LiDAR's sweep may all lie along its own beam. So where all K lie closer than
+    `reach`, the K nearest among half of the points are taken instead, or a quarter, or an eighth, evenly spread: the
+    first of these that get that far, or else the last that has enough points.
 
     Duplicate points are neighbours at distance 0 of one another. Neighbours that are equally far come as SciPy's tree
     finds them: always the same for the same cloud, whatever the number of threads, but by no rule of their numbers; on
@@ -35,6 +43,7 @@ def nearest_neighbors(points: Tensor, count: int) -> Neighbors:
     Args:
         points: [N, 3] float32, N < 2^31.
         count: K >= 1.
+        reach: metres, 0 = just the nearest.
     """
     num_points = points.shape[0]
     count = min(count, num_points - 1)
@@ -43,15 +52,50 @@ def nearest_neighbors(points: Tensor, count: int) -> Neighbors:
     if count == 0:
         return Neighbors(indices, spacing)
     coordinates = np.ascontiguousarray(points.double().numpy())
-    tree = cKDTree(coordinates, leafsize=24, balanced_tree=False, compact_nodes=False)
-    # Asked in the tree's own order, queries that follow one another touch the same memory: a sixth less time.
-    for start in range(0, num_points, QUERIES):
-        rows = tree.indices[start : start + QUERIES]
-        distance, index = tree.query(coordinates[rows], k=count + 1, workers=num_threads())
-        index, distance = _without_self(rows, index, distance)
-        indices.numpy()[rows] = index
+    tree = _tree(coordinates)
+    near = []
+    for rows in _pieces(tree.indices):
+        index, distance = _query(tree, coordinates, rows, count)
         spacing[torch.from_numpy(rows)] = torch.from_numpy(distance[:, :4]).float().mean(dim=1)
+        indices.numpy()[rows] = index
+        near.append(rows[distance[:, -1] < reach])
+    _reach_farther(tree, coordinates, np.concatenate(near), reach, indices.numpy())
     return Neighbors(indices, spacing)
+
+
+def _reach_farther(tree: cKDTree, coordinates: Array, near: Array, reach: float, indices: Array) -> None:
+    """Replaces the neighbours of some points by the nearest among fewer."""
+    count = indices.shape[1]
+    for share in SHARES:
+        # In the tree's order points are near those before and after them: every second of them are an even half.
+        kept = tree.indices[::share]
+        if len(near) == 0 or len(kept) <= count:
+            return
+        thin = _tree(coordinates[kept])
+        still_near = []
+        for rows in _pieces(near):
+            index, distance = _query(thin, coordinates, rows, count, kept)
+            indices[rows] = index
+            still_near.append(rows[distance[:, -1] < reach])
+        near = np.concatenate(still_near)
+
+
+def _tree(coordinates: Array) -> cKDTree:
+    return cKDTree(coordinates, leafsize=24, balanced_tree=False, compact_nodes=False)
+
+
+def _query(
+    tree: cKDTree, coordinates: Array, rows: Array, count: int, members: Array | None = None
+) -> tuple[Array, Array]:
+    """Numbers of and distances to the neighbours of some `rows`; `members`: what the tree holds, if not all points."""
+    distance, index = tree.query(coordinates[rows], k=count + 1, workers=num_threads())
+    return _without_self(rows, index if members is None else members[index], distance)
+
+
+def _pieces(order: Array) -> Iterator[Array]:
+    """Points in the tree's own order, some at a time: queries that follow one another then touch the same memory."""
+    for start in range(0, len(order), QUERIES):
+        yield order[start : start + QUERIES]
 
 
 def _without_self(rows: Array, index: Array, distance: Array) -> tuple[Array, Array]:

@@ -27,6 +27,7 @@ def superpoints(
     preset: str | SuperpointsConfig = "room",
     neighbors: int | None = None,
     normal_neighbors: int | None = None,
+    reach: float | None = None,
     weight: str | None = None,
     angle_weight: float | None = None,
     convex_factor: float | None = None,
@@ -75,9 +76,9 @@ def superpoints(
         (tensor([0, 1]), tensor([400, 400]))
     """
     given = {
-        "neighbors": neighbors, "normal_neighbors": normal_neighbors, "weight": weight, "angle_weight": angle_weight,
-        "convex_factor": convex_factor, "distance_weight": distance_weight, "color_weight": color_weight,
-        "scale": scale, "min_size": min_size,
+        "neighbors": neighbors, "normal_neighbors": normal_neighbors, "reach": reach, "weight": weight,
+        "angle_weight": angle_weight, "convex_factor": convex_factor, "distance_weight": distance_weight,
+        "color_weight": color_weight, "scale": scale, "min_size": min_size,
     }  # fmt: skip
     config = (preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)).replace(
         {name: value for name, value in given.items() if value is not None}
@@ -153,15 +154,26 @@ def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, boo
     if cloud.faces is not None:
         edges = face_edges(cloud.faces)
         normals = vertex_normals(points, cloud.faces) if normals is None else normals
-    count = max(config.neighbors if edges is None else 0, config.normal_neighbors if normals is None else 0)
-    nearest = nearest_neighbors(points, count).indices if count else torch.empty(0)
+    for_edges = config.neighbors if edges is None else 0
+    for_normals = config.normal_neighbors if normals is None else 0
+    table = _tables(points, for_edges, for_normals, config.reach)
     if normals is None:
-        normals, known = estimate_normals(points, nearest[:, : config.normal_neighbors]), False
+        normals, known = estimate_normals(points, table[for_normals]), False
         if cloud.viewpoint is not None:
             normals, known = _turned_to(cloud.viewpoint, points, normals), True
     if edges is None:
-        edges = undirected_edges(nearest[:, : config.neighbors])
+        edges = undirected_edges(table[for_edges])
     return edges, normals, known
+
+
+def _tables(points: Tensor, first: int, second: int, reach: float) -> dict[int, Tensor]:
+    """So many, and so many, neighbours of each point; 0 = none are needed."""
+    if reach > 0:  # the fewer are not the first of the more
+        return {count: nearest_neighbors(points, count, reach).indices for count in {first, second} - {0}}
+    if not first and not second:
+        return {}
+    nearest = nearest_neighbors(points, max(first, second)).indices
+    return {count: nearest[:, :count] for count in (first, second)}
 
 
 def _turned_to(viewpoint: Tensor, points: Tensor, normals: Tensor) -> Tensor:
