@@ -122,11 +122,12 @@ def test_mesh_edges_and_normals_by_hand():
     assert normals.tolist() == expected
 
 
-@pytest.mark.parametrize(("preset", "size"), [("room", 1), ("outdoor", 5), ("segmentator", 1)])
-def test_sides_of_a_box_are_separate(preset, size):
+@pytest.mark.parametrize(
+    ("preset", "size", "parameters"), [("room", 1, {}), ("outdoor", 10, {}), ("segmentator", 1, {"scale": 0.1})]
+)
+def test_sides_of_a_box_are_separate(preset, size, parameters):
     points, truth = box_on_floor()
-    points = size * points
-    parameters = {"scale": 0.1} if preset == "segmentator" else {}
+    points = size * points  # a box of 0.3 m, or 3 m
     labels = tj.superpoints(points, preset=preset, **parameters)
     assert labels.dtype == torch.int64
     assert labels.unique().tolist() == list(range(int(labels.max()) + 1))

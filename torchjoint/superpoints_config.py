@@ -27,7 +27,7 @@ class SuperpointsConfig(Stage):
         sensible="12-80",
     )  # fmt: skip
     reach: float = parameter(
-        0.0, "where all of a point's neighbours lie closer than this, they are sought among half of the points instead, "
+        0.0, "where all of a point's neighbours lie closer than this, they are sought among half of the points, "
         "a quarter or an eighth, so that a LiDAR's beams are joined to one another; 0: just the nearest", unit="m",
         low=0, sensible="0 for depth cameras, 0.3-0.7 for LiDAR",
     )  # fmt: skip

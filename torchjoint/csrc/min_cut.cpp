@@ -1,6 +1,11 @@
 // Minimum s-t cut by preflow-push: A. Goldberg, R. Tarjan, "A New Approach to the Maximum-Flow Problem", J. ACM 1988,
 // with highest-label selection, global relabelling and the gap heuristic (B. Cherkassky, A. Goldberg, "On
-// Implementing Push-Relabel Method for the Maximum Flow Problem", Algorithmica 1997).
+// Implementing Push-Relabel Method for the Maximum Flow Problem", Algorithmica 1997). What makes it fast:
+//
+// - Parking: a node whose label has risen by more than a few since the last global relabelling waits for the next one.
+//   Excess that is cut off would otherwise climb step by step, on long thin graphs in quadratic time. As in the
+//   incremental breadth-first search of A. Goldberg et al. (ESA 2011), labels stay near the exact distances.
+// - Seeds become part of their terminals, and leaves are pruned until none is left: trees need no search at all.
 //
 // Only the first phase is run, which finds the cut but not the flow. A maximum preflow tells which nodes can still
 // reach the *sink*, the minimal sink side. Here the minimal source side is wanted: the edges are undirected, so the
@@ -9,6 +14,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -16,22 +22,26 @@
 namespace torchjoint {
 namespace {
 
+constexpr int32_t kNone = -1;
+constexpr uint32_t kTwinOpen = uint32_t{1} << 31;
+constexpr int64_t kDecisive = int64_t{1} << 61;  // more than all edges together, in both directions
+
 struct Arc {
   int64_t residual;
-  int32_t head;
-  int32_t twin;  // the same edge, seen from the other end
+  uint32_t head_and_flag;  // kTwinOpen: the twin has residual capacity, known without looking there
+  int32_t twin;            // the same edge, seen from the other end
+
+  int32_t head() const { return static_cast<int32_t>(head_and_flag & ~kTwinOpen); }
+  bool twin_open() const { return head_and_flag >= kTwinOpen; }
 };
 
 struct Node {
   int64_t balance = 0;  // > 0: excess that has to be drained; < 0: what this node can still drain
   int32_t first_arc = 0;
   int32_t current_arc = 0;  // no arc before this one is admissible
-  int32_t label = 0;        // lower bound of the distance to a draining node, which itself has label 1
+  int32_t exact_label = 0;  // the label as of the last global relabelling
   int32_t active_next = 0;
-  int32_t level_next = 0, level_prev = 0;
 };
-
-constexpr int32_t kNone = -1;
 
 // Doubles to integers, by a power of two: sums are then exact, the order of operations does not matter, and the
 // minimal source side is well defined. With E < 2^b edges and capacities < 2^e the scale 2^(60-b-e) keeps the sum
@@ -50,7 +60,9 @@ class Quantiser {
     if (value == 0) return 0;
     const double scaled = value * scale_;
     if (scaled >= 0x1p62) return largest;  // and not `>= largest`, which a double may be unable to hold
-    return std::clamp<int64_t>(std::llrint(scaled), 1, largest);
+    // To the nearest, ties to even. llrint does the same, as a call. Beyond 2^52 all doubles are integers.
+    const double rounded = scaled < 0x1p52 ? (scaled + 0x1p52) - 0x1p52 : scaled;
+    return std::clamp<int64_t>(static_cast<int64_t>(rounded), 1, largest);
   }
 
  private:
@@ -59,42 +71,151 @@ class Quantiser {
 
 class Preflow {
  public:
-  // Degrees first, then arcs: the arcs of a node lie together, in the order of the edges.
-  Preflow(int64_t num_nodes, int64_t num_edges, const int64_t* edge_index)
-      : num_nodes_(static_cast<int32_t>(num_nodes)), nodes_(num_nodes + 1), level_first_(num_nodes + 2, kNone),
-        active_first_(num_nodes + 2, kNone) {
-    for (int64_t e = 0; e < num_edges; ++e) {
-      const int64_t u = edge_index[e], v = edge_index[num_edges + e];
-      check_node(u, num_nodes, e);
-      check_node(v, num_nodes, e);
-      if (u != v) ++nodes_[u].first_arc, ++nodes_[v].first_arc;
+  explicit Preflow(const std::vector<int64_t>& balance)
+      : num_nodes_(static_cast<int32_t>(balance.size())), nodes_(balance.size() + 1), label_(balance.size()) {
+    for (int32_t i = 0; i < num_nodes_; ++i) {
+      nodes_[i].balance = balance[i];
+      label_[i] = balance[i] >= kDecisive ? cut_off() : balance[i] <= -kDecisive ? kSettled : 1;
     }
+  }
+
+  // First all edges are counted, then added: the arcs of a node lie together, in the order of the edges.
+  void count_edge(int64_t u, int64_t v) {
+    if (u == v || is_seed(u) || is_seed(v)) return;
+    ++nodes_[u].first_arc, ++nodes_[v].first_arc;
+  }
+
+  void reserve_arcs() {
     int32_t start = 0;
     for (Node& node : nodes_) {
       node.current_arc = start;  // for now: where the node's next arc goes
       start += std::exchange(node.first_arc, start);
     }
-    arcs_.resize(start);
+    arcs_ = std::make_unique_for_overwrite<Arc[]>(start);
   }
 
   void add_edge(int64_t u, int64_t v, int64_t capacity) {
+    if (u == v) return;
+    if (is_seed(u) || is_seed(v)) return add_edge_of_seed(u, v, capacity);
+    const uint32_t flag = capacity > 0 ? kTwinOpen : 0;
     const int32_t there = nodes_[u].current_arc++, back = nodes_[v].current_arc++;
-    arcs_[there] = {capacity, static_cast<int32_t>(v), back};
-    arcs_[back] = {capacity, static_cast<int32_t>(u), there};
-  }
-
-  void set_balance(int64_t node, int64_t balance) { nodes_[node].balance = balance; }
-
-  int64_t incident_capacity(int64_t node) const {
-    int64_t sum = 0;
-    for (int32_t a = nodes_[node].first_arc; a < nodes_[node + 1].first_arc; ++a) sum += arcs_[a].residual;
-    return sum;
+    arcs_[there] = {capacity, static_cast<uint32_t>(v) | flag, back};
+    arcs_[back] = {capacity, static_cast<uint32_t>(u) | flag, there};
   }
 
   void solve() {
+    prune_leaves();
+    // About a tenth of what a global relabelling costs.
+    const int64_t little_work = num_nodes_ + nodes_[num_nodes_].first_arc / 4;
+    level_size_.assign(num_nodes_ + 1, 0);
+    active_first_.assign(num_nodes_ + 1, kNone);
+    queue_ = std::make_unique_for_overwrite<int32_t[]>(num_nodes_ + 1);
     relabel_globally();
-    // A global relabelling costs about as much as this much work between two of them.
-    const int64_t work_limit = 12 * static_cast<int64_t>(num_nodes_) + 2 * static_cast<int64_t>(arcs_.size());
+    while (highest_active_ > 0) {
+      do {
+        discharge_active();
+      } while (work_ < little_work && unpark());
+      relabel_globally();
+    }
+    restore_leaves();
+  }
+
+  // After solve(): whether the node can still reach a draining node.
+  bool can_drain(int64_t node) const { return label_[node] <= num_nodes_; }
+
+ private:
+  struct Leaf {
+    int32_t node, arc;
+  };
+
+  // A label is a lower bound of the distance to a draining node, which itself has label 1. Besides 1 ... N there are:
+  static constexpr int32_t kSettled = 0;              // a seed that drains, or a pruned leaf
+  int32_t cut_off() const { return num_nodes_ + 1; }  // no way to any draining node
+
+  // While the graph is built, all other nodes have label 1.
+  bool is_seed(int64_t node) const { return label_[node] != 1; }
+
+  // Such an edge is as good as a terminal of its other end.
+  void add_edge_of_seed(int64_t u, int64_t v, int64_t capacity) {
+    if (is_seed(v)) std::swap(u, v);
+    if (!is_seed(v)) nodes_[v].balance += label_[u] == kSettled ? -capacity : capacity;
+  }
+
+  // A leaf sends its neighbour as much of its excess as the edge holds, or takes as much as it can drain. That settles
+  // all that the rest of the graph needs to know about the leaf.
+  void prune_leaves() {
+    std::vector<int32_t> degree(num_nodes_);
+    for (int32_t i = 0; i < num_nodes_; ++i) degree[i] = nodes_[i + 1].first_arc - nodes_[i].first_arc;
+    for (int32_t i = 0; i < num_nodes_; ++i) {
+      for (int32_t leaf = i; degree[leaf] == 1;) {
+        int32_t a = nodes_[leaf].first_arc;
+        while (label_[arcs_[a].head()] == kSettled) ++a;
+        Arc& arc = arcs_[a];
+        Arc& twin = arcs_[arc.twin];
+        const int64_t flow = std::clamp(nodes_[leaf].balance, -twin.residual, arc.residual);
+        arc.residual -= flow;
+        twin.residual = 0;  // nobody comes back
+        nodes_[leaf].balance -= flow;
+        nodes_[arc.head()].balance += flow;
+        label_[leaf] = kSettled;
+        degree[leaf] = 0;
+        leaves_.push_back({leaf, a});
+        leaf = arc.head();
+        --degree[leaf];
+      }
+    }
+  }
+
+  void restore_leaves() {
+    while (!leaves_.empty()) {
+      const auto [node, arc] = leaves_.back();
+      leaves_.pop_back();
+      const int64_t balance = nodes_[node].balance;
+      const bool drains = balance < 0 || (balance == 0 && arcs_[arc].residual > 0 && can_drain(arcs_[arc].head()));
+      label_[node] = drains ? kSettled : cut_off();
+    }
+  }
+
+  void activate(int32_t node) {
+    const int32_t label = label_[node];
+    nodes_[node].active_next = std::exchange(active_first_[label], node);
+    highest_active_ = std::max(highest_active_, label);
+  }
+
+  // Exact distances, breadth first from the draining nodes against the residual arcs.
+  void relabel_globally() {
+    std::fill_n(level_size_.begin(), highest_level_ + 1, 0);
+    std::fill_n(active_first_.begin(), highest_level_ + 1, kNone);
+    highest_active_ = 0;
+    ceiling_ = num_nodes_;
+    parked_.clear();
+    slack_ = 3;  // 2 to 6 serve as well
+    work_ = 0;
+
+    int32_t back = 0;
+    for (int32_t i = 0; i < num_nodes_; ++i) {
+      if (label_[i] == kSettled) continue;
+      label_[i] = nodes_[i].balance < 0 ? 1 : cut_off();
+      if (label_[i] == 1) queue_[back++] = i;
+    }
+    for (int32_t front = 0; front < back; ++front) {
+      const int32_t index = queue_[front];
+      Node& node = nodes_[index];
+      highest_level_ = node.exact_label = label_[index];
+      node.current_arc = node.first_arc;
+      ++level_size_[highest_level_];
+      if (node.balance > 0) activate(index);
+      const int32_t end = nodes_[index + 1].first_arc;
+      for (int32_t a = node.first_arc; a < end; ++a) {
+        const int32_t neighbour = arcs_[a].head();
+        if (label_[neighbour] != cut_off() || !arcs_[a].twin_open()) continue;
+        label_[neighbour] = highest_level_ + 1;
+        queue_[back++] = neighbour;
+      }
+    }
+  }
+
+  void discharge_active() {
     while (highest_active_ > 0) {
       const int32_t node = active_first_[highest_active_];
       if (node == kNone) {
@@ -103,145 +224,90 @@ class Preflow {
       }
       active_first_[highest_active_] = nodes_[node].active_next;
       discharge(node);
-      if (work_ > work_limit) relabel_globally();
-    }
-    relabel_globally();
-  }
-
-  // After solve(): whether the node can still reach a draining node.
-  bool can_drain(int64_t node) const { return nodes_[node].label <= num_nodes_; }
-
- private:
-  int32_t unreachable() const { return num_nodes_ + 1; }
-
-  void activate(int32_t node) {
-    Node& n = nodes_[node];
-    n.active_next = active_first_[n.label];
-    active_first_[n.label] = node;
-    highest_active_ = std::max(highest_active_, n.label);
-  }
-
-  void enter_level(int32_t node, int32_t label) {
-    Node& n = nodes_[node];
-    n.label = label;
-    n.level_prev = kNone;
-    n.level_next = level_first_[label];
-    if (n.level_next != kNone) nodes_[n.level_next].level_prev = node;
-    level_first_[label] = node;
-    highest_level_ = std::max(highest_level_, label);
-  }
-
-  void leave_level(int32_t node) {
-    const Node& n = nodes_[node];
-    if (n.level_next != kNone) nodes_[n.level_next].level_prev = n.level_prev;
-    if (n.level_prev != kNone) {
-      nodes_[n.level_prev].level_next = n.level_next;
-    } else {
-      level_first_[n.label] = n.level_next;
     }
   }
 
-  // Exact distances, breadth first from the draining nodes against the residual arcs.
-  void relabel_globally() {
-    work_ = 0;
-    std::fill_n(level_first_.begin(), highest_level_ + 1, kNone);
-    std::fill_n(active_first_.begin(), highest_level_ + 1, kNone);
-    highest_level_ = highest_active_ = 0;
-    queue_.clear();
-    for (int32_t i = 0; i < num_nodes_; ++i) {
-      nodes_[i].label = unreachable();
-      nodes_[i].current_arc = nodes_[i].first_arc;
-      if (nodes_[i].balance < 0) {
-        enter_level(i, 1);
-        queue_.push_back(i);
-      }
+  // Sooner than a global relabelling would pay: lets the parked nodes climb on. False if there are none.
+  bool unpark() {
+    slack_ *= 2;
+    for (int32_t node : parked_) {
+      if (label_[node] < ceiling_) activate(node);
     }
-    for (size_t front = 0; front < queue_.size(); ++front) {
-      const int32_t node = queue_[front];
-      const int32_t label = nodes_[node].label + 1;
-      for (int32_t a = nodes_[node].first_arc; a < nodes_[node + 1].first_arc; ++a) {
-        const int32_t neighbour = arcs_[a].head;
-        if (nodes_[neighbour].label <= num_nodes_ || arcs_[arcs_[a].twin].residual == 0) continue;
-        enter_level(neighbour, label);
-        queue_.push_back(neighbour);
-        if (nodes_[neighbour].balance > 0) activate(neighbour);
-      }
-    }
+    parked_.clear();
+    return highest_active_ > 0;
   }
 
-  void push(Node& from, Arc& arc) {
-    const int64_t amount = std::min(from.balance, arc.residual);
-    arc.residual -= amount;
-    arcs_[arc.twin].residual += amount;
-    from.balance -= amount;
-    Node& to = nodes_[arc.head];
-    const bool was_active = to.balance > 0;
-    to.balance += amount;
-    if (!was_active && to.balance > 0) activate(arc.head);
-  }
-
-  // Moves the node's excess nearer to a drain, raising its label as needed, until nothing is left or no way exists.
+  // Moves the node's excess nearer to a drain, raising its label as needed, until nothing is left, the node is parked,
+  // or no way exists.
   void discharge(int32_t index) {
     Node& node = nodes_[index];
     const int32_t end = nodes_[index + 1].first_arc;
-    while (true) {
+    do {
+      const int32_t below = label_[index] - 1;
       for (int32_t a = node.current_arc; a < end; ++a) {
-        Arc& arc = arcs_[a];
-        if (arc.residual == 0 || nodes_[arc.head].label + 1 != node.label) continue;
-        push(node, arc);
+        if (label_[arcs_[a].head()] != below || arcs_[a].residual == 0) continue;
+        push(node, arcs_[a]);
         if (node.balance == 0) {
           node.current_arc = a;
           return;
         }
       }
-      if (!relabel(index)) return;
-    }
+    } while (relabel(index));
   }
 
-  // False if the node turns out to be cut off from all drains.
+  void push(Node& from, Arc& arc) {
+    const int64_t flow = std::min(from.balance, arc.residual);
+    Arc& twin = arcs_[arc.twin];
+    arc.residual -= flow;
+    twin.residual += flow;
+    arc.head_and_flag |= kTwinOpen;
+    if (arc.residual == 0) twin.head_and_flag &= ~kTwinOpen;
+    from.balance -= flow;
+    Node& to = nodes_[arc.head()];
+    const bool was_active = to.balance > 0;
+    to.balance += flow;
+    if (!was_active && to.balance > 0) activate(arc.head());
+  }
+
+  // False if the node is not to be discharged any further for now.
   bool relabel(int32_t index) {
     Node& node = nodes_[index];
     const int32_t end = nodes_[index + 1].first_arc;
-    int32_t lowest = num_nodes_, lowest_arc = end;
-    for (int32_t a = node.first_arc; a < end; ++a) {
-      if (arcs_[a].residual > 0 && nodes_[arcs_[a].head].label < lowest) {
-        lowest = nodes_[arcs_[a].head].label;
-        lowest_arc = a;
+    const int32_t old_label = label_[index];
+    int32_t lowest = ceiling_;
+    for (int32_t a = node.first_arc; a < end && lowest > old_label; ++a) {  // none is lower than that
+      if (label_[arcs_[a].head()] < lowest && arcs_[a].residual > 0) {
+        lowest = label_[arcs_[a].head()];
+        node.current_arc = a;
       }
     }
     work_ += 12 + (end - node.first_arc);
-    const int32_t old_label = node.label;
-    leave_level(index);
-    if (level_first_[old_label] == kNone) {
-      cut_off_above(old_label);
-      node.label = unreachable();
+    // The gap heuristic: without a node at this level nothing above has a way down. Of those nodes none is active,
+    // since the highest active node is discharged first.
+    if (--level_size_[old_label] == 0) ceiling_ = old_label;
+    if (lowest >= ceiling_) {
+      label_[index] = cut_off();
       return false;
     }
-    if (lowest_arc == end) {
-      node.label = unreachable();
-      return false;
-    }
-    enter_level(index, lowest + 1);
-    node.current_arc = lowest_arc;
-    return true;
-  }
-
-  // The gap heuristic: no label is `gap`, so nothing above it has a way down. None of those nodes is active, since
-  // the highest active node is discharged first.
-  void cut_off_above(int32_t gap) {
-    for (int32_t level = gap + 1; level <= highest_level_; ++level) {
-      for (int32_t i = level_first_[level]; i != kNone; i = nodes_[i].level_next) nodes_[i].label = unreachable();
-      level_first_[level] = kNone;
-    }
-    highest_level_ = gap;
+    const int32_t label = label_[index] = lowest + 1;
+    ++level_size_[label];
+    highest_level_ = std::max(highest_level_, label);
+    if (label <= node.exact_label + slack_) return true;
+    parked_.push_back(index);
+    return false;
   }
 
   int32_t num_nodes_;
-  std::vector<Node> nodes_;  // one more than there are, for the end of the last node's arcs
-  std::vector<Arc> arcs_;
-  std::vector<int32_t> level_first_, active_first_, queue_;
+  std::vector<Node> nodes_;     // one more than there are, for the end of the last node's arcs
+  std::vector<int32_t> label_;  // apart from the nodes: what is looked up most, and at random
+  std::unique_ptr<Arc[]> arcs_;
+  std::unique_ptr<int32_t[]> queue_;
+  std::vector<int32_t> level_size_, active_first_, parked_;
+  std::vector<Leaf> leaves_;
   int32_t highest_level_ = 0, highest_active_ = 0;
-  int64_t work_ = 0;
+  int32_t ceiling_ = 0;  // labels this high or higher have no way down
+  int64_t slack_ = 0;    // how far a label may rise above the exact one
+  int64_t work_ = 0;     // since the last global relabelling
 };
 
 template <typename Value>
@@ -266,12 +332,12 @@ std::vector<double> read_terminal(const Tensor& terminal, int64_t num_nodes, con
   return result;
 }
 
-// What a node draws from its terminals: > 0 from the sink, < 0 from the source (see the top: solved backwards). No
-// terminal has to be larger than all edges of its node together: one more already decides the node's side.
-int64_t terminal_balance(double source, double sink, int64_t incident, const Quantiser& quantise) {
-  const double difference = source - sink;
-  const int64_t magnitude = quantise(std::abs(difference), incident + 1);
-  return difference > 0 ? -magnitude : magnitude;
+// What a node draws from the sink, less what it gives to the source (see the top: solved backwards). No terminal has to
+// be larger than all edges together.
+int64_t terminal_balance(double source, double sink, const Quantiser& quantise) {
+  const double difference = sink - source;
+  const int64_t magnitude = quantise(std::abs(difference), kDecisive);
+  return difference > 0 ? magnitude : -magnitude;
 }
 
 template <typename Value>
@@ -310,13 +376,18 @@ std::tuple<Tensor, Tensor> min_cut(
 
   with_values(capacities, [&](const auto* values) {
     const Quantiser quantise(largest_capacity(values, num_edges), num_edges);
-    Preflow preflow(num_nodes, num_edges, index);
+    std::vector<int64_t> balance(num_nodes);
+    for (int64_t i = 0; i < num_nodes; ++i) balance[i] = terminal_balance(source[i], sink[i], quantise);
+    Preflow preflow(balance);
     for (int64_t e = 0; e < num_edges; ++e) {
       const int64_t u = index[e], v = index[num_edges + e];
-      if (u != v) preflow.add_edge(u, v, quantise(values[e], int64_t{1} << 60));
+      check_node(u, num_nodes, e);
+      check_node(v, num_nodes, e);
+      preflow.count_edge(u, v);
     }
-    for (int64_t i = 0; i < num_nodes; ++i) {
-      preflow.set_balance(i, terminal_balance(source[i], sink[i], preflow.incident_capacity(i), quantise));
+    preflow.reserve_arcs();
+    for (int64_t e = 0; e < num_edges; ++e) {
+      preflow.add_edge(index[e], index[num_edges + e], quantise(values[e], int64_t{1} << 60));
     }
     preflow.solve();
     for (int64_t i = 0; i < num_nodes; ++i) source_side[i] = preflow.can_drain(i);

@@ -17,7 +17,9 @@ def min_cut(
 
     Every node has, besides its edges, a link to the source and one to the sink. The source side is what the source
     reaches in the residual graph of a maximum flow, and is contained in the source side of every other minimum cut.
-    Solved by preflow-push (A. Goldberg, R. Tarjan, J. ACM 1988).
+    Solved by preflow-push (A. Goldberg, R. Tarjan, J. ACM 1988) with highest-label selection, gap heuristic and global
+    relabelling (B. Cherkassky, A. Goldberg, Algorithmica 1997). Nodes far above their last exact label wait for the
+    next global relabelling, and leaves are pruned beforehand, so that long thin graphs take no quadratic time.
 
     Capacities are rounded to integers first, so that sums are exact and the result is deterministic. With M the
     largest capacity of an edge, E < 2^b and M < 2^e, the unit is 2^(b+e-60): for a million edges, less than 2e-12 M.
