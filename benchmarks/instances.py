@@ -61,12 +61,16 @@ def room(num_points: int, noise: float = 0.003) -> Tensor:
     return torch.from_numpy(points.astype(np.float32))
 
 
-def image_cut(size: int, seeds: int = 40, soft: bool = False) -> Cut:
-    """A photograph's pixel graph as refinement cuts it: exp(-w / mean w), seeds left and right (or soft terminals)."""
-    image = photograph(480, 640)[:, 100 : 100 + size, 150 : 150 + size].contiguous()
+def image_cut(size: int, seeds: int = 40, soft: bool = False, number: int = 0) -> Cut:
+    """A photograph's pixel graph as refinement cuts it: exp(-w / mean w), seeds left and right (or soft terminals).
+
+    `number`: which part of the photograph, and which seeds.
+    """
+    top, left = 50 + 37 * number % 200, 100 + 71 * number % 300
+    image = photograph(480, 640)[:, top : top + size, left : left + size].contiguous()
     graph = image_graph(image)
     capacity = torch.exp(-graph.weight / graph.weight.mean()).double()
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(number)
     terminals = torch.zeros(2, size, size, dtype=torch.float64)
     if soft:
         terminals += torch.from_numpy(rng.uniform(0, 0.4, (2, size, size)))
