@@ -1,8 +1,8 @@
-"""What joint segmentation of a frame costs, against structured edges: `python benchmarks/frame.py FOLDER`.
+"""What joint segmentation of a frame costs, against structured edges: `python benchmarks/frame.py [FOLDER]`.
 
-FOLDER is a recording in the style of 7-Scenes; the other scene is synthetic. The yardstick is OpenCV's structured-edge
-detector on the same frames and with as many threads, with a random forest of realistic size (benchmarks/forest.py).
-Both are run in turn, several times over; every figure is the median of the rounds.
+FOLDER is a recording in the style of 7-Scenes, and may be left out; the other scene is synthetic. The yardstick is
+OpenCV's structured-edge detector on the same frames and with as many threads, with a random forest of realistic size
+(benchmarks/forest.py). Both are run in turn, several times over; every figure is the median of the rounds.
 """
 
 import argparse
@@ -75,7 +75,7 @@ def segment(segmenter: tj.JointSegmenter, frames: Sequence[tj.Frame]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--cloud", type=Path, help="kept here, so that it is fused once")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--frames", type=int, default=20, help="of the recording, evenly spread")
@@ -84,10 +84,11 @@ def main() -> None:
     torch.set_num_threads(arguments.threads)
     cv2.setNumThreads(arguments.threads)
 
-    recording = tj.load_scene(arguments.folder, cloud=arguments.cloud)
-    step = max(1, len(recording.frames) // arguments.frames)
-    recording = dataclasses.replace(recording, frames=recording.frames[::step])
-    scenes = {"recording": recording, "synthetic": tj.synthetic.make_scene(0, "large", num_views=24).scene}
+    scenes = {"synthetic": tj.synthetic.make_scene(0, "large", num_views=24).scene}
+    if arguments.folder is not None:
+        recording = tj.load_scene(arguments.folder, cloud=arguments.cloud)
+        step = max(1, len(recording.frames) // arguments.frames)
+        scenes = {"recording": dataclasses.replace(recording, frames=recording.frames[::step])} | scenes
     results = {name: measure(scene, arguments.rounds) for name, scene in scenes.items()}
 
     def row(title: str, value: Callable[[dict[str, float]], str]) -> list[str]:
