@@ -3,7 +3,8 @@ import dataclasses
 import pytest
 import yaml
 
-from torchjoint.config import STAGES, Config, PropagationConfig, RefinementConfig, presets
+from torchjoint.config import STAGES, Config, PropagationConfig, RefinementConfig
+from torchjoint.presets import presets
 
 
 def test_presets_load_and_round_trip():

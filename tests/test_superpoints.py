@@ -10,7 +10,7 @@ import yaml
 
 import torchjoint as tj
 from torchjoint.segmentator import face_edges, vertex_normals
-from torchjoint.superpoints_config import SuperpointsConfig, presets, superpoint_table
+from torchjoint.superpoints_config import SuperpointsConfig, superpoint_presets, superpoint_table
 
 
 def random(seed):
@@ -301,10 +301,10 @@ def test_module_is_the_function():
 
 
 def test_presets(tmp_path):
-    assert set(presets()) == {"room", "outdoor", "segmentator"}
-    assert not set(presets()) & set(tj.config.presets())
+    assert set(superpoint_presets()) == {"room", "outdoor", "segmentator"}
+    assert not set(superpoint_presets()) & set(tj.presets.presets())
     assert SuperpointsConfig.from_preset("room") == SuperpointsConfig()
-    for name in presets():
+    for name in superpoint_presets():
         config = SuperpointsConfig.from_preset(name)
         assert f"`{name}`" in superpoint_table()
         file = tmp_path / "mine.yaml"

@@ -8,13 +8,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from torchjoint.parameter import Stage, parameter
+from torchjoint.presets import presets, read_assignment, read_preset, read_yaml
 
 
 @dataclass(frozen=True)
@@ -219,28 +217,12 @@ class Config:
     @classmethod
     def from_yaml(cls, path: str | Path) -> Config:
         """Reads a YAML file of the form of :meth:`to_dict`; errors name the file."""
-        return cls._parse(Path(path).read_text(encoding="utf-8"), str(path))
+        return read_yaml(Path(path), cls.from_dict, "stages with parameters")
 
     @classmethod
     def from_preset(cls, name: str) -> Config:
-        """Reads one of the presets that come with the package, see :func:`presets`."""
-        known = presets()
-        if name not in known:
-            raise ValueError(f"preset: expected one of {', '.join(known)}, got {name!r}")
-        return cls._parse(known[name].read_text(encoding="utf-8"), f"preset {name!r}")
-
-    @classmethod
-    def _parse(cls, text: str, source: str) -> Config:
-        try:
-            values = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise ValueError(f"{source}: not valid YAML: {error}") from error
-        if values is not None and not isinstance(values, dict):
-            raise ValueError(f"{source}: expected stages with parameters, got a {type(values).__name__}")
-        try:
-            return cls.from_dict(values)
-        except (ValueError, TypeError) as error:
-            raise type(error)(f"{source}: {error}") from error
+        """Reads one of the presets that come with the package, see :func:`presets`, or a YAML file of your own."""
+        return read_preset(name, presets(), cls.from_dict, "stages with parameters")
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Nested plain dicts, as :meth:`from_dict` takes them."""
@@ -254,26 +236,15 @@ class Config:
                 raise ValueError(f"{stage}: unknown stage, expected one of {', '.join(STAGES)}")
             if not isinstance(parameters, Mapping):
                 raise TypeError(f"{stage}: expected parameters by name, got {parameters!r}")
-            current = getattr(self, stage)
-            names = [spec.name for spec in dataclasses.fields(current)]
-            for name in parameters:
-                if name not in names:
-                    raise ValueError(f"{stage}.{name}: unknown parameter, expected one of {', '.join(names)}")
-            stages[stage] = dataclasses.replace(current, **parameters)
+            stages[stage] = getattr(self, stage).replace(parameters)
         return dataclasses.replace(self, **stages)
 
     def set(self, assignments: Sequence[str]) -> Config:
         """A copy with assignments applied as the command line writes them: ``["propagation.weight=0.2"]``."""
         config = self
         for assignment in assignments:
-            key, equals, text = assignment.partition("=")
-            stage, dot, name = key.strip().partition(".")
-            if not equals or not dot:
-                raise ValueError(f"--set: expected stage.parameter=value, got {assignment!r}")
-            try:
-                value = yaml.safe_load(text)
-            except yaml.YAMLError:
-                raise ValueError(f"{key.strip()}: expected a value, got {text!r}") from None
+            key, value = read_assignment(assignment, "stage.parameter")
+            stage, _, name = key.partition(".")
             config = config.replace({stage: {name: value}})
         return config
 
@@ -291,12 +262,6 @@ _STAGES: tuple[type[Stage], ...] = (
 
 #: The stages by their names in :class:`Config`, in the order of the method.
 STAGES = {stage.key(): stage for stage in _STAGES}
-
-
-def presets() -> dict[str, Any]:
-    """The presets that come with the package: name -> readable resource."""
-    files = resources.files("torchjoint.configs").iterdir()
-    return {Path(file.name).stem: file for file in sorted(files, key=lambda f: f.name) if file.name.endswith(".yaml")}
 
 
 def parameter_table() -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 
 def parameter(
@@ -49,6 +49,14 @@ class Stage:
     def key(cls) -> str:
         """The stage's name in a config: `image_graph` for ImageGraphConfig."""
         return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__.removesuffix("Config")).lower()
+
+    def replace(self, values: Mapping[str, Any]) -> Self:
+        """A copy with some parameters replaced, by name. Raises ValueError for a name that does not exist."""
+        names = [spec.name for spec in dataclasses.fields(self)]
+        for name in values:
+            if name not in names:
+                raise ValueError(f"{self.key()}.{name}: unknown parameter, expected one of {', '.join(names)}")
+        return dataclasses.replace(self, **values)
 
 
 def _check(name: str, value: Any, spec: dataclasses.Field[Any]) -> Any:

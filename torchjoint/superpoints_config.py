@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
-from pathlib import Path
 from typing import Any
-
-import yaml
 
 from torchjoint.config import PointGraphConfig
 from torchjoint.parameter import Stage, parameter
+from torchjoint.presets import presets, read_assignment, read_preset
 
 
 @dataclass(frozen=True)
@@ -65,58 +62,22 @@ class SuperpointsConfig(Stage):
 
     @classmethod
     def from_preset(cls, name: str) -> SuperpointsConfig:
-        """Reads one of the presets that come with the package (see :func:`presets`), or a YAML file of your own."""
-        if name.endswith((".yaml", ".yml")):
-            return cls._parse(Path(name).read_text(encoding="utf-8"), name)
-        known = presets()
-        if name not in known:
-            raise ValueError(f"preset: expected one of {', '.join(known)}, or a YAML file, got {name!r}")
-        return cls._parse(known[name].read_text(encoding="utf-8"), f"preset {name!r}")
-
-    @classmethod
-    def _parse(cls, text: str, source: str) -> SuperpointsConfig:
-        try:
-            values = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise ValueError(f"{source}: not valid YAML: {error}") from error
-        if values is not None and not isinstance(values, dict):
-            raise ValueError(f"{source}: expected parameters by name, got a {type(values).__name__}")
-        try:
-            return cls().replace(values or {})
-        except (ValueError, TypeError) as error:
-            raise type(error)(f"{source}: {error}") from error
-
-    def replace(self, values: Mapping[str, Any]) -> SuperpointsConfig:
-        """A copy with some parameters replaced: ``config.replace({"scale": 2.0})``."""
-        names = [spec.name for spec in dataclasses.fields(self)]
-        for name in values:
-            if name not in names:
-                raise ValueError(f"{self.key()}.{name}: unknown parameter, expected one of {', '.join(names)}")
-        return dataclasses.replace(self, **values)
+        """Reads a preset (see :func:`superpoint_presets`), or a YAML file of your own."""
+        return read_preset(name, superpoint_presets(), cls().replace)
 
     def set(self, assignments: Sequence[str]) -> SuperpointsConfig:
         """A copy with assignments applied as the command line writes them: ``["scale=2", "color_weight=0.5"]``."""
-        values = {}
-        for assignment in assignments:
-            name, equals, text = assignment.partition("=")
-            if not equals or not name.strip():
-                raise ValueError(f"--set: expected parameter=value, got {assignment!r}")
-            try:
-                values[name.strip()] = yaml.safe_load(text)
-            except yaml.YAMLError:
-                raise ValueError(f"{name.strip()}: expected a value, got {text!r}") from None
-        return self.replace(values)
+        return self.replace(dict(map(read_assignment, assignments)))
 
 
-def presets() -> dict[str, Any]:
+def superpoint_presets() -> dict[str, Any]:
     """The presets that come with the package: name -> readable resource."""
-    files = (resources.files("torchjoint.configs") / "superpoints").iterdir()
-    return {Path(file.name).stem: file for file in sorted(files, key=lambda f: f.name) if file.name.endswith(".yaml")}
+    return presets("superpoints")
 
 
 def superpoint_table() -> str:
     """All parameters and their values in each preset as a Markdown table: what the README shows."""
-    configs = {name: SuperpointsConfig.from_preset(name) for name in presets()}
+    configs = {name: SuperpointsConfig.from_preset(name) for name in superpoint_presets()}
     lines = [
         f"| parameter | {' | '.join(f'`{name}`' for name in configs)} | unit | sensible | what it does |",
         f"|---|{'---:|' * len(configs)}---|---|---|",

@@ -1,0 +1,63 @@
+"""Parameters from YAML: the presets that come with the package, users' files, and assignments on the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+T = TypeVar("T")
+
+
+def presets(*folder: str) -> dict[str, Any]:
+    """The presets in `configs/`, or in a folder of it: name -> readable resource."""
+    files = resources.files("torchjoint.configs").joinpath(*folder).iterdir()
+    return {Path(file.name).stem: file for file in sorted(files, key=lambda f: f.name) if file.name.endswith(".yaml")}
+
+
+def read_preset(
+    name: str, known: Mapping[str, Any], make: Callable[[Mapping[str, Any]], T], form: str = "parameters by name"
+) -> T:
+    """What `make` makes of a preset's values, which have some `form`; a name that ends in .yaml is a user's own file.
+
+    Raises:
+        ValueError, TypeError: naming the preset or the file.
+    """
+    if name.endswith((".yaml", ".yml")):
+        return read_yaml(Path(name), make, form)
+    if name not in known:
+        raise ValueError(f"preset: expected one of {', '.join(known)}, or a YAML file, got {name!r}")
+    return _parse(known[name].read_text(encoding="utf-8"), f"preset {name!r}", make, form)
+
+
+def read_yaml(path: Path, make: Callable[[Mapping[str, Any]], T], form: str = "parameters by name") -> T:
+    """What `make` makes of a file's values; errors name the file."""
+    return _parse(path.read_text(encoding="utf-8"), str(path), make, form)
+
+
+def read_assignment(assignment: str, form: str = "parameter") -> tuple[str, Any]:
+    """Name and value of ``name=value``, as the command line writes it; `form` is what a name looks like."""
+    name, equals, text = assignment.partition("=")
+    name = name.strip()
+    if not equals or not name or form.count(".") != name.count("."):
+        raise ValueError(f"--set: expected {form}=value, got {assignment!r}")
+    try:
+        return name, yaml.safe_load(text)
+    except yaml.YAMLError:
+        raise ValueError(f"{name}: expected a value, got {text!r}") from None
+
+
+def _parse(text: str, source: str, make: Callable[[Mapping[str, Any]], T], form: str) -> T:
+    try:
+        values = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ValueError(f"{source}: not valid YAML: {error}") from error
+    if values is not None and not isinstance(values, dict):
+        raise ValueError(f"{source}: expected {form}, got a {type(values).__name__}")
+    try:
+        return make(values or {})
+    except (ValueError, TypeError) as error:
+        raise type(error)(f"{source}: {error}") from error
