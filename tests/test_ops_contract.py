@@ -21,6 +21,7 @@ from torchjoint.ops import (
     felzenszwalb,
     felzenszwalb_image,
     fit_normals,
+    match_pixels,
     min_cut,
     neighbor_edges,
     pair_counts,
@@ -65,6 +66,7 @@ SEGMENT_GRAPHS = {
     "labels": LABELS, "chosen": torch.tensor([False, True]), "colors": torch.rand(3, 3, 4),
     "boundary": torch.rand(3, 4), "color_weight": 1.0, "boundary_weight": 0.5,
 }  # fmt: skip
+MATCH_PIXELS = {"pred": LABELS > 0, "target": LABELS == 0, "radius": 1.5}
 #: Every operator, with arguments that are right.
 VALID: dict[Callable[..., Any], dict[str, Any]] = {
     felzenszwalb: FELZENSZWALB,
@@ -77,6 +79,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     window_overlaps: WINDOW_OVERLAPS,
     pair_counts: PAIR_COUNTS,
     segment_graphs: SEGMENT_GRAPHS,
+    match_pixels: MATCH_PIXELS,
 }
 
 
@@ -210,6 +213,12 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (segment_graphs, {"boundary": torch.rand(3)}, ValueError, "boundary: expected shape [H, W] = [3, 4], got [3]"),
     (segment_graphs, {"color_weight": -1}, ValueError, "color_weight: expected a number >= 0, got -1"),
     (segment_graphs, {"boundary_weight": NAN}, ValueError, "boundary_weight: expected a number >= 0, got nan"),
+    (match_pixels, {"pred": LABELS}, TypeError, "pred: expected dtype torch.bool, got torch.int32"),
+    (match_pixels, {"pred": LABELS[0] > 0}, ValueError, "pred: expected shape [H, W], got [4]"),
+    (match_pixels, {"target": LABELS.T > 0}, ValueError, "target: expected shape [H, W] = [3, 4], got [4, 3]"),
+    (match_pixels, {"radius": -1}, ValueError, "radius: expected a number >= 0, got -1"),
+    (match_pixels, {"radius": torch.inf}, ValueError, "radius: expected a finite number >= 0, got inf"),
+    (match_pixels, {"radius": "1"}, TypeError, "radius: expected int or float, got str"),
 ]
 
 
@@ -248,6 +257,9 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (segment_graphs, {"boundary": torch.rand(3)}),
         (segment_graphs, {"chosen": PIXELS}),
         (segment_graphs, {"color_weight": NAN}),
+        (match_pixels, {"pred": LABELS}),
+        (match_pixels, {"target": LABELS.T > 0}),
+        (match_pixels, {"radius": NAN}),
     ):
         with pytest.raises(ValueError, match="expected"):
             named[op](**(VALID[op] | change))

@@ -17,6 +17,7 @@ except ImportError as error:
 from torchjoint.ops.felzenszwalb import felzenszwalb
 from torchjoint.ops.felzenszwalb_image import felzenszwalb_image
 from torchjoint.ops.fit_normals import fit_normals
+from torchjoint.ops.match_pixels import match_pixels
 from torchjoint.ops.min_cut import min_cut
 from torchjoint.ops.neighbor_edges import neighbor_edges
 from torchjoint.ops.pair_counts import pair_counts
@@ -29,6 +30,7 @@ __all__ = [
     "felzenszwalb",
     "felzenszwalb_image",
     "fit_normals",
+    "match_pixels",
     "min_cut",
     "neighbor_edges",
     "pair_counts",

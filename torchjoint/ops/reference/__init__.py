@@ -1,0 +1,30 @@
+"""The slow, obvious twins of the compiled operators: the tests' oracle, and the place to read what they compute."""
+
+from torchjoint.ops.reference.graphs import (
+    felzenszwalb_reference,
+    min_cut_reference,
+    quantise_reference,
+)
+from torchjoint.ops.reference.images import match_pixels_reference, segment_graphs_reference
+from torchjoint.ops.reference.points import (
+    fit_normals_reference,
+    neighbor_edges_reference,
+    pair_counts_reference,
+    project_reference,
+    splat_depth_reference,
+    window_overlaps_reference,
+)
+
+__all__ = [
+    "felzenszwalb_reference",
+    "fit_normals_reference",
+    "match_pixels_reference",
+    "min_cut_reference",
+    "neighbor_edges_reference",
+    "pair_counts_reference",
+    "project_reference",
+    "quantise_reference",
+    "segment_graphs_reference",
+    "splat_depth_reference",
+    "window_overlaps_reference",
+]

@@ -1,0 +1,103 @@
+"""The twins of the loops over the pixels of an image."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+def segment_graphs_reference(
+    labels: Tensor, chosen: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """What :func:`torchjoint.ops.segment_graphs` computes; the arguments are not checked."""
+    pixels: list[int] = []
+    edges: list[tuple[int, int]] = []
+    weights: list[float] = []
+    node_ptr, edge_ptr = [0], [0]
+    for segment in torch.nonzero(chosen).flatten().tolist():
+        places = torch.nonzero(labels == segment).tolist()
+        number = {tuple(place): i for i, place in enumerate(places)}
+        own = []
+        for down, right in ((0, 1), (1, 0), (1, 1), (-1, 1)):
+            for i, (row, column) in enumerate(places):
+                here, there = (row, column), (row + down, column + right)
+                if there not in number:
+                    continue
+                red, green, blue = (colors[:, *here] - colors[:, *there]).square().numpy()
+                distance = np.sqrt((red + green) + blue)  # numpy's is correctly rounded; torch's, through MKL, is not
+                weakest = min(boundary[here].numpy(), boundary[there].numpy())
+                own.append(float(np.float32(color_weight) * distance + np.float32(boundary_weight) * weakest))
+                edges.append((i, number[there]))
+        total = 0.0
+        for weight in own:  # not sum(), which from Python 3.12 on is more precise than adding
+            total += weight
+        mean = total / max(len(own), 1)
+        weights += [weight / mean if mean > 0 else weight for weight in own]
+        pixels += [row * labels.shape[1] + column for row, column in places]
+        node_ptr.append(len(pixels))
+        edge_ptr.append(len(edges))
+    edge_index = torch.tensor(edges, dtype=torch.int64).reshape(-1, 2).T.contiguous()
+    relative_weight = torch.tensor(weights, dtype=torch.float64)
+    return (
+        torch.tensor(pixels, dtype=torch.int64),
+        torch.tensor(node_ptr),
+        edge_index,
+        torch.tensor(edge_ptr),
+        relative_weight,
+    )
+
+
+def match_pixels_reference(pred: Tensor, target: Tensor, radius: float) -> tuple[Tensor, Tensor]:
+    """What :func:`torchjoint.ops.match_pixels` computes, with dictionaries; the arguments are not checked.
+
+    Example:
+        >>> pred, target = torch.tensor([[True, True, False]]), torch.tensor([[True, False, True]])
+        >>> match_pixels_reference(pred, target, radius=1)
+        (tensor([[ True,  True, False]]), tensor([[ True, False,  True]]))
+    """
+    reach = int(min(radius, max(pred.shape, default=0)))
+    square = [(r, c) for r in range(-reach, reach + 1) for c in range(-reach, reach + 1)]
+    offsets = sorted((r * r + c * c, r, c) for r, c in square if r * r + c * c <= radius * radius)
+    targets = {(r, c) for r, c in target.nonzero().tolist()}
+    target_of: dict[tuple[int, int], tuple[int, int]] = {}
+    pred_of: dict[tuple[int, int], tuple[int, int]] = {}
+
+    def near(pixel: tuple[int, int]) -> list[tuple[int, int]]:
+        return [there for _, r, c in offsets if (there := (pixel[0] + r, pixel[1] + c)) in targets]
+
+    def augment(start: tuple[int, int]) -> None:
+        reached_from: dict[tuple[int, int], tuple[int, int]] = {}
+        queue = deque([start])
+        while queue:
+            pixel = queue.popleft()
+            for there in near(pixel):
+                if there in reached_from:
+                    continue
+                reached_from[there] = pixel
+                if there in pred_of:
+                    queue.append(pred_of[there])
+                    continue
+                end: tuple[int, int] | None = there
+                while end is not None:
+                    before = reached_from[end]
+                    pred_of[end] = before
+                    target_of[before], end = end, target_of.get(before)
+                return
+
+    preds = [(r, c) for r, c in pred.nonzero().tolist()]
+    for _, r, c in offsets:
+        for pixel in preds:
+            there = (pixel[0] + r, pixel[1] + c)
+            if pixel not in target_of and there in targets and there not in pred_of:
+                target_of[pixel], pred_of[there] = there, pixel
+    for pixel in preds:
+        if pixel not in target_of:
+            augment(pixel)
+
+    pred_matched, target_matched = torch.zeros_like(pred), torch.zeros_like(target)
+    for pixel, there in target_of.items():
+        pred_matched[pixel] = target_matched[there] = True
+    return pred_matched, target_matched
