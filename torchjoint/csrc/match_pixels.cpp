@@ -21,11 +21,13 @@ struct Frame {
 
   int64_t size() const { return (height + 2 * rows) * stride; }
 
+  // Calls `function` with the pixel and its place for each that is set.
   template <typename Function>
-  void for_each_pixel(Function&& function) const {
+  void for_each_set(const bool* map, Function&& function) const {
     for (int64_t row = 0; row < height; ++row) {
       for (int64_t column = 0; column < width; ++column) {
-        function(row * width + column, static_cast<int32_t>((row + rows) * stride + column + columns));
+        const int64_t pixel = row * width + column;
+        if (map[pixel]) function(pixel, static_cast<int32_t>((row + rows) * stride + column + columns));
       }
     }
   }
@@ -52,22 +54,26 @@ struct Frame {
   int64_t stride;
 };
 
-// Pixels are named by their place. One that is set in the one map may be matched to one that is in the other.
+constexpr int32_t kNone = -1;
+
+// The set pixels of each map are numbered row by row.
 class Matching {
  public:
   Matching(const bool* pred, const bool* target, const Frame& frame, double radius)
-      : offsets_(frame.offsets_within(radius)), pred_of_(frame.size(), kNoPixel), target_of_(frame.size(), kFree),
-        is_closed_(frame.size(), false), reached_from_(frame.size()) {
-    frame.for_each_pixel([&](int64_t pixel, int32_t place) {
-      if (pred[pixel]) waiting_.push_back(place);
-      if (target[pixel]) pred_of_[place] = kFree;
-    });
+      : offsets_(frame.offsets_within(radius)), target_at_(frame.size(), kNone) {
+    frame.for_each_set(pred, [&](int64_t, int32_t place) { place_.push_back(place); });
+    frame.for_each_set(target, [&](int64_t, int32_t place) { target_at_[place] = num_targets_++; });
+    target_of_.assign(place_.size(), kNone);
+    pred_of_.assign(num_targets_, kNone);
+    is_closed_.assign(num_targets_, false);
+    reached_from_.assign(num_targets_, kNone);
+    for (size_t pixel = 0; pixel < place_.size(); ++pixel) waiting_.push_back(static_cast<int32_t>(pixel));
     match_nearest();
     for (const int32_t pixel : waiting_) augment(pixel);
   }
 
-  bool is_pred_matched(int32_t place) const { return target_of_[place] >= 0; }
-  bool is_target_matched(int32_t place) const { return pred_of_[place] >= 0; }
+  bool is_pred_matched(int32_t pixel) const { return target_of_[pixel] != kNone; }
+  bool is_target_matched(int32_t target) const { return pred_of_[target] != kNone; }
 
  private:
   void match(int32_t pixel, int32_t target) {
@@ -80,8 +86,9 @@ class Matching {
     for (const int32_t offset : offsets_) {
       size_t left = 0;
       for (const int32_t pixel : waiting_) {
-        if (pred_of_[pixel + offset] == kFree) {
-          match(pixel, pixel + offset);
+        const int32_t target = target_at_[place_[pixel] + offset];
+        if (target != kNone && pred_of_[target] == kNone) {
+          match(pixel, target);
         } else {
           waiting_[left++] = pixel;
         }
@@ -96,12 +103,12 @@ class Matching {
     visited_.clear();
     for (size_t next = 0; next < queue_.size(); ++next) {
       for (const int32_t offset : offsets_) {
-        const int32_t target = queue_[next] + offset;
-        if (pred_of_[target] == kNoPixel || is_closed_[target]) continue;
+        const int32_t target = target_at_[place_[queue_[next]] + offset];
+        if (target == kNone || is_closed_[target]) continue;
         is_closed_[target] = true;
         visited_.push_back(target);
         reached_from_[target] = queue_[next];
-        if (pred_of_[target] == kFree) {
+        if (pred_of_[target] == kNone) {
           flip(target);
           for (const int32_t other : visited_) is_closed_[other] = false;
           return;
@@ -113,22 +120,22 @@ class Matching {
   }
 
   void flip(int32_t target) {
-    while (target != kFree) {
+    while (target != kNone) {
       const int32_t pixel = reached_from_[target], previous = target_of_[pixel];
       match(pixel, target);
       target = previous;
     }
   }
 
-  // Instead of a partner.
-  static constexpr int32_t kFree = -1, kNoPixel = -2;
-
   std::vector<int32_t> offsets_;
-  std::vector<int32_t> waiting_;  // predicted pixels without a partner, ascending
-  std::vector<int32_t> pred_of_;  // the partner of each pixel of the target
-  std::vector<int32_t> target_of_;  // the partner of each predicted pixel
-  std::vector<uint8_t> is_closed_;  // to the search
-  std::vector<int32_t> reached_from_, queue_, visited_;
+  std::vector<int32_t> target_at_;  // each place
+  int32_t num_targets_ = 0;
+  std::vector<int32_t> place_, target_of_;  // of each predicted pixel
+  std::vector<int32_t> waiting_;            // predicted pixels without a partner, ascending
+  std::vector<int32_t> pred_of_;            // of each target, as are the next two
+  std::vector<uint8_t> is_closed_;          // to the search
+  std::vector<int32_t> reached_from_;
+  std::vector<int32_t> queue_, visited_;
 };
 
 std::tuple<Tensor, Tensor> match_pixels(const Tensor& pred, const Tensor& target, double radius) {
@@ -138,15 +145,19 @@ std::tuple<Tensor, Tensor> match_pixels(const Tensor& pred, const Tensor& target
   check(std::isfinite(radius) && radius >= 0, "radius: expected a finite number >= 0, got ", radius);
 
   const Frame frame(height, width, radius);
-  const Matching matching(preds.const_data_ptr<bool>(), targets.const_data_ptr<bool>(), frame, radius);
+  const bool* const pred_map = preds.const_data_ptr<bool>();
+  const bool* const target_map = targets.const_data_ptr<bool>();
+  const Matching matching(pred_map, target_map, frame, radius);
   Tensor pred_matched = torch::stable::new_empty(preds, {height, width}, ScalarType::Bool);
   Tensor target_matched = torch::stable::new_empty(preds, {height, width}, ScalarType::Bool);
-  bool* const pred_out = pred_matched.mutable_data_ptr<bool>();
-  bool* const target_out = target_matched.mutable_data_ptr<bool>();
-  frame.for_each_pixel([&](int64_t pixel, int32_t place) {
-    pred_out[pixel] = matching.is_pred_matched(place);
-    target_out[pixel] = matching.is_target_matched(place);
-  });
+  bool* const pred_out = std::copy_n(pred_map, height * width, pred_matched.mutable_data_ptr<bool>()) - height * width;
+  bool* const target_out =
+      std::copy_n(target_map, height * width, target_matched.mutable_data_ptr<bool>()) - height * width;
+  int32_t number = 0;
+  frame.for_each_set(pred_map, [&](int64_t pixel, int32_t) { pred_out[pixel] = matching.is_pred_matched(number++); });
+  number = 0;
+  frame.for_each_set(
+      target_map, [&](int64_t pixel, int32_t) { target_out[pixel] = matching.is_target_matched(number++); });
   return {pred_matched, target_matched};
 }
 
