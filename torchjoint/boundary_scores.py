@@ -22,7 +22,7 @@ from tqdm import tqdm
 from torchjoint import ops
 from torchjoint.boundary_thinning import suppress_non_maxima, thin
 from torchjoint.datasets.bsds import BsdsImage
-from torchjoint.threads import map_frames
+from torchjoint.threads import map_frames, one_thread_per_operation
 
 #: The longest distance of a match, as a share of the image's diagonal.
 TOLERANCE = 0.0075
@@ -65,6 +65,7 @@ def even_thresholds(count: int) -> Tensor:
     return torch.arange(1, count + 1, dtype=torch.float64) / (count + 1)
 
 
+@one_thread_per_operation()
 def boundary_counts(
     pred: Tensor,
     boundaries: Sequence[Tensor],

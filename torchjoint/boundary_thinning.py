@@ -6,17 +6,20 @@ import kornia
 import torch
 from torch import Tensor
 
+from torchjoint.threads import one_thread_per_operation
+
 #: Standard deviation of the Gaussian before derivatives are taken, pixels: wider than a boundary's own noise.
 SMOOTHING = 2.0
 
 
+@one_thread_per_operation()
 def suppress_non_maxima(boundary: Tensor) -> Tensor:
     """Keeps the boundary strength where it is greatest across the boundary, and zeroes it elsewhere.
 
     A pixel is compared with the strength one pixel to either side along the normal, interpolated bilinearly, and stays
-    where neither is greater (J. Canny, PAMI 1986). The normal is the direction in which the strength, smoothed, curves
-    down most: as P. Dollar and C. L. Zitnick do it ("Fast Edge Detection Using Structured Forests", PAMI 2015), from
-    second derivatives. Plateaus stay as wide as they are; :func:`thin` makes them lines.
+    where neither is greater (J. Canny, PAMI 1986). The normal is the direction in which the strength, smoothed, bends
+    most; that it is taken from second derivatives is due to P. Dollar and C. L. Zitnick ("Fast Edge Detection Using
+    Structured Forests", PAMI 2015). Plateaus stay as wide as they are; :func:`thin` makes them lines.
 
     Args:
         boundary: [H, W] float32, of any range from 0.
@@ -66,7 +69,7 @@ def thin(mask: Tensor) -> Tensor:
 
 
 def _normals(boundary: Tensor) -> tuple[Tensor, Tensor]:
-    """Unit vectors (to the right, down) across the boundary, each [H, W]: the Hessian's lesser eigenvalue's."""
+    """Unit vectors (to the right, down) across the boundary, each [H, W]: where the Hessian's eigenvalue is largest, in size."""
     size = 2 * round(3 * SMOOTHING) + 1
     smooth = kornia.filters.gaussian_blur2d(
         boundary[None, None], (size, size), (SMOOTHING, SMOOTHING), border_type="replicate"
@@ -75,7 +78,8 @@ def _normals(boundary: Tensor) -> tuple[Tensor, Tensor]:
     xx = around[0, 1] + around[0, -1] - 2 * smooth
     yy = around[1, 0] + around[-1, 0] - 2 * smooth
     xy = (around[1, 1] + around[-1, -1] - around[1, -1] - around[-1, 1]) / 4
-    angle = torch.atan2(-2 * xy, yy - xx) / 2
+    bends_up = xx + yy > 0  # beside a line, where it is the greater eigenvalue that belongs to the normal
+    angle = torch.where(bends_up, torch.atan2(2 * xy, xx - yy), torch.atan2(-2 * xy, yy - xx)) / 2
     return angle.cos(), angle.sin()
 
 
