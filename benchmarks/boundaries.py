@@ -81,7 +81,7 @@ def draw(count: int, with_boundaries: bool, seed: int = 0) -> list[RegionSetting
     for _ in range(count):
         smoothing = float(random.choice([0.0, 0.5, 0.8, 1.2]))
         color = between(0.05, 3) if with_boundaries else 1.0
-        scale, min_size = between(0.5, 100), round(between(50, 3000))
+        scale, min_size = between(0.3, 30), round(between(50, 3000))
         graph = ImageGraphConfig(smoothing=smoothing, color_weight=color, boundary_weight=float(with_boundaries))
         settings.append(RegionSetting(graph, ImageSegmentsConfig(scale=scale, min_size=min_size)))
     return settings

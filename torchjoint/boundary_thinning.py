@@ -69,7 +69,7 @@ def thin(mask: Tensor) -> Tensor:
 
 
 def _normals(boundary: Tensor) -> tuple[Tensor, Tensor]:
-    """Unit vectors (to the right, down) across the boundary, each [H, W]: along them the second derivative is largest."""
+    """Unit vectors (to the right, down), each [H, W]: along them the second derivative is largest, of either sign."""
     size = 2 * round(3 * SMOOTHING) + 1
     smooth = kornia.filters.gaussian_blur2d(
         boundary[None, None], (size, size), (SMOOTHING, SMOOTHING), border_type="replicate"
