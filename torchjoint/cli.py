@@ -1,4 +1,4 @@
-"""The command line: torchjoint demo | segment | superpoints | show | parameters."""
+"""The command line: torchjoint demo | segment | superpoints | evaluate-boundaries | show | parameters."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from torch.utils.data import Dataset, Subset
 
 from torchjoint import metrics
 from torchjoint.checkpoint import Checkpoint, run_key
+from torchjoint.cli_boundaries import evaluate_boundaries
 from torchjoint.cli_superpoints import superpoints
 from torchjoint.config import Config, parameter_table
 from torchjoint.datasets import load_scene
@@ -138,6 +139,7 @@ def main() -> None:
             "demo": demo,
             "segment": segment,
             "superpoints": superpoints,
+            "evaluate-boundaries": evaluate_boundaries,
             "show": show,
             "parameters": parameters,
         }

@@ -27,6 +27,17 @@ class RegionSetting(NamedTuple):
     segments: ImageSegmentsConfig
 
 
+#: The best of some random ones on images of BSDS500's train, by covering + F (benchmarks/boundaries.py).
+WITH_BOUNDARIES = RegionSetting(
+    ImageGraphConfig(smoothing=0.8, color_weight=1.0, boundary_weight=1.0),
+    ImageSegmentsConfig(scale=10.0, min_size=500),
+)
+WITHOUT_BOUNDARIES = RegionSetting(
+    ImageGraphConfig(smoothing=0.8, color_weight=1.0, boundary_weight=0.0),
+    ImageSegmentsConfig(scale=10.0, min_size=500),
+)
+
+
 class RegionScores(NamedTuple):
     """Means over the images of a data set; each image is compared with all its annotators."""
 

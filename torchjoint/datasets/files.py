@@ -40,6 +40,15 @@ def read_label_image(path: Path) -> Tensor:
     return torch.from_numpy(np.array(image).astype(np.int64))
 
 
+def read_grey_image(path: Path) -> Tensor:
+    """A grey image of 8 or 16 bits -> [H, W] float32 in [0, 1]."""
+    image = _opened(path)
+    if image.mode not in ("1", "L", "I;16", "I;16B", "I"):
+        raise ValueError(f"{path}: expected a grey image of 8 or 16 bits, got mode {image.mode}")
+    white = {"1": 1, "L": 255}.get(image.mode, 65535)
+    return torch.from_numpy(np.array(image).astype(np.float32)) / white
+
+
 def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
     """A text file of numbers -> float64 of that shape."""
     if not path.is_file():

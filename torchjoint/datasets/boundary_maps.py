@@ -1,0 +1,49 @@
+"""Predicted boundaries on disk: a folder with a map for each image, NAME.png or NAME.npy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.files import read_grey_image
+
+
+def find_boundary_map(folder: Path, name: str) -> Path:
+    """The file of an image's boundary map.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: there are two.
+    """
+    found = [file for file in (folder / f"{name}.png", folder / f"{name}.npy") if file.is_file()]
+    if not found:
+        raise FileNotFoundError(f"{folder / name}.png: missing (and so is {name}.npy); expected a boundary map")
+    if len(found) > 1:
+        raise ValueError(f"{folder}: holds both {name}.png and {name}.npy; remove one")
+    return found[0]
+
+
+def read_boundary_map(path: Path) -> Tensor:
+    """A grey .png of 8 or 16 bits, or a floating [H, W] .npy in [0, 1] -> [H, W] float32 in [0, 1].
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and what is wrong with it.
+    """
+    if path.suffix == ".png":
+        return read_grey_image(path)
+    try:
+        values = np.load(path, allow_pickle=False)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path}: missing; expected a boundary map") from None
+    except (ValueError, OSError, EOFError) as error:
+        raise ValueError(f"{path}: not a whole .npy file: {error}") from error
+    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind != "f":
+        got = f"{values.dtype} {list(values.shape)}" if isinstance(values, np.ndarray) else "an archive"
+        raise ValueError(f"{path}: expected floating numbers of shape [H, W], got {got}")
+    wrong = values[~((values >= 0) & (values <= 1))]  # NaN, too
+    if len(wrong):
+        raise ValueError(f"{path}: expected numbers in [0, 1], got {wrong[0]:g} and {len(wrong) - 1} others")
+    return torch.from_numpy(values.astype(np.float32))
