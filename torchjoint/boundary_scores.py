@@ -212,12 +212,9 @@ def _rates(counts: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _average_precision(precision: Tensor, recall: Tensor) -> float:
-    best: dict[float, float] = {}
-    for r, p in zip(recall.tolist(), precision.tolist(), strict=True):
-        best[r] = max(p, best.get(r, 0.0))
-    points = sorted(best.items())
-    at = [i / 100 for i in range(1, 101)]
-    return sum(_interpolated(points, r) for r in at) / len(at)
+    # Sorted by recall, then precision: of the points with one recall, the last and most precise stays.
+    points = list(dict(sorted(zip(recall.tolist(), precision.tolist(), strict=True))).items())
+    return sum(_interpolated(points, i / 100) for i in range(1, 101)) / 100
 
 
 def _interpolated(points: list[tuple[float, float]], r: float) -> float:
