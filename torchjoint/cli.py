@@ -19,6 +19,7 @@ from torchjoint import metrics
 from torchjoint.checkpoint import Checkpoint, run_key
 from torchjoint.cli_boundaries import evaluate_boundaries
 from torchjoint.cli_superpoints import superpoints
+from torchjoint.cli_training import train_boundaries
 from torchjoint.config import Config, parameter_table
 from torchjoint.datasets import load_scene
 from torchjoint.datasets.files import fingerprint
@@ -139,13 +140,14 @@ def main() -> None:
             "demo": demo,
             "segment": segment,
             "superpoints": superpoints,
+            "train-boundaries": train_boundaries,
             "evaluate-boundaries": evaluate_boundaries,
             "show": show,
             "parameters": parameters,
         }
         tyro.extras.subcommand_cli_from_dict(commands, prog="torchjoint")
     except KeyboardInterrupt:
-        sys.exit("torchjoint: interrupted; `segment` goes on where it was when it is started again")
+        sys.exit("torchjoint: interrupted; `segment` and `train-boundaries` go on where they were when started again")
     except (ValueError, TypeError, OSError) as error:
         sys.exit(f"torchjoint: error: {error}")
 

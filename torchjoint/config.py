@@ -6,6 +6,7 @@ Every parameter is declared once (:mod:`torchjoint.parameter`); the checks and t
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,20 +15,40 @@ from typing import Any
 from torchjoint.parameter import Stage, parameter
 from torchjoint.presets import presets, read_assignment, read_preset, read_yaml
 
+#: Boundary detectors of the package.
+DETECTORS = ("structured_forest", "gradient")
+
 
 @dataclass(frozen=True)
 class BoundaryConfig(Stage):
     """Step 1: how strongly a pixel looks like an object boundary."""
 
-    detector: str = parameter("gradient", "boundary detector", choices=("gradient",))
+    detector: str = parameter(
+        "structured_forest", "structured_forest, learned from people's segmentations; gradient, of colours, several "
+        "times as fast; or a module of your own, as my_package.my_module:MyBoundary",
+    )  # fmt: skip
+    model: str | None = parameter(
+        None, "structured_forest: file of a forest, NAME.yml.gz; null: the one that comes with the package"
+    )
+    multi_scale: bool = parameter(
+        False, "structured_forest: look at half and twice the size, too; better, and takes about six times as long"
+    )
+    nms: bool = parameter(False, "structured_forest: keep only the maxima across a boundary")
     smoothing: float = parameter(
-        1.0, "Gaussian blur before the gradient; more ignores texture and softens edges", unit="px", low=0,
+        1.0, "gradient: Gaussian blur before it; more ignores texture and softens edges", unit="px", low=0,
         high=20, sensible="0.5-3",
     )  # fmt: skip
     contrast: float = parameter(
-        8.0, "colour gradient at which a boundary has strength 1 - 1/e; less sees fainter edges", unit="Lab units/px",
-        above=0, sensible="2-20",
+        8.0, "gradient: the one at which a boundary has strength 1 - 1/e; less sees fainter edges",
+        unit="Lab units/px", above=0, sensible="2-20",
     )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.detector not in DETECTORS and not re.fullmatch(r"\w+(\.\w+)*:\w+", self.detector):
+            raise ValueError(
+                f"boundary.detector: expected {', '.join(DETECTORS)} or package.module:Class, got {self.detector!r}"
+            )
 
 
 @dataclass(frozen=True)

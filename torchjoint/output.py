@@ -130,7 +130,7 @@ def _write_label_images(folder: Path, result: Segmentation) -> None:
 
 
 def _run_record(scene: Scene, result: Segmentation, config: Config, source: str) -> dict[str, Any]:
-    packages = ("torchjoint", "torch", "kornia", "numpy", "scipy", "open3d")
+    packages = ("torchjoint", "torch", "kornia", "numpy", "scipy", "open3d", "opencv-contrib-python-headless")
     return {
         "scene": source,
         "counts": {

@@ -68,8 +68,10 @@ def _check(name: str, value: Any, spec: dataclasses.Field[Any]) -> Any:
         raise TypeError(f"{name}: expected {spec.type}, got null")
     kind = str(spec.type).split(" |")[0]
     if kind == "str":
-        if value not in spec.metadata["choices"]:
-            raise ValueError(f"{name}: expected one of {', '.join(spec.metadata['choices'])}, got {value!r}")
+        return _check_text(name, value, spec.metadata["choices"])
+    if kind == "bool":
+        if not isinstance(value, bool):
+            raise TypeError(f"{name}: expected true or false, got {value!r}")
         return value
     if isinstance(value, str):  # YAML 1.1 takes 1e-3 for a string
         try:
@@ -88,3 +90,12 @@ def _check(name: str, value: Any, spec: dataclasses.Field[Any]) -> Any:
     if high is not None and value > high:
         raise ValueError(f"{name}: expected <= {high}, got {value}")
     return int(value) if kind == "int" else float(value)
+
+
+def _check_text(name: str, value: Any, choices: Sequence[str]) -> str:
+    """A text without choices is free; what it means is checked where it is used."""
+    if not isinstance(value, str):
+        raise TypeError(f"{name}: expected a text, got {value!r}")
+    if choices and value not in choices:
+        raise ValueError(f"{name}: expected one of {', '.join(choices)}, got {value!r}")
+    return value

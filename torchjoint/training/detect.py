@@ -1,0 +1,53 @@
+"""A forest's evaluation in NumPy: the slow, obvious twin of the detector, which OpenCV runs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchjoint.forest import LABEL_SIZE, Forest
+from torchjoint.training.channels import SHRINK, Channels, image_channels, triangle_filter
+from torchjoint.training.features import Ints, feature_values, sites
+
+
+def detect(forest: Forest, image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Boundary strength [H, W] of an image [H, W, 3] RGB in [0, 1], as ``detectEdges`` of OpenCV gives it.
+
+    At every site some of the trees vote for the pixels of their leaf's boundary; votes are added up and smoothed.
+    """
+    channels = image_channels(image)
+    rows, columns = sites(channels)
+    votes = np.zeros(image.shape[:2], np.int64)
+    num_trees = len(forest.children)
+    for tree in range(num_trees):
+        turn = (tree - (rows + columns) % (2 * forest.trees_at_a_site)) % num_trees < forest.trees_at_a_site
+        _vote(votes, forest, tree, channels, rows[turn], columns[turn])
+    vote = np.float32(2 * SHRINK**2 / LABEL_SIZE**2 / forest.trees_at_a_site)
+    return triangle_filter(votes.astype(np.float32) * vote, 1)
+
+
+def _vote(votes: Ints, forest: Forest, tree: int, channels: Channels, rows: Ints, columns: Ints) -> None:
+    leaves = tree * forest.children.shape[1] + _leaves(forest, tree, channels, rows, columns)
+    counts = forest.boundary_counts.ravel()
+    ends = np.cumsum(counts, dtype=np.int64)
+    for leaf in np.unique(leaves):
+        column, row = np.divmod(
+            forest.boundary_pixels[ends[leaf] - counts[leaf] : ends[leaf]].astype(np.int64), LABEL_SIZE
+        )
+        here = leaves == leaf
+        np.add.at(votes, (SHRINK * rows[here, None] + row, SHRINK * columns[here, None] + column), 1)
+
+
+def _leaves(forest: Forest, tree: int, channels: Channels, rows: Ints, columns: Ints) -> Ints:
+    """The node at which each patch ends."""
+    nodes = np.zeros(len(rows), np.int64)
+    active = np.arange(len(rows))
+    while len(active):
+        child = forest.children[tree, nodes[active]]
+        active, child = active[child > 0], child[child > 0]
+        features = forest.features[tree, nodes[active]].astype(np.int64)
+        right = (
+            feature_values(channels, rows[active], columns[active], features) >= forest.thresholds[tree, nodes[active]]
+        )
+        nodes[active] = child - 1 + right
+    return nodes
