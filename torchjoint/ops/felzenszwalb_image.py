@@ -25,7 +25,7 @@ def felzenszwalb_image(
     :func:`torchjoint.image_graph.pixel_weights`, ``w = color_weight |c_i - c_j| + boundary_weight min(b_i, b_j)``
     (M. Abello et al., ICRA 2021, eq. 1-2), and so the labels are, bit for bit, those of the way by an edge list. The
     images of a batch are spread over torch's threads; the labels do not depend on how many there are. Besides the
-    result, at most 32 bytes a pixel are in use.
+    result, less than 40 bytes a pixel are in use.
 
     Args:
         images: ``[B, C, H, W]`` float32, any number of channels; for RGB in [0, 1] the default weights are sensible.
