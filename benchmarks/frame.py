@@ -1,23 +1,22 @@
 """What joint segmentation of a frame costs, against structured edges: `python benchmarks/frame.py [FOLDER]`.
 
 FOLDER is a recording in the style of 7-Scenes, and may be left out; the other scene is synthetic. The yardstick is
-OpenCV's structured-edge detector on the same frames and with as many threads, with a random forest of realistic size
-(benchmarks/forest.py). Both are run in turn, several times over; every figure is the median of the rounds.
+OpenCV's structured-edge detector by itself, with the package's forest, on the same frames and with as many threads.
+Both are run in turn, several times over; every figure is the median of the rounds.
 """
 
 import argparse
 import dataclasses
 import statistics
-import tempfile
 import time
 from collections.abc import Callable, Sequence
+from importlib.resources import as_file, files
 from pathlib import Path
 
 import cv2
 import numpy as np
 import report
 import torch
-from forest import random_detector
 from torch import nn
 
 import torchjoint as tj
@@ -50,8 +49,8 @@ def measure(scene: tj.Scene, rounds: int) -> dict[str, float]:
     frames = list(scene.frames)
     boundaries = tj.JointSegmenter().image_segmenter.boundary(torch.stack([frame.image for frame in frames]))
     images = [np.ascontiguousarray(frame.image.permute(1, 2, 0).numpy()) for frame in frames]
-    with tempfile.TemporaryDirectory() as folder:
-        detector = random_detector(images[0], Path(folder))
+    with as_file(files("torchjoint.models") / "bsds500.yml.gz") as model:
+        detector = cv2.ximgproc.createStructuredEdgeDetection(str(model))
     results: dict[str, list[float]] = {}
     for _ in range(rounds):
         one: dict[str, float] = {}
