@@ -108,8 +108,12 @@ def test_wrong_predictions(bsds, predictions, tmp_path, monkeypatch, damage, mes
 
 def test_wrong_arguments(bsds, predictions, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit, match=r"nothing: neither a folder of predictions nor a detector: .*gradient"):
+    with pytest.raises(
+        SystemExit, match=r"nothing: neither a folder of predictions, nor a forest, nor a detector: .*gradient"
+    ):
         run(monkeypatch, "nothing", bsds)
+    with pytest.raises(SystemExit, match=r"nothing\.yml\.gz: missing; expected a structured forest"):
+        run(monkeypatch, "nothing.yml.gz", bsds)
     with pytest.raises(SystemExit, match="no such folder; expected the BSDS500 data set"):
         run(monkeypatch, "gradient", tmp_path / "nowhere")
     with pytest.raises(SystemExit, match="thresholds: expected a whole number >= 1, got 0"):

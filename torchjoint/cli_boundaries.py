@@ -28,6 +28,7 @@ def evaluate_boundaries(
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("boundary-scores"),
     split: Literal["train", "val", "test"] = "val",
     thresholds: int = 99,
+    multi_scale: bool = False,
     nms: bool = True,
     regions: bool = True,
     overwrite: bool = False,
@@ -35,19 +36,21 @@ def evaluate_boundaries(
     """Scores boundaries on BSDS500: ODS, OIS, AP, and what they are worth to a segmentation.
 
     Args:
-        boundaries: a detector, as parameter boundary.detector names it, or a folder of predictions: for each image
-            a NAME.png, grey, of 8 or 16 bits, or a NAME.npy, floating, in [0, 1].
+        boundaries: a detector, as parameter boundary.detector names it; or a structured forest's NAME.yml.gz; or a
+            folder of predictions: for each image a NAME.png, grey, of 8 or 16 bits, or a NAME.npy, floating, in
+            [0, 1].
         bsds_dir: folder of the data set: images/ and groundTruth/, or the original BSR.
         out: folder for boundaries.csv, the curve of precision and recall, and precision_recall.png.
         split: part of the data set.
         thresholds: how many; 99 are the protocol, fewer are quick.
+        multi_scale: a structured forest's boundaries at half and twice the size, too.
         nms: keep only the maxima across a boundary first; --no-nms for predictions that are thin already.
         regions: score the image segmentation with and without the boundaries, too.
         overwrite: replace files in OUT.
     """
     _check_output(out, overwrite)
     records = bsds_images(bsds_dir, split)
-    predict = _predictor(boundaries, records)
+    predict = _predictor(boundaries, records, multi_scale)
     scores = evaluate_predictions(predict, records, thresholds, nms=nms, progress=True)
     _write(out, scores, boundaries)
     print(_boundary_table(scores))
@@ -66,17 +69,21 @@ def _check_output(out: Path, overwrite: bool) -> None:
             raise FileExistsError(f"{out / name}: exists already; choose another folder with -o, or --overwrite")
 
 
-def _predictor(boundaries: str, records: Sequence[BsdsImage]) -> Callable[[BsdsImage], Tensor]:
+def _predictor(boundaries: str, records: Sequence[BsdsImage], multi_scale: bool) -> Callable[[BsdsImage], Tensor]:
     if Path(boundaries).is_dir():
         files = {record.name: find_boundary_map(Path(boundaries), record.name) for record in records}
         for record in records:  # what is wrong with the last one should not be told after minutes of scoring
             _checked_map(files[record.name], record)
         return lambda record: _checked_map(files[record.name], record)
+    is_forest = boundaries.endswith(".yml.gz")
+    detector, model = ("structured_forest", boundaries) if is_forest else (boundaries, None)
     try:
-        detector = make_boundary(BoundaryConfig(detector=boundaries))
+        module = make_boundary(BoundaryConfig(detector, model, multi_scale))
     except (ValueError, OSError) as error:
-        raise ValueError(f"{boundaries}: neither a folder of predictions nor a detector: {error}") from error
-    return lambda record: detector(record.image[None])[0]
+        raise ValueError(
+            f"{boundaries}: neither a folder of predictions, nor a forest, nor a detector: {error}"
+        ) from error
+    return lambda record: module(record.image[None])[0]
 
 
 def _checked_map(file: Path, record: BsdsImage) -> Tensor:
