@@ -28,6 +28,7 @@ from torchjoint.ops import (
     project,
     segment_graphs,
     splat_depth,
+    ultrametric_contours,
     window_overlaps,
 )
 
@@ -80,6 +81,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     pair_counts: PAIR_COUNTS,
     segment_graphs: SEGMENT_GRAPHS,
     match_pixels: MATCH_PIXELS,
+    ultrametric_contours: {"boundary": IMAGES[0, 0], "relief": IMAGES[0, 1]},
 }
 
 
@@ -219,6 +221,22 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (match_pixels, {"radius": -1}, ValueError, "radius: expected a number >= 0, got -1"),
     (match_pixels, {"radius": torch.inf}, ValueError, "radius: expected a finite number >= 0, got inf"),
     (match_pixels, {"radius": "1"}, TypeError, "radius: expected int or float, got str"),
+    (ultrametric_contours, {"boundary": IMAGES[0]}, ValueError, "boundary: expected shape [H, W], got [3, 2, 4]"),
+    (ultrametric_contours, {"boundary": LABELS}, TypeError, "boundary: expected dtype torch.float32, got torch.int32"),
+    (
+        ultrametric_contours,
+        {"boundary": IMAGES[0, 0] + 0.9},
+        ValueError,
+        "boundary: expected numbers in [0, 1], got 1.",
+    ),
+    (ultrametric_contours, {"boundary": IMAGES[0, 0] * NAN}, ValueError, "numbers in [0, 1], got nan at 0"),
+    (
+        ultrametric_contours,
+        {"relief": IMAGES[0, 0].T},
+        ValueError,
+        "relief: expected shape [H, W] = [2, 4], got [4, 2]",
+    ),
+    (ultrametric_contours, {"relief": changed(IMAGES[0, 0], NAN, 1, 1)}, ValueError, "expected no NaN, got NaN at 5"),
 ]
 
 
@@ -260,6 +278,9 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (match_pixels, {"pred": LABELS}),
         (match_pixels, {"target": LABELS.T > 0}),
         (match_pixels, {"radius": NAN}),
+        (ultrametric_contours, {"boundary": IMAGES[0]}),
+        (ultrametric_contours, {"relief": IMAGES[0, 0].T}),
+        (ultrametric_contours, {"relief": IMAGES[0, 0].double()}),
     ):
         with pytest.raises(ValueError, match="expected"):
             named[op](**(VALID[op] | change))
@@ -466,4 +487,4 @@ def test_every_folder_is_packaged() -> None:
     root = Path(__file__).parents[1]
     listed = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
     found = {".".join(path.parent.relative_to(root).parts) for path in (root / "torchjoint").rglob("__init__.py")}
-    assert found | {"torchjoint.configs"} == set(listed)
+    assert found | {"torchjoint.configs", "torchjoint.models"} == set(listed)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.boundary import smooth
 from torchjoint.config import ImageGraphConfig
 from torchjoint.image_graph import grid_edges, pixel_weights
 from torchjoint.ops import reference
@@ -138,3 +139,43 @@ def test_any_strides() -> None:
     chosen, boundary = torch.tensor([True, True]), torch.rand(8, 5, generator=generator).T
     dense = (tensor.contiguous() for tensor in (labels, chosen, colors, boundary))
     assert_same(ops.segment_graphs(labels, chosen, colors, boundary, 1.0, 0.5), ops.segment_graphs(*dense, 1.0, 0.5))
+
+
+@settings(deadline=None, max_examples=200)
+@given(seed=SEEDS, height=st.integers(0, 12), width=st.integers(0, 12), levels=st.sampled_from([1, 2, 5, 1000]))
+def test_ultrametric_contours(seed: int, height: int, width: int, levels: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    boundary, relief = torch.randint(0, levels + 1, (2, height, width), generator=generator) / levels
+    arguments = (boundary, relief)
+    assert_same((ops.ultrametric_contours(*arguments),), (reference.ultrametric_contours_reference(*arguments),))
+
+
+def test_ultrametric_contours_by_hand() -> None:
+    """A weak line within a region vanishes before the strong one around it, however strong a part of it is."""
+    boundary = torch.zeros(1, 9)
+    boundary[0, [2, 5]] = torch.tensor([0.25, 0.75])
+    contours = ops.ultrametric_contours(boundary, boundary)
+    # A top's lower neighbours are equal: it goes with the left one, and the line lies to its right.
+    assert contours[0].tolist() == pytest.approx([0, 0, 0.25, 0.25, 0, 0.75, 0.75, 0, 0], abs=1e-5)
+    gap = torch.zeros(5, 6)
+    gap[:, 2] = 1.0
+    gap[2, 2] = 0.5  # where one could step through: the weakest pixel is no more than a share of the line
+    contours = ops.ultrametric_contours(gap, gap)
+    # 5 pairs across, 4 + 4 aslant; the gap's pixel has one of each.
+    assert contours.unique().tolist() == pytest.approx([0, (10 + 3 * 0.5) / 13], abs=1e-5)
+    assert (contours > 0).sum() == 10
+
+
+def test_gaps_are_closed() -> None:
+    """A square's outline with gaps: steps over no boundary lead out of it, and over no closed contour do they."""
+    outline = torch.zeros(40, 50)
+    outline[8:32, [10, 36]] = 1.0
+    outline[[8, 31], 10:37] = 1.0
+    outline[18:21, 10] = outline[31, 20:23] = 0.0
+    relief = smooth(outline[None, None], 2.0)[0, 0]
+    closed = ops.ultrametric_contours(outline, relief)
+    inside, outside = (20, 25), (3, 3)
+    for boundary, leaks in ((outline, True), (closed, False)):
+        passable = (boundary < 0.5).float()
+        labels = ops.felzenszwalb_image(passable.expand(1, 3, -1, -1), scale=1e-9)[0]
+        assert (labels[inside] == labels[outside]) == leaks

@@ -75,7 +75,7 @@ def make_boundary(config: BoundaryConfig) -> nn.Module:
         return GradientBoundary(config.smoothing, config.contrast)
     if config.detector == "structured_forest":
         scales = MULTI_SCALE if config.multi_scale else (1.0,)
-        return StructuredForestBoundary(config.model, scales, config.nms)
+        return StructuredForestBoundary(config.model, scales)
     return _make_own(config.detector)
 
 

@@ -33,7 +33,6 @@ class BoundaryConfig(Stage):
     multi_scale: bool = parameter(
         False, "structured_forest: look at half and twice the size, too; better, and takes about six times as long"
     )
-    nms: bool = parameter(False, "structured_forest: keep only the maxima across a boundary")
     smoothing: float = parameter(
         1.0, "gradient: Gaussian blur before it; more ignores texture and softens edges", unit="px", low=0,
         high=20, sensible="0.5-3",
@@ -49,6 +48,22 @@ class BoundaryConfig(Stage):
             raise ValueError(
                 f"boundary.detector: expected {', '.join(DETECTORS)} or package.module:Class, got {self.detector!r}"
             )
+
+
+@dataclass(frozen=True)
+class ContoursConfig(Stage):
+    """Step 1: closed contours in the place of the boundaries."""
+
+    closed: bool = parameter(
+        True, "make contours closed, each as strong as the regions it parts are; false is the letter"
+    )
+    smoothing: float = parameter(
+        1.5, "Gaussian blur of the boundaries before regions are sought; more makes for fewer and larger ones",
+        unit="px", low=0, high=20, sensible="1-3",
+    )  # fmt: skip
+    exponent: float = parameter(
+        3.0, "power that a contour's strength is raised to; more lets weak contours go", above=0, sensible="1-4"
+    )
 
 
 @dataclass(frozen=True)
@@ -205,6 +220,7 @@ class Config:
     """Everything that :class:`torchjoint.JointSegmenter` can be told; see each stage for its parameters."""
 
     boundary: BoundaryConfig = field(default_factory=BoundaryConfig)
+    contours: ContoursConfig = field(default_factory=ContoursConfig)
     image_graph: ImageGraphConfig = field(default_factory=ImageGraphConfig)
     image_segments: ImageSegmentsConfig = field(default_factory=ImageSegmentsConfig)
     point_graph: PointGraphConfig = field(default_factory=PointGraphConfig)
@@ -272,6 +288,7 @@ class Config:
 
 _STAGES: tuple[type[Stage], ...] = (
     BoundaryConfig,
+    ContoursConfig,
     ImageGraphConfig,
     ImageSegmentsConfig,
     PointGraphConfig,

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from torchjoint.boundary import make_boundary
 from torchjoint.config import Config
+from torchjoint.contours import close_contours
 from torchjoint.image_graph import segment_image
 from torchjoint.scene import Frame, as_labels
 from torchjoint.threads import map_frames
@@ -51,7 +52,8 @@ class ImageSegmenter(nn.Module):
             raise ValueError(f"boundary: expected [B, H, W] = {list(images[:, 0].shape)}, got {list(boundaries.shape)}")
         if not ((boundaries >= 0) & (boundaries <= 1)).all():
             raise ValueError("boundary: expected values in [0, 1] and no NaN")
-        return boundaries.float()
+        boundaries = boundaries.float()
+        return close_contours(boundaries, self.config.contours) if self.config.contours.closed else boundaries
 
     def _segment(self, images: Tensor, boundaries: Tensor) -> list[Tensor]:
         size = (images.shape[2], images.shape[3])

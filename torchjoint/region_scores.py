@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from torchjoint.config import ImageGraphConfig, ImageSegmentsConfig
+from torchjoint.config import ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
+from torchjoint.contours import close_contours
 from torchjoint.datasets.bsds import BsdsImage
 from torchjoint.image_graph import segment_image
 from torchjoint.metrics import objects_and_parts, segmentation_covering
@@ -23,6 +24,7 @@ from torchjoint.threads import map_frames
 class RegionSetting(NamedTuple):
     """Parameters of the image segmentation."""
 
+    contours: ContoursConfig
     graph: ImageGraphConfig
     segments: ImageSegmentsConfig
 
@@ -30,11 +32,13 @@ class RegionSetting(NamedTuple):
 #: For `GradientBoundary`: the best of 40 random settings on 50 images of BSDS500's train, by covering + F
 #: (benchmarks/boundaries.py).
 WITH_BOUNDARIES = RegionSetting(
+    ContoursConfig(),
     ImageGraphConfig(smoothing=0.0, color_weight=1.01, boundary_weight=1.0),
     ImageSegmentsConfig(scale=7.93, min_size=2270),
 )
 #: The same for colours alone.
 WITHOUT_BOUNDARIES = RegionSetting(
+    ContoursConfig(),
     ImageGraphConfig(smoothing=0.8, color_weight=1.0, boundary_weight=0.0),
     ImageSegmentsConfig(scale=2.39, min_size=1300),
 )
@@ -76,13 +80,19 @@ def evaluate_regions(
         def score(record: BsdsImage) -> list[RegionScores]:
             image, truths = record.image, record.segmentations
             boundary = predict(record).float()
-            scores = [score_regions(segment_image(image, boundary, *setting), truths) for setting in settings]
+            scores = [score_regions(_segment(image, boundary, setting), truths) for setting in settings]
             bar.update()
             return scores
 
         with torch.no_grad():
             by_image = map_frames(score, records)
     return [RegionScores(*map(fmean, zip(*scores, strict=True))) for scores in zip(*by_image, strict=True)]
+
+
+def _segment(image: Tensor, boundary: Tensor, setting: RegionSetting) -> Tensor:
+    if setting.contours.closed and setting.graph.boundary_weight > 0:
+        boundary = close_contours(boundary[None], setting.contours)[0]
+    return segment_image(image, boundary, setting.graph, setting.segments)
 
 
 def score_regions(labels: Tensor, truths: Sequence[Tensor]) -> RegionScores:

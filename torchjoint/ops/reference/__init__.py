@@ -5,7 +5,11 @@ from torchjoint.ops.reference.graphs import (
     min_cut_reference,
     quantise_reference,
 )
-from torchjoint.ops.reference.images import match_pixels_reference, segment_graphs_reference
+from torchjoint.ops.reference.images import (
+    match_pixels_reference,
+    segment_graphs_reference,
+    ultrametric_contours_reference,
+)
 from torchjoint.ops.reference.points import (
     fit_normals_reference,
     neighbor_edges_reference,
@@ -26,5 +30,6 @@ __all__ = [
     "quantise_reference",
     "segment_graphs_reference",
     "splat_depth_reference",
+    "ultrametric_contours_reference",
     "window_overlaps_reference",
 ]

@@ -8,6 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+#: The two regions that a border parts, each named by its lowest pixel.
+Sides = frozenset[tuple[int, int]]
+
 
 def segment_graphs_reference(
     labels: Tensor, chosen: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float
@@ -101,3 +104,52 @@ def match_pixels_reference(pred: Tensor, target: Tensor, radius: float) -> tuple
     for pixel, there in target_of.items():
         pred_matched[pixel] = target_matched[there] = True
     return pred_matched, target_matched
+
+
+def ultrametric_contours_reference(boundary: Tensor, relief: Tensor) -> Tensor:
+    """What :func:`torchjoint.ops.ultrametric_contours` computes; the arguments are not checked."""
+    height, width = boundary.shape
+    level = torch.round(boundary.double() * 65535).long().tolist()
+    low = relief.tolist()
+    inside = {(row, column) for row in range(height) for column in range(width)}
+
+    def basin(pixel: tuple[int, int]) -> tuple[int, int]:
+        square = [(pixel[0] + down, pixel[1] + right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
+        lowest = min((low[row][column], (row, column)) for row, column in square if (row, column) in inside)[1]
+        return pixel if lowest == pixel else basin(lowest)
+
+    region = {pixel: basin(pixel) for pixel in sorted(inside)}
+    pairs = [
+        (here, there)
+        for down, right in ((0, 1), (1, 0), (1, 1), (-1, 1))
+        for here in sorted(inside)
+        if (there := (here[0] + down, here[1] + right)) in inside and region[here] != region[there]
+    ]
+    strengths: dict[Sides, list[int]] = {}
+    for here, there in pairs:
+        strongest = max(level[here[0]][here[1]], level[there[0]][there[1]])
+        strengths.setdefault(frozenset((region[here], region[there])), []).append(strongest)
+    number = {sides: i for i, sides in enumerate(strengths)}
+    parts = {sides: [sides] for sides in strengths}
+
+    heights: dict[Sides, float] = {}
+    reached = 0.0
+    while strengths:
+        weakest = min(strengths, key=lambda sides: (sum(strengths[sides]) / len(strengths[sides]), number[sides]))
+        reached = max(reached, sum(strengths[weakest]) / len(strengths[weakest]))
+        heights |= dict.fromkeys(parts[weakest], reached)
+        del strengths[weakest]
+        kept, given = weakest
+        for sides in [sides for sides in strengths if given in sides]:
+            now = sides - {given} | {kept}
+            is_joined = now in strengths
+            number[now] = min(number[now], number[sides]) if is_joined else number[sides]
+            parts[now] = parts[now] + parts[sides] if is_joined else parts[sides]
+            strengths[now] = strengths.get(now, []) + strengths.pop(sides)
+
+    contours = torch.zeros(height, width)
+    for here, there in pairs:
+        value = heights[frozenset((region[here], region[there]))] / 65535
+        for pixel in (here, there):
+            contours[pixel] = max(contours[pixel].item(), torch.tensor(value).item())
+    return contours

@@ -1,0 +1,247 @@
+// Closed contours of a boundary map, each as strong as the merging of regions that would erase it.
+#include "common.h"
+
+#include <array>
+#include <cmath>
+#include <functional>
+#include <queue>
+#include <unordered_map>
+#include <utility>
+
+namespace torchjoint {
+namespace {
+
+// Strengths are added up as whole numbers of this many to 1, so that their sums do not depend on the order.
+constexpr double kLevels = 65535;
+constexpr int32_t kNone = -1;
+
+struct Grid {
+  int64_t height, width;
+
+  // Pairs of neighbours, each once: all to the right, then down, down-right and up-right, row by row.
+  template <typename Function>
+  void for_each_pair(Function&& function) const {
+    const auto pairs = [&](int64_t down, int64_t right) {
+      for (int64_t row = std::max<int64_t>(-down, 0); row < height - std::max<int64_t>(down, 0); ++row) {
+        for (int64_t column = 0; column < width - right; ++column) {
+          const int64_t pixel = row * width + column;
+          function(pixel, pixel + down * width + right);
+        }
+      }
+    };
+    pairs(0, 1);
+    pairs(1, 0);
+    pairs(1, 1);
+    pairs(-1, 1);
+  }
+};
+
+// The lowest value, and where it is, among each pixel of a row and its two neighbours in it; the first of equals.
+struct LowestInRow {
+  explicit LowestInRow(int64_t width) : value(width), place(width) {}
+
+  void fill(const float* relief, int64_t row) {
+    const int64_t width = static_cast<int64_t>(value.size());
+    const float* const line = relief + row * width;
+    const int32_t first = static_cast<int32_t>(row * width);
+    for (int64_t x = 0; x < width; ++x) {
+      const float left = line[std::max<int64_t>(x - 1, 0)], right = line[std::min(x + 1, width - 1)], here = line[x];
+      const float low = std::min(left, here);
+      const int64_t place_of_low = left <= here ? std::max<int64_t>(x - 1, 0) : x;
+      value[x] = std::min(low, right);
+      place[x] = first + static_cast<int32_t>(low <= right ? place_of_low : x + 1);
+    }
+  }
+
+  std::vector<float> value;
+  std::vector<int32_t> place;
+};
+
+// For each pixel the lowest of itself and its neighbours; of equally low ones, the one with the smallest number.
+std::vector<int32_t> lowest_neighbors(const float* relief, const Grid& grid) {
+  std::vector<int32_t> lowest(grid.height * grid.width);
+  LowestInRow above(grid.width), here(grid.width), below(grid.width);
+  if (grid.height > 0) here.fill(relief, 0);
+  above = here;
+  for (int64_t row = 0; row < grid.height; ++row) {
+    below.fill(relief, std::min(row + 1, grid.height - 1));
+    int32_t* const out = lowest.data() + row * grid.width;
+    for (int64_t x = 0; x < grid.width; ++x) {
+      const bool is_above = above.value[x] <= here.value[x];
+      const float low = is_above ? above.value[x] : here.value[x];
+      const int32_t place = is_above ? above.place[x] : here.place[x];
+      out[x] = low <= below.value[x] ? place : below.place[x];
+    }
+    std::swap(above, here);
+    std::swap(here, below);
+  }
+  return lowest;
+}
+
+// For each pixel the region of those from which steepest descent leads to the same lowest pixel. Regions are numbered
+// as these are.
+std::vector<int32_t> basins(const float* relief, const Grid& grid) {
+  const int64_t num_pixels = grid.height * grid.width;
+  for (int64_t pixel = 0; pixel < num_pixels; ++pixel) {
+    check(!std::isnan(relief[pixel]), "relief: expected no NaN, got NaN at ", pixel);
+  }
+  const std::vector<int32_t> next = lowest_neighbors(relief, grid);
+  std::vector<int32_t> region(num_pixels, kNone), path;
+  int32_t num_regions = 0;
+  for (int32_t pixel = 0; pixel < num_pixels; ++pixel) {
+    if (next[pixel] == pixel) region[pixel] = num_regions++;
+  }
+  for (int32_t start = 0; start < num_pixels; ++start) {
+    int32_t pixel = start;
+    for (; region[pixel] == kNone; pixel = next[pixel]) path.push_back(pixel);
+    for (const int32_t passed : path) region[passed] = region[pixel];
+    path.clear();
+  }
+  return region;
+}
+
+// What parts two regions: pairs of pixels, and how strong a boundary they lie on.
+struct Border {
+  int32_t region[2];
+  int64_t sum, count;
+  int32_t first_part, last_part;  // of the list of original borders it is made of
+
+  double mean() const { return static_cast<double>(sum) / static_cast<double>(count); }
+};
+
+// Merges neighbouring regions, always those with the weakest border, until there is no border left. Of equally weak ones
+// it is the one with the lowest number; borders are numbered as they come, and keep the lower number when they join.
+class Merging {
+ public:
+  explicit Merging(int64_t num_regions) : borders_around_(num_regions) {}
+
+  // Returns the number of the border that the pair belongs to.
+  int32_t add_pair(int32_t a, int32_t b, int64_t strength) {
+    const int32_t number = number_of(key(a, b));
+    if (number == static_cast<int32_t>(borders_.size())) {
+      borders_.push_back({{a, b}, 0, 0, number, number});
+      borders_around_[a].push_back(number);
+      borders_around_[b].push_back(number);
+    }
+    borders_[number].sum += strength;
+    ++borders_[number].count;
+    return number;
+  }
+
+  // For each border the height at which it vanishes: the largest mean strength of those that have vanished by then.
+  std::vector<double> heights() {
+    std::vector<double> height(borders_.size());
+    is_gone_.assign(borders_.size(), false);
+    next_part_.assign(borders_.size(), kNone);
+    for (size_t number = 0; number < borders_.size(); ++number) wait(static_cast<int32_t>(number));
+    double level = 0;
+    while (!waiting_.empty()) {
+      const auto [mean, number] = waiting_.top();
+      waiting_.pop();
+      if (is_gone_[number] || mean != borders_[number].mean()) continue;
+      level = std::max(level, mean);
+      for (int32_t part = borders_[number].first_part; part != kNone; part = next_part_[part]) height[part] = level;
+      is_gone_[number] = true;
+      merge(borders_[number].region[0], borders_[number].region[1]);
+    }
+    return height;
+  }
+
+ private:
+  static uint64_t key(int32_t a, int32_t b) {
+    return static_cast<uint64_t>(std::min(a, b)) << 32 | static_cast<uint64_t>(std::max(a, b));
+  }
+
+  // Of a border, which may be new; most pairs are of one that has come shortly before.
+  int32_t number_of(uint64_t key) {
+    auto& [recent_key, number] = recent_[key * 0x9E3779B97F4A7C15u >> 54];
+    if (recent_key != key) {
+      number = border_between_.try_emplace(key, static_cast<int32_t>(borders_.size())).first->second;
+      recent_key = key;
+    }
+    return number;
+  }
+
+  void wait(int32_t number) { waiting_.emplace(borders_[number].mean(), number); }
+
+  // The region with fewer borders gives them to the other one.
+  void merge(int32_t kept, int32_t given) {
+    if (borders_around_[kept].size() < borders_around_[given].size()) std::swap(kept, given);
+    const std::vector<int32_t> moving = std::move(borders_around_[given]);
+    for (const int32_t moved : moving) {
+      if (is_gone_[moved]) continue;
+      int32_t* const region = borders_[moved].region;
+      region[region[0] == given ? 0 : 1] = kept;
+      const auto [found, is_new] = border_between_.try_emplace(key(region[0], region[1]), moved);
+      if (!is_new) found->second = join(found->second, moved);
+      if (found->second == moved) borders_around_[kept].push_back(moved);
+    }
+  }
+
+  int32_t join(int32_t a, int32_t b) {
+    if (a > b) std::swap(a, b);
+    borders_[a].sum += borders_[b].sum;
+    borders_[a].count += borders_[b].count;
+    next_part_[borders_[a].last_part] = borders_[b].first_part;
+    borders_[a].last_part = borders_[b].last_part;
+    is_gone_[b] = true;
+    wait(a);
+    return a;
+  }
+
+  std::vector<Border> borders_;
+  std::vector<uint8_t> is_gone_;
+  std::vector<int32_t> next_part_;  // of each original border
+  std::unordered_map<uint64_t, int32_t> border_between_;
+  std::array<std::pair<uint64_t, int32_t>, 1024> recent_{};  // no border has the key 0
+  std::vector<std::vector<int32_t>> borders_around_;
+  using Waiting = std::pair<double, int32_t>;  // mean strength and number; stale where the mean is another by now
+  std::priority_queue<Waiting, std::vector<Waiting>, std::greater<>> waiting_;
+};
+
+Tensor ultrametric_contours(const Tensor& boundary, const Tensor& relief) {
+  const Tensor boundaries = checked_array(boundary, ScalarType::Float, {-1, -1}, "boundary");
+  const Grid grid{boundaries.size(0), boundaries.size(1)};
+  check_image_size(grid.height, grid.width);
+  const Tensor reliefs = checked_array(relief, ScalarType::Float, {grid.height, grid.width}, "relief");
+  const int64_t num_pixels = grid.height * grid.width;
+  const float* const strength = boundaries.const_data_ptr<float>();
+  std::vector<int32_t> level(num_pixels);
+  for (int64_t pixel = 0; pixel < num_pixels; ++pixel) {
+    const float value = strength[pixel];
+    check(value >= 0 && value <= 1, "boundary: expected numbers in [0, 1], got ", value, " at ", pixel);
+    level[pixel] = static_cast<int32_t>(std::nearbyint(value * kLevels));
+  }
+
+  const std::vector<int32_t> region = basins(reliefs.const_data_ptr<float>(), grid);
+  Merging merging(num_pixels == 0 ? 0 : 1 + *std::max_element(region.begin(), region.end()));
+  std::vector<int32_t> border;  // of each pair of pixels that lie in two regions
+  grid.for_each_pair([&](int64_t a, int64_t b) {
+    if (region[a] != region[b]) border.push_back(merging.add_pair(region[a], region[b], std::max(level[a], level[b])));
+  });
+  const std::vector<double> height = merging.heights();
+
+  Tensor contours = torch::stable::new_empty(boundaries, {grid.height, grid.width}, ScalarType::Float);
+  float* const out = contours.mutable_data_ptr<float>();
+  std::fill_n(out, num_pixels, 0.0f);
+  auto next = border.begin();
+  grid.for_each_pair([&](int64_t a, int64_t b) {
+    if (region[a] == region[b]) return;
+    const float value = static_cast<float>(height[*next++] / kLevels);
+    out[a] = std::max(out[a], value);
+    out[b] = std::max(out[b], value);
+  });
+  return contours;
+}
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
+  m.def("ultrametric_contours(Tensor boundary, Tensor relief) -> Tensor");
+}
+
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
+  m.impl("ultrametric_contours", TORCH_BOX(&ultrametric_contours));
+}
+
+}  // namespace torchjoint
