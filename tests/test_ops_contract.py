@@ -487,4 +487,4 @@ def test_every_folder_is_packaged() -> None:
     root = Path(__file__).parents[1]
     listed = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
     found = {".".join(path.parent.relative_to(root).parts) for path in (root / "torchjoint").rglob("__init__.py")}
-    assert found | {"torchjoint.configs", "torchjoint.models"} == set(listed)
+    assert found | {"torchjoint.configs"} == set(listed)

@@ -164,8 +164,8 @@ class TestMakeBoundary:
         assert isinstance(tj.JointSegmenter().image_segmenter.boundary, StructuredForestBoundary)
 
     def test_parameters_arrive(self):
-        detector = make_boundary(BoundaryConfig(multi_scale=True, nms=True, model=str(MODEL)))
-        assert (detector.scales, detector.nms, detector.model) == ((0.5, 1.0, 2.0), True, str(MODEL))
+        detector = make_boundary(BoundaryConfig(multi_scale=True, model=str(MODEL)))
+        assert (detector.scales, detector.model) == ((0.5, 1.0, 2.0), str(MODEL))
         detector = make_boundary(BoundaryConfig(detector="gradient", smoothing=2, contrast=3))
         assert (detector.smoothing, detector.contrast) == (2.0, 3.0)
 
@@ -192,7 +192,7 @@ class TestMakeBoundary:
         assert message in str(error.value)
 
     def test_types(self):
-        with pytest.raises(TypeError, match=r"boundary\.nms: expected true or false, got 1"):
-            BoundaryConfig(nms=1)
+        with pytest.raises(TypeError, match=r"boundary\.multi_scale: expected true or false, got 1"):
+            BoundaryConfig(multi_scale=1)
         with pytest.raises(TypeError, match=r"boundary\.model: expected a text, got 3"):
             BoundaryConfig(model=3)

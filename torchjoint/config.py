@@ -58,7 +58,7 @@ class ContoursConfig(Stage):
         True, "make contours closed, each as strong as the regions it parts are; false is the letter"
     )
     smoothing: float = parameter(
-        1.5, "Gaussian blur of the boundaries before regions are sought; more makes for fewer and larger ones",
+        1.0, "Gaussian blur of the boundaries before regions are sought; more makes for fewer and larger ones",
         unit="px", low=0, high=20, sensible="1-3",
     )  # fmt: skip
     exponent: float = parameter(
@@ -71,12 +71,12 @@ class ImageGraphConfig(Stage):
     """Step 1, eq. 2: weights of the 8-connected pixel graph."""
 
     smoothing: float = parameter(
-        0.0, "Gaussian blur of the colours; more ignores noise and fine texture", unit="px", low=0, high=20,
+        0.8, "Gaussian blur of the colours; more ignores noise and fine texture", unit="px", low=0, high=20,
         sensible="0-2",
     )  # fmt: skip
-    color_weight: float = parameter(1.0, "w_c, weight of the RGB distance of two pixels", low=0, sensible="0-2")
+    color_weight: float = parameter(0.11, "w_c, weight of the RGB distance of two pixels", low=0, sensible="0-1")
     boundary_weight: float = parameter(
-        0.3, "w_b, weight of the weaker boundary of two pixels; more closes gaps in faint contours", low=0,
+        1.0, "w_b, weight of the weaker boundary of two pixels; more closes gaps in faint contours", low=0,
         sensible="0-2",
     )  # fmt: skip
 
@@ -86,7 +86,7 @@ class ImageSegmentsConfig(Stage):
     """Step 2: Felzenszwalb-Huttenlocher on the pixel graph."""
 
     scale: float = parameter(
-        1.0, "k; more gives larger segments", unit="weight x px", low=0, sensible="0.3-10 for 640x480"
+        12.0, "k; more gives larger segments", unit="weight x px", low=0, sensible="0.5-200 for 640x480"
     )
     min_size: int = parameter(100, "smaller segments are joined to a neighbour", unit="px", low=0, sensible="20-1000")
 
@@ -183,7 +183,7 @@ class PropagationConfig(Stage):
         sensible="1-10",
     )  # fmt: skip
     weight: float = parameter(
-        0.12, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation", low=0, sensible="0.05-0.5"
+        0.17, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation", low=0, sensible="0.05-0.5"
     )
 
 

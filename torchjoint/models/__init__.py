@@ -1,0 +1,1 @@
+"""The forest that comes with the package, and its card."""
