@@ -3,8 +3,8 @@
 FOREST is one that has not seen val: `torchjoint train-boundaries BSDS_DIR --splits train -o FOREST`.
 
 Boundaries: ODS, OIS and AP on val. Regions: the image segmentation by colours alone and with each detector's
-boundaries, as they are and closed, at the one setting, of as many drawn at random, that is best on every other image
-of val; scored on the rest. (Not chosen on train, whose boundaries the forest knows by heart.)
+boundaries, as they are and closed, at the one setting, of as many drawn at random, that is best on one half of val;
+scored on the other half, and the other way round. (Not chosen on train, which the forest knows by heart.)
 """
 
 import argparse
@@ -49,6 +49,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("bsds", type=Path)
     parser.add_argument("forest", type=Path)
+    parser.add_argument("--part", choices=("boundaries", "regions"), help="only this one")
     parser.add_argument("--thresholds", type=int, default=99)
     parser.add_argument("--settings", type=int, default=40, help="that are tried for each way of segmenting")
     arguments = parser.parse_args()
@@ -62,11 +63,16 @@ def main() -> None:
             "structured_forest, multi_scale": forest | {"multi_scale": True},
         }.items()
     }
-    text = boundary_table(detectors, val, arguments.thresholds) + "\n\n"
-    text += region_table(detectors, val[::2], val[1::2], arguments.settings)
-    text += f"\n\n{report.machine()}."
+    if arguments.part != "regions":
+        write("boundaries", boundary_table(detectors, val, arguments.thresholds))
+    if arguments.part != "boundaries":
+        write("regions", region_table(detectors, (val[::2], val[1::2]), arguments.settings))
+
+
+def write(part: str, table: str) -> None:
+    text = f"{table}\n\n{report.machine()}."
     print(text)
-    report.write_part("boundaries", text)
+    report.write_part(part, text)
 
 
 def boundary_table(detectors: dict[str, Kept], val: Sequence[BsdsImage], thresholds: int) -> str:
@@ -81,25 +87,27 @@ def boundary_table(detectors: dict[str, Kept], val: Sequence[BsdsImage], thresho
     return f"{report.table(columns, rows)}\n\n{len(val)} images of val, {thresholds} thresholds."
 
 
-def region_table(
-    detectors: dict[str, Kept], tuning: Sequence[BsdsImage], checking: Sequence[BsdsImage], settings: int
-) -> str:
+def region_table(detectors: dict[str, Kept], halves: Sequence[Sequence[BsdsImage]], settings: int) -> str:
     ways: list[tuple[str, str, Predictor]] = [
         ("no boundaries", "colours", lambda record: torch.zeros_like(record.image[0]))
     ]
-    ways += [(name, way, kept) for name, kept in detectors.items() for way in ("boundaries", "closed")]
+    ways += [("structured_forest", "boundaries", detectors["structured_forest"])]
+    ways += [(name, "closed", kept) for name, kept in detectors.items()]
     rows, first = [], None
     for name, way, predict in ways:
         drawn = draw(settings, way)
-        best = chosen(drawn, evaluate_regions(predict, tuning, drawn, progress=True))
-        each = [evaluate_regions(predict, [record], [best])[0] for record in checking]
+        each, best = [], []
+        for tuning, checking in (halves, halves[::-1]):
+            best.append(chosen(drawn, evaluate_regions(predict, tuning, drawn, progress=True)))
+            each += [evaluate_regions(predict, [record], best[-1:])[0] for record in checking]
         first = first or each
-        rows.append([f"`{name}`" + ", closed" * (way == "closed"), *compared(each, first), described(best)])
+        parameters = " / ".join(map(described, best))
+        rows.append([f"`{name}`" + ", closed" * (way == "closed"), *compared(each, first), parameters])
     columns = ["boundaries", *COLUMNS, "parameters"]
     return (
-        f"{report.table(columns, rows)}\n\nEach way at the best of {settings} settings, by covering + F, on "
-        f"{len(tuning)} images of val; scored on the other {len(checking)}. In brackets the mean difference from no "
-        "boundaries, image by image, and its standard error. Closed: `contours.closed`."
+        f"{report.table(columns, rows)}\n\nEach way at the best of {settings} settings, by covering + F, on one half "
+        f"of val, scored on the other, and the other way round: {len(first or ())} images. In brackets the mean "
+        "difference from no boundaries, image by image, and its standard error. Closed: `contours.closed`."
     )
 
 
@@ -149,7 +157,7 @@ def described(setting: RegionSetting) -> str:
     closed = f"exponent {contours.exponent:g}, smoothing {contours.smoothing:g}; " if contours.closed else ""
     return (
         f"{closed}color_weight {graph.color_weight:g}, boundary_weight {graph.boundary_weight:g}, "
-        f"smoothing {graph.smoothing:g}, scale {segments.scale:g}, min_size {segments.min_size}"
+        f"smoothing {graph.smoothing:g}, scale {segments.scale:.3g}, min_size {segments.min_size}"
     )
 
 

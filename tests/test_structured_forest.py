@@ -10,6 +10,7 @@ import sys
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
@@ -74,6 +75,19 @@ class TestStructuredForestBoundary:
         along = StructuredForestBoundary()(image)[0].amax(dim=1)
         assert along[:4].min() > 0.7 * along.median()
         assert along[-4:].min() > 0.7 * along.median()
+
+    def test_relative_gradient_by_hand(self):
+        """On a ramp the gradient is the same everywhere, and so its mean; at a step it stands out."""
+        ramp = np.repeat(np.arange(60, dtype=np.float32)[None, :, None] * 0.01, 40, axis=0).repeat(3, axis=2)
+        gradient = 0.01 * 3**0.5
+        assert structured_forest.relative_gradient(ramp)[20, 30] == pytest.approx(
+            gradient / (gradient + 0.01), rel=1e-4
+        )
+        step = (ramp > 0.295).astype(np.float32)
+        relative = structured_forest.relative_gradient(step)[20]
+        assert set(relative.argsort()[-2:]) == {29, 30}
+        assert relative.max() > 1.5
+        assert not structured_forest.relative_gradient(np.full_like(ramp, 0.3)).any()
 
     def test_images_are_independent_of_batch_and_threads(self):
         torch.manual_seed(0)

@@ -86,7 +86,7 @@ class ImageSegmentsConfig(Stage):
     """Step 2: Felzenszwalb-Huttenlocher on the pixel graph."""
 
     scale: float = parameter(
-        12.0, "k; more gives larger segments", unit="weight x px", low=0, sensible="0.5-200 for 640x480"
+        3.0, "k; more gives larger segments", unit="weight x px", low=0, sensible="0.5-200 for 640x480"
     )
     min_size: int = parameter(100, "smaller segments are joined to a neighbour", unit="px", low=0, sensible="20-1000")
 
