@@ -3,7 +3,7 @@
 FOREST is one that has not seen val: `torchjoint train-boundaries BSDS_DIR --splits train -o FOREST`.
 
 Boundaries: ODS, OIS and AP on val. Regions: the image segmentation by colours alone and with each detector's
-boundaries, as they are and closed, at the one setting, of as many drawn at random, that is best on one half of val;
+boundaries, as they are and closed, at the one of `--settings` random settings that is best on one half of val;
 scored on the other half, and the other way round. (Not chosen on train, which the forest knows by heart.)
 """
 
@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("forest", type=Path)
     parser.add_argument("--part", choices=("boundaries", "regions"), help="only this one")
     parser.add_argument("--thresholds", type=int, default=99)
-    parser.add_argument("--settings", type=int, default=40, help="that are tried for each way of segmenting")
+    parser.add_argument("--settings", type=int, default=30, help="that are tried for each way of segmenting")
     arguments = parser.parse_args()
     val = bsds_images(arguments.bsds, "val")
     forest = {"detector": "structured_forest", "model": str(arguments.forest)}

@@ -114,6 +114,8 @@ def test_wrong_arguments(bsds, predictions, tmp_path, monkeypatch):
         run(monkeypatch, "nothing", bsds)
     with pytest.raises(SystemExit, match=r"nothing\.yml\.gz: missing; expected a structured forest"):
         run(monkeypatch, "nothing.yml.gz", bsds)
+    with pytest.raises(SystemExit, match="--multi-scale: only for structured forests, got gradient"):
+        run(monkeypatch, "gradient", bsds, "--multi-scale")
     with pytest.raises(SystemExit, match="no such folder; expected the BSDS500 data set"):
         run(monkeypatch, "gradient", tmp_path / "nowhere")
     with pytest.raises(SystemExit, match="thresholds: expected a whole number >= 1, got 0"):

@@ -61,7 +61,7 @@ def test_any_size_and_nothing_to_see(size, value):
 def test_errors():
     with pytest.raises(ValueError, match=r"boundaries: expected shape \[B, H, W\], got \[3, 4\]"):
         close_contours(torch.zeros(3, 4), ContoursConfig())
-    with pytest.raises(ValueError, match=r"boundary: expected numbers in \[0, 1\], got 2 at 0"):
+    with pytest.raises(ValueError, match=r"boundaries: expected numbers in \[0, 1\], got others in image 0"):
         close_contours(torch.full((1, 3, 4), 2.0), ContoursConfig())
 
 

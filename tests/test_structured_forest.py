@@ -157,6 +157,14 @@ class TestModel:
         image = torch.rand(1, 3, 40, 40)
         assert torch.equal(StructuredForestBoundary(tmp_path / "copy.yml.gz")(image), StructuredForestBoundary()(image))
 
+    def test_another_file_of_the_same_name_is_read(self, tmp_path):
+        file = tmp_path / "mine.yml.gz"
+        shutil.copy(MODEL, file)
+        StructuredForestBoundary(file)
+        file.write_bytes(MODEL.read_bytes()[:1000])
+        with pytest.raises(ValueError, match=r"mine\.yml\.gz: not a whole"):
+            StructuredForestBoundary(file)
+
     def test_importing_does_not_load_it(self):
         code = "import sys, torchjoint; print('cv2' in sys.modules)"
         assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "False"

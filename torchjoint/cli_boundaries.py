@@ -14,11 +14,12 @@ from torch import Tensor
 
 from torchjoint.boundary import make_boundary
 from torchjoint.boundary_scores import BoundaryScores, evaluate_predictions
-from torchjoint.config import BoundaryConfig
+from torchjoint.config import DETECTORS, BoundaryConfig
 from torchjoint.datasets.boundary_maps import find_boundary_map, read_boundary_map
 from torchjoint.datasets.bsds import BsdsImage, bsds_images
 from torchjoint.region_scores import WITH_BOUNDARIES, WITHOUT_BOUNDARIES, RegionScores, evaluate_regions
 
+SHIPPED = "structured_forest"
 CURVE, PICTURE = "boundaries.csv", "precision_recall.png"
 
 
@@ -49,6 +50,10 @@ def evaluate_boundaries(
         overwrite: replace files in OUT.
     """
     _check_output(out, overwrite)
+    if multi_scale and not _is_forest(boundaries):
+        raise ValueError(f"--multi-scale: only for structured forests, got {boundaries}")
+    if boundaries == SHIPPED and split != "test":
+        print(f"the package's forest was trained on train and val: its scores on {split} are too good")
     records = bsds_images(bsds_dir, split)
     predict = _predictor(boundaries, records, multi_scale)
     scores = evaluate_predictions(predict, records, thresholds, nms=nms, progress=True)
@@ -70,13 +75,13 @@ def _check_output(out: Path, overwrite: bool) -> None:
 
 
 def _predictor(boundaries: str, records: Sequence[BsdsImage], multi_scale: bool) -> Callable[[BsdsImage], Tensor]:
-    if Path(boundaries).is_dir():
+    if boundaries not in DETECTORS and Path(boundaries).is_dir():
         files = {record.name: find_boundary_map(Path(boundaries), record.name) for record in records}
         for record in records:  # what is wrong with the last one should not be told after minutes of scoring
             _checked_map(files[record.name], record)
         return lambda record: _checked_map(files[record.name], record)
-    is_forest = boundaries.endswith(".yml.gz")
-    detector, model = ("structured_forest", boundaries) if is_forest else (boundaries, None)
+    is_file = boundaries.endswith(".yml.gz")
+    detector, model = (SHIPPED, boundaries) if is_file else (boundaries, None)
     try:
         module = make_boundary(BoundaryConfig(detector, model, multi_scale))
     except (ValueError, OSError) as error:
@@ -84,6 +89,10 @@ def _predictor(boundaries: str, records: Sequence[BsdsImage], multi_scale: bool)
             f"{boundaries}: neither a folder of predictions, nor a forest, nor a detector: {error}"
         ) from error
     return lambda record: module(record.image[None])[0]
+
+
+def _is_forest(boundaries: str) -> bool:
+    return boundaries == SHIPPED or boundaries.endswith(".yml.gz")
 
 
 def _checked_map(file: Path, record: BsdsImage) -> Tensor:
@@ -138,6 +147,7 @@ def _draw(path: Path, scores: BoundaryScores, name: str) -> None:
     label = f"ODS {scores.ods:.3f} at {scores.ods_threshold:.2f}"
     axes.plot(scores.ods_recall, scores.ods_precision, "o", color="tab:red", clip_on=False, label=label)
     axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="recall", ylabel="precision", aspect="equal")
+    name = name.replace("$", r"\$")
     axes.set_title(f"{name}: OIS {scores.ois:.3f}, AP {scores.ap:.3f}", fontsize=10)
     axes.legend(loc="lower left")
     figure.savefig(path, dpi=120)

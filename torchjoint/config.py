@@ -31,7 +31,7 @@ class BoundaryConfig(Stage):
         None, "structured_forest: file of a forest, NAME.yml.gz; null: the one that comes with the package"
     )
     multi_scale: bool = parameter(
-        False, "structured_forest: look at half and twice the size, too; better, and takes about six times as long"
+        False, "structured_forest: look at half and twice the size, too; better, and takes about five times as long"
     )
     smoothing: float = parameter(
         1.0, "gradient: Gaussian blur before it; more ignores texture and softens edges", unit="px", low=0,
@@ -55,7 +55,7 @@ class ContoursConfig(Stage):
     """Step 1: closed contours in the place of the boundaries."""
 
     closed: bool = parameter(
-        True, "make contours closed, each as strong as the regions it parts are; false is the letter"
+        True, "make contours closed, each as strong as what parts whole regions; false: as in the paper"
     )
     smoothing: float = parameter(
         1.0, "Gaussian blur of the boundaries before regions are sought; more makes for fewer and larger ones",

@@ -79,8 +79,11 @@ def evaluate_regions(
 
         def score(record: BsdsImage) -> list[RegionScores]:
             image, truths = record.image, record.segmentations
-            boundary = predict(record).float()
-            scores = [score_regions(_segment(image, boundary, setting), truths) for setting in settings]
+            try:
+                boundary = predict(record).float()
+                scores = [score_regions(_segment(image, boundary, setting), truths) for setting in settings]
+            except (TypeError, ValueError) as error:
+                raise type(error)(f"image {record.name}: {error}") from error
             bar.update()
             return scores
 

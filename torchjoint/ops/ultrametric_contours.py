@@ -17,7 +17,7 @@ def ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
     to a lowest pixel (of equally low ones, the one with the smaller number, row by row). Two basins' border are the
     pairs of neighbouring pixels that they part, and its strength is the mean over these of the stronger pixel's
     boundary. The two regions with the weakest border are merged, borders with the same third region joined, and so on
-    until one region is left. A border's height is the largest strength that was merged at until it vanished; cutting
+    until one region is left. A border's height is the strength at which its two sides become one region; cutting
     at a height gives regions with closed contours, and lower cuts give parts of these (P. Arbeláez and others, "Contour
     Detection and Hierarchical Image Segmentation", PAMI 2011, with another watershed and without orientation).
 
@@ -30,8 +30,9 @@ def ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
         relief: ``[H, W]`` float32, not NaN; usually the boundary, smoothed, which makes for fewer basins.
 
     Returns:
-        ``[H, W]`` float32: a pixel's highest border, 0 where there is none. Lines are two pixels wide, one on each
-        side, so that the weaker of two neighbouring pixels is 0 unless they are parted. No gradient flows through it.
+        ``[H, W]`` float32: the highest border that a pixel lies at, 0 where it has no neighbour in another region.
+        Lines are two pixels wide, one on each side, and up to four where they run diagonally. No gradient flows
+        through it.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.

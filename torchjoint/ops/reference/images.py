@@ -114,9 +114,12 @@ def ultrametric_contours_reference(boundary: Tensor, relief: Tensor) -> Tensor:
     inside = {(row, column) for row in range(height) for column in range(width)}
 
     def basin(pixel: tuple[int, int]) -> tuple[int, int]:
-        square = [(pixel[0] + down, pixel[1] + right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
-        lowest = min((low[row][column], (row, column)) for row, column in square if (row, column) in inside)[1]
-        return pixel if lowest == pixel else basin(lowest)
+        while True:
+            square = [(pixel[0] + down, pixel[1] + right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
+            lowest = min((low[row][column], (row, column)) for row, column in square if (row, column) in inside)[1]
+            if lowest == pixel:
+                return pixel
+            pixel = lowest
 
     region = {pixel: basin(pixel) for pixel in sorted(inside)}
     pairs = [
