@@ -40,7 +40,8 @@ def photograph(height: int, width: int) -> Tensor:
 def image_graph(image: Tensor) -> Graph:
     """The edge list of an image, boundaries included."""
     height, width = image.shape[1:]
-    weight = pixel_weights(image, GradientBoundary()(image[None])[0], ImageGraphConfig())
+    config = ImageGraphConfig(smoothing=0.0, color_weight=1.0, boundary_weight=0.3)
+    weight = pixel_weights(image, GradientBoundary()(image[None])[0], config)
     return Graph(grid_edges(height, width), weight, height * width)
 
 
