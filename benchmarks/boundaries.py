@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("forest", type=Path)
     parser.add_argument("--part", choices=("boundaries", "regions"), help="only this one")
     parser.add_argument("--thresholds", type=int, default=99)
-    parser.add_argument("--settings", type=int, default=30, help="that are tried for each way of segmenting")
+    parser.add_argument("--settings", type=int, default=15, help="that are tried for each way of segmenting")
     arguments = parser.parse_args()
     val = bsds_images(arguments.bsds, "val")
     forest = {"detector": "structured_forest", "model": str(arguments.forest)}
