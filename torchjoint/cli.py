@@ -1,4 +1,4 @@
-"""The command line: torchjoint demo | segment | superpoints | evaluate-boundaries | show | parameters."""
+"""The command line: the commands of torchjoint, listed in `main`."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from torchjoint.datasets.boundary_maps import find_boundary_map, read_boundary_m
 from torchjoint.datasets.bsds import BsdsImage, bsds_images
 from torchjoint.region_scores import WITH_BOUNDARIES, WITHOUT_BOUNDARIES, RegionScores, evaluate_regions
 
-SHIPPED = "structured_forest"
+FOREST = "structured_forest"
 CURVE, PICTURE = "boundaries.csv", "precision_recall.png"
 
 
@@ -52,7 +52,7 @@ def evaluate_boundaries(
     _check_output(out, overwrite)
     if multi_scale and not _is_forest(boundaries):
         raise ValueError(f"--multi-scale: only for structured forests, got {boundaries}")
-    if boundaries == SHIPPED and split != "test":
+    if boundaries == FOREST and split != "test":
         print(f"the package's forest was trained on train and val: its scores on {split} are too good")
     records = bsds_images(bsds_dir, split)
     predict = _predictor(boundaries, records, multi_scale)
@@ -80,8 +80,7 @@ def _predictor(boundaries: str, records: Sequence[BsdsImage], multi_scale: bool)
         for record in records:  # what is wrong with the last one should not be told after minutes of scoring
             _checked_map(files[record.name], record)
         return lambda record: _checked_map(files[record.name], record)
-    is_file = boundaries.endswith(".yml.gz")
-    detector, model = (SHIPPED, boundaries) if is_file else (boundaries, None)
+    detector, model = (FOREST, boundaries) if boundaries.endswith(".yml.gz") else (boundaries, None)
     try:
         module = make_boundary(BoundaryConfig(detector, model, multi_scale))
     except (ValueError, OSError) as error:
@@ -92,7 +91,7 @@ def _predictor(boundaries: str, records: Sequence[BsdsImage], multi_scale: bool)
 
 
 def _is_forest(boundaries: str) -> bool:
-    return boundaries == SHIPPED or boundaries.endswith(".yml.gz")
+    return boundaries == FOREST or boundaries.endswith(".yml.gz")
 
 
 def _checked_map(file: Path, record: BsdsImage) -> Tensor:

@@ -37,7 +37,6 @@ class Samples(NamedTuple):
 
     codes: NDArray[np.uint8]  #: [F, S] of the features
     segments: NDArray[np.uint16]  #: [S, 256] segment of each label pixel
-    boundaries: NDArray[np.bool_]  #: [S, 256] whether it is on a boundary
 
 
 class FeatureCodes:
@@ -111,7 +110,7 @@ def draw_samples(
         each_image: called when an image is done.
     """
     all_codes = np.empty((len(features), count), np.uint8)
-    segments, boundaries = [], []
+    segments = []
     done = 0
     for index, image in enumerate(images):
         mirror = rng.random() < 0.5
@@ -121,12 +120,11 @@ def draw_samples(
         drawn = [_draw_sites(one, channels, budget // len(maps) // 2, rng) for one in maps]
         for one, (rows, columns) in zip(maps, drawn, strict=True):
             segments.append(_label_patches(one, rows, columns))
-            boundaries.append(_label_patches(segmentation_boundaries(one), rows, columns))
         rows, columns = (np.concatenate(parts) for parts in zip(*drawn, strict=True))
         all_codes[:, done : done + len(rows)] = codes.of_sites(channels, rows, columns, features)
         done += len(rows)
         each_image()
-    return Samples(all_codes[:, :done], np.concatenate(segments), np.concatenate(boundaries))
+    return Samples(all_codes[:, :done], np.concatenate(segments))
 
 
 def segmentation_boundaries(segments: NDArray[np.generic]) -> NDArray[np.bool_]:

@@ -50,7 +50,6 @@ class Tree(NamedTuple):
     features: NDArray[np.int32]  #: [N] row of the samples' codes
     codes: NDArray[np.int32]  #: [N] samples with at most this code go left
     segments: NDArray[np.uint16]  #: [L, 256] of the most typical sample of each leaf, in the order of nodes
-    boundaries: NDArray[np.float32]  #: [L, 256] share of a leaf's samples that have a boundary there
 
 
 def grow_tree(
@@ -61,7 +60,7 @@ def grow_tree(
 ) -> Tree:
     """Grows a tree; `settled` is called with the number of samples that have come to rest in a leaf."""
     nodes = [(0, 0, 0)]
-    leaves: dict[int, tuple[NDArray[np.uint16], NDArray[np.float32]]] = {}
+    leaves: dict[int, NDArray[np.uint16]] = {}
     waiting = [(0, 0, np.arange(samples.codes.shape[1], dtype=np.int32))]
     while waiting:
         place, depth, members = waiting.pop()
@@ -69,7 +68,7 @@ def grow_tree(
         bits = _pair_bits(samples.segments, some, rng, options.pairs)
         split = _split(samples, members, some, bits, rng, options) if depth < options.max_depth else None
         if split is None:
-            leaves[place] = samples.segments[some[_most_typical(bits)]], samples.boundaries[some].mean(0, np.float32)
+            leaves[place] = samples.segments[some[_most_typical(bits)]]
             settled(len(members))
             continue
         feature, code, left = split
@@ -77,9 +76,9 @@ def grow_tree(
         nodes[place] = (child + 1, feature, code)
         nodes += [(0, 0, 0), (0, 0, 0)]
         waiting += [(child, depth + 1, members[left]), (child + 1, depth + 1, members[~left])]
-    segments, boundaries = zip(*(leaves[place] for place in sorted(leaves)), strict=True)
+    segments = np.stack([leaves[place] for place in sorted(leaves)])
     children, features, codes = np.array(nodes, np.int32).T.copy()
-    return Tree(children, features, codes, np.stack(segments), np.stack(boundaries))
+    return Tree(children, features, codes, segments)
 
 
 def _split(
