@@ -83,7 +83,7 @@ def write_forest(path: Path, forest: Forest) -> None:
         "numberOfTreesToEvaluate": forest.trees_at_a_site,
     }
     ends = np.cumsum(forest.boundary_counts.ravel(), dtype=np.int64)
-    values = (
+    values: tuple[np.ndarray, ...] = (
         forest.children.ravel(),
         forest.features.ravel(),
         forest.thresholds.ravel(),
