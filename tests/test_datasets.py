@@ -9,7 +9,7 @@ from PIL import Image
 
 import torchjoint as tj
 from torchjoint.datasets.files import read_cloud, read_depth, read_image, write_cloud
-from torchjoint.datasets.folder import invert_pose
+from torchjoint.datasets.recording import invert_pose
 
 
 @pytest.fixture(scope="module")
@@ -227,7 +227,7 @@ class TestKitchen:
     """The real recording."""
 
     def test_frames(self, shared):
-        frames = tj.datasets.folder.FolderFrames(shared / "data" / "kitchen")
+        frames = tj.datasets.folder.read_frames(shared / "data" / "kitchen")
         assert len(frames) == 200
         frame = frames[3]
         assert frame.name == "frame-000015"

@@ -2,6 +2,7 @@ import pytest
 import torch
 
 from torchjoint import Frame, Scene
+from torchjoint.scene import Truth
 
 K = torch.tensor([[100.0, 0, 31.5], [0, 100, 23.5], [0, 0, 1]])
 POSE = torch.eye(4)
@@ -98,3 +99,28 @@ def test_bad_frames(change, error, message):
 def test_bad_scenes(arguments, error, message):
     with pytest.raises(error, match=message):
         Scene(**arguments)
+
+
+class TestTruth:
+    def scene(self):
+        frames = [Frame(IMAGE, K, POSE, name=str(i)) for i in range(3)]
+        truth = Truth(torch.tensor([0, 1, -1, 2]), [torch.full((48, 64), i) for i in range(3)])
+        return Scene(torch.rand(4, 3), frames, colors=torch.rand(4, 3), truth=truth)
+
+    def test_some_points_take_theirs_along(self):
+        some = self.scene().select_points(torch.tensor([True, False, False, True]))
+        assert some.points.shape == some.colors.shape == (2, 3)
+        assert some.truth.points.tolist() == [0, 2]
+        assert len(some.truth.images) == 3
+
+    def test_some_frames_take_theirs_along(self):
+        some = self.scene().select_frames([2, 0])
+        assert [frame.name for frame in some.frames] == ["2", "0"]
+        assert [int(image[0, 0]) for image in some.truth.images] == [2, 0]
+        assert len(some.truth.points) == 4
+
+    def test_truth_of_another_size(self):
+        with pytest.raises(ValueError, match=r"truth\.points: expected shape \[4\], got \[3\]"):
+            Scene(torch.rand(4, 3), truth=Truth(torch.zeros(3, dtype=torch.int64)))
+        with pytest.raises(ValueError, match=r"truth\.images: expected none or 0, got 1"):
+            Scene(torch.rand(4, 3), truth=Truth(images=[torch.zeros(2, 2, dtype=torch.int64)]))

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import shutil
 import sys
 import webbrowser
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import torch
 import tyro
-from torch.utils.data import Dataset, Subset
 
 from torchjoint import metrics
 from torchjoint.checkpoint import Checkpoint, run_key
@@ -25,7 +23,7 @@ from torchjoint.datasets import load_scene
 from torchjoint.datasets.files import fingerprint
 from torchjoint.joint import JointSegmenter
 from torchjoint.output import output_folder, read_points, write_result
-from torchjoint.scene import Frame, Scene, Segmentation
+from torchjoint.scene import Scene, Segmentation
 from torchjoint.superpoints_config import superpoint_table
 
 
@@ -94,12 +92,11 @@ def segment(
         raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
     source = f"{fingerprint(scene)} {voxel_size}"
     with output_folder(out, source, overwrite=overwrite) as partial:
-        cloud = _fused_cloud(scene, partial, voxel_size)
-        loaded = load_scene(scene, cloud=cloud, voxel_size=voxel_size, progress=True)
+        fused = partial / f"cloud-{voxel_size * 1000:g}mm.ply"  # kept there, where the recording brings no cloud
+        loaded = load_scene(scene, cloud=fused, voxel_size=voxel_size, progress=True)
         if max_frames is not None and max_frames < len(loaded.frames):
             chosen = torch.linspace(0, len(loaded.frames) - 1, max_frames).round().long().tolist()
-            frames = cast(Sequence[Frame], Subset(cast(Dataset[Frame], loaded.frames), chosen))  # stays lazy
-            loaded = dataclasses.replace(loaded, frames=frames)
+            loaded = loaded.select_frames(chosen)
         checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames}", config))
         result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
         write_result(partial, loaded, result, config, str(scene))
@@ -158,11 +155,6 @@ def _run(scene: Scene, out: Path, config: Config, source: str, overwrite: bool) 
         write_result(partial, scene, result, config, source)
     _summarize(result, out)
     return result
-
-
-def _fused_cloud(scene: Path, partial: Path, voxel_size: float) -> Path | None:
-    """Where a fused cloud is kept: beside the output, unless the recording brings a cloud."""
-    return None if (scene / "cloud.ply").is_file() else partial / f"cloud-{voxel_size * 1000:g}mm.ply"
 
 
 def _summarize(result: Segmentation, out: Path) -> None:

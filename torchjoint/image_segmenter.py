@@ -11,7 +11,8 @@ from torchjoint.boundary import make_boundary
 from torchjoint.config import Config
 from torchjoint.contours import close_contours
 from torchjoint.image_graph import segment_image
-from torchjoint.scene import Frame, as_labels
+from torchjoint.scene import Frame
+from torchjoint.scene_checks import as_labels
 from torchjoint.threads import map_frames
 from torchjoint.timing import Stopwatch
 

@@ -19,18 +19,25 @@ name                      shape, dtype           meaning
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import overload
+from dataclasses import dataclass, field, replace
+from typing import TypeVar, cast, overload
 
 import torch
 from torch import Tensor
+from torch.utils.data import Dataset, Subset
 
-#: How far R^T R may be from the identity, and det R from 1, before a pose is refused (poses of text files have
-#: 7 digits; a pose that was averaged or interpolated carelessly is off by much more).
-RIGID_TOLERANCE = 1e-3
+from torchjoint.scene_checks import (
+    as_float,
+    as_image,
+    as_intrinsics,
+    as_labels,
+    as_points,
+    as_pose,
+    as_unit_range,
+    check_shape,
+)
 
-#: Metres from the origin at which float32 coordinates are still exact to a millimetre.
-LARGEST_COORDINATE = 8192.0
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -60,12 +67,12 @@ class Frame:
 
     def __post_init__(self) -> None:
         set_ = lambda key, value: object.__setattr__(self, key, value)  # noqa: E731 (frozen: set once, here)
-        set_("image", _as_image(self.image, self._called("image")))
-        set_("intrinsics", _as_intrinsics(self.intrinsics, self._called("intrinsics")))
+        set_("image", as_image(self.image, self._called("image")))
+        set_("intrinsics", as_intrinsics(self.intrinsics, self._called("intrinsics")))
         set_("world_to_camera", as_pose(self.world_to_camera, self._called("world_to_camera")))
         if self.depth is not None:
-            depth = _as_float(self.depth, self._called("depth"), torch.float32)
-            _check_shape(depth, self.size, self._called("depth"))
+            depth = as_float(self.depth, self._called("depth"), torch.float32)
+            check_shape(depth, self.size, self._called("depth"))
             set_("depth", depth)
         if self.labels is not None:
             set_("labels", as_labels(self.labels, self.size, self._called("labels")))
@@ -80,6 +87,27 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class Truth:
+    """What is known to be right about a scene: only ever compared with results, never used to make them.
+
+    Args:
+        points: optional [N] integers, the instance of each point, -1 = not known (void).
+        images: label images [H, W], -1 = void, one for each frame (may be lazy); empty where there are none.
+    """
+
+    points: Tensor | None = None
+    images: Sequence[Tensor] = ()
+
+    def select_points(self, keep: Tensor) -> Truth:
+        """That of some of the points, in the order of `keep` (a mask, or places)."""
+        return self if self.points is None else replace(self, points=self.points[keep])
+
+    def select_frames(self, indices: Sequence[int]) -> Truth:
+        """That of some of the frames."""
+        return replace(self, images=_subset(self.images, indices)) if len(self.images) else self
+
+
+@dataclass(frozen=True)
 class Scene:
     """One point cloud and the frames that were taken of it.
 
@@ -89,6 +117,7 @@ class Scene:
         colors: optional [N, 3] RGB in [0, 1].
         normals: optional [N, 3], showing out of the surface; estimated where absent.
         name: used in messages.
+        truth: optional, what is known to be right about it; the method never looks at it.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -99,6 +128,7 @@ class Scene:
     colors: Tensor | None = None
     normals: Tensor | None = None
     name: str = ""
+    truth: Truth | None = None
 
     def __post_init__(self) -> None:
         points = as_points(self.points)
@@ -106,16 +136,42 @@ class Scene:
         if not (hasattr(self.frames, "__len__") and hasattr(self.frames, "__getitem__")):
             raise TypeError(f"frames: expected a sequence of Frame, got {type(self.frames).__name__}")
         if self.colors is not None:
-            colors = _in_unit_range(self.colors, "colors")
-            _check_shape(colors, tuple(points.shape), "colors")
+            colors = as_unit_range(self.colors, "colors")
+            check_shape(colors, tuple(points.shape), "colors")
             object.__setattr__(self, "colors", colors)
         if self.normals is not None:
-            normals = _as_float(self.normals, "normals", torch.float32)
-            _check_shape(normals, tuple(points.shape), "normals")
+            normals = as_float(self.normals, "normals", torch.float32)
+            check_shape(normals, tuple(points.shape), "normals")
             length = normals.norm(dim=1, keepdim=True)
             if float(length.min()) < 1e-3:
                 raise ValueError(f"normals: expected unit vectors, got {int((length < 1e-3).sum())} of length 0")
             object.__setattr__(self, "normals", normals / length)
+        if self.truth is not None:
+            self._check_truth(self.truth)
+
+    def _check_truth(self, truth: Truth) -> None:
+        if truth.points is not None:
+            as_labels(truth.points, (len(self.points),), "truth.points")
+        if len(truth.images) not in (0, len(self.frames)):
+            raise ValueError(f"truth.images: expected none or {len(self.frames)}, got {len(truth.images)}")
+
+    def select_points(self, keep: Tensor) -> Scene:
+        """The scene with some of its points, in the order of `keep` (a mask [N], or places)."""
+        return replace(
+            self,
+            points=self.points[keep],
+            colors=None if self.colors is None else self.colors[keep],
+            normals=None if self.normals is None else self.normals[keep],
+            truth=None if self.truth is None else self.truth.select_points(keep),
+        )
+
+    def select_frames(self, indices: Sequence[int]) -> Scene:
+        """The scene with some of its frames, in the order of `indices`; they stay lazy."""
+        return replace(
+            self,
+            frames=_subset(self.frames, indices),
+            truth=None if self.truth is None else self.truth.select_frames(indices),
+        )
 
 
 class LabelImages(Sequence[Tensor]):
@@ -162,103 +218,5 @@ class Segmentation:
         return int(self.points.max()) + 1 if self.points.numel() else 0
 
 
-def as_points(points: Tensor, name: str = "points") -> Tensor:
-    """Checks a cloud: [N, 3], N >= 1, finite, near enough to the origin; returns it as float32."""
-    points = _as_float(points, name, torch.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"{name}: expected shape [N, 3], got {list(points.shape)}")
-    if points.shape[0] == 0:
-        raise ValueError(f"{name}: expected at least one point, got an empty cloud")
-    largest = points.abs().max().item()
-    if largest > LARGEST_COORDINATE:
-        raise ValueError(
-            f"{name}: coordinates up to {largest:.4g} m would keep only {largest * 2**-23:.2g} m in float32; subtract "
-            "an offset from points and camera positions"
-        )
-    return points.to(torch.float32)
-
-
-def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
-    """Checks a rigid transform [4, 4]; returns it as float64."""
-    pose = _as_float(pose, name, torch.float64)
-    _check_shape(pose, (4, 4), name)
-    rotation = pose[:3, :3]
-    error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max().item()
-    determinant = torch.linalg.det(rotation).item()
-    last_row = (pose[3] - torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64)).abs().max().item()
-    if error > RIGID_TOLERANCE or abs(determinant - 1) > RIGID_TOLERANCE or last_row > RIGID_TOLERANCE:
-        raise ValueError(
-            f"{name}: expected a rigid transform [R t; 0 1], got R R^T off the identity by {error:.3g}, "
-            f"det R = {determinant:.6g}, last row {pose[3].tolist()}"
-        )
-    return pose
-
-
-def as_labels(labels: Tensor, size: tuple[int, int], name: str = "labels") -> Tensor:
-    """Checks a label image [H, W] of integers >= -1; returns it as int64."""
-    if not isinstance(labels, Tensor):
-        raise TypeError(f"{name}: expected a torch.Tensor, got {type(labels).__name__}")
-    if labels.dtype.is_floating_point or labels.dtype.is_complex:
-        raise TypeError(f"{name}: expected an integer dtype, got {labels.dtype}")
-    _check_shape(labels, size, name)
-    labels = labels.to(torch.int64)
-    if labels.numel() and int(labels.min()) < -1:
-        raise ValueError(f"{name}: expected labels >= -1 (-1 = none), got {int(labels.min())}")
-    return labels
-
-
-def _as_image(image: Tensor, name: str) -> Tensor:
-    if not isinstance(image, Tensor):
-        raise TypeError(f"{name}: expected a torch.Tensor, got {type(image).__name__}")
-    if image.ndim == 2:
-        image = image[None]
-    if image.ndim != 3 or image.shape[0] not in (1, 3):
-        raise ValueError(f"{name}: expected shape [3, H, W] (or grey: [1, H, W], [H, W]), got {list(image.shape)}")
-    if image.numel() == 0:
-        raise ValueError(f"{name}: expected at least one pixel, got {list(image.shape)}")
-    return _in_unit_range(image, name).expand(3, -1, -1)
-
-
-def _in_unit_range(value: Tensor, name: str) -> Tensor:
-    """Checks colours in [0, 1]; returns them as float32, 8-bit ones divided by 255."""
-    if isinstance(value, Tensor) and value.dtype == torch.uint8:
-        value = value.to(torch.float32) / 255
-    value = _as_float(value, name, torch.float32)
-    low, high = (value.min().item(), value.max().item()) if value.numel() else (0.0, 0.0)
-    if low < -1e-4 or high > 1 + 1e-4:
-        raise ValueError(f"{name}: expected values in [0, 1] (or uint8), got [{low:.4g}, {high:.4g}]")
-    return value.clamp(0, 1)
-
-
-def _as_intrinsics(intrinsics: Tensor, name: str) -> Tensor:
-    intrinsics = _as_float(intrinsics, name, torch.float64)
-    _check_shape(intrinsics, (3, 3), name)
-    zeros = intrinsics[[1, 2, 2], [0, 0, 1]]
-    if (
-        intrinsics[0, 0] <= 0
-        or intrinsics[1, 1] <= 0
-        or zeros.abs().max() > 1e-9
-        or (intrinsics[2, 2] - 1).abs() > 1e-9
-    ):
-        raise ValueError(
-            f"{name}: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0, got {intrinsics.tolist()}"
-        )
-    return intrinsics
-
-
-def _as_float(value: Tensor, name: str, dtype: torch.dtype) -> Tensor:
-    if not isinstance(value, Tensor):
-        raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
-    if value.device.type != "cpu":
-        raise ValueError(f"{name}: expected a CPU tensor, got one on {value.device}")
-    if not value.dtype.is_floating_point:
-        raise TypeError(f"{name}: expected a floating dtype, got {value.dtype}")
-    if not torch.isfinite(value).all():
-        count = int((~torch.isfinite(value)).sum())
-        raise ValueError(f"{name}: expected finite values, got {count} NaN or infinite of {value.numel()}")
-    return value.detach().to(dtype)
-
-
-def _check_shape(value: Tensor, shape: tuple[int, ...], name: str) -> None:
-    if tuple(value.shape) != tuple(shape):
-        raise ValueError(f"{name}: expected shape {list(shape)}, got {list(value.shape)}")
+def _subset(items: Sequence[T], indices: Sequence[int]) -> Sequence[T]:
+    return cast(Sequence[T], Subset(cast(Dataset[T], items), indices))

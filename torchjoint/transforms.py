@@ -16,7 +16,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from torchjoint.scene import as_points
+from torchjoint.scene_checks import as_points
 from torchjoint.superpoints import superpoints
 from torchjoint.superpoints_config import SuperpointsConfig
 from torchjoint.threads import num_threads

@@ -1,16 +1,41 @@
-"""Readers of data on disk, one file a format; each converts to the conventions of :mod:`torchjoint.scene`."""
+"""Readers of data on disk, one file a format; each converts to the conventions of :mod:`torchjoint.scene`.
+
+A format is a module with
+
+* ``WHAT``: what it looks for, a few words,
+* ``recognizes(path) -> bool``: whether `path` is one scene of this format; cheap, never raises,
+* ``load(path, options) -> Scene``: with truth, where there is any; frames lazy,
+
+and, where a data set holds many scenes, ``scenes(path) -> dict[str, Path]``: their names and paths, empty where `path`
+is no such data set.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Protocol, cast
 
 from torchjoint.datasets import folder
+from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
 
-__all__ = ["folder", "load_scene"]
+__all__ = ["folder", "list_scenes", "load_scene"]
 
-#: Formats by name: each module has WHAT (what it looks for), recognizes(path) and load(path, ...).
-FORMATS = {"folder": folder}
+
+class Format(Protocol):
+    """What a format's module has."""
+
+    WHAT: str
+
+    def recognizes(self, path: Path) -> bool:
+        """Whether `path` is one scene of this format."""
+
+    def load(self, path: Path, options: Options) -> Scene:
+        """Loads it."""
+
+
+#: Formats by name, in the order in which they are tried.
+FORMATS: dict[str, Format] = {"folder": cast(Format, folder)}
 
 
 def load_scene(
@@ -19,13 +44,15 @@ def load_scene(
     """Loads a scene; its format is detected, its frames are read when they are asked for.
 
     Args:
-        path: a folder of frames. Formats: a *plain folder* in the style of 7-Scenes, with `camera-intrinsics.txt`
-            and `frame-NNNNNN.color.jpg` (or png), `.pose.txt` (camera-to-world), `.depth.png` (16 bits, mm). A
-            `cloud.ply` beside the frames is used as the cloud, and depth is then optional; otherwise the cloud is
-            fused from the depth images.
-        cloud: a PLY file to use as the cloud; where it does not exist yet, the fused cloud is written there.
+        path: a folder or a file; the README lists the formats and their layouts. A `cloud.ply` in a folder of posed
+            frames is used as the cloud, and depth is then optional; otherwise the format's own cloud is used, or one
+            is fused from the depth images.
+        cloud: a PLY file to use as the cloud; where it does not exist yet, a fused cloud is written there.
         voxel_size: of the fusion, metres; points come out about this far apart.
         progress: show a progress bar while fusing.
+
+    Returns:
+        The scene; `scene.truth` holds what the data set says about its instances, where it says something.
 
     Raises:
         FileNotFoundError, ValueError: naming the file, and what was looked for where no format fits.
@@ -33,10 +60,32 @@ def load_scene(
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"scene: {path} does not exist")
+    options = Options(None if cloud is None else Path(cloud), voxel_size, progress)
     for module in FORMATS.values():
         if module.recognizes(path):
-            return module.load(
-                path, cloud=None if cloud is None else Path(cloud), voxel_size=voxel_size, progress=progress
-            )
+            return module.load(path, options)
+    inside = list_scenes(path)
+    if inside:
+        some = ", ".join(str(one) for one in list(inside.values())[:3])
+        raise ValueError(f"scene: {path} holds {len(inside)} scenes; choose one, such as {some}")
     looked_for = "; ".join(f"{name}: {module.WHAT}" for name, module in FORMATS.items())
     raise ValueError(f"scene: {path} is of no known format. Looked for: {looked_for}")
+
+
+def list_scenes(path: str | Path) -> dict[str, Path]:
+    """The scenes of a data set, by name, each a path for :func:`load_scene`; a single scene is one by itself.
+
+    Raises:
+        FileNotFoundError: there is no such path.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"scenes: {path} does not exist")
+    if any(module.recognizes(path) for module in FORMATS.values()):
+        return {path.stem if path.is_file() else path.name: path}
+    for module in FORMATS.values():
+        found: dict[str, Path] = getattr(module, "scenes", lambda _: {})(path)
+        if found:
+            return found
+    folders = sorted(one for one in path.iterdir() if one.is_dir()) if path.is_dir() else []
+    return {one.name: one for one in folders if any(module.recognizes(one) for module in FORMATS.values())}

@@ -6,12 +6,18 @@ import hashlib
 import io
 import os
 import re
+import struct
+import warnings
+import zlib
 from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 from torch import Tensor
+
+#: Larger images are refused before they are unpacked.
+MAX_PIXELS = 64_000_000
 
 
 def read_image(path: Path) -> Tensor:
@@ -84,11 +90,24 @@ def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
     return points, colors, normals if normals is not None and normals.any() else None
 
 
-def fingerprint(folder: Path) -> str:
-    """Tells whether files of a folder were changed: a hash of their names, sizes and times."""
-    files = sorted(file for file in folder.iterdir() if file.is_file()) if folder.is_dir() else []
-    stats = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
-    return hashlib.sha256(repr((str(folder.resolve()), stats)).encode()).hexdigest()
+def read_array(path: Path) -> Tensor:
+    """A .npy file of numbers of any shape."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected an array of numbers, .npy")
+    try:
+        array = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
+        if array.dtype.kind == "u" and array.dtype.itemsize > 1:  # torch can do little with these
+            array = array.astype(np.int64)
+        return torch.from_numpy(np.ascontiguousarray(array.astype(array.dtype.newbyteorder("="))))
+    except (ValueError, TypeError, OSError, EOFError, MemoryError, SyntaxError, AttributeError) as error:
+        raise ValueError(f"{path}: not a whole .npy array of numbers: {error}") from error
+
+
+def fingerprint(path: Path) -> str:
+    """Tells whether a file, or those of a folder and below it, were changed: a hash of names, sizes and times."""
+    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+    stats = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files if file.is_file()]
+    return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
 
 
 def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels: Tensor | None = None) -> None:
@@ -138,9 +157,23 @@ def _check_ply_is_whole(path: Path) -> list[list[str]]:
 def _opened(path: Path) -> Image.Image:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected an image")
+    return decode_image(path.read_bytes(), str(path))
+
+
+def decode_image(data: bytes, name: str) -> Image.Image:
+    """An image file's bytes -> image, decoded; errors give the name.
+
+    Raises:
+        ValueError: not a whole image, or one of more than `MAX_PIXELS`.
+    """
     try:
-        image = Image.open(io.BytesIO(path.read_bytes()))
-        image.load()
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
-        raise ValueError(f"{path}: not a whole image: {error}") from error
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the check below is stricter
+            image = Image.open(io.BytesIO(data))
+            if image.width * image.height > MAX_PIXELS:
+                raise ValueError(f"{image.width} x {image.height} pixels are too many (at most {MAX_PIXELS})")
+            image.load()
+    except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
+            Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
+        raise ValueError(f"{name}: not a whole image: {error}") from error
     return image

@@ -5,28 +5,24 @@ frame-NNNNNN.color.jpg|png     8-bit RGB
 frame-NNNNNN.pose.txt          4x4, camera-to-world, OpenCV axes
 frame-NNNNNN.depth.png         16-bit, millimetres, registered to colour; 0 and 65535 = unknown (optional)
 frame-NNNNNN.labels.png        8- or 16-bit initial segmentation; 0 = none (optional)
+frame-NNNNNN.truth.png         8- or 16-bit instances to compare with; 0 = void (optional, but then of all frames)
 cloud.ply                      the cloud (optional: fused from depth where absent)
+cloud.truth.npy                the points' instances to compare with, integers [N]; -1 = void (optional)
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import overload
 
-import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import (
-    read_cloud,
-    read_depth,
-    read_image,
-    read_label_image,
-    read_matrix,
-    write_cloud,
-)
-from torchjoint.datasets.fusion import fuse_cloud
-from torchjoint.scene import Frame, Scene, as_pose
+from torchjoint.datasets.files import read_array, read_depth, read_image, read_label_image, read_matrix
+from torchjoint.datasets.lazy import LazySequence
+from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene_checks import as_labels, as_pose
 
 WHAT = "camera-intrinsics.txt and frame-NNNNNN.color.jpg (or .png) with frame-NNNNNN.pose.txt"
 _COLOR = (".color.jpg", ".color.jpeg", ".color.png")
@@ -37,74 +33,59 @@ def recognizes(path: Path) -> bool:
     return path.is_dir() and bool(_color_files(path))
 
 
-def load(path: Path, *, cloud: Path | None = None, voxel_size: float = 0.02, progress: bool = False) -> Scene:
+def load(path: Path, options: Options) -> Scene:
     """Loads the folder; see :func:`torchjoint.load_scene`."""
-    frames = FolderFrames(path)
-    if cloud is None and (path / "cloud.ply").is_file():
-        cloud = path / "cloud.ply"
-    if cloud is not None and cloud.is_file():
-        points, colors, normals = read_cloud(cloud)
-    else:
-        points, colors = fuse_cloud(frames, voxel_size, progress=progress)
-        normals = None
-        if cloud is not None:
-            write_cloud(cloud, points, colors)
-    return Scene(points, frames, colors, normals, name=path.name)
+    scene = scene_of_frames(path, read_frames(path), options)
+    return replace(scene, truth=_truth(path, _color_files(path), len(scene.points)))
 
 
-class FolderFrames(Sequence[Frame]):
+def read_frames(path: Path) -> Sequence[Frame]:
     """The frames of a folder, each read when it is asked for.
 
     Raises:
         FileNotFoundError: a frame without a pose, or no intrinsics.
         ValueError: a pose that is not rigid, two images of one frame.
     """
+    colors = _color_files(path)
+    stems = [file.name.split(".")[0] for file in colors]
+    if len(set(stems)) < len(stems):
+        twice = next(stem for stem in stems if stems.count(stem) > 1)
+        raise ValueError(f"{path}: frame {twice!r} has two colour images")
+    for file in colors:
+        if not _beside(file, ".pose.txt").is_file():
+            raise FileNotFoundError(f"{_beside(file, '.pose.txt')}: missing; every colour frame needs its pose")
+    # All poses at once: a bad one is to be found before hours of work, not after.
+    poses = [_read_pose(_beside(file, ".pose.txt")) for file in colors]
+    intrinsics = read_matrix(path / "camera-intrinsics.txt", (3, 3))
+    return LazySequence(len(colors), lambda i: _read_frame(colors[i], intrinsics, poses[i]))
 
-    def __init__(self, path: Path) -> None:
-        self._colors = _color_files(path)
-        for file in self._colors:
-            if not _beside(file, ".pose.txt").is_file():
-                raise FileNotFoundError(f"{_beside(file, '.pose.txt')}: missing; every colour frame needs its pose")
-        stems = [file.name.split(".")[0] for file in self._colors]
-        if len(set(stems)) < len(stems):
-            twice = next(stem for stem in stems if stems.count(stem) > 1)
-            raise ValueError(f"{path}: frame {twice!r} has two colour images")
-        # All poses at once: a bad one is to be found before hours of work, not after.
-        self._poses = [_read_pose(_beside(file, ".pose.txt")) for file in self._colors]
-        self._intrinsics = read_matrix(path / "camera-intrinsics.txt", (3, 3))
 
-    def __len__(self) -> int:
-        return len(self._colors)
+def _read_frame(file: Path, intrinsics: Tensor, camera_to_world: Tensor) -> Frame:
+    depth, labels = _beside(file, ".depth.png"), _beside(file, ".labels.png")
+    return Frame(
+        read_image(file),
+        intrinsics,
+        invert_pose(camera_to_world),
+        depth=read_depth(depth) if depth.is_file() else None,
+        labels=read_label_image(labels) - 1 if labels.is_file() else None,
+        name=file.name.split(".")[0],
+    )
 
-    @overload
-    def __getitem__(self, index: int) -> Frame: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Frame]: ...
-    def __getitem__(self, index: int | slice) -> Frame | list[Frame]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        file = self._colors[index]
-        depth, labels = _beside(file, ".depth.png"), _beside(file, ".labels.png")
-        return Frame(
-            read_image(file),
-            self._intrinsics,
-            invert_pose(self._poses[index]),
-            depth=read_depth(depth) if depth.is_file() else None,
-            labels=read_label_image(labels) - 1 if labels.is_file() else None,
-            name=file.name.split(".")[0],
-        )
+
+def _truth(path: Path, colors: Sequence[Path], num_points: int) -> Truth | None:
+    of_points, of_images = path / "cloud.truth.npy", [_beside(file, ".truth.png") for file in colors]
+    missing = [file for file in of_images if not file.is_file()]
+    if missing and len(missing) < len(colors):
+        raise FileNotFoundError(f"{missing[0]}: missing; {len(colors) - len(missing)} other frames have their truth")
+    points = as_labels(read_array(of_points), (num_points,), str(of_points)) if of_points.is_file() else None
+    if missing and points is None:
+        return None
+    images = () if missing else LazySequence(len(colors), lambda i: read_label_image(of_images[i]) - 1)
+    return Truth(points, images)
 
 
 def _read_pose(path: Path) -> Tensor:
     return as_pose(read_matrix(path, (4, 4)), str(path))
-
-
-def invert_pose(pose: Tensor) -> Tensor:
-    """The inverse of a rigid transform [4, 4]; camera-to-world becomes world-to-camera."""
-    inverse = torch.eye(4, dtype=pose.dtype)
-    inverse[:3, :3] = pose[:3, :3].T
-    inverse[:3, 3] = -(pose[:3, :3].T @ pose[:3, 3])
-    return inverse
 
 
 def _color_files(path: Path) -> list[Path]:

@@ -1,0 +1,47 @@
+"""A scene of posed frames: with the cloud that comes with them, or one fused from their depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.files import read_cloud, write_cloud
+from torchjoint.datasets.fusion import fuse_cloud
+from torchjoint.scene import Frame, Scene
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a caller of :func:`torchjoint.load_scene` wishes; formats for which it means nothing ignore it."""
+
+    cloud: Path | None = None  #: a file to use as the cloud; where it does not exist, a fused cloud is written there
+    voxel_size: float = 0.02  #: of the fusion, metres
+    progress: bool = False  #: show a progress bar while fusing
+
+
+def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options) -> Scene:
+    """A scene of a folder's frames. Its cloud is, whichever is there first: `options.cloud`, `cloud.ply`, a fused one.
+
+    Raises:
+        ValueError: there is no cloud, and no depth to fuse one from.
+    """
+    for file in (options.cloud, path / "cloud.ply"):
+        if file is not None and file.is_file():
+            points, colors, normals = read_cloud(file)
+            return Scene(points, frames, colors, normals, name=path.name)
+    points, colors = fuse_cloud(frames, options.voxel_size, progress=options.progress)
+    if options.cloud is not None:
+        write_cloud(options.cloud, points, colors)
+    return Scene(points, frames, colors, name=path.name)
+
+
+def invert_pose(pose: Tensor) -> Tensor:
+    """The inverse of a rigid transform [4, 4]; camera-to-world becomes world-to-camera."""
+    inverse = torch.eye(4, dtype=pose.dtype)
+    inverse[:3, :3] = pose[:3, :3].T
+    inverse[:3, 3] = -(pose[:3, :3].T @ pose[:3, 3])
+    return inverse

@@ -1,0 +1,119 @@
+"""Checks of what makes a scene; each error names the argument, what was expected and what came."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+#: How far R^T R may be from the identity, and det R from 1, before a pose is refused (poses of text files have
+#: 7 digits; a pose that was averaged or interpolated carelessly is off by much more).
+RIGID_TOLERANCE = 1e-3
+
+#: Metres from the origin at which float32 coordinates are still exact to a millimetre.
+LARGEST_COORDINATE = 8192.0
+
+
+def as_points(points: Tensor, name: str = "points") -> Tensor:
+    """Checks a cloud: [N, 3], N >= 1, finite, near enough to the origin; returns it as float32."""
+    points = as_float(points, name, torch.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"{name}: expected shape [N, 3], got {list(points.shape)}")
+    if points.shape[0] == 0:
+        raise ValueError(f"{name}: expected at least one point, got an empty cloud")
+    largest = points.abs().max().item()
+    if largest > LARGEST_COORDINATE:
+        raise ValueError(
+            f"{name}: coordinates up to {largest:.4g} m would keep only {largest * 2**-23:.2g} m in float32; subtract "
+            "an offset from points and camera positions"
+        )
+    return points.to(torch.float32)
+
+
+def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
+    """Checks a rigid transform [4, 4]; returns it as float64."""
+    pose = as_float(pose, name, torch.float64)
+    check_shape(pose, (4, 4), name)
+    rotation = pose[:3, :3]
+    error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max().item()
+    determinant = torch.linalg.det(rotation).item()
+    last_row = (pose[3] - torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64)).abs().max().item()
+    if error > RIGID_TOLERANCE or abs(determinant - 1) > RIGID_TOLERANCE or last_row > RIGID_TOLERANCE:
+        raise ValueError(
+            f"{name}: expected a rigid transform [R t; 0 1], got R R^T off the identity by {error:.3g}, "
+            f"det R = {determinant:.6g}, last row {pose[3].tolist()}"
+        )
+    return pose
+
+
+def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Tensor:
+    """Checks labels of a shape, integers >= -1; returns them as int64."""
+    if not isinstance(labels, Tensor):
+        raise TypeError(f"{name}: expected a torch.Tensor, got {type(labels).__name__}")
+    if labels.dtype.is_floating_point or labels.dtype.is_complex:
+        raise TypeError(f"{name}: expected an integer dtype, got {labels.dtype}")
+    check_shape(labels, size, name)
+    labels = labels.to(torch.int64)
+    if labels.numel() and int(labels.min()) < -1:
+        raise ValueError(f"{name}: expected labels >= -1 (-1 = none), got {int(labels.min())}")
+    return labels
+
+
+def as_image(image: Tensor, name: str) -> Tensor:
+    """Checks an image [3, H, W] or a grey one; returns it as float32 RGB in [0, 1]."""
+    if not isinstance(image, Tensor):
+        raise TypeError(f"{name}: expected a torch.Tensor, got {type(image).__name__}")
+    if image.ndim == 2:
+        image = image[None]
+    if image.ndim != 3 or image.shape[0] not in (1, 3):
+        raise ValueError(f"{name}: expected shape [3, H, W] (or grey: [1, H, W], [H, W]), got {list(image.shape)}")
+    if image.numel() == 0:
+        raise ValueError(f"{name}: expected at least one pixel, got {list(image.shape)}")
+    return as_unit_range(image, name).expand(3, -1, -1)
+
+
+def as_unit_range(value: Tensor, name: str) -> Tensor:
+    """Checks colours in [0, 1]; returns them as float32, 8-bit ones divided by 255."""
+    if isinstance(value, Tensor) and value.dtype == torch.uint8:
+        value = value.to(torch.float32) / 255
+    value = as_float(value, name, torch.float32)
+    low, high = (value.min().item(), value.max().item()) if value.numel() else (0.0, 0.0)
+    if low < -1e-4 or high > 1 + 1e-4:
+        raise ValueError(f"{name}: expected values in [0, 1] (or uint8), got [{low:.4g}, {high:.4g}]")
+    return value.clamp(0, 1)
+
+
+def as_intrinsics(intrinsics: Tensor, name: str) -> Tensor:
+    """Checks a camera matrix [3, 3]; returns it as float64."""
+    intrinsics = as_float(intrinsics, name, torch.float64)
+    check_shape(intrinsics, (3, 3), name)
+    zeros = intrinsics[[1, 2, 2], [0, 0, 1]]
+    if (
+        intrinsics[0, 0] <= 0
+        or intrinsics[1, 1] <= 0
+        or zeros.abs().max() > 1e-9
+        or (intrinsics[2, 2] - 1).abs() > 1e-9
+    ):
+        raise ValueError(
+            f"{name}: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0, got {intrinsics.tolist()}"
+        )
+    return intrinsics
+
+
+def as_float(value: Tensor, name: str, dtype: torch.dtype) -> Tensor:
+    """Checks a finite floating CPU tensor; returns it as `dtype`."""
+    if not isinstance(value, Tensor):
+        raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
+    if value.device.type != "cpu":
+        raise ValueError(f"{name}: expected a CPU tensor, got one on {value.device}")
+    if not value.dtype.is_floating_point:
+        raise TypeError(f"{name}: expected a floating dtype, got {value.dtype}")
+    if not torch.isfinite(value).all():
+        count = int((~torch.isfinite(value)).sum())
+        raise ValueError(f"{name}: expected finite values, got {count} NaN or infinite of {value.numel()}")
+    return value.detach().to(dtype)
+
+
+def check_shape(value: Tensor, shape: tuple[int, ...], name: str) -> None:
+    """Checks a tensor's shape."""
+    if tuple(value.shape) != tuple(shape):
+        raise ValueError(f"{name}: expected shape {list(shape)}, got {list(value.shape)}")
