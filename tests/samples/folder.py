@@ -20,7 +20,7 @@ def write(folder):
         Image.fromarray(np.repeat([[1], [2]], HEIGHT // 2, axis=0).repeat(WIDTH, axis=1).astype(np.uint8)).save(
             f"{stem}.truth.png"
         )
-    points = rng.uniform(-0.5, 0.5, (40, 3)) + [0, 0, 2]
+    points = rng.uniform([-0.5, -0.5, 1.9], [0.5, 0.5, 2.1], (40, 3))
     lines = [" ".join(f"{value:.4f}" for value in point) for point in points]
     header = ["ply", "format ascii 1.0", f"element vertex {len(points)}"]
     header += [f"property float {axis}" for axis in "xyz"] + ["end_header"]
