@@ -150,8 +150,12 @@ class JointSegmenter(nn.Module):
                     state.observations.append(observation)
 
     @torch.no_grad()
-    def compute(self, *, progress: bool = False) -> Segmentation:
+    def compute(self, *, images: bool = True, progress: bool = False) -> Segmentation:
         """The segmentation from all frames seen so far (steps 6-8); more frames may follow.
+
+        Args:
+            images: False leaves the images alone (steps 7-8), which takes most of the time: the result has none.
+            progress: show a progress bar.
 
         Returns:
             labels of the points, and of the frames in the order in which they came.
@@ -159,6 +163,8 @@ class JointSegmenter(nn.Module):
         state = self.state
         with one_thread_per_operation():
             point_labels = self._segment_points()
+            if not images:
+                return Segmentation(point_labels, (), seconds=dict(self.stopwatch.seconds))
             sizes = torch.bincount(point_labels)
             bar = tqdm(total=len(state.observations), desc="refine", unit="frame", disable=not progress)
 

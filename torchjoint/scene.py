@@ -92,7 +92,8 @@ class Truth:
 
     Args:
         points: optional [N] integers, the instance of each point, -1 = not known (void).
-        images: label images [H, W], -1 = void, one for each frame (may be lazy); empty where there are none.
+        images: label images [H, W], -1 = void, one for each frame (may be lazy); empty where there are none. Their
+            number is checked where they are used.
     """
 
     points: Tensor | None = None
@@ -146,14 +147,8 @@ class Scene:
             if float(length.min()) < 1e-3:
                 raise ValueError(f"normals: expected unit vectors, got {int((length < 1e-3).sum())} of length 0")
             object.__setattr__(self, "normals", normals / length)
-        if self.truth is not None:
-            self._check_truth(self.truth)
-
-    def _check_truth(self, truth: Truth) -> None:
-        if truth.points is not None:
-            as_labels(truth.points, (len(self.points),), "truth.points")
-        if len(truth.images) not in (0, len(self.frames)):
-            raise ValueError(f"truth.images: expected none or {len(self.frames)}, got {len(truth.images)}")
+        if self.truth is not None and self.truth.points is not None:
+            as_labels(self.truth.points, (len(points),), "truth.points")
 
     def select_points(self, keep: Tensor) -> Scene:
         """The scene with some of its points, in the order of `keep` (a mask [N], or places)."""
