@@ -15,7 +15,9 @@ import tyro
 
 from torchjoint import metrics
 from torchjoint.checkpoint import Checkpoint, run_key
+from torchjoint.cli_benchmark import benchmark
 from torchjoint.cli_boundaries import evaluate_boundaries
+from torchjoint.cli_evaluate import evaluate
 from torchjoint.cli_superpoints import superpoints
 from torchjoint.cli_training import train_boundaries
 from torchjoint.config import Config, parameter_table
@@ -137,6 +139,10 @@ def main() -> None:
             "demo": demo,
             "segment": segment,
             "superpoints": superpoints,
+            "evaluate": evaluate,
+            "benchmark": benchmark,
+            "evaluate": evaluate,
+            "benchmark": benchmark,
             "train-boundaries": train_boundaries,
             "evaluate-boundaries": evaluate_boundaries,
             "show": show,

@@ -214,15 +214,13 @@ class JointSegmenter(nn.Module):
         self.state = self.state + other.state
 
     def with_config(self, config: Config) -> JointSegmenter:
-        """A segmenter that has seen the same, with other parameters of what comes afterwards: quick, to try them out.
+        """A segmenter that has seen the same, with other parameters of what comes afterwards: to try them out quickly.
 
         Raises:
             ValueError: a parameter differs on which depends what was seen.
         """
         if different := seen_otherwise(self.config, config):
-            raise ValueError(
-                f"config: what was seen depends on {', '.join(different)}; reset, and see the frames again"
-            )
+            raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
         modules = self.image_segmenter
         other = JointSegmenter(config, boundary=modules.boundary, image_segmenter=modules.segmenter)
         graph, other._edges = self._require_graph(), self._edges

@@ -38,6 +38,14 @@ class Case:
             self._kept[what] = (key, make())
         return self._kept[what][1]
 
+    def forget(self) -> None:
+        """Lets go of what was kept."""
+        self._kept.clear()
+
+    def forget(self) -> None:
+        """Lets go of what was kept."""
+        self._kept.clear()
+
     @cached_property
     def visible(self) -> list[Visible]:
         """The points that each frame sees."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -29,13 +29,15 @@ class Method:
         run: from a scene, a setting and whether images are wanted, to labels.
         space: of its parameters in a suite, by the suite's name; "" = in all others.
         like: name of the method whose setting it uses instead of one of its own.
+        judged: what its setting is chosen by, "3D" or "2D" (where there is such truth).
     """
 
     name: str
     title: str
     run: Callable[[Case, Setting, bool], Result]
-    space: dict[str, Space] = field(default_factory=dict)
+    space: Mapping[str, Space] = field(default_factory=dict)
     like: str | None = None
+    judged: str = "3D"
 
     def space_in(self, suite: str) -> Space:
         """The parameters that are searched in a suite."""

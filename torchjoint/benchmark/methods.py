@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from torchjoint.afterwards import what_is_seen
+from torchjoint.benchmark import spaces
 from torchjoint.benchmark.case import Case
 from torchjoint.benchmark.method import Method, Result
 from torchjoint.benchmark.planes import planes_and_clusters
-from torchjoint.benchmark.space import Between, Choice, Setting, Space
+from torchjoint.benchmark.space import Setting
 from torchjoint.benchmark.vote import vote
 from torchjoint.config import Config
 from torchjoint.joint import JointSegmenter
@@ -101,72 +102,16 @@ def _seen(case: Case, config: Config) -> JointSegmenter:
     return seen.with_config(config)
 
 
-_GRAPH: Space = {
-    "point_graph.neighbors": Choice((10, 16, 24)),
-    "point_graph.normal_neighbors": Choice((20, 30, 45, 60)),
-    "point_graph.convex_factor": Between(0.03, 1.0),
-    "point_graph.distance_weight": Between(0.05, 5.0, or_zero=True),
-    "point_graph.color_weight": Between(0.05, 1.0, or_zero=True),
-    "point_segments.scale": Between(0.3, 30.0),
-    "point_segments.min_size": Between(50, 1000, whole=True),
-}
-_LIDAR_GRAPH: Space = {
-    **{name: values for name, values in _GRAPH.items() if not name.endswith("color_weight")},
-    "point_graph.neighbors": Choice((8, 12, 16, 24)),
-    "point_graph.normal_neighbors": Choice((10, 20, 30)),
-    "point_graph.reach": Choice((0.0, 0.3, 0.5, 0.7)),
-    "point_segments.min_size": Between(5, 100, whole=True),
-}
-_EVIDENCE: Space = {
-    "propagation.window": Choice((1, 3, 5)),
-    "propagation.overlap_threshold": Choice((0.5, 0.7, 0.9)),
-    "propagation.weight": Between(0.02, 0.6),
-}
-_IMAGES: Space = {
-    "image_segments.scale": Between(0.5, 30.0),
-    "image_segments.min_size": Between(50, 2000, whole=True),
-}
-_SUPERPOINTS: Space = {
-    "neighbors": Choice((8, 12, 16, 24)),
-    "normal_neighbors": Choice((10, 20, 30, 45, 60)),
-    "min_size": Between(50, 1000, whole=True),
-}
-_LIDAR_SUPERPOINTS: Space = {
-    **_SUPERPOINTS,
-    "reach": Choice((0.0, 0.3, 0.5, 0.7)),
-    "min_size": Between(5, 100, whole=True),
-}
-_NORMALS: Space = {"scale": Between(0.0003, 1.0)}
-_COLORED: Space = {
-    "distance_weight": Between(0.05, 20.0, or_zero=True),
-    "angle_weight": Between(0.1, 2.0),
-    "scale": Between(0.3, 30.0),
-}
-
 METHODS = {
     method.name: method
     for method in (
-        Method("joint", "joint (final)", joint, {
-            "": {**_GRAPH, **_EVIDENCE}, "mosd": {**_GRAPH, **_EVIDENCE, **_IMAGES}, "kitti": {**_LIDAR_GRAPH, **_EVIDENCE, **_IMAGES},
-        }),
+        Method("joint", "joint (final)", joint, spaces.JOINT),
         Method("joint_painted", "joint, its points painted", joint_painted, like="joint"),
-        Method("geometry", "geometry only", geometry, {"": _GRAPH, "kitti": _LIDAR_GRAPH}),
-        Method("initial", "images only (initial), voted", initial, {"": _IMAGES}),
-        Method("scikit_image", "scikit-image fh, voted", scikit_image, {"": {
-            "scale": Between(30, 3000), "sigma": Choice((0.5, 0.8, 1.2, 2.0)), "min_size": Between(50, 2000, whole=True),
-        }}),
-        Method("normals", "normals-only fh", normals, {
-            "": {**_SUPERPOINTS, **_NORMALS}, "kitti": {**_LIDAR_SUPERPOINTS, **_NORMALS},
-        }),
-        Method("distance_normal_color", "distance + normal + colour fh", distance_normal_color, {
-            "": {**_SUPERPOINTS, **_COLORED, "color_weight": Between(0.05, 2.0, or_zero=True)},
-            "kitti": {**_LIDAR_SUPERPOINTS, **_COLORED},
-        }),
-        Method("ransac_dbscan", "RANSAC planes + DBSCAN", ransac_dbscan, {
-            "": {"distance": Between(0.005, 0.05), "min_share": Between(0.01, 0.3), "max_planes": Choice((1, 2, 4, 8, 16)),
-                 "eps": Between(0.01, 0.1), "min_points": Choice((4, 8, 16, 32))},
-            "kitti": {"distance": Between(0.05, 0.4), "min_share": Between(0.03, 0.3), "max_planes": Choice((1, 2, 3)),
-                      "eps": Between(0.2, 1.5), "min_points": Choice((2, 4, 8, 16))},
-        }),
+        Method("geometry", "geometry only", geometry, spaces.GEOMETRY),
+        Method("initial", "images only (initial), voted", initial, spaces.INITIAL, judged="2D"),
+        Method("scikit_image", "scikit-image fh, voted", scikit_image, spaces.SCIKIT_IMAGE, judged="2D"),
+        Method("normals", "normals-only fh", normals, spaces.NORMALS),
+        Method("distance_normal_color", "distance + normal + colour fh", distance_normal_color, spaces.COLORED),
+        Method("ransac_dbscan", "RANSAC planes + DBSCAN", ransac_dbscan, spaces.RANSAC_DBSCAN),
     )
-}  # fmt: skip
+}

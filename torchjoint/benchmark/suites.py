@@ -68,8 +68,8 @@ def _every_other(first: int, load: Callable[[Path], Scene], data: Path | None) -
     return {name: partial(load, found[name]) for name in names[first::2]}
 
 
-def _halves(load: Callable[[Path], Scene]) -> dict[str, Callable[[Path | None], Scenes]]:
-    return {"tuning": partial(_every_other, 0, load), "checking": partial(_every_other, 1, load)}
+def _folder_suite(name: str, what: str, load: Callable[[Path], Scene], config: Config) -> Suite:
+    return Suite(name, what, partial(_every_other, 0, load), partial(_every_other, 1, load), config)
 
 
 def _synthetic(seeds: range, _: Path | None) -> Scenes:
@@ -103,13 +103,13 @@ SUITES = {
             Config(),
             needs_data=False,
         ),
-        Suite("mosd", "table-tops, one RGB-D view each", **_halves(load_scene), config=Config()),
-        Suite(
+        _folder_suite("mosd", "table-tops, one RGB-D view each", load_scene, Config()),
+        _folder_suite(
             "kitti",
-            "street LiDAR and one camera; the points in its view",
-            **_halves(_load_in_view),
-            config=Config().set(["visibility.depth_tolerance=0.3"]),
+            "street LiDAR and one camera, the points in its view",
+            _load_in_view,
+            Config().set(["visibility.depth_tolerance=0.3"]),
         ),
-        Suite("scannet", "rooms, up to 40 frames each", **_halves(_load_some_frames), config=Config()),
+        _folder_suite("scannet", "rooms, up to 40 frames each", _load_some_frames, Config()),
     )
 }

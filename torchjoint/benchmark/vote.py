@@ -59,7 +59,7 @@ def _inherited(segment: Tensor, labels: Tensor, share: float) -> Tensor:
 
 
 def fill(labels: Tensor, points: Tensor) -> Tensor:
-    """Labels [N] in which points without one (-1) get that of the nearest point [N, 3] that has one; all 0 if none has."""
+    """Labels [N] whose gaps (-1) get the label of the nearest point [N, 3] that has one; all 0 if none has."""
     known = labels >= 0
     if not known.any():
         return torch.zeros_like(labels)
