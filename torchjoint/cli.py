@@ -141,8 +141,6 @@ def main() -> None:
             "superpoints": superpoints,
             "evaluate": evaluate,
             "benchmark": benchmark,
-            "evaluate": evaluate,
-            "benchmark": benchmark,
             "train-boundaries": train_boundaries,
             "evaluate-boundaries": evaluate_boundaries,
             "show": show,

@@ -42,10 +42,6 @@ class Case:
         """Lets go of what was kept."""
         self._kept.clear()
 
-    def forget(self) -> None:
-        """Lets go of what was kept."""
-        self._kept.clear()
-
     @cached_property
     def visible(self) -> list[Visible]:
         """The points that each frame sees."""

@@ -8,6 +8,7 @@ from torch import Tensor
 from torchjoint.afterwards import what_is_seen
 from torchjoint.benchmark import spaces
 from torchjoint.benchmark.case import Case
+from torchjoint.benchmark.known_images import KnownImages
 from torchjoint.benchmark.method import Method, Result
 from torchjoint.benchmark.planes import planes_and_clusters
 from torchjoint.benchmark.space import Setting
@@ -16,6 +17,7 @@ from torchjoint.config import Config
 from torchjoint.joint import JointSegmenter
 from torchjoint.superpoints import superpoints
 from torchjoint.superpoints_config import SuperpointsConfig
+from torchjoint.timing import Stopwatch
 
 
 def joint(case: Case, setting: Setting, images: bool) -> Result:
@@ -38,8 +40,7 @@ def geometry(case: Case, setting: Setting, images: bool) -> Result:
 
 def initial(case: Case, setting: Setting, images: bool) -> Result:
     """The images alone, and these voted onto the points."""
-    found = _seen(case, _config(case, setting)).state.observations
-    label_images = [observation.labels.long() for observation in found]
+    _, label_images = _known_images(case, _config(case, setting))(case.frames, Stopwatch())
     return Result(vote(label_images, case.visible, case.scene.points), label_images if images else ())
 
 
@@ -87,12 +88,20 @@ def _config(case: Case, setting: Setting) -> Config:
     return config
 
 
+def _known_images(case: Case, config: Config) -> KnownImages:
+    """Boundaries and initial labels; made again only where the setting asks for it."""
+    stages = (config.boundary, config.contours, config.image_graph, config.image_segments)
+    known: KnownImages = case.keep("images", stages, lambda: KnownImages(config, case.frames))
+    return known
+
+
 def _seen(case: Case, config: Config) -> JointSegmenter:
     """A segmenter that has seen all frames; seen again only where the setting asks for it."""
     before = what_is_seen(config)
 
     def see() -> JointSegmenter:
         segmenter = JointSegmenter(before)
+        segmenter.image_segmenter = _known_images(case, before)
         segmenter.reset(case.scene.points, case.scene.colors, case.scene.normals)
         for start in range(0, len(case.frames), 8):
             segmenter.update(case.frames[start : start + 8])
