@@ -27,6 +27,7 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.output import output_folder, read_points, write_result
 from torchjoint.scene import Scene, Segmentation
 from torchjoint.superpoints_config import superpoint_table
+from torchjoint.visibility import in_any_view
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,7 @@ def segment(
     overwrite: bool = False,
     voxel_size: float = 0.02,
     max_frames: int | None = None,
+    in_view: bool = False,
 ) -> None:
     """Segments a recording: a folder of posed frames, with or without a cloud.
 
@@ -86,6 +88,7 @@ def segment(
         overwrite: replace OUT if it is an earlier result.
         voxel_size: metres, where the cloud must be fused from depth.
         max_frames: use this many frames, evenly spread over the recording.
+        in_view: leave out the points that are in no frame's view (a LiDAR sees all around, a camera does not).
     """
     config = parameters.config()
     if max_frames is not None and max_frames < 0:
@@ -99,7 +102,9 @@ def segment(
         if max_frames is not None and max_frames < len(loaded.frames):
             chosen = torch.linspace(0, len(loaded.frames) - 1, max_frames).round().long().tolist()
             loaded = loaded.select_frames(chosen)
-        checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames}", config))
+        if in_view:
+            loaded = loaded.select_points(in_any_view(loaded.points, loaded.frames, config.visibility))
+        checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view}", config))
         result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
         write_result(partial, loaded, result, config, str(scene))
         shutil.rmtree(partial / "state")

@@ -68,7 +68,7 @@ def standard_error(values: Sequence[float]) -> float:
 
 def markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table that also reads well on a terminal, numbers to the right."""
-    widths = [max(len(cell) for cell in column) for column in zip(columns, *rows, strict=True)]
+    widths = [max(3, *(len(cell) for cell in column)) for column in zip(columns, *rows, strict=True)]
     aligned = [[cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))]
                for row in (columns, *rows)]  # fmt: skip
     rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
