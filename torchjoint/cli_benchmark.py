@@ -48,9 +48,9 @@ def benchmark(
     chosen = _chosen(methods)
     kind = SUITES[suite]
     kind.scenes(half, data)  # a wrong folder is to be told before hours of work
+    used = read_settings(suite, settings)
     out = out or Path(f"benchmark-{suite}")
     out.mkdir(parents=True, exist_ok=True)
-    used = read_settings(suite, settings)
     if tuning is not None:
         used |= _tuned(kind, chosen, data, Budget(*tuning), out)
     rows = compare(kind, chosen, used, data, half)

@@ -53,11 +53,12 @@ def _largest_plane(points: Tensor, distance: float, random: torch.Generator) -> 
     """[n] bool: the points of the best of `TRIES` planes through three of them, fitted again to its points."""
     triples = points[torch.randint(len(points), (TRIES, 3), generator=random)]
     normals = torch.linalg.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-    normals = normals / normals.norm(dim=1, keepdim=True).clamp(min=1e-12)
+    length = normals.norm(dim=1, keepdim=True)
+    normals = normals / length.clamp(min=1e-12)
     offsets = (normals * triples[:, 0]).sum(1)
     some = points[torch.randint(len(points), (min(SAMPLE, len(points)),), generator=random)]
     votes = ((some @ normals.T - offsets).abs() <= distance).sum(0)
-    best = int(votes.argmax())
+    best = int(torch.where(length[:, 0] > 1e-9, votes, -1).argmax())  # three points on a line make no plane
     inside = (points @ normals[best] - offsets[best]).abs() <= distance
     if int(inside.sum()) < 3:
         return inside

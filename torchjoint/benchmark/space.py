@@ -44,10 +44,10 @@ class Between:
         return self._rounded(math.exp(random.uniform(math.log(self.low), math.log(self.high))))
 
     def near(self, value: float, random: np.random.Generator) -> float:
-        """A step of about a sixth of the range away."""
+        """A step of about a sixth of the range away, or of a thirtieth."""
         if value == 0:
             return self.low
-        step = random.normal() * math.log(self.high / self.low) / 6
+        step = random.normal() * math.log(self.high / self.low) / (6 if random.integers(2) else 30)
         if self.or_zero and value * math.exp(step) < self.low:
             return 0
         return self._rounded(min(max(value * math.exp(step), self.low), self.high))
