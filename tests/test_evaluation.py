@@ -17,6 +17,7 @@ from torchjoint.evaluation.scores import Scores, mean_scores, score, score_image
 from torchjoint.evaluation.table import (
     Row,
     markdown,
+    method_table,
     paired_difference,
     standard_error,
     summarize,
@@ -85,6 +86,11 @@ class TestTable:
         assert len(lines) == 4
         assert lines[2].startswith("| OURS")
         assert "0.800" in lines[2]
+
+    def test_a_line_a_scene(self):
+        rows = method_table(self.ROWS, "3D").splitlines()
+        assert [cell.strip() for cell in rows[0].split("|")] == ["", "3D, F / best IoU", "ours", "theirs", ""]
+        assert [cell.strip() for cell in rows[3].split("|")] == ["", "b", "0.700 / 0.500", "0.600 / 0.500", ""]
 
     def test_csv(self, tmp_path):
         write_csv(tmp_path / "scores.csv", self.ROWS)

@@ -17,7 +17,15 @@ from torchjoint.benchmark.search import Budget
 from torchjoint.benchmark.settings import read_settings, write_settings
 from torchjoint.benchmark.space import Setting
 from torchjoint.benchmark.suites import SUITES, Suite
-from torchjoint.evaluation.table import Row, paired_difference, summarize, summary_table, write_csv, write_plot
+from torchjoint.evaluation.table import (
+    Row,
+    method_table,
+    paired_difference,
+    summarize,
+    summary_table,
+    write_csv,
+    write_plot,
+)
 
 TABLE, SCORES, PICTURE, SETTINGS = "table.md", "scores.csv", "scores.png", "settings.yaml"
 
@@ -58,8 +66,9 @@ def benchmark(
     write_csv(out / SCORES, rows)
     write_plot(out / PICTURE, rows, _title)
     write_settings(out / SETTINGS, {m.name: used[m.name] for m in chosen if m.name in used}, f"suite {suite}")
-    _write(out / TABLE, text + "\n")
-    print(f"\n{text}\n\nwritten to {out}: {TABLE}, {SCORES}, {PICTURE}, {SETTINGS}")
+    by_scene = "\n\n".join(method_table(rows, space, _title) for space in dict.fromkeys(row.space for row in rows))
+    _write(out / TABLE, f"{text}\n\n{by_scene}\n")
+    print(f"\n{by_scene}\n\n{text}\n\nwritten to {out}: {TABLE}, {SCORES}, {PICTURE}, {SETTINGS}")
     if page.is_file() and _fill(page, f"benchmark {suite}", text):
         print(f"and to {page}")
 

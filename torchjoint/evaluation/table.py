@@ -81,6 +81,17 @@ def summary_table(rows: Sequence[Row], space: str, titles: Callable[[str], str] 
     return markdown([space, *COLUMNS], body)
 
 
+def method_table(rows: Sequence[Row], space: str, titles: Callable[[str], str] = str) -> str:
+    """A line a scene, a column a method: F / best IoU."""
+    methods = [s.method for s in summarize(rows, space)]
+    scores = {(row.scene, row.method): row.scores for row in rows if row.space == space}
+    body = []
+    for scene in dict.fromkeys(row.scene for row in rows if row.space == space):
+        found = [scores.get((scene, method)) for method in methods]
+        body.append([scene, *("" if one is None else f"{one.f:.3f} / {one.best_iou:.3f}" for one in found)])
+    return markdown([f"{space}, F / best IoU", *map(titles, methods)], body)
+
+
 def scene_table(rows: Sequence[Row], titles: Callable[[str], str] = str) -> str:
     """A line a scene, method and space, and the means below."""
     several = len({row.method for row in rows}) > 1
