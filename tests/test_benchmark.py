@@ -311,7 +311,7 @@ class TestSuites:
         assert "joint (final)" in table
         assert "RANSAC" in table
         assert "scene2" in table
-        head, part, tail = page.read_text().partition("<!-- benchmark scannet -->\n")
+        head, _, tail = page.read_text().partition("<!-- benchmark scannet -->\n")
         filled, _, rest = tail.partition("<!-- end benchmark scannet -->")
         assert (head, rest) == ("# Page\n\n", "\nrest\n")
         assert filled.strip() in printed
