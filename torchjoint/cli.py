@@ -27,6 +27,7 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.output import output_folder, read_points, write_result
 from torchjoint.scene import Scene, Segmentation
 from torchjoint.superpoints_config import superpoint_table
+from torchjoint.thinning import one_point_a_voxel
 from torchjoint.visibility import in_any_view
 
 
@@ -76,6 +77,7 @@ def segment(
     voxel_size: float = 0.02,
     max_frames: int | None = None,
     in_view: bool = False,
+    thin: float | None = None,
 ) -> None:
     """Segments a recording: a folder of posed frames, with or without a cloud.
 
@@ -88,6 +90,7 @@ def segment(
         overwrite: replace OUT if it is an earlier result.
         voxel_size: metres, where the cloud must be fused from depth.
         max_frames: use this many frames, evenly spread over the recording.
+        thin: keep one point in each voxel of this many metres; for clouds denser than their noise, or too large.
         in_view: leave out the points that are in no frame's view (a LiDAR sees all around, a camera does not).
     """
     config = parameters.config()
@@ -104,7 +107,9 @@ def segment(
             loaded = loaded.select_frames(chosen)
         if in_view:
             loaded = loaded.select_points(in_any_view(loaded.points, loaded.frames, config.visibility))
-        checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view}", config))
+        if thin is not None:
+            loaded = loaded.select_points(one_point_a_voxel(loaded.points, thin))
+        checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view} {thin}", config))
         result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
         write_result(partial, loaded, result, config, str(scene))
         shutil.rmtree(partial / "state")
