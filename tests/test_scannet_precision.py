@@ -7,7 +7,7 @@ from statistics import fmean
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchjoint.metrics import ScannetAveragePrecisionMetric, scannet_average_precision
@@ -103,6 +103,7 @@ def same(found, expected):
     return found == pytest.approx(expected, abs=1e-12, nan_ok=True)
 
 
+@settings(deadline=None)
 @given(scenes(), st.integers(1, 4))
 def test_masks_are_as_sets(scene, min_size):
     masks, scores, target = scene
@@ -112,6 +113,7 @@ def test_masks_are_as_sets(scene, min_size):
     assert same(scannet_average_precision(as_points(masks), *arguments, min_size=min_size), expected)
 
 
+@settings(deadline=None)
 @given(targets(), st.data(), st.integers(1, 4))
 def test_labels_are_as_sets(target, data, min_size):
     size = len(target)
@@ -132,6 +134,7 @@ def test_labels_are_as_sets(target, data, min_size):
     assert same(scannet_average_precision(*tensors, min_size=min_size), alike)
 
 
+@settings(deadline=None)
 @given(st.lists(scenes(), min_size=1, max_size=4), st.integers(1, 3))
 def test_scenes_make_one_curve(several, min_size):
     metric = ScannetAveragePrecisionMetric(min_size)
@@ -140,6 +143,7 @@ def test_scenes_make_one_curve(several, min_size):
     assert same(metric.compute(), slow_precision(several, min_size))
 
 
+@settings(deadline=None)
 @given(scenes(), st.randoms(use_true_random=False))
 def test_order_and_numbers_do_not_matter_from_50_up(scene, random):
     masks, scores, target = scene
