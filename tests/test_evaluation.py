@@ -204,6 +204,8 @@ class TestCommand:
         expected = score(result.points, synthetic.point_labels)
         assert float(in_3d["f"]) == pytest.approx(expected.f, abs=1e-6)
         assert f"{expected.f:.3f}" in printed
+        ap = tj.metrics.scannet_average_precision(result.points, synthetic.point_labels)
+        assert f"AP {ap.ap:.3f}, AP50 {ap.ap50:.3f}, AP25 {ap.ap25:.3f}" in printed
         assert float(in_2d["f"]) == pytest.approx(score_images(result.images, synthetic.image_labels).f, abs=1e-6)
         assert (tmp_path / "scores" / "scores.png").is_file()
 
@@ -225,7 +227,7 @@ class TestCommand:
             np.save(results / f"{name}.npy", synthetic.point_labels.numpy())
         run(monkeypatch, "evaluate", results, data)
         lines = capsys.readouterr().out.splitlines()
-        assert [line.split("|")[1].strip() for line in lines[2:]] == ["first", "second", "mean"]
+        assert [line.split("|")[1].strip() for line in lines[2:5]] == ["first", "second", "mean"]
         (results / "second.npy").unlink()
         with pytest.raises(SystemExit, match=r"second: missing; expected a result"):
             run(monkeypatch, "evaluate", results, data)

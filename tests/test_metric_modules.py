@@ -6,7 +6,6 @@ import os
 import pickle
 import subprocess
 import sys
-import time
 from pathlib import Path
 from statistics import fmean
 
@@ -204,26 +203,3 @@ def test_states_add_up_over_processes(tmp_path):
     finally:
         for process in processes:
             process.kill()
-
-
-def test_a_million_points_take_well_under_a_second():
-    """1000 x 1000 points, 3025 predicted and 289 true regions, some of them void."""
-    rows, columns = torch.meshgrid(torch.arange(1000), torch.arange(1000), indexing="ij")
-    index = rows * 1000 + columns
-    edges = torch.cat(
-        [
-            torch.stack([index[:, :-1].flatten(), index[:, 1:].flatten()]),
-            torch.stack([index[:-1].flatten(), index[1:].flatten()]),
-        ],
-        dim=1,
-    )
-    pred = rows * 55 // 1000 * 55 + columns * 55 // 1000
-    target = rows * 17 // 1000 * 17 + columns * 17 // 1000
-    target[target % 20 == 0] = -1
-    for function, _, more in ALL.values():
-        seconds = []
-        for _ in range(3):
-            start = time.process_time()  # of all threads, and whatever else the machine does
-            function(pred, target, *((edges,) if more else ()))
-            seconds.append(time.process_time() - start)
-        assert min(seconds) < 0.8, function.__name__

@@ -31,15 +31,24 @@ def evaluate(
         out: folder for scores.csv and scores.png.
         voxel_size: metres, of a cloud that is fused from depth; used where PRED does not keep the cloud itself.
     """
+    from torchjoint.metrics import ScannetAveragePrecisionMetric  # torchmetrics takes a second to import
+
     scenes = list_scenes(scene)
     if not scenes:
         load_scene(scene)  # says what was looked for
     rows: list[Row] = []
+    instances = ScannetAveragePrecisionMetric()
     for name, path in tqdm(scenes.items(), desc="scenes", unit="scene", disable=len(scenes) == 1):
         found = pred if is_result(pred) and len(scenes) == 1 else _of_scene(pred, name)
         loaded = load_scene(path, cloud=_kept_cloud(found, voxel_size), voxel_size=voxel_size)
-        rows += evaluate_prediction(read_prediction(found, loaded), loaded, name)
+        prediction = read_prediction(found, loaded)
+        rows += evaluate_prediction(prediction, loaded, name)
+        if prediction.points is not None and loaded.truth is not None and loaded.truth.points is not None:
+            instances.update(prediction.points, loaded.truth.points[prediction.of_points])
     print(scene_table(rows))
+    if instances.update_called:
+        ap, ap50, ap25 = instances.compute()
+        print(f"ScanNet's class-agnostic AP {ap:.3f}, AP50 {ap50:.3f}, AP25 {ap25:.3f} in 3D, over all scenes together")
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_csv(out / TABLE, rows)
