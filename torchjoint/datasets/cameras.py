@@ -132,7 +132,7 @@ def undistort(
     size = (image.shape[2], image.shape[1])
     before, coefficients = intrinsics.numpy(), np.array(distortion, dtype=np.float64)
     try:
-        after = cv2.getOptimalNewCameraMatrix(before, coefficients, size, 0)[0]
+        after = np.asarray(cv2.getOptimalNewCameraMatrix(before, coefficients, size, 0)[0], dtype=np.float64)
         if not _can_be_undone(before, after, coefficients, size):
             raise ValueError(
                 f"{name}: distortion {distortion} cannot be undone in images of {size[0]} x {size[1]} pixels"

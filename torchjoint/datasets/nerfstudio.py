@@ -41,10 +41,9 @@ _PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "RADIAL", "SIMPLE_RADIAL"
 
 
 class _Shot(NamedTuple):
-    file: str
+    color: Path
     camera: Camera
     world_to_camera: Tensor
-    color: Path
     depth: Path | None
     depth_unit: float | None
 
@@ -74,14 +73,13 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
     """
     for_all = {key: value for key, value in record.values.items() if key != "frames"}
     frames = [Record(for_all | dict(frame.values), frame.name) for frame in record.records("frames")]
-    shots = sorted((_shot(file, frame) for frame in frames), key=lambda shot: shot.file)
-    files = [shot.file for shot in shots]
-    if not files:
+    shots = sorted((_shot(file, frame) for frame in frames), key=lambda shot: shot.color)
+    if not shots:
         raise ValueError(f"{file}: frames: expected at least one, got none")
-    for one, following in pairwise(files):
-        if one == following:
-            raise ValueError(f"{file}: frames: two have the file_path {one!r}")
-    names = frame_names(files)
+    for one, following in pairwise(shots):
+        if one.color == following.color:
+            raise ValueError(f"{file}: frames: two are of {one.color}")
+    names = frame_names([str(shot.color) for shot in shots])
     return LazySequence(len(shots), lambda i: _read_frame(shots[i], names[i]))
 
 
@@ -96,7 +94,7 @@ def _shot(file: Path, frame: Record) -> _Shot:
     unit = frame.number("depth_unit_scale_factor") if "depth_unit_scale_factor" in frame else None
     if unit is not None and unit <= 0:
         raise ValueError(f"{frame.name}: depth_unit_scale_factor: expected metres a unit, got {unit}")
-    return _Shot(frame.text("file_path"), _camera(frame, color), _world_to_camera(frame), color, depth, unit)
+    return _Shot(color, _camera(frame, color), _world_to_camera(frame), depth, unit)
 
 
 def _read_frame(shot: _Shot, name: str) -> Frame:

@@ -45,4 +45,5 @@ def _is_file_name(name: str) -> bool:
         raw = os.fsencode(name)
     except UnicodeEncodeError:
         return False
-    return bool(raw) and b"\0" not in raw and len(raw) < 4096 and max(map(len, raw.split(b"/"))) < 256
+    # File systems take 255 bytes a name and 4096 a path; a suffix and a folder may come to it.
+    return bool(raw) and b"\0" not in raw and len(raw) < 2048 and max(map(len, raw.split(b"/"))) < 250

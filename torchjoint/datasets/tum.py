@@ -160,14 +160,14 @@ def _read_poses(path: Path, wanted: Sequence[float]) -> list[Tensor | None]:
 def _interpolate(rows: npt.NDArray[np.float64], wanted: npt.NDArray[np.float64], name: str) -> list[Tensor | None]:
     from scipy.spatial.transform import Slerp
 
+    rotations = rotations_of(rows[:, 4:], name)
     if len(rows) == 1:  # there is nothing to interpolate between
-        rows = np.concatenate([rows, rows + np.eye(8)[:1]])
+        rows, rotations = np.concatenate([rows, rows + np.eye(8)[:1]]), rotations[[0, 0]]
     times = rows[:, 0]
     within = wanted.clip(times[0], times[-1])
     after = np.searchsorted(times, within).clip(1, len(times) - 1)
     nearest = np.minimum(abs(wanted - times[after - 1]), abs(wanted - times[after]))
     poses = np.tile(np.eye(4), (len(wanted), 1, 1))
-    rotations = rotations_of(rows[:, 4:], name)
     poses[:, :3, :3] = Slerp(times, rotations)(within).as_matrix()
     poses[:, :3, 3] = np.stack([np.interp(within, times, rows[:, axis]) for axis in (1, 2, 3)], axis=1)
     return [torch.from_numpy(pose) if gap <= TOLERANCE else None for pose, gap in zip(poses, nearest, strict=True)]
