@@ -15,11 +15,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol, cast
 
-from torchjoint.datasets import folder
+from torchjoint.datasets import colmap, folder, nerfstudio, tum
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
 
-__all__ = ["folder", "list_scenes", "load_scene"]
+__all__ = ["colmap", "folder", "list_scenes", "load_scene", "nerfstudio", "tum"]
 
 
 class Format(Protocol):
@@ -35,7 +35,12 @@ class Format(Protocol):
 
 
 #: Formats by name, in the order in which they are tried.
-FORMATS: dict[str, Format] = {"folder": cast(Format, folder)}
+FORMATS: dict[str, Format] = {
+    "folder": cast(Format, folder),
+    "tum": cast(Format, tum),
+    "nerfstudio": cast(Format, nerfstudio),
+    "colmap": cast(Format, colmap),
+}
 
 
 def load_scene(

@@ -7,11 +7,14 @@ import io
 import os
 import re
 import struct
+import tokenize
 import warnings
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from PIL import Image
 from torch import Tensor
@@ -27,6 +30,14 @@ def read_image(path: Path) -> Tensor:
         raise ValueError(f"{path}: expected an 8-bit image, got mode {image.mode}")
     array = np.array(image.convert("RGB"))
     return torch.from_numpy(array).permute(2, 0, 1).contiguous()
+
+
+def read_image_size(path: Path) -> tuple[int, int]:
+    """(H, W) of an image, from the header of its file."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected an image")
+    image = decode_image(path.read_bytes(), str(path), header_only=True)
+    return image.height, image.width
 
 
 def read_depth(path: Path, unit: float = 0.001) -> Tensor:
@@ -95,11 +106,14 @@ def read_array(path: Path) -> Tensor:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected an array of numbers, .npy")
     try:
-        array = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of headers that Python 2, or old numpy, may have written
+            # Mapped, since so the shape is checked against the file's size before there is memory for it.
+            array: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
         if array.dtype.kind == "u" and array.dtype.itemsize > 1:  # torch can do little with these
             array = array.astype(np.int64)
-        return torch.from_numpy(np.ascontiguousarray(array.astype(array.dtype.newbyteorder("="))))
-    except (ValueError, TypeError, OSError, EOFError, MemoryError, SyntaxError, AttributeError) as error:
+        return torch.from_numpy(np.array(array, dtype=array.dtype.newbyteorder("="), order="C", subok=False))
+    except (ValueError, TypeError, OSError, EOFError, OverflowError, SyntaxError, tokenize.TokenError) as error:
         raise ValueError(f"{path}: not a whole .npy array of numbers: {error}") from error
 
 
@@ -160,8 +174,8 @@ def _opened(path: Path) -> Image.Image:
     return decode_image(path.read_bytes(), str(path))
 
 
-def decode_image(data: bytes, name: str) -> Image.Image:
-    """An image file's bytes -> image, decoded; errors give the name.
+def decode_image(data: bytes, name: str, *, header_only: bool = False) -> Image.Image:
+    """An image file's bytes -> image, decoded (or its header only); errors give the name.
 
     Raises:
         ValueError: not a whole image, or one of more than `MAX_PIXELS`.
@@ -172,7 +186,8 @@ def decode_image(data: bytes, name: str) -> Image.Image:
             image = Image.open(io.BytesIO(data))
             if image.width * image.height > MAX_PIXELS:
                 raise ValueError(f"{image.width} x {image.height} pixels are too many (at most {MAX_PIXELS})")
-            image.load()
+            if not header_only:
+                image.load()
     except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
             Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
         raise ValueError(f"{name}: not a whole image: {error}") from error
