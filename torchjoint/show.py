@@ -49,11 +49,14 @@ def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
     from matplotlib.figure import Figure
 
     count = min(num_frames, len(result.images))
-    figure = Figure(figsize=(3.2 * max(count, 2), (7.5 if count else 0) + 5.0), layout="constrained")
+    width = 3.2 * max(count, 3)
+    shape = max((image.shape[0] / image.shape[1] for image in result.initial_images), default=0)
+    frames_height = 3 * (width / max(count, 1) * shape + 0.15) + 0.2 if count else 0.0
+    figure = Figure(figsize=(width, frames_height + 0.38 * width), layout="constrained")
     if not count:
         _draw_cloud(figure, scene, result)
         return figure
-    parts: Any = figure.subfigures(2, 1, height_ratios=[7.5, 5.0])
+    parts: Any = figure.subfigures(2, 1, height_ratios=[frames_height, 0.38 * width])
     top, bottom = parts
     _draw_frames(top, scene, result, torch.linspace(0, len(result.images) - 1, count).round().long().tolist())
     _draw_cloud(bottom, scene, result)
