@@ -15,11 +15,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol, cast
 
-from torchjoint.datasets import folder
+from torchjoint.datasets import folder, scannet, sis3d
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
 
-__all__ = ["folder", "list_scenes", "load_scene"]
+__all__ = ["folder", "list_scenes", "load_scene", "scannet", "sis3d"]
 
 
 class Format(Protocol):
@@ -35,7 +35,11 @@ class Format(Protocol):
 
 
 #: Formats by name, in the order in which they are tried.
-FORMATS: dict[str, Format] = {"folder": cast(Format, folder)}
+FORMATS: dict[str, Format] = {
+    "folder": cast(Format, folder),
+    "sis3d": cast(Format, sis3d),
+    "scannet": cast(Format, scannet),
+}
 
 
 def load_scene(

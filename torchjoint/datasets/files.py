@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 import os
 import re
 import struct
 import warnings
 import zlib
 from pathlib import Path
+from tokenize import TokenError
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,11 +25,7 @@ MAX_PIXELS = 64_000_000
 
 def read_image(path: Path) -> Tensor:
     """An 8-bit image of any mode -> [3, H, W] uint8 RGB."""
-    image = _opened(path)
-    if image.mode.startswith(("I", "F")):
-        raise ValueError(f"{path}: expected an 8-bit image, got mode {image.mode}")
-    array = np.array(image.convert("RGB"))
-    return torch.from_numpy(array).permute(2, 0, 1).contiguous()
+    return rgb_of(_opened(path), str(path))
 
 
 def read_depth(path: Path, unit: float = 0.001) -> Tensor:
@@ -40,10 +39,7 @@ def read_depth(path: Path, unit: float = 0.001) -> Tensor:
 
 def read_label_image(path: Path) -> Tensor:
     """An 8- or 16-bit label image -> [H, W] int64."""
-    image = _opened(path)
-    if image.mode not in ("L", "P", "I;16", "I;16B", "I"):
-        raise ValueError(f"{path}: expected a grey or palette image of labels, got mode {image.mode}")
-    return torch.from_numpy(np.array(image).astype(np.int64))
+    return labels_of(_opened(path), str(path))
 
 
 def read_grey_image(path: Path) -> Tensor:
@@ -66,6 +62,16 @@ def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
     if values.size != shape[0] * shape[1]:
         raise ValueError(f"{path}: expected {shape[0]}x{shape[1]} = {shape[0] * shape[1]} numbers, got {values.size}")
     return torch.from_numpy(values.reshape(shape))
+
+
+def read_json(path: Path) -> Any:
+    """A JSON file's content."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a JSON file")
+    try:
+        return json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: not a whole JSON file: {error}") from error
 
 
 def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
@@ -99,7 +105,7 @@ def read_array(path: Path) -> Tensor:
         if array.dtype.kind == "u" and array.dtype.itemsize > 1:  # torch can do little with these
             array = array.astype(np.int64)
         return torch.from_numpy(np.ascontiguousarray(array.astype(array.dtype.newbyteorder("="))))
-    except (ValueError, TypeError, OSError, EOFError, MemoryError, SyntaxError, AttributeError) as error:
+    except (ValueError, TypeError, OSError, EOFError, MemoryError, SyntaxError, AttributeError, TokenError) as error:
         raise ValueError(f"{path}: not a whole .npy array of numbers: {error}") from error
 
 
@@ -158,6 +164,20 @@ def _opened(path: Path) -> Image.Image:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected an image")
     return decode_image(path.read_bytes(), str(path))
+
+
+def rgb_of(image: Image.Image, name: str) -> Tensor:
+    """An 8-bit image of any mode -> [3, H, W] uint8 RGB; errors give the name."""
+    if image.mode.startswith(("I", "F")):
+        raise ValueError(f"{name}: expected an 8-bit image, got mode {image.mode}")
+    return torch.from_numpy(np.array(image.convert("RGB"))).permute(2, 0, 1).contiguous()
+
+
+def labels_of(image: Image.Image, name: str) -> Tensor:
+    """An 8- or 16-bit label image -> [H, W] int64; errors give the name."""
+    if image.mode not in ("L", "P", "I;16", "I;16B", "I"):
+        raise ValueError(f"{name}: expected a grey or palette image of labels, got mode {image.mode}")
+    return torch.from_numpy(np.array(image).astype(np.int64))
 
 
 def decode_image(data: bytes, name: str) -> Image.Image:

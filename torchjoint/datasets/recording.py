@@ -23,13 +23,19 @@ class Options:
     progress: bool = False  #: show a progress bar while fusing
 
 
-def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options) -> Scene:
-    """A scene of a folder's frames. Its cloud is, whichever is there first: `options.cloud`, `cloud.ply`, a fused one.
+def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, own_cloud: Path | None = None) -> Scene:
+    """A scene of a folder's frames. Its cloud is, whichever is there first: `options.cloud`, its own, a fused one.
+
+    Args:
+        path: the folder; the scene is called like it.
+        frames: its frames.
+        options: the caller's wishes.
+        own_cloud: the cloud that comes with them; default: `cloud.ply` in the folder.
 
     Raises:
         ValueError: there is no cloud, and no depth to fuse one from.
     """
-    for file in (options.cloud, path / "cloud.ply"):
+    for file in (options.cloud, own_cloud or path / "cloud.ply"):
         if file is not None and file.is_file():
             points, colors, normals = read_cloud(file)
             return Scene(points, frames, colors, normals, name=path.name)
