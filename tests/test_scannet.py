@@ -21,10 +21,11 @@ from scannet_files import (
     write_point_truth,
     write_sens,
 )
+from test_fuzz import damages, read_all
 
 import torchjoint as tj
 from torchjoint.datasets.resampling import register_depth, resize_labels
-from torchjoint.datasets.scannet_cameras import Camera
+from torchjoint.datasets.scannet_cameras import Camera, find_cameras
 from torchjoint.datasets.sens import SensFile
 
 SCAN = "scene0011_00"
@@ -112,6 +113,22 @@ def test_cameras_of_another_resolution():
     assert guessed.scaled_to((484, 648)).tolist() == camera.scaled_to((484, 648)).tolist()
     fitting = Camera(torch.tensor([[577.0, 0, 318], [0, 578, 241], [0, 0, 1]]).double(), ((968, 1296),), False)
     assert fitting.scaled_to((480, 640)).tolist() == fitting.intrinsics.tolist()
+
+
+def test_exported_depth_has_the_colour_camera_s_view(tmp_path):
+    """ScanNet's own numbers: what SCAN.txt tells of the depth sensor was before the two were aligned."""
+    color = [[1170.187988, 0, 647.75], [0, 1170.187988, 483.75], [0, 0, 1]]
+    depth = [[571.623718, 0, 319.5], [0, 571.623718, 239.5], [0, 0, 1]]
+    write_info(tmp_path / "s.txt", color, depth, (968, 1296), (480, 640))
+    cameras = find_cameras(tmp_path, tmp_path / "s.txt")
+    got = cameras.depth.scaled_to((480, 640))
+    torch.testing.assert_close(got.diagonal()[:2], torch.tensor([577.870611, 580.258506]).double())
+    # Its intrinsic_depth.txt is just intrinsic_color.txt, scaled.
+    exact = Camera(
+        torch.tensor([[1169.621094, 0, 646.295044], [0, 1167.105103, 489.927032], [0, 0, 1]]).double(), ((968, 1296),)
+    )
+    expected = torch.tensor([[577.590698, 0, 318.905426], [0, 578.729797, 242.683609], [0, 0, 1]]).double()
+    torch.testing.assert_close(exact.scaled_to((480, 640)), expected, atol=5e-3, rtol=0)
 
 
 def test_depth_is_brought_to_the_colour_image():
@@ -401,7 +418,7 @@ class TestExported:
             (("fx_color = 8", "fx_color = eight"), "expected numbers"),
             (("colorWidth = 8", "colorWidth = 1e99"), "expected an image size in pixels"),
             (("colorWidth = 8", "colorWidth = nan"), "expected an image size in pixels"),
-            (("fy_depth = 8", "fy_depth = -8"), "txt, depth: expected"),
+            (("fy_color = 8", "fy_color = -8"), "txt, colour: expected"),
             (("fx_color", "fx_colour"), "scene0011_00.txt tells of no cameras"),
         ],
     )
@@ -414,3 +431,19 @@ class TestExported:
         info.write_text(info.read_text().replace(*spoil))
         with pytest.raises((ValueError, FileNotFoundError), match=message):
             tj.load_scene(folder)
+
+    def test_damaged_files_give_clear_errors(self, folder):
+        """As tests/test_fuzz.py with a stream; here exported frames, both calibrations, and zipped instances."""
+        write_info(folder / f"{SCAN}.txt", np.diag([8, 8, 1]), np.diag([8, 8, 1]), (6, 8), (6, 8))
+        with zipfile.ZipFile(folder / f"{SCAN}_2d-instance-filt.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+            for name in "01":
+                Image.new("L", (8, 6), 3).save(folder / "label.png")
+                archive.write(folder / "label.png", f"instance-filt/{name}.png")
+        (folder / "label.png").unlink()
+        assert len(read_all(folder).truth.images) == 2
+        for _ in damages(folder, 8):
+            read_all(folder)
+        (folder / "intrinsic" / "intrinsic_color.txt").unlink()  # the other calibration
+        for _ in damages(folder, 8, seed=1):
+            read_all(folder)
+        assert read_all(folder) is not None

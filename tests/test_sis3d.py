@@ -16,6 +16,7 @@ from scannet_files import (
     write_info,
     write_mesh,
     write_point_truth,
+    write_sens,
     write_volume,
 )
 
@@ -66,6 +67,16 @@ def test_a_scene_by_any_of_its_paths(root, synthetic, path):
         torch.testing.assert_close(got.intrinsics, expected.intrinsics)
         torch.testing.assert_close(got.world_to_camera, expected.world_to_camera, atol=2e-5, rtol=0)
         torch.testing.assert_close(got.depth, expected.depth, atol=0.0006, rtol=0)
+
+
+def test_a_scan_with_frames_of_its_own_is_scannet_s(root, synthetic):
+    mesh = root / "scans" / SCAN
+    assert tj.datasets.sis3d.recognizes(mesh)
+    intrinsics = synthetic.scene.frames[0].intrinsics
+    write_sens(mesh / f"{SCAN}.sens", shots_of(synthetic.scene), intrinsics, intrinsics)
+    assert not tj.datasets.sis3d.recognizes(mesh)
+    assert [frame.name for frame in tj.load_scene(mesh).frames] == ["0", "1"]
+    assert tj.datasets.sis3d.find_folders(mesh).images == root / "images_square" / SCAN  # whose voxels these still are
 
 
 def test_several_scenes_are_listed(root):

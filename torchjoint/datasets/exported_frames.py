@@ -36,8 +36,8 @@ def read_frames(folder: Path, cameras: Cameras) -> NamedFrames:
     """The frames with valid poses, by number, each read when it is asked for.
 
     Poses are camera-to-world, OpenCV axes, metres; those of frames where tracking was lost hold -inf and are left out.
-    Depth is in millimetres; the nearest pixel of it is brought to each pixel of the colour image. Both cameras count
-    as one place, as ScanNet's calibration has them within millimetres.
+    Depth is in millimetres; the nearest pixel of it is brought to each pixel of the colour image, of which it has the
+    view.
 
     Raises:
         FileNotFoundError: an image without a pose.

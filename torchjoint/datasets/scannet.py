@@ -11,8 +11,9 @@ SCAN.aggregation.json
 instance-filt/N.png                    the pixels' instances, objectId + 1, 0 = none (optional; or
                                        SCAN_2d-instance-filt.zip, as it is downloaded)
 
-Images stay as they are, 1296x968 mostly; the 640x480 depth is brought to them pixel by pixel (the nearest one's), both
-cameras taken to be at one place. SCAN.txt's alignment to the axes is not applied.
+Images stay as they are, 1296x968 mostly. The 640x480 depth, which ScanNet's authors have aligned to the same view, is
+brought to them by both cameras' intrinsics, the nearest pixel's; no extrinsics are applied, and neither is SCAN.txt's
+alignment to the axes.
 """
 
 from __future__ import annotations

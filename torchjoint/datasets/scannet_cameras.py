@@ -1,4 +1,4 @@
-"""The two cameras of a ScanNet scan, colour and depth, from whichever file tells of them."""
+"""The cameras of a ScanNet scan's colour and depth images, which are of one view, from whichever file tells of them."""
 
 from __future__ import annotations
 
@@ -52,10 +52,12 @@ class Cameras(NamedTuple):
     depth: Camera
 
 
-_NOMINAL = torch.tensor([[577.870605, 0, 319.5], [0, 577.870605, 239.5], [0, 0, 1]], dtype=torch.float64)
+_NOMINAL = Camera(
+    torch.tensor([[577.870605, 0, 319.5], [0, 577.870605, 239.5], [0, 0, 1]], dtype=torch.float64), (DEPTH_SIZE,)
+)
 
-#: What 3D-SIS takes for every scan: the depth camera's calibration of one sensor.
-NOMINAL = Cameras(Camera(_NOMINAL, (DEPTH_SIZE,)), Camera(_NOMINAL, (DEPTH_SIZE,)))
+#: What 3D-SIS takes for every scan: that of the commonest sensor.
+NOMINAL = Cameras(_NOMINAL, _NOMINAL)
 
 
 def find_cameras(folder: Path, info: Path) -> Cameras | None:
@@ -64,7 +66,7 @@ def find_cameras(folder: Path, info: Path) -> Cameras | None:
     Args:
         folder: may hold intrinsic/intrinsic_color.txt and intrinsic/intrinsic_depth.txt, 4x4, as ScanNet's exporter
             writes them: of the sensor's resolution, which is not said, or of the images, if they were scaled, too.
-        info: ScanNet's SCAN.txt, which tells both calibrations and resolutions.
+        info: ScanNet's SCAN.txt, which tells the sensor's calibration and resolution, but less exactly.
 
     Raises:
         FileNotFoundError, ValueError: naming the file and what is wrong with it.
@@ -78,7 +80,11 @@ def find_cameras(folder: Path, info: Path) -> Cameras | None:
 
 
 def _read_info(path: Path) -> Cameras | None:
-    """Of lines such as "fx_color = 1170.187988"; None where there are no calibrations among them."""
+    """Of lines such as "fx_color = 1170.187988"; None where there are no calibrations among them.
+
+    Depth images were brought to the colour camera's view, so its calibration, scaled, is theirs, too, and the file's
+    fx_depth, of the sensor before that, is not (https://github.com/ScanNet/ScanNet/issues/92).
+    """
     try:
         lines = [line.partition("=") for line in path.read_text(encoding="utf-8").splitlines()]
     except UnicodeDecodeError as error:
@@ -86,22 +92,15 @@ def _read_info(path: Path) -> Cameras | None:
     values = {name.strip(): value.strip() for name, _, value in lines}
     if "fx_color" not in values:
         return None
-    return Cameras(_camera(values, "color", path), _camera(values, "depth", path))
-
-
-def _camera(values: dict[str, str], which: str, path: Path) -> Camera:
-    names = [f"{name}_{which}" for name in ("fx", "fy", "mx", "my")] + [f"{which}Height", f"{which}Width"]
+    names = ("fx_color", "fy_color", "mx_color", "my_color", "colorHeight", "colorWidth")
     try:
         fx, fy, cx, cy, height, width = (float(values[name]) for name in names)
     except KeyError as error:
-        raise ValueError(
-            f"{path}: expected a line {error.args[0]} = ..., as others of the calibration are there"
-        ) from None
+        raise ValueError(f"{path}: expected a line {error.args[0]} = ..., as there is one of fx_color") from None
     except ValueError as error:
         raise ValueError(f"{path}: expected numbers, got {error}") from error
-    matrix = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
     if not (1 <= height <= 2**16 and 1 <= width <= 2**16):
-        raise ValueError(
-            f"{path}: expected an image size in pixels, got {which}Width {width:g}, {which}Height {height:g}"
-        )
-    return Camera(as_intrinsics(matrix, f"{path}, {which}"), ((int(height), int(width)),))
+        raise ValueError(f"{path}: expected an image size in pixels, got colorWidth {width:g}, colorHeight {height:g}")
+    matrix = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
+    camera = Camera(as_intrinsics(matrix, f"{path}, colour"), ((int(height), int(width)),))
+    return Cameras(camera, camera)

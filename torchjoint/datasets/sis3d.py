@@ -47,8 +47,9 @@ class Folders(NamedTuple):
 
 
 def recognizes(path: Path) -> bool:
-    """Whether `path` is one scan of this layout, or a folder that holds just one."""
-    return find_folders(path) is not None
+    """Whether `path` is one scan of this layout, or a folder that holds just one; not a mesh with frames of its own."""
+    is_scannet = (path / f"{path.name}.sens").is_file() or (has_frames(path) and not _is_scan(path))
+    return not is_scannet and find_folders(path) is not None
 
 
 def load(path: Path, options: Options) -> Scene:

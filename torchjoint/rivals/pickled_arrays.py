@@ -27,6 +27,9 @@ _CONSTANTS = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False, "EMPTY_TUPLE": (
 _TUPLES = {"TUPLE1": 1, "TUPLE2": 2, "TUPLE3": 3}
 _NUMBERS = ("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8")
 
+#: NumPy's own bound.
+_MOST_AXES = 64
+
 
 def read_pickled_arrays(path: Path) -> list[Any]:
     """Reads a pickle of one array, or of a list or tuple of arrays, numbers and bytes (protocol 2 or later).
@@ -57,12 +60,12 @@ class _Type:
 
     def __init__(self, code: str) -> None:
         if code not in _NUMBERS:
-            raise ValueError(f"an array of type {code!r}")
+            raise ValueError(f"an array of type {_shown(code)}")
         self._code, self._order = code, "="
 
     def build(self, state: Any) -> None:
         if state[1] not in ("<", ">", "|", "="):
-            raise ValueError(f"a byte order {state[1]!r}")
+            raise ValueError(f"a byte order {_shown(state[1])}")
         self._order = state[1]
 
     def read(self, data: object, count: int) -> npt.NDArray[Any]:
@@ -82,8 +85,9 @@ class _Array:
         self.fill(shape, dtype, by_columns is True, data)
 
     def fill(self, shape: Any, dtype: Any, by_columns: bool, data: Any) -> None:
-        if not isinstance(dtype, _Type) or not all(type(length) is int and length >= 0 for length in shape):
-            raise ValueError(f"an array of shape {shape!r}")
+        is_shape = len(_as(tuple, shape)) <= _MOST_AXES and all(type(n) is int and 0 <= n < 2**63 for n in shape)
+        if not isinstance(dtype, _Type) or not is_shape:
+            raise ValueError("an array without a type or a shape")
         self.value = dtype.read(data, math.prod(shape)).reshape(shape, order="F" if by_columns else "C")
 
 
@@ -177,7 +181,12 @@ def _called(function: _Name, arguments: tuple[Any, ...]) -> object:
         return _as(_Type, arguments[0]).read(arguments[1], 1)[0]
     if function == "encode" and arguments[1] == "latin1":  # how protocol 2 writes bytes
         return _as(str, arguments[0]).encode("latin1")
-    raise ValueError(f"a call of {function} with {arguments!r:.100}")
+    raise ValueError(f"a call of {function} with {', '.join(map(_shown, arguments[:5]))}")
+
+
+def _shown(value: object) -> str:
+    """For messages. Of lists and tuples the type alone: they may hold each other beyond what memory can show."""
+    return repr(value)[:100] if isinstance(value, (str, int)) else type(value).__name__
 
 
 def _as(kind: type, value: Any) -> Any:

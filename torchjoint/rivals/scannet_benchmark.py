@@ -53,10 +53,10 @@ def read_instance_masks(path: Path, num_points: int) -> InstanceMasks:
 def _parse(line: str, name: str, folder: Path) -> tuple[Path, int, float]:
     parts = line.split()
     try:
-        relative, label, score = parts[0], int(parts[1]), float(parts[2])
+        relative, label, score = parts[0], int(float(parts[1])), float(parts[2])
         if len(parts) != 3 or not -(2**31) < label < 2**31 or score != score:
             raise ValueError
-    except (ValueError, IndexError):
+    except (ValueError, IndexError, OverflowError):
         raise ValueError(f"{name}: expected a path, a class and a confidence, got {line[:100]!r}") from None
     try:
         file = (folder / relative).resolve()

@@ -65,7 +65,8 @@ def detection_labels(detections: Detections, points: Tensor, world_to_scene: Ten
         world_to_scene: [4, 4], see :func:`torchjoint.datasets.voxels.read_world_to_scene`.
 
     Returns:
-        [N] int64: of several detections the most confident one, then the first; -1 where nothing was detected.
+        [N] int64: of several detections the most confident one, then the first; -1 where nothing was detected, that is
+        outside of what the paper calls P_D.
     """
     weakest_first = sorted(range(len(detections.masks)), key=lambda k: (float(detections.scores[k]), -k))
     return label_voxels(voxels_of(points, world_to_scene), detections.corners, detections.masks, weakest_first)
