@@ -13,7 +13,7 @@ import torch
 
 import torchjoint as tj
 from torchjoint.config import VisibilityConfig
-from torchjoint.point_graph import nearest_neighbors
+from torchjoint.neighbors import nearest_neighbors
 from torchjoint.visibility import project, visible_points
 
 SEEDS = range(3)

@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 import torchjoint as tj
-from torchjoint.datasets.files import read_cloud, read_depth, read_image, write_cloud
+from torchjoint.datasets.files import read_array, read_cloud, read_depth, read_image, write_cloud
 from torchjoint.datasets.recording import invert_pose
 
 
@@ -190,6 +190,31 @@ def test_depth_of_another_size_and_depth_in_8_bits(folder):
     Image.fromarray(np.ones((120, 160), dtype=np.uint8)).save(folder / "frame-000000.depth.png")
     with pytest.raises(ValueError, match=r"depth\.png: expected a 16-bit grey image, got mode L"):
         tj.load_scene(folder).frames[0]
+
+
+@pytest.mark.parametrize("dtype", ["<f4", ">f8", "<u2", ">i4", "?"])
+def test_arrays(tmp_path, dtype):
+    values = np.asfortranarray(np.arange(12).reshape(3, 4)).astype(dtype)
+    np.save(tmp_path / "a.npy", values)
+    assert read_array(tmp_path / "a.npy").tolist() == values.tolist()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (b"(30, 4)", b"(90, 4)", "greater than file size"),  # before there is memory for it
+        (b", }", b"( ", ""),  # which Python's tokenizer has an error of its own for
+        (b"<f8", b"|O8", ""),
+        (b"NUMPY", b"NUMPX", "magic string"),
+    ],
+)
+def test_arrays_that_are_not_whole(tmp_path, old, new, message):
+    file = tmp_path / "a.npy"
+    np.save(file, np.zeros((30, 4)))
+    assert old in file.read_bytes()
+    file.write_bytes(file.read_bytes().replace(old, new.ljust(len(old))))
+    with pytest.raises(ValueError, match=rf"a\.npy: not a whole \.npy array of numbers: .*{message}"):
+        read_array(file)
 
 
 def test_no_such_scene(tmp_path):

@@ -9,7 +9,8 @@ from torch import nn
 
 import torchjoint as tj
 from torchjoint.checkpoint import Checkpoint, run_key
-from torchjoint.point_graph import estimate_normals, nearest_neighbors
+from torchjoint.neighbors import nearest_neighbors
+from torchjoint.point_graph import estimate_normals
 from torchjoint.pose_check import PoseWarning
 
 CONFIG = tj.Config().set(["point_segments.min_size=20", "image_segments.min_size=20"])
@@ -414,3 +415,11 @@ class TestPoseCheck:
             self.changed(synthetic, lambda f: dataclasses.replace(f, intrinsics=f.intrinsics * double))
         )
         assert any("those of another image size" in message for message in messages)
+
+
+def test_points_alone_are_segmented_without_the_images(synthetic):
+    segmenter = tj.JointSegmenter()
+    whole = segmenter(synthetic.scene)
+    alone = segmenter.compute(images=False)
+    assert torch.equal(alone.points, whole.points)
+    assert len(alone.images) == 0

@@ -198,6 +198,26 @@ def test_coverings_and_mean_best_iou_are_the_loop(data):
     assert metrics.mean_best_iou(*tensors) == pytest.approx(best, abs=1e-12)
 
 
+def slow_superpoint_measures(pred, target):
+    """Achievable segmentation accuracy and undersegmentation error, from sets of points."""
+    labelled = [k for k, t in enumerate(target) if t >= 0]
+    superpoints = [{k for k in labelled if pred[k] == label} for label in set(pred)]
+    regions = [{k for k in labelled if target[k] == label} for label in {target[k] for k in labelled}]
+    right = sum(max(len(superpoint & region) for region in regions) for superpoint in superpoints)
+    leaked = sum(min(len(s & r), len(s - r)) for r in regions for s in superpoints if s & r)
+    return right / len(labelled), leaked / len(labelled)
+
+
+@given(partitions())
+def test_superpoint_measures_are_the_loop(data):
+    pred, targets = data
+    tensors = torch.tensor(pred), [torch.tensor(target) for target in targets]
+    each = [slow_superpoint_measures(pred, target) for target in targets]
+    accuracy, error = (sum(values) / len(values) for values in zip(*each, strict=True))
+    assert metrics.achievable_segmentation_accuracy(*tensors) == pytest.approx(accuracy, abs=1e-12)
+    assert metrics.undersegmentation_error(*tensors) == pytest.approx(error, abs=1e-12)
+
+
 # --- properties -------------------------------------------------------------------------------------------------------
 
 
@@ -208,6 +228,8 @@ def everything(pred, target):
         metrics.mean_best_iou(pred, target),
         metrics.average_precision_objects(pred, target),
         metrics.average_precision_parts(pred, target),
+        metrics.achievable_segmentation_accuracy(pred, target),
+        1 - metrics.undersegmentation_error(pred, target),
     )
 
 
@@ -256,7 +278,7 @@ def test_everything_is_between_0_and_1_and_the_same_twice(data):
 @given(partitions())
 def test_a_perfect_prediction_has_1_everywhere(data):
     target = torch.tensor(data[1][0])
-    assert everything(target, target) == pytest.approx([1.0] * 9)
+    assert everything(target, target) == pytest.approx([1.0] * 11)
 
 
 def test_few_and_many_regions_go_different_ways_to_the_same_table():
@@ -264,7 +286,7 @@ def test_few_and_many_regions_go_different_ways_to_the_same_table():
     pred, target = few // 3, few // 2
     assert everything(pred * 10**12, target * 10**15) == everything(pred, target)
     every = torch.arange(6000)  # 6000 x 6000 pairs: too many to count in an array
-    assert everything(every, every.flip(0)) == pytest.approx([1.0] * 9)
+    assert everything(every, every.flip(0)) == pytest.approx([1.0] * 11)
 
 
 # --- by hand ----------------------------------------------------------------------------------------------------------
@@ -284,9 +306,29 @@ def test_mean_best_iou_counts_a_small_instance_like_a_large_one():
     assert metrics.segmentation_covering(pred, target).target_by_pred == pytest.approx((9 * 9 / 10 + 1 / 10) / 10)
 
 
+def test_superpoint_measures_by_hand():
+    """Superpoints of 4 and 2 points; the first lies 3:1 over two regions, the second within one."""
+    pred, target = torch.tensor([0, 0, 0, 0, 1, 1]), torch.tensor([0, 0, 0, 1, 1, 1])
+    assert metrics.achievable_segmentation_accuracy(pred, target) == pytest.approx((3 + 2) / 6)
+    assert metrics.undersegmentation_error(pred, target) == pytest.approx((1 + 1 + 0) / 6)
+    one = torch.zeros(6, dtype=torch.int64)  # a single superpoint, half of it in either region
+    assert metrics.achievable_segmentation_accuracy(one, target) == 0.5
+    assert metrics.undersegmentation_error(one, target) == 1.0
+
+
+def test_splitting_superpoints_never_hurts_what_is_achievable():
+    generator = torch.Generator().manual_seed(0)
+    target = torch.randint(5, (2000,), generator=generator)
+    pred = torch.randint(40, (2000,), generator=generator)
+    coarse, fine = pred // 4, pred * 2 + torch.randint(2, (2000,), generator=generator)
+    accuracy = [metrics.achievable_segmentation_accuracy(p, target) for p in (coarse, pred, fine)]
+    assert accuracy == sorted(accuracy)
+    assert accuracy[0] < accuracy[2]
+
+
 def test_void_is_dropped_with_what_was_predicted_there():
     pred, target = torch.tensor([3, 3, 4, 4, 9, 3]), torch.tensor([1, 1, 2, 2, -1, -1])
-    assert everything(pred, target) == pytest.approx([1.0] * 9)
+    assert everything(pred, target) == pytest.approx([1.0] * 11)
 
 
 def test_an_unlabelled_prediction_is_one_background_region():
@@ -326,7 +368,16 @@ def test_arguments_are_left_as_they_were():
 ONES = torch.ones(4, dtype=torch.int64)
 
 
-@pytest.mark.parametrize("measure", [metrics.segmentation_covering, metrics.objects_and_parts, metrics.mean_best_iou])
+@pytest.mark.parametrize(
+    "measure",
+    [
+        metrics.segmentation_covering,
+        metrics.objects_and_parts,
+        metrics.mean_best_iou,
+        metrics.achievable_segmentation_accuracy,
+        metrics.undersegmentation_error,
+    ],
+)
 @pytest.mark.parametrize(
     ("pred", "target", "error", "message"),
     [

@@ -24,7 +24,7 @@ from scipy.io import savemat
 
 import torchjoint as tj
 from torchjoint import cli
-from torchjoint.paper_tables import ROWS, Row, Scores, markdown, score_points
+from torchjoint.evaluation.paper_tables import ROWS, Row, Scores, paper_table, score_points
 
 SMALL = ["--set", "point_segments.min_size=20", "image_segments.min_size=20"]
 SCANS = ("scene0011_00", "scene0025_01")
@@ -141,8 +141,8 @@ def test_the_page(out):
     page = (out / "tables.md").read_text()
     tables = [line for line in page.splitlines() if line.startswith("|")]
     assert len(tables) == 2 * 2 + len(ROWS)
-    assert {line.count("|") for line in tables} == {len(Scores._fields) + 4}
-    assert "| 3D-SIS | P_D | 2 |" in page
+    assert {line.count("|") for line in tables} == {len(Scores._fields) + 3}
+    assert "| 3D-SIS, P_D |      2 |" in page
     assert {file.name for file in out.iterdir()} == {"tables.md", "tables.csv", "scenes.csv"}
 
 
@@ -156,8 +156,10 @@ def test_results_that_are_there_already(data, out, monkeypatch, tmp_path):
     assert (tmp_path / "out" / "tables.csv").read_text() == (out / "tables.csv").read_text()
     (tmp_path / "results" / SCANS[0] / "images" / "9.png").write_bytes(b"")
     shutil.copytree(tmp_path / "results" / SCANS[1], tmp_path / "wrong" / SCANS[0])
-    for folder, message in (("results", "is of other frames than those asked for: 1 is in one of the two only"),
-                            ("wrong", "is of another cloud than the scene's 6000 points")):  # fmt: skip
+    for folder, message in (
+        ("results", r"9\.png: the scene has no frame of that name"),
+        ("wrong", r"points\.npz: its points are not those of the scene"),
+    ):
         arguments = [data / "scans" / SCANS[0], "-o", tmp_path / "x", "--results", tmp_path / folder]
         with pytest.raises(SystemExit, match=message):
             run(monkeypatch, "paper-tables", *arguments)
@@ -232,8 +234,9 @@ def test_where_nothing_was_detected_there_is_no_p_d():
     assert detected[Row("I", "ours", "P_D")].f == 1
 
 
-def test_a_page_of_one_row():
-    page = markdown({Row("I", "ours", "P"): [Scores(*[0.5] * 8), Scores(*[1.0] * 8)]}, ["a note"])
-    assert page.splitlines()[4] == "| ours | P | 2 |" + " 0.750 |" * 8
-    assert page.endswith("\n- a note\n")
-    assert "Table II" not in page
+def test_a_table_of_one_row():
+    rows = {Row("I", "ours", "P"): [Scores(*[0.5] * 8), Scores(*[1.0] * 8)]}
+    head, _, line = paper_table(rows, "I").splitlines()
+    assert head.split("|")[1].strip() == "table I"
+    assert [cell.strip() for cell in line.split("|")] == ["", "ours, P", "2", *["0.750"] * 8, ""]
+    assert paper_table(rows, "II") == ""

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from torchjoint import ops
 from torchjoint.config import PointGraphConfig
+from torchjoint.neighbors import nearest_neighbors
 from torchjoint.ops.reference import fit_normals_reference, neighbor_edges_reference
 from torchjoint.point_graph import (
     angle_between,
     estimate_normals,
     geometric_weights,
-    nearest_neighbors,
     undirected_edges,
 )
 

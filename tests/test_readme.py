@@ -58,7 +58,7 @@ def test_constraints_pin_what_is_tested():
     assert pins["torch"] == torch.__version__.split("+")[0]
 
 
-@pytest.mark.parametrize("module", ["open3d", "matplotlib", "sklearn", "plotly", "tyro"])
+@pytest.mark.parametrize("module", ["open3d", "matplotlib", "sklearn", "plotly", "tyro", "torchmetrics"])
 def test_import_is_light(module):
     code = f"import sys, torchjoint; sys.exit({module!r} in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -338,7 +338,7 @@ class TestBenchmark:
         inside.mkdir()
         (inside / "link").symlink_to(tmp_path)
         file = self.write(inside, [f"{path.format(root=tmp_path)} 5 0.5"])
-        with pytest.raises(ValueError, match=r"line 1: .* is outside of"):
+        with pytest.raises(ValueError, match="line 1: expected a file inside"):
             read_instance_masks(file, 2)
 
     @pytest.mark.parametrize(

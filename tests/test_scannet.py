@@ -21,11 +21,10 @@ from scannet_files import (
     write_point_truth,
     write_sens,
 )
-from test_fuzz import damages, read_all
 
 import torchjoint as tj
 from torchjoint.datasets.resampling import register_depth, resize_labels
-from torchjoint.datasets.scannet_cameras import Camera, find_cameras
+from torchjoint.datasets.scannet_cameras import Calibration, find_cameras
 from torchjoint.datasets.sens import SensFile
 
 SCAN = "scene0011_00"
@@ -105,13 +104,13 @@ def test_frames_are_in_the_order_of_their_numbers(folder):
 
 def test_cameras_of_another_resolution():
     # ScanNet's own numbers: 1296 x 968 at half and at a quarter of the resolution.
-    camera = Camera(torch.tensor([[1170.0, 0, 647.75], [0, 1168, 483.75], [0, 0, 1]]).double(), ((968, 1296),))
+    camera = Calibration(torch.tensor([[1170.0, 0, 647.75], [0, 1168, 483.75], [0, 0, 1]]).double(), ((968, 1296),))
     assert camera.scaled_to((484, 648)).tolist() == [[585, 0, 323.625], [0, 584, 241.625], [0, 0, 1]]
     assert camera.scaled_to((968, 1296)).tolist() == camera.intrinsics.tolist()
     # An intrinsic_color.txt does not say for which size it is: the principal point tells.
-    guessed = Camera(camera.intrinsics, ((968, 1296), (480, 640)), is_certain=False)
+    guessed = Calibration(camera.intrinsics, ((968, 1296), (480, 640)), is_certain=False)
     assert guessed.scaled_to((484, 648)).tolist() == camera.scaled_to((484, 648)).tolist()
-    fitting = Camera(torch.tensor([[577.0, 0, 318], [0, 578, 241], [0, 0, 1]]).double(), ((968, 1296),), False)
+    fitting = Calibration(torch.tensor([[577.0, 0, 318], [0, 578, 241], [0, 0, 1]]).double(), ((968, 1296),), False)
     assert fitting.scaled_to((480, 640)).tolist() == fitting.intrinsics.tolist()
 
 
@@ -124,7 +123,7 @@ def test_exported_depth_has_the_colour_camera_s_view(tmp_path):
     got = cameras.depth.scaled_to((480, 640))
     torch.testing.assert_close(got.diagonal()[:2], torch.tensor([577.870611, 580.258506]).double())
     # Its intrinsic_depth.txt is just intrinsic_color.txt, scaled.
-    exact = Camera(
+    exact = Calibration(
         torch.tensor([[1169.621094, 0, 646.295044], [0, 1167.105103, 489.927032], [0, 0, 1]]).double(), ((968, 1296),)
     )
     expected = torch.tensor([[577.590698, 0, 318.905426], [0, 578.729797, 242.683609], [0, 0, 1]]).double()
@@ -257,18 +256,20 @@ class TestStream:
     @pytest.mark.parametrize("count", [4, 2**40, 2**64 - 1])
     def test_more_frames_than_there_are(self, file, count):
         self.patch(file, self.HEADER + 28, "Q", count)
-        with pytest.raises(ValueError, match=rf"s\.sens: truncated: expected {count} frames, got 3"):
+        with pytest.raises(ValueError, match=r"s\.sens: truncated: "):
             SensFile(file)
 
     @pytest.mark.parametrize("size", [10**5, 2**63, 2**64 - 1])
     def test_images_larger_than_the_file(self, file, size):
-        self.patch(file, self.HEADER + 36 + 64 + 16, "Q", size)
-        with pytest.raises(ValueError, match=r"s\.sens: truncated: frame 0 of 3 ends beyond the file"):
+        place = self.HEADER + 36 + 64 + 16
+        (depth,) = struct.unpack_from("<Q", file.read_bytes(), place + 8)
+        self.patch(file, place, "Q", size)
+        with pytest.raises(ValueError, match=rf"s\.sens: truncated: expected {size + depth} bytes"):
             SensFile(file)
 
     def test_a_name_longer_than_the_file(self, file):
         self.patch(file, 4, "Q", 2**62)
-        with pytest.raises(ValueError, match="its header is cut"):
+        with pytest.raises(ValueError, match=r"s\.sens: truncated: expected 4611686018427387904 bytes"):
             SensFile(file)
 
     def test_another_version_and_no_such_file(self, file):
@@ -276,7 +277,7 @@ class TestStream:
         with pytest.raises(ValueError, match=r"expected a \.sens file of version 4, got version 3"):
             SensFile(file)
         file.write_bytes(b"")
-        with pytest.raises(ValueError, match=r"expected a \.sens file of version 4, got version None"):
+        with pytest.raises(ValueError, match=r"s\.sens: is empty"):
             SensFile(file)
         with pytest.raises(FileNotFoundError, match=r"t\.sens: missing"):
             SensFile(file.with_name("t.sens"))
@@ -342,10 +343,14 @@ class TestTruth:
     @pytest.mark.parametrize(
         ("content", "message"),
         [
-            ("[]", "expected 'segIndices', a list, got none"),
-            ('{"segIndices": [1, 2, 3, "4"]}', "expected integers of at most 64 bits"),
-            ('{"segIndices": [1, 2, 3, 4.5]}', "expected integers of at most 64 bits"),
-            ('{"segIndices": [1, 2, 3, 99999999999999999999]}', "expected integers of at most 64 bits"),
+            ("[]", "expected an object, got list"),
+            ('{"segIndices": 3}', "segIndices: expected a list of integers of at most 64 bits"),
+            ('{"segIndices": [1, 2, 3, "4"]}', "segIndices: expected a list of integers of at most 64 bits"),
+            ('{"segIndices": [1, 2, 3, 4.5]}', "segIndices: expected a list of integers of at most 64 bits"),
+            (
+                '{"segIndices": [1, 2, 3, 99999999999999999999]}',
+                "segIndices: expected a list of integers of at most 64 bits",
+            ),
             ('{"segIndices": [', "not a whole JSON file"),
             ("[" * 100_000, "not a whole JSON file"),
         ],
@@ -358,10 +363,10 @@ class TestTruth:
     @pytest.mark.parametrize(
         ("groups", "message"),
         [
-            ([{"objectId": -3, "segments": []}], "expected an objectId >= 0, got -3"),
-            ([{"segments": []}], "expected 'objectId', an integer, got none"),
-            ([[]], "expected 'objectId', an integer, got none"),
-            ([{"objectId": 1}], "expected 'segments', a list, got none"),
+            ([{"objectId": -3, "segments": []}], r"segGroups\[0\]: objectId: expected an integer >= 0"),
+            ([{"segments": []}], r"segGroups\[0\]: objectId: expected an integer >= 0"),
+            ([[]], r"segGroups\[0\]: expected an object, got list"),
+            ([{"objectId": 1}], r"segGroups\[0\]: segments: expected a list of integers"),
         ],
     )
     def test_objects_of_another_form(self, folder, groups, message):
@@ -431,19 +436,3 @@ class TestExported:
         info.write_text(info.read_text().replace(*spoil))
         with pytest.raises((ValueError, FileNotFoundError), match=message):
             tj.load_scene(folder)
-
-    def test_damaged_files_give_clear_errors(self, folder):
-        """As tests/test_fuzz.py with a stream; here exported frames, both calibrations, and zipped instances."""
-        write_info(folder / f"{SCAN}.txt", np.diag([8, 8, 1]), np.diag([8, 8, 1]), (6, 8), (6, 8))
-        with zipfile.ZipFile(folder / f"{SCAN}_2d-instance-filt.zip", "w", zipfile.ZIP_DEFLATED) as archive:
-            for name in "01":
-                Image.new("L", (8, 6), 3).save(folder / "label.png")
-                archive.write(folder / "label.png", f"instance-filt/{name}.png")
-        (folder / "label.png").unlink()
-        assert len(read_all(folder).truth.images) == 2
-        for _ in damages(folder, 8):
-            read_all(folder)
-        (folder / "intrinsic" / "intrinsic_color.txt").unlink()  # the other calibration
-        for _ in damages(folder, 8, seed=1):
-            read_all(folder)
-        assert read_all(folder) is not None

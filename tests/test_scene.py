@@ -122,5 +122,3 @@ class TestTruth:
     def test_truth_of_another_size(self):
         with pytest.raises(ValueError, match=r"truth\.points: expected shape \[4\], got \[3\]"):
             Scene(torch.rand(4, 3), truth=Truth(torch.zeros(3, dtype=torch.int64)))
-        with pytest.raises(ValueError, match=r"truth\.images: expected none or 0, got 1"):
-            Scene(torch.rand(4, 3), truth=Truth(images=[torch.zeros(2, 2, dtype=torch.int64)]))

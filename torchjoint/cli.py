@@ -13,8 +13,10 @@ import tyro
 
 from torchjoint import metrics
 from torchjoint.checkpoint import Checkpoint, run_key
-from torchjoint.cli_arguments import DEFAULTS, Flat, Out, check_max_frames, evenly_spread
+from torchjoint.cli_arguments import DEFAULTS, Flat, Out, check_max_frames
+from torchjoint.cli_benchmark import benchmark
 from torchjoint.cli_boundaries import evaluate_boundaries
+from torchjoint.cli_evaluate import evaluate
 from torchjoint.cli_paper_tables import paper_tables
 from torchjoint.cli_superpoints import superpoints
 from torchjoint.cli_training import train_boundaries
@@ -25,6 +27,8 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.output import output_folder, read_points, write_result
 from torchjoint.scene import Scene, Segmentation
 from torchjoint.superpoints_config import superpoint_table
+from torchjoint.thinning import one_point_a_voxel
+from torchjoint.visibility import in_any_view
 
 
 def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = DEFAULTS, overwrite: bool = False) -> None:
@@ -52,6 +56,8 @@ def segment(
     overwrite: bool = False,
     voxel_size: float = 0.02,
     max_frames: int | None = None,
+    in_view: bool = False,
+    thin: float | None = None,
 ) -> None:
     """Segments a recording: a folder of posed frames, with or without a cloud.
 
@@ -64,6 +70,8 @@ def segment(
         overwrite: replace OUT if it is an earlier result.
         voxel_size: metres, where the cloud must be fused from depth.
         max_frames: use this many frames, evenly spread over the recording.
+        thin: keep one point in each voxel of this many metres; for clouds denser than their noise, or too large.
+        in_view: leave out the points that are in no frame's view (a LiDAR sees all around, a camera does not).
     """
     config = parameters.config()
     check_max_frames(max_frames)
@@ -72,8 +80,14 @@ def segment(
     source = f"{fingerprint(scene)} {voxel_size}"
     with output_folder(out, source, overwrite=overwrite) as partial:
         fused = partial / f"cloud-{voxel_size * 1000:g}mm.ply"  # kept there, where the recording brings no cloud
-        loaded = evenly_spread(load_scene(scene, cloud=fused, voxel_size=voxel_size, progress=True), max_frames)
-        checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames}", config))
+        loaded = load_scene(scene, cloud=fused, voxel_size=voxel_size, progress=True)
+        if max_frames is not None:
+            loaded = loaded.spread_frames(max_frames)
+        if in_view:
+            loaded = loaded.select_points(in_any_view(loaded.points, loaded.frames, config.visibility))
+        if thin is not None:
+            loaded = loaded.select_points(one_point_a_voxel(loaded.points, thin))
+        checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view} {thin}", config))
         result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
         write_result(partial, loaded, result, config, str(scene))
         shutil.rmtree(partial / "state")
@@ -113,6 +127,8 @@ def main() -> None:
             "demo": demo,
             "segment": segment,
             "superpoints": superpoints,
+            "evaluate": evaluate,
+            "benchmark": benchmark,
             "train-boundaries": train_boundaries,
             "evaluate-boundaries": evaluate_boundaries,
             "paper-tables": paper_tables,

@@ -1,4 +1,4 @@
-"""What several commands share: the method's parameters, frames spread over a recording, files not to be overwritten."""
+"""What several commands share: the method's parameters, how many frames, files not to be overwritten."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import torch
 import tyro
 
 from torchjoint.config import Config
-from torchjoint.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -40,13 +38,6 @@ def check_max_frames(max_frames: int | None) -> None:
     """Raises ValueError if it is no number of frames."""
     if max_frames is not None and max_frames < 0:
         raise ValueError(f"--max-frames: expected >= 0, got {max_frames}")
-
-
-def evenly_spread(scene: Scene, max_frames: int | None) -> Scene:
-    """The scene with at most so many of its frames, evenly spread; None: all."""
-    if max_frames is None or max_frames >= len(scene.frames):
-        return scene
-    return scene.select_frames(torch.linspace(0, len(scene.frames) - 1, max_frames).round().long().tolist())
 
 
 def check_output(out: Path, names: Iterable[str], overwrite: bool) -> None:

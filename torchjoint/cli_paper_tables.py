@@ -5,25 +5,36 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import torch
 import tyro
 from torch import Tensor
 
-from torchjoint.cli_arguments import DEFAULTS, Flat, Out, check_max_frames, check_output, evenly_spread
+from torchjoint.cli_arguments import DEFAULTS, Flat, Out, check_max_frames, check_output
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.datasets.lazy import LazySequence
 from torchjoint.datasets.resampling import resize_labels
 from torchjoint.datasets.sis3d import GRID, find_folders
 from torchjoint.datasets.voxels import read_world_to_scene
+from torchjoint.evaluation.paper_tables import (
+    ROWS,
+    LabelImages,
+    Row,
+    Scores,
+    mean_scores,
+    paper_table,
+    score_images,
+    score_points,
+)
+from torchjoint.evaluation.predictions import Prediction, read_prediction
 from torchjoint.image_segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter
-from torchjoint.output import read_config, read_result, write_text
-from torchjoint.paper_tables import ROWS, RegionMaps, Row, Scores, markdown, mean_scores, score_images, score_points
+from torchjoint.output import read_config, write_text
 from torchjoint.rivals.scenecut import find_region_map, read_region_map
 from torchjoint.rivals.sis3d import detection_labels, read_detections
-from torchjoint.scene import Scene, Segmentation, Truth
+from torchjoint.scene import Scene, Truth
 from torchjoint.threads import one_thread_per_operation
 from torchjoint.timing import Stopwatch
 
@@ -51,8 +62,7 @@ def paper_tables(
         sis3d: results of 3D-SIS, a folder SCAN/ for each scene; it may hold the scene's world2grid.txt, too, which is
             needed where the scene itself has none.
         scenecut: results of SceneCut, a folder SCAN/ for each scene with a NAME.mat or NAME.npy for each frame.
-        results: folders SCAN/ that `torchjoint segment` wrote of all frames or --max-frames, to be scored instead of
-            segmenting anew.
+        results: folders SCAN/ that `torchjoint segment` wrote, to be scored instead of segmenting anew.
         max_frames: segment this many frames of a scene, evenly spread.
         parameters: what the method is told.
         overwrite: replace files in OUT.
@@ -71,8 +81,7 @@ def paper_tables(
         found[scene.name] = sources.score(scene, path)
     if not any(found.values()):
         raise ValueError(f"{scenes}: none of its {len(paths)} scenes has a truth to compare with")
-    _write(out, found, sources.notes)
-    print(f"\n{(out / TABLES).read_text(encoding='utf-8')}\nwritten to {out}: {TABLES}, {MEANS}, {SCENES}")
+    print(f"\n{_write(out, found, sources.notes)}\nwritten to {out}: {TABLES}, {MEANS}, {SCENES}")
 
 
 @dataclass(frozen=True)
@@ -93,14 +102,24 @@ class _Sources:
             return {}
         detected = self._detected(scene, path)
         result = self._folder(self.results, scene.name, "result of `torchjoint segment`; it is segmented anew")
-        count = self.max_frames if result is None else len(list(result.glob("images/*.png")))
-        scene = evenly_spread(scene, count)
-        maps = self._region_maps(scene)
-        ours = self.segmenter(scene, progress=True) if result is None else _read_ours(result, scene)
+        if result is not None:
+            ours = read_prediction(result, scene)
+            scene = scene.select_frames(ours.of_frames)
+            maps = self._region_maps(scene)
+            initial: Sequence[Tensor] = _initial_segmentation(result, scene)
+        else:
+            scene = scene.spread_frames(self.max_frames)
+            maps = self._region_maps(scene)
+            made = self.segmenter(scene, progress=True)
+            ours = Prediction(made.points, torch.arange(len(made.points)), made.images, range(len(made.images)))
+            initial = made.initial_images
+        methods: dict[str, LabelImages] = {"initial": lambda i, _: initial[i], "final": lambda i, _: ours.images[i]}
+        methods |= {} if maps is None else {"SceneCut": maps}
         truth = scene.truth or Truth()
-        rows = score_images(ours, truth, maps, progress=True)
-        if truth.points is not None and bool((truth.points >= 0).any()):
-            rows |= score_points(ours.points, truth.points, detected)
+        rows = score_images(methods, truth.images, progress=True)
+        if truth.points is not None and ours.points is not None:
+            of = ours.of_points
+            rows |= score_points(ours.points, truth.points[of], None if detected is None else detected[of])
         return rows
 
     def _detected(self, scene: Scene, path: Path) -> Tensor | None:
@@ -108,11 +127,11 @@ class _Sources:
         if folder is None:
             return None
         own = find_folders(path)
-        grids = [folder / GRID, path / GRID, *([own.images / GRID] if own is not None else [])]
+        grids = [folder / GRID, *([own.images / GRID] if own is not None else [])]
         grid = next((file for file in grids if file.is_file()), grids[0])
         return detection_labels(read_detections(folder), scene.points, read_world_to_scene(grid))
 
-    def _region_maps(self, scene: Scene) -> RegionMaps | None:
+    def _region_maps(self, scene: Scene) -> LabelImages | None:
         folder = self._folder(self.scenecut, scene.name, "result of SceneCut")
         if folder is None:
             return None
@@ -128,16 +147,15 @@ class _Sources:
         return root / name
 
 
-def _read_ours(folder: Path, scene: Scene) -> Segmentation:
-    """A result, and the initial segmentation, which is made anew: results do not keep it."""
-    segment = ImageSegmenter(read_config(folder))
+def _initial_segmentation(result: Path, scene: Scene) -> LazySequence[Tensor]:
+    """What a result began with, made anew: it does not keep it."""
+    segment = ImageSegmenter(read_config(result))
 
     def initial(i: int) -> Tensor:
         with one_thread_per_operation():
             return segment([scene.frames[i]], Stopwatch())[1][0]
 
-    result = read_result(folder, scene.points, [frame.name for frame in scene.frames])
-    return replace(result, initial_images=LazySequence(len(scene.frames), initial))
+    return LazySequence(len(scene.frames), initial)
 
 
 def _fitted(labels: Tensor, size: tuple[int, int], file: Path) -> Tensor:
@@ -150,16 +168,20 @@ def _fitted(labels: Tensor, size: tuple[int, int], file: Path) -> Tensor:
     return resize_labels(labels, size)
 
 
-def _write(out: Path, found: Mapping[str, Mapping[Row, Scores]], notes: Sequence[str]) -> None:
+def _write(out: Path, found: Mapping[str, Mapping[Row, Scores]], notes: Sequence[str]) -> str:
+    """Writes the three files; returns the tables."""
     rows = {row: [scores[row] for scores in found.values() if row in scores] for row in ROWS}
     rows = {row: scores for row, scores in rows.items() if scores}
     missing = [f"{row.method} on {row.on}: nothing to score; the row is left out" for row in ROWS if row not in rows]
     means = [[*row, len(scores), *_rounded(mean_scores(scores))] for row, scores in rows.items()]
     singles = [[name, *row, *_rounded(scores[row])] for name, scores in found.items() for row in ROWS if row in scores]
+    remarks = "\n".join(f"- {note}" for note in (*notes, *missing))
+    text = "\n\n".join(part for part in (paper_table(rows, "I"), paper_table(rows, "II"), remarks) if part) + "\n"
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / SCENES, _csv(("scene", *Row._fields, *Scores._fields), singles))
     write_text(out / MEANS, _csv((*Row._fields, "scenes", *Scores._fields), means))
-    write_text(out / TABLES, markdown(rows, [*notes, *missing]))
+    write_text(out / TABLES, text)
+    return text
 
 
 def _rounded(scores: Scores) -> list[str]:

@@ -91,6 +91,15 @@ class ImageSegmentsConfig(Stage):
     min_size: int = parameter(100, "smaller segments are joined to a neighbour", unit="px", low=0, sensible="20-1000")
 
 
+def reach_parameter() -> Any:
+    """Declares `reach`, which point graphs of the joint method and of superpoints share."""
+    return parameter(
+        0.0, "where all of a point's neighbours lie closer than this, they are sought among half of the points, "
+        "a quarter or an eighth, so that a LiDAR's beams are joined to one another; 0: just the nearest", unit="m",
+        low=0, sensible="0 for depth cameras, 0.3-0.7 for LiDAR",
+    )  # fmt: skip
+
+
 @dataclass(frozen=True)
 class PointGraphConfig(Stage):
     """Step 3, eq. 3-4: the k-nearest-neighbour graph of the cloud and its geometric weight."""
@@ -100,6 +109,7 @@ class PointGraphConfig(Stage):
         30, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=3, high=500,
         sensible="10-80",
     )  # fmt: skip
+    reach: float = reach_parameter()
     distance_weight: float = parameter(
         0.2, "w_d, weight of the distance of two points; separates sparse from dense", unit="1/m", low=0,
         sensible="0-10",

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from torchjoint import ops
+from torchjoint.afterwards import seen_otherwise
 from torchjoint.boundary import smooth
 from torchjoint.checkpoint import Checkpoint
 from torchjoint.config import Config
@@ -150,8 +151,12 @@ class JointSegmenter(nn.Module):
                     state.observations.append(observation)
 
     @torch.no_grad()
-    def compute(self, *, progress: bool = False) -> Segmentation:
+    def compute(self, *, images: bool = True, progress: bool = False) -> Segmentation:
         """The segmentation from all frames seen so far (steps 6-8); more frames may follow.
+
+        Args:
+            images: False leaves the images alone (steps 7-8), which takes most of the time: the result has none.
+            progress: show a progress bar.
 
         Returns:
             labels of the points, and of the frames in the order in which they came.
@@ -159,6 +164,8 @@ class JointSegmenter(nn.Module):
         state = self.state
         with one_thread_per_operation():
             point_labels = self._segment_points()
+            if not images:
+                return Segmentation(point_labels, (), seconds=dict(self.stopwatch.seconds))
             sizes = torch.bincount(point_labels)
             bar = tqdm(total=len(state.observations), desc="refine", unit="frame", disable=not progress)
 
@@ -205,6 +212,21 @@ class JointSegmenter(nn.Module):
         if other is self or both:
             raise ValueError(f"other: expected a segmenter that saw other frames, both saw {sorted(both)[:3]}")
         self.state = self.state + other.state
+
+    def with_config(self, config: Config) -> JointSegmenter:
+        """A segmenter that has seen the same, with other parameters of what comes afterwards: to try them out quickly.
+
+        Raises:
+            ValueError: a parameter differs on which depends what was seen.
+        """
+        if different := seen_otherwise(self.config, config):
+            raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
+        modules = self.image_segmenter
+        other = JointSegmenter(config, boundary=modules.boundary, image_segmenter=modules.segmenter)
+        graph, other._edges = self._require_graph(), self._edges
+        other._graph = graph
+        other._state = self.state + JointState.empty(graph.edge_index.shape[1], graph.num_points)  # a copy
+        return other
 
     def _observe(self, frame: Frame, boundary: Tensor, labels: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor]:
         """Steps 4 and 5 for one frame: the observation, votes for normals' signs, edges and their overlaps."""

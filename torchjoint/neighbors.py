@@ -63,6 +63,27 @@ def nearest_neighbors(points: Tensor, count: int, reach: float = 0.0) -> Neighbo
     return Neighbors(indices, spacing)
 
 
+def neighbor_tables(points: Tensor, first: int, second: int, reach: float) -> tuple[dict[int, Tensor], Tensor]:
+    """Two tables of neighbours, of so many and of so many a point, at the price of one where that is possible.
+
+    Args:
+        points: [N, 3] float32.
+        first, second: neighbours of a point; 0 = no table is needed.
+        reach: as of :func:`nearest_neighbors`.
+
+    Returns:
+        the tables [N, K] int32 by their K, and the points' spacing [N] (empty where there is no table).
+    """
+    counts = sorted({first, second} - {0})
+    if not counts:
+        return {}, torch.empty(0)
+    if reach > 0:  # the fewer are not the first of the more
+        found = {count: nearest_neighbors(points, count, reach) for count in counts}
+        return {count: near.indices for count, near in found.items()}, found[counts[-1]].spacing
+    nearest = nearest_neighbors(points, counts[-1])
+    return {count: nearest.indices[:, :count] for count in counts}, nearest.spacing
+
+
 def _reach_farther(tree: cKDTree, coordinates: Array, near: Array, reach: float, indices: Array) -> None:
     """Replaces the neighbours of some points by the nearest among fewer."""
     count = indices.shape[1]

@@ -6,7 +6,7 @@ import os
 import platform
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -20,11 +20,9 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.config import Config
-from torchjoint.datasets.files import read_label_image, write_cloud
-from torchjoint.datasets.lazy import LazySequence
+from torchjoint.datasets.files import write_cloud
 from torchjoint.presets import read_yaml
 from torchjoint.scene import Scene, Segmentation
-from torchjoint.scene_checks import as_labels
 from torchjoint.show import label_colors, overview
 
 #: 16-bit label images hold label + 1, 0 = none.
@@ -114,30 +112,6 @@ def read_points(folder: Path) -> PointResult:
         return PointResult(values["points"], values["labels"], values.get("colors"))
     except (ValueError, KeyError, OSError, EOFError, BadZipFile) as error:
         raise ValueError(f"{file}: not a whole result: {error!r}") from error
-
-
-def read_result(folder: Path, points: Tensor, names: Sequence[str]) -> Segmentation:
-    """Reads a result's labels, those of images when they are asked for.
-
-    Args:
-        folder: what `torchjoint segment` wrote.
-        points: [N, 3], the cloud that it should be of.
-        names: the frames that it should be of, in order.
-
-    Raises:
-        FileNotFoundError, ValueError: naming the file and what is wrong with it; also a result of something else.
-    """
-    result = read_points(folder)
-    if result.points.shape != points.shape or not torch.allclose(result.points, points, atol=1e-4):
-        raise ValueError(f"{folder}: is of another cloud than the scene's {len(points)} points")
-    files = [folder / "images" / f"{name}.png" for name in names]
-    other = sorted({*folder.glob("images/*.png")} ^ {*files})
-    if other:
-        raise ValueError(
-            f"{folder}: is of other frames than those asked for: {other[0].stem} is in one of the two only"
-        )
-    labels = as_labels(result.labels, (len(points),), f"labels of {folder / 'points.npz'}")
-    return Segmentation(labels, LazySequence(len(files), lambda i: read_label_image(files[i]) - 1), names=tuple(names))
 
 
 def read_config(folder: Path) -> Config:

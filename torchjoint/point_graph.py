@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import PointGraphConfig
-from torchjoint.neighbors import nearest_neighbors
+from torchjoint.neighbors import neighbor_tables
 from torchjoint.scene import Scene
 from torchjoint.threads import all_threads, map_frames
 
@@ -40,18 +40,18 @@ class PointGraph(NamedTuple):
 
 def build_point_graph(cloud: Scene, config: PointGraphConfig) -> PointGraph:
     """Neighbours, edges and normals of a cloud (its frames are not looked at)."""
-    count = config.neighbors if cloud.normals is not None else max(config.neighbors, config.normal_neighbors)
-    neighbors = nearest_neighbors(cloud.points, count)
+    for_normals = config.normal_neighbors if cloud.normals is None else 0
+    table, spacing = neighbor_tables(cloud.points, config.neighbors, for_normals, config.reach)
     normals = cloud.normals
     if normals is None:
-        normals = estimate_normals(cloud.points, neighbors.indices[:, : config.normal_neighbors])
+        normals = estimate_normals(cloud.points, table[for_normals])
     return PointGraph(
         cloud.points,
         cloud.colors,
         normals,
         cloud.normals is not None,
-        neighbors.spacing,
-        undirected_edges(neighbors.indices[:, : config.neighbors]),
+        spacing,
+        undirected_edges(table[config.neighbors]),
     )
 
 

@@ -92,7 +92,8 @@ class Truth:
 
     Args:
         points: optional [N] integers, the instance of each point, -1 = not known (void).
-        images: label images [H, W], -1 = void, one for each frame (may be lazy); empty where there are none.
+        images: label images [H, W], -1 = void, one for each frame (may be lazy); empty where there are none. Their
+            number is checked where they are used.
     """
 
     points: Tensor | None = None
@@ -146,14 +147,8 @@ class Scene:
             if float(length.min()) < 1e-3:
                 raise ValueError(f"normals: expected unit vectors, got {int((length < 1e-3).sum())} of length 0")
             object.__setattr__(self, "normals", normals / length)
-        if self.truth is not None:
-            self._check_truth(self.truth)
-
-    def _check_truth(self, truth: Truth) -> None:
-        if truth.points is not None:
-            as_labels(truth.points, (len(self.points),), "truth.points")
-        if len(truth.images) not in (0, len(self.frames)):
-            raise ValueError(f"truth.images: expected none or {len(self.frames)}, got {len(truth.images)}")
+        if self.truth is not None and self.truth.points is not None:
+            as_labels(self.truth.points, (len(points),), "truth.points")
 
     def select_points(self, keep: Tensor) -> Scene:
         """The scene with some of its points, in the order of `keep` (a mask [N], or places)."""
@@ -164,6 +159,12 @@ class Scene:
             normals=None if self.normals is None else self.normals[keep],
             truth=None if self.truth is None else self.truth.select_points(keep),
         )
+
+    def spread_frames(self, most: int) -> Scene:
+        """The scene with at most so many of its frames, evenly spread from the first to the last; they stay lazy."""
+        if most >= len(self.frames):
+            return self
+        return self.select_frames(torch.linspace(0, len(self.frames) - 1, most).round().long().tolist())
 
     def select_frames(self, indices: Sequence[int]) -> Scene:
         """The scene with some of its frames, in the order of `indices`; they stay lazy."""

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from torchjoint import ops
 from torchjoint.cloud_batch import Cloud, take_apart
-from torchjoint.neighbors import nearest_neighbors
+from torchjoint.neighbors import neighbor_tables
 from torchjoint.point_graph import estimate_normals, geometric_weights, undirected_edges
 from torchjoint.scene import Scene
 from torchjoint.segmentator import face_edges, segmentator_turn, vertex_normals
@@ -156,7 +156,7 @@ def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, boo
         normals = vertex_normals(points, cloud.faces) if normals is None else normals
     for_edges = config.neighbors if edges is None else 0
     for_normals = config.normal_neighbors if normals is None else 0
-    table = _tables(points, for_edges, for_normals, config.reach)
+    table = neighbor_tables(points, for_edges, for_normals, config.reach)[0]
     if normals is None:
         normals, known = estimate_normals(points, table[for_normals]), False
         if cloud.viewpoint is not None:
@@ -164,16 +164,6 @@ def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, boo
     if edges is None:
         edges = undirected_edges(table[for_edges])
     return edges, normals, known
-
-
-def _tables(points: Tensor, first: int, second: int, reach: float) -> dict[int, Tensor]:
-    """So many, and so many, neighbours of each point; 0 = none are needed."""
-    if reach > 0:  # the fewer are not the first of the more
-        return {count: nearest_neighbors(points, count, reach).indices for count in {first, second} - {0}}
-    if not first and not second:
-        return {}
-    nearest = nearest_neighbors(points, max(first, second)).indices
-    return {count: nearest[:, :count] for count in (first, second)}
 
 
 def _turned_to(viewpoint: Tensor, points: Tensor, normals: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from torchjoint.config import PointGraphConfig
+from torchjoint.config import PointGraphConfig, reach_parameter
 from torchjoint.parameter import Stage, parameter
 from torchjoint.presets import presets, read_assignment, read_preset
 
@@ -23,11 +23,7 @@ class SuperpointsConfig(Stage):
         30, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=2, high=500,
         sensible="12-80",
     )  # fmt: skip
-    reach: float = parameter(
-        0.0, "where all of a point's neighbours lie closer than this, they are sought among half of the points, "
-        "a quarter or an eighth, so that a LiDAR's beams are joined to one another; 0: just the nearest", unit="m",
-        low=0, sensible="0 for depth cameras, 0.3-0.7 for LiDAR",
-    )  # fmt: skip
+    reach: float = reach_parameter()
     weight: str = parameter(
         "angle", "how a surface's turn is measured: the angle of two normals, or ScanNet's 1 - cosine, squared where "
         "convex", choices=("angle", "segmentator"),

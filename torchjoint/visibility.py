@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import VisibilityConfig
+from torchjoint.scene import Frame
 
 
 class Projection(NamedTuple):
@@ -140,3 +142,21 @@ def _inside(u: Tensor, v: Tensor, size: tuple[int, int]) -> Tensor:
     height, width = size
     column, row = _nearest_pixel(u), _nearest_pixel(v)
     return (column >= 0) & (column < width) & (row >= 0) & (row < height)
+
+
+def in_any_view(points: Tensor, frames: Iterable[Frame], config: VisibilityConfig | None = None) -> Tensor:
+    """Whether a point is inside the frame of any camera, and in front of it; hidden ones count.
+
+    Args:
+        points: [N, 3].
+        frames: any number.
+        config: near and far; default: the default's.
+
+    Returns:
+        [N] bool.
+    """
+    config = config or VisibilityConfig()
+    inside = torch.zeros(len(points), dtype=torch.bool)
+    for frame in frames:
+        inside[project(points, frame.intrinsics, frame.world_to_camera, frame.size, config).point] = True
+    return inside

@@ -15,11 +15,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol, cast
 
-from torchjoint.datasets import folder, scannet, sis3d
+from torchjoint.datasets import colmap, folder, nerfstudio, scannet, sis3d, tum
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
 
-__all__ = ["folder", "list_scenes", "load_scene", "scannet", "sis3d"]
+__all__ = ["colmap", "folder", "list_scenes", "load_scene", "nerfstudio", "scannet", "sis3d", "tum"]
 
 
 class Format(Protocol):
@@ -39,6 +39,9 @@ FORMATS: dict[str, Format] = {
     "folder": cast(Format, folder),
     "sis3d": cast(Format, sis3d),
     "scannet": cast(Format, scannet),
+    "tum": cast(Format, tum),
+    "nerfstudio": cast(Format, nerfstudio),
+    "colmap": cast(Format, colmap),
 }
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -20,19 +18,12 @@ from torchjoint.scene_checks import as_pose
 _SUFFIXES = (".jpg", ".jpeg", ".png")
 
 
-class NamedFrames(NamedTuple):
-    """Frames and their names, which are known before a frame is read."""
-
-    names: list[str]
-    frames: Sequence[Frame]
-
-
 def has_frames(folder: Path) -> bool:
     """Whether there are images and poses of this form."""
     return (folder / "color").is_dir() and (folder / "pose").is_dir()
 
 
-def read_frames(folder: Path, cameras: Cameras) -> NamedFrames:
+def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
     """The frames with valid poses, by number, each read when it is asked for.
 
     Poses are camera-to-world, OpenCV axes, metres; those of frames where tracking was lost hold -inf and are left out.
@@ -59,7 +50,7 @@ def read_frames(folder: Path, cameras: Cameras) -> NamedFrames:
         i = kept[place]
         return _read_frame(images[i], folder / "depth" / f"{stems[i]}.png", cameras, extrinsics[i])
 
-    return NamedFrames([stems[i] for i in kept], LazySequence(len(kept), read))
+    return LazySequence(len(kept), read, [stems[i] for i in kept])
 
 
 def _read_frame(color: Path, depth: Path, cameras: Cameras, world_to_camera: Tensor) -> Frame:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import os
 import re
 import struct
+import tokenize
 import warnings
 import zlib
 from pathlib import Path
-from tokenize import TokenError
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from PIL import Image
 from torch import Tensor
@@ -26,6 +26,14 @@ MAX_PIXELS = 64_000_000
 def read_image(path: Path) -> Tensor:
     """An 8-bit image of any mode -> [3, H, W] uint8 RGB."""
     return rgb_of(_opened(path), str(path))
+
+
+def read_image_size(path: Path) -> tuple[int, int]:
+    """(H, W) of an image, from the header of its file."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected an image")
+    image = decode_image(path.read_bytes(), str(path), header_only=True)
+    return image.height, image.width
 
 
 def read_depth(path: Path, unit: float = 0.001) -> Tensor:
@@ -64,16 +72,6 @@ def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
     return torch.from_numpy(values.reshape(shape))
 
 
-def read_json(path: Path) -> Any:
-    """A JSON file's content."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a JSON file")
-    try:
-        return json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: not a whole JSON file: {error}") from error
-
-
 def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
     """A PLY or PCD file -> points [N, 3] float64, colours [N, 3] or None, normals [N, 3] or None (also if all zero)."""
     if not path.is_file():
@@ -101,11 +99,14 @@ def read_array(path: Path) -> Tensor:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected an array of numbers, .npy")
     try:
-        array = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of headers that Python 2, or old numpy, may have written
+            # Mapped, since so the shape is checked against the file's size before there is memory for it.
+            array: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
         if array.dtype.kind == "u" and array.dtype.itemsize > 1:  # torch can do little with these
             array = array.astype(np.int64)
-        return torch.from_numpy(np.ascontiguousarray(array.astype(array.dtype.newbyteorder("="))))
-    except (ValueError, TypeError, OSError, EOFError, MemoryError, SyntaxError, AttributeError, TokenError) as error:
+        return torch.from_numpy(np.array(array, dtype=array.dtype.newbyteorder("="), order="C", subok=False))
+    except (ValueError, TypeError, OSError, EOFError, OverflowError, SyntaxError, tokenize.TokenError) as error:
         raise ValueError(f"{path}: not a whole .npy array of numbers: {error}") from error
 
 
@@ -180,8 +181,8 @@ def labels_of(image: Image.Image, name: str) -> Tensor:
     return torch.from_numpy(np.array(image).astype(np.int64))
 
 
-def decode_image(data: bytes, name: str) -> Image.Image:
-    """An image file's bytes -> image, decoded; errors give the name.
+def decode_image(data: bytes, name: str, *, header_only: bool = False) -> Image.Image:
+    """An image file's bytes -> image, decoded (or its header only); errors give the name.
 
     Raises:
         ValueError: not a whole image, or one of more than `MAX_PIXELS`.
@@ -192,7 +193,8 @@ def decode_image(data: bytes, name: str) -> Image.Image:
             image = Image.open(io.BytesIO(data))
             if image.width * image.height > MAX_PIXELS:
                 raise ValueError(f"{image.width} x {image.height} pixels are too many (at most {MAX_PIXELS})")
-            image.load()
+            if not header_only:
+                image.load()
     except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
             Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
         raise ValueError(f"{name}: not a whole image: {error}") from error

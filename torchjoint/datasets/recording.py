@@ -23,26 +23,26 @@ class Options:
     progress: bool = False  #: show a progress bar while fusing
 
 
-def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, own_cloud: Path | None = None) -> Scene:
-    """A scene of a folder's frames. Its cloud is, whichever is there first: `options.cloud`, its own, a fused one.
-
-    Args:
-        path: the folder; the scene is called like it.
-        frames: its frames.
-        options: the caller's wishes.
-        own_cloud: the cloud that comes with them; default: `cloud.ply` in the folder.
+def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:
+    """A scene of a folder's frames, with the first cloud of :func:`find_cloud`, or a fused one where there is none.
 
     Raises:
         ValueError: there is no cloud, and no depth to fuse one from.
     """
-    for file in (options.cloud, own_cloud or path / "cloud.ply"):
-        if file is not None and file.is_file():
-            points, colors, normals = read_cloud(file)
-            return Scene(points, frames, colors, normals, name=path.name)
+    file = find_cloud(path, options, clouds)
+    if file is not None:
+        points, colors, normals = read_cloud(file)
+        return Scene(points, frames, colors, normals, name=path.name)
     points, colors = fuse_cloud(frames, options.voxel_size, progress=options.progress)
     if options.cloud is not None:
         write_cloud(options.cloud, points, colors)
     return Scene(points, frames, colors, name=path.name)
+
+
+def find_cloud(path: Path, options: Options, clouds: Sequence[Path] = ()) -> Path | None:
+    """Which cloud there is, the first of: `options.cloud`, `cloud.ply` in the folder, those of its format."""
+    candidates = (options.cloud, path / "cloud.ply", *clouds)
+    return next((file for file in candidates if file is not None and file.is_file()), None)
 
 
 def invert_pose(pose: Tensor) -> Tensor:

@@ -23,10 +23,10 @@ from pathlib import Path
 
 import torch
 
-from torchjoint.datasets.exported_frames import NamedFrames, has_frames, make_frame, read_frames
+from torchjoint.datasets.exported_frames import has_frames, make_frame, read_frames
 from torchjoint.datasets.lazy import LazySequence
-from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
-from torchjoint.datasets.scannet_cameras import Camera, Cameras, find_cameras
+from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.datasets.scannet_cameras import Calibration, Cameras, find_cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
 from torchjoint.datasets.sens import SensFile
 from torchjoint.scene import Frame, Scene, Truth
@@ -48,12 +48,12 @@ def recognizes(path: Path) -> bool:
 def load(path: Path, options: Options) -> Scene:
     """Loads a scan; see :func:`torchjoint.load_scene`."""
     folder, scan = (path.parent, path.stem) if path.is_file() else (path, path.name)
-    names, frames = _read_frames(folder, scan)
+    frames = _read_frames(folder, scan)
     cloud = folder / f"{scan}{CLOUD}"
-    scene = scene_of_frames(folder, frames, options, cloud)
-    is_annotated = is_own_cloud(cloud, options) and has_point_instances(folder, scan)
+    scene = scene_of_frames(folder, frames, options, [cloud])
+    is_annotated = find_cloud(folder, options, [cloud]) == cloud and has_point_instances(folder, scan)
     points = read_point_instances(folder, scan, len(scene.points)) if is_annotated else None
-    images = image_instances(folder, scan, names, frames)
+    images = image_instances(folder, scan, frames)
     return replace(scene, name=scan, truth=Truth(points, images) if points is not None or images else None)
 
 
@@ -63,16 +63,12 @@ def scenes(path: Path) -> dict[str, Path]:
     return {one.name: one for one in sorted(folders) if one.is_dir() and recognizes(one)}
 
 
-def is_own_cloud(cloud: Path, options: Options) -> bool:
-    """Whether a scan is loaded with the cloud that its annotations are of."""
-    return cloud.is_file() and not (options.cloud is not None and options.cloud.is_file())
-
-
-def _read_frames(folder: Path, scan: str) -> NamedFrames:
+def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
     if (folder / f"{scan}.sens").is_file():
         return _stream_frames(SensFile(folder / f"{scan}.sens"))
     if not has_frames(folder):
-        return NamedFrames([], ())
+        nothing: list[Frame] = []
+        return LazySequence(0, nothing.__getitem__)
     cameras = find_cameras(folder, folder / f"{scan}.txt")
     if cameras is None:
         raise FileNotFoundError(
@@ -81,9 +77,10 @@ def _read_frames(folder: Path, scan: str) -> NamedFrames:
     return read_frames(folder, cameras)
 
 
-def _stream_frames(stream: SensFile) -> NamedFrames:
+def _stream_frames(stream: SensFile) -> LazySequence[Frame]:
     cameras = Cameras(
-        Camera(stream.color_intrinsics, (stream.color_size,)), Camera(stream.depth_intrinsics, (stream.depth_size,))
+        Calibration(stream.color_intrinsics, (stream.color_size,)),
+        Calibration(stream.depth_intrinsics, (stream.depth_size,)),
     )
     kept = torch.isfinite(stream.poses).all(dim=(1, 2)).nonzero().flatten().tolist()
     extrinsics = [invert_pose(as_pose(stream.poses[i], f"{stream.path}, pose of frame {i}")) for i in kept]
@@ -92,4 +89,4 @@ def _stream_frames(stream: SensFile) -> NamedFrames:
         i = kept[place]
         return make_frame(str(i), stream.color(i), stream.depth(i), cameras, extrinsics[place])
 
-    return NamedFrames([str(i) for i in kept], LazySequence(len(kept), read))
+    return LazySequence(len(kept), read, [str(i) for i in kept])

@@ -19,7 +19,7 @@ COLOR_SIZE, DEPTH_SIZE = (968, 1296), (480, 640)
 
 
 @dataclass(frozen=True)
-class Camera:
+class Calibration:
     """Intrinsics [3, 3], pixel centres at integer coordinates, and the image size (H, W) that they are for.
 
     Where the size is not known it is one of `sizes`, or that of the images themselves: the one whose centre the
@@ -48,11 +48,11 @@ class Camera:
 class Cameras(NamedTuple):
     """Of colour and of depth."""
 
-    color: Camera
-    depth: Camera
+    color: Calibration
+    depth: Calibration
 
 
-_NOMINAL = Camera(
+_NOMINAL = Calibration(
     torch.tensor([[577.870605, 0, 319.5], [0, 577.870605, 239.5], [0, 0, 1]], dtype=torch.float64), (DEPTH_SIZE,)
 )
 
@@ -75,7 +75,7 @@ def find_cameras(folder: Path, info: Path) -> Cameras | None:
     if color.is_file():
         depth = color.with_name("intrinsic_depth.txt")
         matrices = [as_intrinsics(read_matrix(file, (4, 4))[:3, :3], str(file)) for file in (color, depth)]
-        return Cameras(*(Camera(matrix, (COLOR_SIZE, DEPTH_SIZE), is_certain=False) for matrix in matrices))
+        return Cameras(*(Calibration(matrix, (COLOR_SIZE, DEPTH_SIZE), is_certain=False) for matrix in matrices))
     return _read_info(info) if info.is_file() else None
 
 
@@ -102,5 +102,5 @@ def _read_info(path: Path) -> Cameras | None:
     if not (1 <= height <= 2**16 and 1 <= width <= 2**16):
         raise ValueError(f"{path}: expected an image size in pixels, got colorWidth {width:g}, colorHeight {height:g}")
     matrix = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
-    camera = Camera(as_intrinsics(matrix, f"{path}, colour"), ((int(height), int(width)),))
-    return Cameras(camera, camera)
+    both = Calibration(as_intrinsics(matrix, f"{path}, colour"), ((int(height), int(width)),))
+    return Cameras(both, both)

@@ -5,14 +5,15 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import MAX_PIXELS, decode_image, labels_of, read_json, read_label_image
+from torchjoint.datasets.files import MAX_PIXELS, decode_image, labels_of, read_label_image
+from torchjoint.datasets.json_record import Record, read_record
 from torchjoint.datasets.lazy import LazySequence
 from torchjoint.datasets.resampling import resize_labels
 from torchjoint.scene import Frame
@@ -31,23 +32,21 @@ def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
     Raises:
         FileNotFoundError, ValueError: naming the file and what is wrong with it.
     """
-    file = folder / f"{scan}{SEGMENTS}"
-    segments = _integers(_field(read_json(file), "segIndices", file), file)
+    record = read_record(folder / f"{scan}{SEGMENTS}", "segments of a mesh")
+    segments = _integers(record, "segIndices")
     if len(segments) != num_points:
-        raise ValueError(f"{file}: expected the segments of {num_points} points, got {len(segments)}")
+        raise ValueError(f"{record.name}: expected the segments of {num_points} points, got {len(segments)}")
     numbers, segment_of_point = np.unique(segments, return_inverse=True)
-    file = folder / f"{scan}{OBJECTS}"
     objects = np.full(len(numbers), -1, dtype=np.int64)
-    for group in _field(read_json(file), "segGroups", file):
-        (instance,) = _integers([_field(group, "objectId", file, int)], file)
-        own = _integers(_field(group, "segments", file), file)
-        if instance < 0:
-            raise ValueError(f"{file}: expected an objectId >= 0, got {instance}")
-        objects[np.isin(numbers, own)] = instance
+    for group in read_record(folder / f"{scan}{OBJECTS}", "segments of objects").records("segGroups"):
+        instance = group.values.get("objectId")
+        if type(instance) is not int or not 0 <= instance < 2**31:
+            raise ValueError(f"{group.name}: objectId: expected an integer >= 0")
+        objects[np.isin(numbers, _integers(group, "segments"))] = instance
     return torch.from_numpy(objects[segment_of_point])
 
 
-def image_instances(folder: Path, scan: str, names: Sequence[str], frames: Sequence[Frame]) -> Sequence[Tensor]:
+def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Sequence[Tensor]:
     """Label images of frames, [H, W] int64 of the image's size, ids as of the points, -1 = none; read when asked for.
 
     They are in `instance-filt/N.png`, or `SCAN_2d-instance-filt.zip` as it is downloaded; empty where there is neither.
@@ -56,6 +55,7 @@ def image_instances(folder: Path, scan: str, names: Sequence[str], frames: Seque
         FileNotFoundError: some frames have one, others do not.
         ValueError: no whole archive.
     """
+    names = frames.names
     read = _folder_reader(folder / "instance-filt", names) or _archive_reader(
         folder / f"{scan}_2d-instance-filt.zip", names
     )
@@ -109,16 +109,11 @@ def _read_member(file: Path, member: str) -> Tensor:
     return labels_of(decode_image(data, f"{file}, {member}"), f"{file}, {member}")
 
 
-def _field(values: Any, name: str, file: Path, kind: type = list) -> Any:
-    if not isinstance(values, dict) or not isinstance(values.get(name), kind):
-        raise ValueError(f"{file}: expected {name!r}, {'an integer' if kind is int else 'a list'}, got none")
-    return values[name]
-
-
-def _integers(values: list[Any], file: Path) -> np.ndarray[Any, np.dtype[np.int64]]:
+def _integers(record: Record, key: str) -> npt.NDArray[np.int64]:
+    values = record.values.get(key)
     try:
-        if all(type(value) is int for value in values):
+        if isinstance(values, list) and all(type(value) is int for value in values):
             return np.array(values, dtype=np.int64)
     except OverflowError:
         pass
-    raise ValueError(f"{file}: expected integers of at most 64 bits")
+    raise ValueError(f"{record.name}: {key}: expected a list of integers of at most 64 bits")

@@ -6,15 +6,15 @@ A. Dai et al., "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes" (
 from __future__ import annotations
 
 import math
-import struct
 import zlib
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.binary import BinaryFile
 from torchjoint.datasets.files import MAX_PIXELS, decode_image, rgb_of
 from torchjoint.scene_checks import as_intrinsics
 
@@ -22,10 +22,10 @@ VERSION = 4
 _PNG, _JPEG = 1, 2
 _RAW, _ZLIB = 0, 1
 
-#: Intrinsics and extrinsics of colour and depth, their codecs, their sizes, depth units a metre, the number of frames.
-_HEADER = struct.Struct("<64f 2i 4I f Q")
+#: Intrinsics and extrinsics of colour and depth, their codecs, their sizes, depth units a metre.
+_HEADER = "64f2i4If"
 #: Pose, times of colour and depth, bytes of colour and depth.
-_FRAME = struct.Struct("<16f 2Q 2Q")
+_FRAME, _FRAME_BYTES = "16f4Q", 96
 
 
 class _Blobs(NamedTuple):
@@ -53,12 +53,9 @@ class SensFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        if not path.is_file():
-            raise FileNotFoundError(f"{path}: missing; expected ScanNet's sensor stream")
-        size = path.stat().st_size
-        with path.open("rb") as stream:
-            count = self._read_header(stream, size)
-            self._blobs, poses = self._index(stream, size, count)
+        with BinaryFile(path) as file:
+            self._read_header(file)
+            self._blobs, poses = _index(file)
         self.poses = torch.from_numpy(np.array(poses, dtype=np.float64).reshape(-1, 4, 4))
 
     def __len__(self) -> int:
@@ -84,16 +81,13 @@ class SensFile:
         metres = np.where(raw == 65535, 0, raw).astype(np.float32) / np.float32(self._depth_shift)
         return torch.from_numpy(metres)
 
-    def _read_header(self, stream: BinaryIO, size: int) -> int:
-        """Reads everything before the first frame; returns the number of frames."""
-        start = stream.read(12)
-        version, name_bytes = struct.unpack("<IQ", start) if len(start) == 12 else (None, 0)
+    def _read_header(self, file: BinaryFile) -> None:
+        (version,) = file.read("I")
         if version != VERSION:
             raise ValueError(f"{self.path}: expected a .sens file of version {VERSION}, got version {version}")
-        if name_bytes > size - 12 - _HEADER.size:
-            raise ValueError(f"{self.path}: truncated, or no .sens file: its header is cut")
-        stream.seek(name_bytes, 1)
-        *cameras, color_codec, depth_codec, cw, ch, dw, dh, shift, count = _HEADER.unpack(stream.read(_HEADER.size))
+        (name_bytes,) = file.read("Q")
+        file.skip(name_bytes)
+        *cameras, color_codec, depth_codec, cw, ch, dw, dh, shift = file.read(_HEADER)
         matrices = torch.tensor(cameras, dtype=torch.float64).reshape(4, 4, 4)
         self.color_intrinsics = as_intrinsics(matrices[0, :3, :3], f"{self.path}, colour's intrinsics")
         self.depth_intrinsics = as_intrinsics(matrices[2, :3, :3], f"{self.path}, depth's intrinsics")
@@ -108,24 +102,6 @@ class SensFile:
             raise ValueError(f"{self.path}: impossible image sizes {cw} x {ch}, {dw} x {dh}")
         if not (math.isfinite(shift) and shift > 0):
             raise ValueError(f"{self.path}: expected a positive number of depth units a metre, got {shift}")
-        return int(count)
-
-    def _index(self, stream: BinaryIO, size: int, count: int) -> tuple[list[_Blobs], list[tuple[float, ...]]]:
-        blobs: list[_Blobs] = []
-        poses: list[tuple[float, ...]] = []
-        place = stream.tell()
-        for index in range(count):
-            if size - place < _FRAME.size:
-                raise ValueError(f"{self.path}: truncated: expected {count} frames, got {index}")
-            stream.seek(place)
-            *pose, _, _, color_bytes, depth_bytes = _FRAME.unpack(stream.read(_FRAME.size))
-            place += _FRAME.size
-            if color_bytes + depth_bytes > size - place:
-                raise ValueError(f"{self.path}: truncated: frame {index} of {count} ends beyond the file")
-            blobs.append(_Blobs(place, color_bytes, depth_bytes))
-            poses.append(tuple(pose))
-            place += color_bytes + depth_bytes
-        return blobs, poses
 
     def _read(self, start: int, count: int, name: str) -> bytes:
         with self.path.open("rb") as stream:
@@ -134,6 +110,17 @@ class SensFile:
         if len(data) != count:
             raise ValueError(f"{name}: the file has become shorter since it was opened")
         return data
+
+
+def _index(file: BinaryFile) -> tuple[list[_Blobs], list[tuple[float, ...]]]:
+    """Where the frames' images are, and their poses."""
+    blobs, poses = [], []
+    for _ in range(file.count(_FRAME_BYTES)):
+        *pose, _, _, color_bytes, depth_bytes = file.read(_FRAME)
+        blobs.append(_Blobs(file.place, color_bytes, depth_bytes))
+        poses.append(tuple(pose))
+        file.skip(color_bytes + depth_bytes)
+    return blobs, poses
 
 
 def _inflate(data: bytes, expected: int, name: str) -> bytes:

@@ -22,8 +22,8 @@ from typing import NamedTuple
 from torch import Tensor
 
 from torchjoint.datasets.exported_frames import has_frames, read_frames
-from torchjoint.datasets.recording import Options, scene_of_frames
-from torchjoint.datasets.scannet import CLOUD, is_own_cloud
+from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames
+from torchjoint.datasets.scannet import CLOUD
 from torchjoint.datasets.scannet_cameras import NOMINAL, find_cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
 from torchjoint.datasets.sis3d_volume import read_volume
@@ -45,6 +45,11 @@ class Folders(NamedTuple):
     images: Path  #: frames and world2grid.txt
     mesh: Path  #: cloud and annotation; may be absent
 
+    @property
+    def cloud(self) -> Path:
+        """The mesh itself."""
+        return self.mesh / f"{self.scan}{CLOUD}"
+
 
 def recognizes(path: Path) -> bool:
     """Whether `path` is one scan of this layout, or a folder that holds just one; not a mesh with frames of its own."""
@@ -58,12 +63,12 @@ def load(path: Path, options: Options) -> Scene:
     if folders is None:
         raise ValueError(f"{path}: expected {WHAT}")
     info = folders.mesh / f"{folders.scan}.txt"
-    names, frames = read_frames(folders.images, find_cameras(folders.images, info) or NOMINAL)
-    scene = scene_of_frames(folders.images, frames, options, folders.mesh / f"{folders.scan}{CLOUD}")
+    frames = read_frames(folders.images, find_cameras(folders.images, info) or NOMINAL)
+    scene = scene_of_frames(folders.images, frames, options, [folders.cloud])
     points = _point_truth(folders, scene.points, options)
     images: Sequence[Tensor] = ()
     for folder in (folders.images, folders.mesh):
-        images = images or image_instances(folder, folders.scan, names, frames)
+        images = images or image_instances(folder, folders.scan, frames)
     return replace(scene, truth=Truth(points, images) if points is not None or images else None)
 
 
@@ -96,7 +101,7 @@ def _is_scan(folder: Path) -> bool:
 
 def _point_truth(folders: Folders, points: Tensor, options: Options) -> Tensor | None:
     scan = folders.scan
-    if is_own_cloud(folders.mesh / f"{scan}{CLOUD}", options):
+    if find_cloud(folders.images, options, [folders.cloud]) == folders.cloud:
         if has_point_instances(folders.mesh, scan):
             return read_point_instances(folders.mesh, scan, len(points))
         vertices = folders.root / "gt_insts" / f"{scan}.txt"

@@ -14,6 +14,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.binary import BinaryFile
+
 
 @dataclass(frozen=True)
 class Volume:
@@ -66,56 +68,36 @@ def read_volume(path: Path) -> Volume:
         FileNotFoundError: there is no such file.
         ValueError: truncated, counts that do not fit the file, or boxes that are none.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a volume of 3D-SIS")
-    data = _Cursor(path)
-    sdf = _x_fastest(data, "<f4")
-    boxes = data.take([("box", "<f4", 6), ("label", "<u4")], data.count())
-    if not (np.abs(boxes["box"]) < 2**31).all():  # NaN, too
-        raise ValueError(f"{path}: expected boxes in voxels, got {boxes['box'].tolist()}")
-    num_masks = data.count()
-    if num_masks != len(boxes):
-        raise ValueError(f"{path}: expected a mask for each of {len(boxes)} boxes, got {num_masks}")
-    masks = []
-    for _ in range(num_masks):
-        data.count()  # the label once more
-        masks.append(torch.from_numpy(_x_fastest(data, "<u2").astype(np.int64)))
-    return Volume(
-        torch.from_numpy(sdf),
-        torch.from_numpy(boxes["box"].astype(np.float32)),
-        torch.from_numpy(boxes["label"].astype(np.int64)),
-        tuple(masks),
-        torch.from_numpy(data.take("<f4", data.count()).astype(np.float32)),
-        torch.from_numpy(data.take("<f4", 16).astype(np.float64).reshape(4, 4)),
-        torch.from_numpy(data.take("<u4", data.count()).astype(np.int64)),
-    )
+    with BinaryFile(path) as file:
+        sdf = _x_fastest(file, "<f4")
+        boxes = file.array([("box", "<f4", 6), ("label", "<u4")], _count(file))
+        if not (np.abs(boxes["box"]) < 2**31).all():  # NaN, too
+            raise ValueError(f"{path}: expected boxes in voxels, got {boxes['box'].tolist()}")
+        num_masks = _count(file)
+        if num_masks != len(boxes):
+            raise ValueError(f"{path}: expected a mask for each of {len(boxes)} boxes, got {num_masks}")
+        masks = []
+        for _ in range(num_masks):
+            file.skip(4)  # the label once more
+            masks.append(torch.from_numpy(_x_fastest(file, "<u2").astype(np.int64)))
+        return Volume(
+            torch.from_numpy(sdf),
+            torch.from_numpy(np.ascontiguousarray(boxes["box"])),
+            torch.from_numpy(boxes["label"].astype(np.int64)),
+            tuple(masks),
+            torch.from_numpy(file.array("<f4", _count(file))),
+            torch.from_numpy(file.array("<f4", 16).astype(np.float64).reshape(4, 4)),
+            torch.from_numpy(file.array("<u4", _count(file)).astype(np.int64)),
+        )
 
 
-def _x_fastest(data: _Cursor, dtype: str) -> npt.NDArray[Any]:
+def _count(file: BinaryFile) -> int:
+    return int(file.read("I")[0])
+
+
+def _x_fastest(file: BinaryFile, dtype: str) -> npt.NDArray[Any]:
     """Three lengths and as many numbers -> [X, Y, Z]."""
-    x, y, z = data.lengths()
-    return data.take(dtype, x * y * z).reshape(z, y, x).transpose(2, 1, 0).copy()
-
-
-class _Cursor:
-    """Reads numbers of a file one after the other; what it has not got is refused before memory is asked for."""
-
-    def __init__(self, path: Path) -> None:
-        self._path, self._data, self._place = path, path.read_bytes(), 0
-
-    def take(self, dtype: npt.DTypeLike, count: int) -> npt.NDArray[Any]:
-        wanted, left = np.dtype(dtype).itemsize * count, len(self._data) - self._place
-        if wanted > left:
-            raise ValueError(f"{self._path}: truncated: {wanted} bytes are announced at byte {self._place}, got {left}")
-        values = np.frombuffer(self._data, dtype, count, self._place)
-        self._place += wanted
-        return values
-
-    def count(self) -> int:
-        return int(self.take("<u4", 1)[0])
-
-    def lengths(self) -> tuple[int, int, int]:
-        x, y, z = (int(length) for length in self.take("<u8", 3))
-        if max(x, y, z) > len(self._data):  # an empty volume may claim any length
-            raise ValueError(f"{self._path}: expected a volume that the file can hold, got {x} x {y} x {z} voxels")
-        return x, y, z
+    x, y, z = file.read("3Q")
+    if max(x, y, z) > file.size:  # an empty volume may claim any length
+        raise ValueError(f"{file.path}: expected a volume that the file can hold, got {x} x {y} x {z} voxels")
+    return file.array(dtype, x * y * z).reshape(z, y, x).transpose(2, 1, 0).copy()

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.paths import path_inside
 from torchjoint.datasets.vertex_numbers import read_text, read_vertex_numbers
 
 
@@ -58,10 +59,9 @@ def _parse(line: str, name: str, folder: Path) -> tuple[Path, int, float]:
             raise ValueError
     except (ValueError, IndexError, OverflowError):
         raise ValueError(f"{name}: expected a path, a class and a confidence, got {line[:100]!r}") from None
-    try:
-        file = (folder / relative).resolve()
-    except (OSError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{name}: expected a path, got {relative[:100]!r}") from error
-    if Path(relative).is_absolute() or not file.is_relative_to(folder):
-        raise ValueError(f"{name}: {relative} is outside of {folder}; expected a path inside")
-    return file, label, score
+    file = path_inside(folder, relative, name)
+    if not file.resolve().is_relative_to(folder):
+        raise ValueError(
+            f"{name}: expected a file inside {folder}, got {relative[:100]!r}, a link that leads elsewhere"
+        )
+    return file.resolve(), label, score

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.scene import Frame, Scene
+from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.synthetic import cloud, sensor, trajectory
 from torchjoint.synthetic.render import Renderer
 from torchjoint.synthetic.room import make_world
@@ -22,7 +22,8 @@ class SyntheticScene:
 
     Attributes:
         scene: points [N, 3] in metres, world frame, z up, the floor at 0; colours [N, 3] as the images have them; no
-            normals; frames with image, intrinsics, (erroneous) pose, (noisy) depth, named ``frame-000000`` on.
+            normals; frames with image, intrinsics, (erroneous) pose, (noisy) depth, named ``frame-000000`` on; and
+            the truth below.
         point_labels: [N] int64, the instance on whose surface the point was measured.
         image_labels: for each frame [H, W] int64, the instance at each pixel's centre, -1 where there is nothing.
         instance_names: instance id -> what it is; ids are the same for points and pixels. Several instances share a
@@ -131,10 +132,12 @@ def make_scene(
         shots.append(cloud.Shot(image, depth, view.labels, poses[i]))
     points, colors, labels = cloud.fuse(streams[3], shots, intrinsics, resolved.num_points)
     frames = tuple(_as_frame(shot, intrinsics, i) for i, shot in enumerate(shots))
+    truth = Truth(torch.from_numpy(labels), tuple(torch.from_numpy(shot.labels) for shot in shots))
+    name = f"synthetic-{size}-{seed}"
     return SyntheticScene(
-        scene=Scene(torch.from_numpy(points), frames, torch.from_numpy(colors), name=f"synthetic-{size}-{seed}"),
+        scene=Scene(torch.from_numpy(points), frames, torch.from_numpy(colors), name=name, truth=truth),
         point_labels=torch.from_numpy(labels),
-        image_labels=tuple(torch.from_numpy(shot.labels) for shot in shots),
+        image_labels=tuple(truth.images),
         instance_names=world.names,
         true_world_to_camera=tuple(torch.from_numpy(pose) for pose in true_poses),
         triangles=torch.from_numpy(world.triangles),

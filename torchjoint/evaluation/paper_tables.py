@@ -12,10 +12,10 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchjoint import metrics
-from torchjoint.scene import Segmentation, Truth
+from torchjoint.evaluation.table import markdown
 
-#: Place of a frame, size (H, W) -> label image of that size.
-RegionMaps = Callable[[int, tuple[int, int]], Tensor]
+#: Place of a frame, size (H, W) of its truth -> label image of that size.
+LabelImages = Callable[[int, tuple[int, int]], Tensor]
 
 
 class Scores(NamedTuple):
@@ -29,6 +29,10 @@ class Scores(NamedTuple):
     pred_by_target: float
     ap_objects: float
     ap_parts: float
+
+
+#: What the columns are called.
+COLUMNS = ("precision", "recall", "F", "covering", "truth by segments", "segments by truth", "AP_o", "AP_p")
 
 
 class Row(NamedTuple):
@@ -78,63 +82,51 @@ def score_points(ours: Tensor, truth: Tensor, detected: Tensor | None) -> dict[R
         detected: [N] labels by 3D-SIS, -1 = nothing detected; None: there are none.
 
     Returns:
-        Rows on P_D only where 3D-SIS detected something that has a truth.
+        No rows where nothing has a truth, and those on P_D only where 3D-SIS detected something that has.
 
     Raises:
-        ValueError: shapes that differ, or no truth at all.
+        ValueError: shapes that differ.
     """
     methods = {"ours": ours} if detected is None else {"3D-SIS": detected, "ours": ours}
     targets = {"P": truth}
-    if detected is not None and bool(((detected >= 0) & (truth >= 0)).any()):
+    if detected is not None:
         targets["P_D"] = torch.where(detected >= 0, truth, -1)
     return {
         Row("I", method, on): score(labels, target)
         for on, target in targets.items()
+        if bool((target >= 0).any())
         for method, labels in methods.items()
     }
 
 
 def score_images(
-    ours: Segmentation, truth: Truth, scenecut: RegionMaps | None, *, progress: bool = False
+    methods: Mapping[str, LabelImages], truth: Sequence[Tensor], *, progress: bool = False
 ) -> dict[Row, Scores]:
     """The rows of table II for one scene, means over the images that have a truth.
 
     Args:
-        ours: label images, final and initial.
+        methods: what each of them makes of an image.
         truth: label images, -1 = void.
-        scenecut: its label images; None: there are none.
         progress: show a progress bar.
 
     Raises:
         ValueError: sizes that differ.
     """
     found = defaultdict(list)
-    for i in tqdm(range(len(truth.images)), desc="score", unit="image", disable=not progress):
-        target = truth.images[i]
+    for i in tqdm(range(len(truth)), desc="score", unit="image", disable=not progress):
+        target = truth[i]
         if int(target.max()) < 0:
             continue
-        methods = {"initial": ours.initial_images[i], "final": ours.images[i]}
-        if scenecut is not None:
-            methods["SceneCut"] = scenecut(i, (target.shape[0], target.shape[1]))
         for method, labels in methods.items():
-            found[Row("II", method, "images")].append(score(labels, target))
+            found[Row("II", method, "images")].append(score(labels(i, (target.shape[0], target.shape[1])), target))
     return {row: mean_scores(scores) for row, scores in found.items()}
 
 
-def markdown(rows: Mapping[Row, Sequence[Scores]], notes: Sequence[str] = ()) -> str:
-    """Both tables: of each row how many scenes it has, and their mean."""
-    parts = []
-    for table, title in (("I", "Table I: points"), ("II", "Table II: pixels")):
-        lines = [_line(row, rows[row]) for row in ROWS if row.table == table and row in rows]
-        if lines:
-            columns = ("method", "on", "scenes", *Scores._fields)
-            rule = "|---|---|" + "---:|" * (len(columns) - 2)
-            parts.append("\n".join([f"**{title}**", "", f"| {' | '.join(columns)} |", rule, *lines]))
-    if notes:
-        parts.append("\n".join(f"- {note}" for note in notes))
-    return "\n\n".join(parts) + "\n"
-
-
-def _line(row: Row, scores: Sequence[Scores]) -> str:
-    values = " | ".join(f"{value:.3f}" for value in mean_scores(scores))
-    return f"| {row.method} | {row.on} | {len(scores)} | {values} |"
+def paper_table(rows: Mapping[Row, Sequence[Scores]], table: str) -> str:
+    """One of the tables as Markdown: of each row how many scenes it has, and their mean; empty if it has none."""
+    body = [
+        [f"{row.method}, {row.on}", str(len(rows[row])), *(f"{value:.3f}" for value in mean_scores(rows[row]))]
+        for row in ROWS
+        if row.table == table and row in rows
+    ]
+    return markdown([f"table {table}", "scenes", *COLUMNS], body) if body else ""

@@ -1,0 +1,126 @@
+"""The methods that are compared: ours, its parts, and what one could do without it today."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchjoint.afterwards import what_is_seen
+from torchjoint.benchmark import spaces
+from torchjoint.benchmark.case import Case
+from torchjoint.benchmark.known_images import KnownImages
+from torchjoint.benchmark.method import Method, Result
+from torchjoint.benchmark.planes import planes_and_clusters
+from torchjoint.benchmark.space import Setting
+from torchjoint.benchmark.vote import vote
+from torchjoint.config import Config
+from torchjoint.joint import JointSegmenter
+from torchjoint.superpoints import superpoints
+from torchjoint.superpoints_config import SuperpointsConfig
+from torchjoint.timing import Stopwatch
+
+
+def joint(case: Case, setting: Setting, images: bool) -> Result:
+    """The whole method; `setting` is of `stage.parameter`, on top of the suite's config."""
+    segmenter = _seen(case, _config(case, setting))
+    result = segmenter.compute(images=images)
+    return Result(result.points, result.images)
+
+
+def joint_painted(case: Case, setting: Setting, images: bool) -> Result:
+    """The joint method's points, painted into the images instead of refining these."""
+    return _painted(case, joint(case, setting, False).points, images)
+
+
+def geometry(case: Case, setting: Setting, images: bool) -> Result:
+    """The same graph without the images' evidence, painted into the images."""
+    setting = setting | {"propagation.weight": 0.0}
+    return _painted(case, _seen(case, _config(case, setting)).compute(images=False).points, images)
+
+
+def initial(case: Case, setting: Setting, images: bool) -> Result:
+    """The images alone, and these voted onto the points."""
+    _, label_images = _known_images(case, _config(case, setting))(case.frames, Stopwatch())
+    return Result(vote(label_images, case.visible, case.scene.points), label_images if images else ())
+
+
+def scikit_image(case: Case, setting: Setting, images: bool) -> Result:
+    """scikit-image's Felzenszwalb-Huttenlocher of each image, voted onto the points."""
+    from skimage.segmentation import felzenszwalb
+
+    label_images = [
+        torch.from_numpy(felzenszwalb(frame.image.permute(1, 2, 0).numpy(), **setting)).long() for frame in case.frames
+    ]
+    return Result(vote(label_images, case.visible, case.scene.points), label_images if images else ())
+
+
+def normals(case: Case, setting: Setting, images: bool) -> Result:
+    """Felzenszwalb-Huttenlocher by normals alone, with ScanNet's convexity-discounted weight."""
+    return _superpoints(case, {"weight": "segmentator", "color_weight": 0.0} | setting, images)
+
+
+def distance_normal_color(case: Case, setting: Setting, images: bool) -> Result:
+    """Felzenszwalb-Huttenlocher by distance, angle of normals and colour."""
+    colors = {"color_weight": 0.0} if case.scene.colors is None else {}
+    return _superpoints(case, {"convex_factor": 1.0} | setting | colors, images)
+
+
+def ransac_dbscan(case: Case, setting: Setting, images: bool) -> Result:
+    """RANSAC planes, and DBSCAN of what is left."""
+    return _painted(case, planes_and_clusters(case.scene.points, **setting), images)
+
+
+def _superpoints(case: Case, setting: Setting, images: bool) -> Result:
+    config = SuperpointsConfig().replace(setting)
+    colors = case.scene.colors if config.color_weight > 0 else None
+    return _painted(case, superpoints(case.scene.points, colors, viewpoint=case.viewpoints, preset=config), images)
+
+
+def _painted(case: Case, points: Tensor | None, images: bool) -> Result:
+    return Result(points, case.paint(points) if images and points is not None else ())
+
+
+def _config(case: Case, setting: Setting) -> Config:
+    config = case.config
+    for name, value in setting.items():
+        stage, _, parameter = name.partition(".")
+        config = config.replace({stage: {parameter: value}})
+    return config
+
+
+def _known_images(case: Case, config: Config) -> KnownImages:
+    """Boundaries and initial labels; made again only where the setting asks for it."""
+    stages = (config.boundary, config.contours, config.image_graph, config.image_segments)
+    known: KnownImages = case.keep("images", stages, lambda: KnownImages(config, case.frames))
+    return known
+
+
+def _seen(case: Case, config: Config) -> JointSegmenter:
+    """A segmenter that has seen all frames; seen again only where the setting asks for it."""
+    before = what_is_seen(config)
+
+    def see() -> JointSegmenter:
+        segmenter = JointSegmenter(before)
+        segmenter.image_segmenter = _known_images(case, before)
+        segmenter.reset(case.scene.points, case.scene.colors, case.scene.normals)
+        for start in range(0, len(case.frames), 8):
+            segmenter.update(case.frames[start : start + 8])
+        return segmenter
+
+    seen: JointSegmenter = case.keep("seen", before, see)
+    return seen.with_config(config)
+
+
+METHODS = {
+    method.name: method
+    for method in (
+        Method("joint", "joint (final)", joint, spaces.JOINT),
+        Method("joint_painted", "joint, its points painted", joint_painted, like="joint"),
+        Method("geometry", "geometry only", geometry, spaces.GEOMETRY),
+        Method("initial", "images only (initial), voted", initial, spaces.INITIAL, judged="2D"),
+        Method("scikit_image", "scikit-image fh, voted", scikit_image, spaces.SCIKIT_IMAGE, judged="2D"),
+        Method("normals", "normals-only fh", normals, spaces.NORMALS),
+        Method("distance_normal_color", "distance + normal + colour fh", distance_normal_color, spaces.COLORED),
+        Method("ransac_dbscan", "RANSAC planes + DBSCAN", ransac_dbscan, spaces.RANSAC_DBSCAN),
+    )
+}

@@ -1,0 +1,44 @@
+"""The setting of each method in a suite, in YAML: those that the package's own search found, or your own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from torchjoint.benchmark.methods import METHODS
+from torchjoint.benchmark.space import Setting
+from torchjoint.presets import read_yaml
+
+
+def read_settings(suite: str, file: Path | None = None) -> dict[str, Setting]:
+    """By method; a method without an entry uses its defaults.
+
+    Raises:
+        ValueError: naming the file, and the method or the parameter that does not exist.
+    """
+    if file is not None:
+        if not file.is_file():
+            raise FileNotFoundError(f"--settings: {file} does not exist")
+        return read_yaml(file, _checked, "methods with settings")
+    shipped = resources.files("torchjoint.configs").joinpath("benchmark", f"{suite}.yaml")
+    return _checked(yaml.safe_load(shipped.read_text(encoding="utf-8")) or {}) if shipped.is_file() else {}
+
+
+def write_settings(file: Path, settings: Mapping[str, Setting], comment: str) -> None:
+    """Writes what :func:`read_settings` reads; beside, then renamed."""
+    partial = file.with_name(f".{file.name}.partial")
+    partial.write_text(f"# {comment}\n{yaml.safe_dump(dict(settings), sort_keys=False)}", encoding="utf-8")
+    partial.replace(file)
+
+
+def _checked(values: Mapping[str, Any]) -> dict[str, Setting]:
+    for method, setting in values.items():
+        if method not in METHODS:
+            raise ValueError(f"{method}: unknown method, expected one of {', '.join(METHODS)}")
+        if not isinstance(setting, Mapping):
+            raise TypeError(f"{method}: expected parameters by name, got {setting!r}")
+    return {method: dict(setting) for method, setting in values.items()}

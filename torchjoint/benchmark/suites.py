@@ -1,0 +1,121 @@
+"""The labelled scenes that methods are compared on, in halves: one to tune on, one to be scored on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from torchjoint.config import Config
+from torchjoint.datasets import list_scenes, load_scene
+from torchjoint.scene import Scene
+from torchjoint.synthetic import make_scene
+from torchjoint.thinning import one_point_a_voxel
+from torchjoint.visibility import in_any_view
+
+#: Metres between the points of a depth camera's single view.
+SPACING = 0.005
+
+#: Frames of a long recording that are used, evenly spread.
+MOST_FRAMES = 40
+
+Scenes = Mapping[str, Callable[[], Scene]]
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A kind of data.
+
+    Args:
+        name: of the suite.
+        what: a sentence for the table.
+        tuning: the scenes that settings are chosen on, by name, from the data's folder.
+        checking: those that the table shows.
+        config: what all methods have in common there, as of visibility.
+        needs_data: whether a folder must be given.
+    """
+
+    name: str
+    what: str
+    tuning: Callable[[Path | None], Scenes]
+    checking: Callable[[Path | None], Scenes]
+    config: Config
+    needs_data: bool = True
+
+    def scenes(self, half: str, data: Path | None) -> Scenes:
+        """The scenes of a half, "tuning" or "checking", each to be loaded by a call.
+
+        Raises:
+            ValueError: the suite needs data, and there is none, or none in the folder.
+        """
+        if self.needs_data and data is None:
+            raise ValueError(f"--data: suite {self.name} needs the folder of its data; see the README for its layout")
+        found = (self.tuning if half == "tuning" else self.checking)(data)
+        if not found:
+            raise ValueError(f"--data: {data} holds too few scenes: none is left for {half}")
+        return found
+
+
+def load_all(scenes: Scenes) -> Iterator[Scene]:
+    """Loads one after the other."""
+    for load in scenes.values():
+        yield load()
+
+
+def _every_other(first: int, load: Callable[[Path], Scene], data: Path | None) -> Scenes:
+    assert data is not None  # checked by Suite.scenes
+    found = list_scenes(data)
+    names = sorted(found, key=lambda name: (len(name), name))  # learn8 before learn10
+    return {name: partial(load, found[name]) for name in names[first::2]}
+
+
+def _folder_suite(name: str, what: str, load: Callable[[Path], Scene], config: Config) -> Suite:
+    return Suite(name, what, partial(_every_other, 0, load), partial(_every_other, 1, load), config)
+
+
+def _synthetic(seeds: range, _: Path | None) -> Scenes:
+    return {str(seed): partial(_make, seed) for seed in seeds}
+
+
+def _make(seed: int) -> Scene:
+    return make_scene(seed, "large", num_views=24, num_points=120_000).scene
+
+
+def _load_thinned(path: Path) -> Scene:
+    """A depth camera's pixels lie nearer to one another than its noise is deep."""
+    scene = load_scene(path)
+    return scene.select_points(one_point_a_voxel(scene.points, SPACING))
+
+
+def _load_in_view(path: Path) -> Scene:
+    """Boxes are marked where the camera looks, and nowhere else."""
+    scene = load_scene(path)
+    return scene.select_points(in_any_view(scene.points, scene.frames))
+
+
+def _load_some_frames(path: Path) -> Scene:
+    return load_scene(path).spread_frames(MOST_FRAMES)
+
+
+SUITES = {
+    suite.name: suite
+    for suite in (
+        Suite(
+            "synthetic",
+            "furnished rooms, 24 views 640x480, 120,000 points; tuned on seeds 100-103",
+            partial(_synthetic, range(100, 104)),
+            partial(_synthetic, range(10)),
+            Config(),
+            needs_data=False,
+        ),
+        _folder_suite("mosd", "table-tops, one RGB-D view each, points 5 mm apart", _load_thinned, Config()),
+        _folder_suite(
+            "kitti",
+            "street LiDAR and one camera, the points in its view",
+            _load_in_view,
+            Config().set(["visibility.depth_tolerance=0.3"]),
+        ),
+        _folder_suite("scannet", "rooms, up to 40 frames each", _load_some_frames, Config()),
+    )
+}

@@ -1,0 +1,82 @@
+"""Binary files whose headers are not to be trusted: whatever is read is first checked to be there."""
+
+from __future__ import annotations
+
+import mmap
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+
+class BinaryFile:
+    """Reads a little-endian file front to back. A context manager.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: (from every method) the file ends too soon; naming file, place and what was expected.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            raise FileNotFoundError(f"{path}: missing; expected a binary file")
+        self.path = path
+        self.place = 0
+        self.size = path.stat().st_size
+        if self.size == 0:
+            raise ValueError(f"{path}: is empty")
+        with path.open("rb") as stream:
+            self._data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+
+    def __enter__(self) -> BinaryFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._data.close()
+
+    def read(self, layout: str) -> tuple[Any, ...]:
+        """Numbers of a layout of :mod:`struct`, without its byte order."""
+        place = self.place
+        self.skip(struct.calcsize("<" + layout))
+        return struct.unpack_from("<" + layout, self._data, place)
+
+    def array(self, dtype: npt.DTypeLike, count: int) -> npt.NDArray[Any]:
+        """So many numbers, or records, of a type."""
+        place = self.place
+        self.skip(np.dtype(dtype).itemsize * count)
+        return np.frombuffer(self._data, dtype, count, place).copy()
+
+    def count(self, smallest: int) -> int:
+        """An unsigned 64-bit count of records that follow, each of at least `smallest` bytes."""
+        (count,) = self.read("Q")
+        if count * smallest > self.size - self.place:
+            raise ValueError(
+                f"{self.path}: truncated: {count} records at byte {self.place} are more than the file holds"
+            )
+        return int(count)
+
+    def text(self, longest: int = 4096) -> str:
+        """A string that ends with a zero byte."""
+        end = self._data.find(b"\0", self.place, self.place + longest)
+        if end < 0:
+            raise ValueError(f"{self.path}: expected a string of at most {longest} bytes at byte {self.place}")
+        raw, self.place = self._data[self.place : end], end + 1
+        try:
+            return raw.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise ValueError(f"{self.path}: expected a string before byte {end}: {error}") from error
+
+    def skip(self, size: int) -> None:
+        """Passes over some bytes, which have to be there."""
+        if size > self.size - self.place:
+            raise ValueError(f"{self.path}: truncated: expected {size} bytes at byte {self.place} of {self.size}")
+        self.place += size
+
+    def finish(self) -> None:
+        """Checks that nothing is left."""
+        if self.place != self.size:
+            raise ValueError(
+                f"{self.path}: expected the end at byte {self.place}, got {self.size - self.place} more bytes"
+            )

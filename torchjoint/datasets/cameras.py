@@ -1,0 +1,192 @@
+"""Cameras of other conventions: quaternions, OpenGL axes, images of another size than calibrated, lens distortion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from torchjoint.scene import Frame
+from torchjoint.scene_checks import as_intrinsics
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+Matrix = npt.NDArray[np.float64]
+
+#: From OpenGL's camera axes (x right, y up, z back) to OpenCV's; its own inverse.
+FLIP_YZ = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+
+#: How far a quaternion's length may be from 1: two digits are the least anybody writes.
+UNIT_TOLERANCE = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole with OpenCV's lens distortion.
+
+    Args:
+        intrinsics: [3, 3] float64, pixels; pixel centres have integer coordinates.
+        size: (H, W) of the images it was calibrated for; None: of whatever images it is used with.
+        distortion: (k1, k2, p1, p2), then k3, then k4, k5, k6, as ``cv2.undistort`` takes them; empty = none.
+        name: used in messages.
+
+    Raises:
+        ValueError: numbers that are not finite, or no positive focal lengths and size.
+    """
+
+    intrinsics: Tensor
+    size: tuple[int, int] | None = None
+    distortion: tuple[float, ...] = ()
+    name: str = "camera"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "intrinsics", as_intrinsics(self.intrinsics, f"intrinsics of {self.name}"))
+        if self.size is not None and min(self.size) < 1:
+            raise ValueError(f"{self.name}: expected images of at least one pixel, got {self.size[1]} x {self.size[0]}")
+        if not np.isfinite(self.distortion).all():
+            raise ValueError(f"{self.name}: expected finite distortion coefficients, got {self.distortion}")
+
+    def frame(self, image: Tensor, world_to_camera: Tensor, depth: Tensor | None = None, name: str = "") -> Frame:
+        """A frame of an image that this camera took: intrinsics scaled to its size, image and depth undistorted.
+
+        Args:
+            image: [3, H, W] uint8.
+            world_to_camera: [4, 4].
+            depth: [h, w] float32 metres, of the same view at any resolution; 0 = unknown.
+            name: of the frame.
+
+        Raises:
+            ValueError: image or depth of another shape than the camera's images, or a distortion beyond its model.
+        """
+        size = (image.shape[1], image.shape[2])
+        called = f"image {name!r} of {self.name}"
+        intrinsics = (
+            self.intrinsics if self.size is None else scale_intrinsics(self.intrinsics, self.size, size, called)
+        )
+        if depth is not None:
+            depth = resize_depth(depth, size, name)
+        if any(self.distortion):
+            image, depth, intrinsics = undistort(image, depth, intrinsics, self.distortion, self.name)
+        return Frame(image, intrinsics, world_to_camera, depth=depth, name=name)
+
+
+def pinhole_matrix(fx: float, fy: float, cx: float, cy: float, *, center: float = 0.0) -> Tensor:
+    """A camera matrix [3, 3] float64; `center`: where the centre of the first pixel is, 0 or 1/2, in cx and cy."""
+    return torch.tensor([[fx, 0, cx - center], [0, fy, cy - center], [0, 0, 1]], dtype=torch.float64)
+
+
+def scale_intrinsics(intrinsics: Tensor, old: tuple[int, int], new: tuple[int, int], name: str = "image") -> Tensor:
+    """Intrinsics [3, 3] for images that were resized from (H, W) `old` to `new`.
+
+    The corners of an image stay its corners; with integer pixel centres they are at -1/2 and at W - 1/2.
+
+    Raises:
+        ValueError: the two have different shapes, by more than rounding to whole pixels.
+    """
+    _check_same_shape(old, new, name)
+    scale = torch.tensor([new[1] / old[1], new[0] / old[0], 1.0], dtype=torch.float64)
+    scaled = intrinsics * scale[:, None]
+    scaled[:2, 2] += (scale[:2] - 1) / 2
+    return scaled
+
+
+def resize_depth(depth: Tensor, size: tuple[int, int], name: str = "") -> Tensor:
+    """Depth [h, w] at another resolution (H, W), the nearest pixel's: depth must not be averaged over edges."""
+    if depth.ndim != 2 or 0 in depth.shape:
+        raise ValueError(f"depth of frame {name!r}: expected shape [H, W], got {list(depth.shape)}")
+    old = (depth.shape[0], depth.shape[1])
+    if old == size:
+        return depth
+    _check_same_shape(old, size, f"depth of frame {name!r}")
+    rows, columns = (
+        ((torch.arange(n) + 0.5) * (o / n)).long().clamp(max=o - 1) for n, o in zip(size, old, strict=True)
+    )
+    return depth[rows[:, None], columns]
+
+
+def undistort(
+    image: Tensor, depth: Tensor | None, intrinsics: Tensor, distortion: tuple[float, ...], name: str = "camera"
+) -> tuple[Tensor, Tensor | None, Tensor]:
+    """Straightens image and depth; the view is cropped to where the image has pixels, as nerfstudio and COLMAP do.
+
+    Args:
+        image: [3, H, W] uint8.
+        depth: [H, W] float32 metres, 0 = unknown; the nearest pixel's is taken.
+        intrinsics: [3, 3] of the distorted image.
+        distortion: as of :class:`Camera`.
+        name: used in messages.
+
+    Returns:
+        The same three, of the straight image; its size is the same.
+
+    Raises:
+        ValueError: the distortion is beyond what its model can undo.
+    """
+    import cv2
+
+    size = (image.shape[2], image.shape[1])
+    before, coefficients = intrinsics.numpy(), np.array(distortion, dtype=np.float64)
+    try:
+        after = np.asarray(cv2.getOptimalNewCameraMatrix(before, coefficients, size, 0)[0], dtype=np.float64)
+        if not _can_be_undone(before, after, coefficients, size):
+            raise ValueError(
+                f"{name}: distortion {distortion} cannot be undone in images of {size[0]} x {size[1]} pixels"
+            )
+        columns, rows = cv2.initUndistortRectifyMap(before, coefficients, np.eye(3), after, size, cv2.CV_32FC1)
+        pixels = np.ascontiguousarray(image.permute(1, 2, 0).numpy())
+        straight = cv2.remap(pixels, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        straight_depth = (
+            None if depth is None else cv2.remap(depth.contiguous().numpy(), columns, rows, cv2.INTER_NEAREST)
+        )
+    except cv2.error as error:
+        raise ValueError(f"{name}: images of {size[0]} x {size[1]} pixels cannot be undistorted: {error}") from error
+    return (
+        torch.from_numpy(straight).permute(2, 0, 1),
+        None if straight_depth is None else torch.from_numpy(straight_depth),
+        torch.from_numpy(after),
+    )
+
+
+def _can_be_undone(before: Matrix, after: Matrix, coefficients: Matrix, size: tuple[int, int]) -> bool:
+    """Whether the lens maps what is farther from the axis farther out, up to the corners of the straight image."""
+    focal, center = np.diag(after)[:2], after[:2, 2]
+    zoom = focal / np.diag(before)[:2]
+    if not (np.isfinite(after).all() and (zoom > 0.25).all() and (zoom < 4).all()):
+        return False
+    corners = np.array([(x, y) for x in (0, size[0]) for y in (0, size[1])])
+    radius = np.linspace(0, np.linalg.norm((corners - center) / focal, axis=1).max(), 200)
+    k1, k2, _, _, k3, k4, k5, k6 = np.append(coefficients, np.zeros(8))[:8]
+    square = radius**2
+    above, below = (1 + square * (a + square * (b + square * c)) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
+    return bool((below > 0).all() and (np.diff(radius * above / below) > 0).all())
+
+
+def rotations_of(quaternions: Matrix, name: str) -> Rotation:
+    """Unit quaternions [N, 4], each x y z w (Hamilton's, as everywhere in the field) -> N rotations.
+
+    Raises:
+        ValueError: one is not of length 1.
+    """
+    from scipy.spatial.transform import Rotation
+
+    lengths = np.linalg.norm(quaternions.clip(-2, 2), axis=1)  # clipped: the squares of nonsense may overflow
+    wrong = np.flatnonzero(~(np.abs(lengths - 1) <= UNIT_TOLERANCE))
+    if len(wrong):
+        raise ValueError(
+            f"{name}: expected unit quaternions, got {len(wrong)} others, such as {quaternions[wrong[0]].tolist()} "
+            "(x y z w)"
+        )
+    return Rotation.from_quat(quaternions)
+
+
+def _check_same_shape(old: tuple[int, int], new: tuple[int, int], name: str) -> None:
+    # Sizes are whole numbers: half of 1051 is 525 or 526.
+    if abs(new[1] * old[0] - new[0] * old[1]) > max(old):
+        raise ValueError(
+            f"{name}: is {new[1]} x {new[0]} pixels, not of the shape of {old[1]} x {old[0]}: cropped? rotated?"
+        )

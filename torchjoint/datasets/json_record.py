@@ -1,0 +1,103 @@
+"""JSON files of other people's making: objects whose values are asked for by type."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+#: Larger files are refused before they are unpacked into many times as much memory: 100,000 posed frames are less.
+MAX_BYTES = 128 * 2**20
+
+
+class Record:
+    """A JSON object. What is missing in it, or of another type than asked for, is an error that names file and key.
+
+    Args:
+        values: the object.
+        name: of the file, and the place in it.
+    """
+
+    def __init__(self, values: Mapping[str, Any], name: str) -> None:
+        self.values = values
+        self.name = name
+
+    def __contains__(self, key: str) -> bool:
+        return self.values.get(key) is not None
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """A finite number; `default` where there is none."""
+        value = self._get(key, default)
+        return _number(value, f"{self.name}: {key}")
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """A string; `default` where there is none."""
+        value = self._get(key, default)
+        if not isinstance(value, str):
+            raise ValueError(f"{self.name}: {key}: expected a string, got {_brief(value)}")
+        return value
+
+    def matrix(self, key: str, columns: int) -> Tensor:
+        """Rows of numbers -> [rows, columns] float64."""
+        rows = self._get(key)
+        if not isinstance(rows, list) or not all(isinstance(row, list) and len(row) == columns for row in rows):
+            raise ValueError(f"{self.name}: {key}: expected rows of {columns} numbers, got {_brief(rows)}")
+        values = [[_number(value, f"{self.name}: {key}") for value in row] for row in rows]
+        return torch.tensor(values, dtype=torch.float64).reshape(-1, columns)
+
+    def records(self, key: str) -> list[Record]:
+        """A list of objects."""
+        values = self._get(key)
+        if not isinstance(values, list):
+            raise ValueError(f"{self.name}: {key}: expected a list, got {_brief(values)}")
+        return [_as_record(value, f"{self.name}: {key}[{index}]") for index, value in enumerate(values)]
+
+    def _get(self, key: str, default: object = None) -> object:
+        value = self.values.get(key)
+        if value is None and default is None:
+            raise ValueError(f"{self.name}: {key}: missing")
+        return default if value is None else value
+
+
+def read_record(path: Path, expected: str) -> Record:
+    """A JSON file that holds an object; `expected` says what.
+
+    Raises:
+        FileNotFoundError, ValueError: no such file, too large a one, or not one of JSON with an object.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected {expected}")
+    if path.stat().st_size > MAX_BYTES:
+        raise ValueError(f"{path}: expected {expected}, at most {MAX_BYTES} bytes, got {path.stat().st_size}")
+    try:
+        values = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: not a whole JSON file: {error}") from error
+    return _as_record(values, str(path))
+
+
+def _as_record(values: object, name: str) -> Record:
+    if not isinstance(values, dict):
+        raise ValueError(f"{name}: expected an object, got {_brief(values)}")
+    return Record(values, name)
+
+
+def _number(value: object, name: str) -> float:
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if math.isfinite(number):
+            return number
+    raise ValueError(f"{name}: expected a finite number, got {_brief(value)}")
+
+
+def _brief(value: object) -> str:
+    # repr of what may be megabytes, or nested beyond what repr can follow
+    return type(value).__name__ if isinstance(value, (list, dict)) else repr(value)[:60]

@@ -1,0 +1,49 @@
+"""Paths that one file of a data set gives for others."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def path_inside(folder: Path, name: str, source: str, *, or_inside: Sequence[Path] = ()) -> Path:
+    """The path that `source` calls `name`, relative to a folder; links within the folder are followed as usual.
+
+    Raises:
+        ValueError: no name of a file, or it leads out of the folder and of `or_inside`: data from elsewhere has no
+            business there.
+    """
+    if not _is_file_name(name):
+        raise ValueError(f"{source}: expected a path of a file, got {name[:100]!r}")
+    target = os.path.normpath(os.path.join(os.path.abspath(folder), name))
+    for root in (folder, *or_inside):
+        relative = os.path.relpath(target, os.path.abspath(root))
+        if relative != os.curdir and relative.split(os.sep)[0] != os.pardir:
+            return root / relative
+    raise ValueError(f"{source}: expected a file inside {folder}, got {name!r}; give a relative path, without `..`")
+
+
+def frame_names(files: Sequence[str]) -> list[str]:
+    """Names of frames that can be names of files: paths below the folder common to all, without suffix, `_` for `/`.
+
+    Suffixes stay where two names would be the same without.
+
+    Example:
+        >>> frame_names(["./images/left/1.jpg", "images/right/1.jpg"])
+        ['left_1', 'right_1']
+    """
+    paths = [os.path.normpath(file) for file in files]
+    common = os.path.commonpath([os.path.dirname(path) for path in paths]) if paths else ""
+    below = [os.path.relpath(path, common or ".").replace(os.sep, "_") for path in paths]
+    stems = [os.path.splitext(name)[0] for name in below]
+    return stems if len(set(stems)) == len(stems) else below
+
+
+def _is_file_name(name: str) -> bool:
+    try:
+        raw = os.fsencode(name)
+    except UnicodeEncodeError:
+        return False
+    # File systems take 255 bytes a name and 4096 a path; a suffix and a folder may come to it.
+    return bool(raw) and b"\0" not in raw and len(raw) < 2048 and max(map(len, raw.split(b"/"))) < 250

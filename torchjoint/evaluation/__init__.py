@@ -1,0 +1,1 @@
+"""Results against truth: reading both, scoring, and tables of scores."""

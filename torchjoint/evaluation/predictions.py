@@ -1,0 +1,98 @@
+"""Segmentations on disk, to be compared with the truth of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.files import read_array, read_label_image
+from torchjoint.output import read_points
+from torchjoint.scene import Scene
+from torchjoint.scene_checks import as_labels
+from torchjoint.threads import map_frames
+
+#: A result's points are those of the scene if they are this near to one of them, metres.
+NEAR = 1e-3
+
+
+class Prediction(NamedTuple):
+    """What a method says about a scene, and of which points and frames of it."""
+
+    points: Tensor | None  #: [M] int64
+    of_points: Tensor  #: [M] int64, which points of the scene these are
+    images: Sequence[Tensor]  #: label images [H, W]
+    of_frames: Sequence[int]  #: which frames of the scene these are
+
+
+def is_result(path: Path) -> bool:
+    """Whether a path is a prediction by itself (and not a folder of several)."""
+    return path.is_file() or (path / "points.npz").is_file() or (path / "images").is_dir()
+
+
+def read_prediction(path: Path, scene: Scene) -> Prediction:
+    """Reads a segmentation of a scene.
+
+    Args:
+        path: a folder that `torchjoint segment` wrote; or labels of all points, a .npy of integers [N] or a .txt of a
+            number a line; or a folder with `images/NAME.png`, label + 1 in 8 or 16 bits, by the frames' names.
+        scene: what it is a segmentation of.
+
+    Raises:
+        FileNotFoundError, ValueError, TypeError: naming the file and what does not fit.
+    """
+    if path.is_file():
+        labels = _read_labels(path)
+        return Prediction(as_labels(labels, (len(scene.points),), str(path)), torch.arange(len(labels)), (), ())
+    if not path.is_dir():
+        raise FileNotFoundError(f"{path}: missing; expected a result of `torchjoint segment`, or labels")
+    points, of_points = None, torch.empty(0, dtype=torch.int64)
+    if (path / "points.npz").is_file():
+        result = read_points(path)
+        points, of_points = result.labels, _places(result.points, scene.points, path / "points.npz")
+    files = sorted((path / "images").glob("*.png")) if (path / "images").is_dir() else []
+    if points is None and not files:
+        raise FileNotFoundError(f"{path}: has neither points.npz nor images/*.png; expected a result")
+    names = _frame_names(scene) if files else {}
+    unknown = [file for file in files if file.stem not in names]
+    if unknown:
+        raise ValueError(f"{unknown[0]}: the scene has no frame of that name; it has {', '.join(list(names)[:3])} ...")
+    of_frames = [names[file.stem] for file in files]
+    return Prediction(points, of_points, [read_label_image(file) - 1 for file in files], of_frames)
+
+
+def _frame_names(scene: Scene) -> dict[str, int]:
+    """Where the frames are, by name; a frame without one is called by its number, as in a result."""
+    known = getattr(scene.frames, "names", ())  # of lazy ones, which need not be read then
+    found = known or map_frames(lambda index: scene.frames[index].name, range(len(scene.frames)))
+    return {name or f"{index:06d}": index for index, name in enumerate(found)}
+
+
+def _read_labels(path: Path) -> Tensor:
+    if path.suffix == ".npy":
+        return read_array(path)
+    if path.suffix != ".txt":
+        raise ValueError(f"{path}: expected labels of points, .npy or .txt, or a result's folder")
+    try:
+        return torch.from_numpy(np.array(path.read_text(encoding="utf-8").split(), dtype=np.int64))
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{path}: expected a whole number for each point, got {error}") from error
+
+
+def _places(points: Tensor, of: Tensor, file: Path) -> Tensor:
+    """Which of the scene's points the result's are; they may be fewer, and in another order."""
+    if points.shape == of.shape and torch.equal(points, of):
+        return torch.arange(len(of))
+    from scipy.spatial import cKDTree
+
+    distance, index = cKDTree(of.double().numpy()).query(points.double().numpy())
+    if float(distance.max(initial=0.0)) > NEAR:
+        raise ValueError(
+            f"{file}: its points are not those of the scene, the farthest is {distance.max():.3g} m from any of them; "
+            "was the cloud fused with another --voxel-size?"
+        )
+    return torch.from_numpy(index)

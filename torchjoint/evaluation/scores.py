@@ -1,0 +1,49 @@
+"""The scores of one segmentation: of points, or of a scene's images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import fmean
+from typing import NamedTuple
+
+from torch import Tensor
+
+from torchjoint import metrics
+
+
+class Scores(NamedTuple):
+    """All in [0, 1], more is better; see :mod:`torchjoint.metrics`."""
+
+    covering: float  #: symmetric segmentation covering
+    precision: float  #: for objects and parts
+    recall: float
+    f: float
+    best_iou: float  #: mean over the true instances
+
+
+#: What the columns of tables are called.
+COLUMNS = ("covering", "precision", "recall", "F", "best IoU")
+
+
+def score(pred: Tensor, target: Tensor) -> Scores:
+    """Scores of labels of any shape; target -1 = void. Errors: those of :mod:`torchjoint.metrics`."""
+    precision, recall, f = metrics.objects_and_parts(pred, target)
+    covering = metrics.segmentation_covering(pred, target).symmetric
+    return Scores(covering, precision, recall, f, metrics.mean_best_iou(pred, target))
+
+
+def score_images(pred: Sequence[Tensor], target: Sequence[Tensor]) -> Scores | None:
+    """Mean over the images that have any truth; None if none has.
+
+    Raises:
+        ValueError: not as many images as truths.
+    """
+    if len(pred) != len(target):
+        raise ValueError(f"images: expected one for each of {len(target)} truths, got {len(pred)}")
+    each = [score(image, truth) for image, truth in zip(pred, target, strict=True) if int(truth.max()) >= 0]
+    return mean_scores(each) if each else None
+
+
+def mean_scores(scores: Sequence[Scores]) -> Scores:
+    """The mean of each score: a data set's value, F included, is the mean of its samples' values."""
+    return Scores(*map(fmean, zip(*scores, strict=True)))

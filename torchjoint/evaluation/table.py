@@ -1,0 +1,143 @@
+"""Scores of several methods on several scenes: as text, as CSV, as a picture."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from statistics import fmean, stdev
+from typing import NamedTuple
+
+from torchjoint.evaluation.scores import COLUMNS, Scores, mean_scores
+from torchjoint.output import write_text
+
+
+class Row(NamedTuple):
+    """One method on one scene, in 3D or in 2D."""
+
+    scene: str
+    method: str
+    space: str  #: "3D" or "2D"
+    scores: Scores
+
+
+class Summary(NamedTuple):
+    """One method over all scenes."""
+
+    method: str
+    num_scenes: int
+    mean: Scores
+    error: Scores  #: standard error of the mean over scenes; NaN for a single scene
+
+
+def summarize(rows: Sequence[Row], space: str) -> list[Summary]:
+    """Mean over the scenes, by method in order of first appearance."""
+    summaries = []
+    for method in dict.fromkeys(row.method for row in rows if row.space == space):
+        scores = [row.scores for row in rows if (row.method, row.space) == (method, space)]
+        error = Scores(*(standard_error(values) for values in zip(*scores, strict=True)))
+        summaries.append(Summary(method, len(scores), mean_scores(scores), error))
+    return summaries
+
+
+class Difference(NamedTuple):
+    """How much better one method is than another, scene by scene."""
+
+    mean: float
+    error: float  #: standard error of the mean of the paired differences
+
+
+def paired_difference(rows: Sequence[Row], space: str, method: str, other: str) -> dict[str, Difference]:
+    """`method` less `other`, by score, over the scenes that both have."""
+    ours, theirs = ({r.scene: r.scores for r in rows if (r.method, r.space) == (m, space)} for m in (method, other))
+    differences = {}
+    for index, column in enumerate(COLUMNS):
+        values = [ours[scene][index] - theirs[scene][index] for scene in ours if scene in theirs]
+        differences[column] = Difference(fmean(values), standard_error(values)) if values else Difference(
+            math.nan, math.nan
+        )  # fmt: skip
+    return differences
+
+
+def standard_error(values: Sequence[float]) -> float:
+    """Of the mean of the values; NaN for a single one."""
+    return stdev(values) / math.sqrt(len(values)) if len(values) > 1 else math.nan
+
+
+def markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table that also reads well on a terminal, numbers to the right."""
+    widths = [max(3, *(len(cell) for cell in column)) for column in zip(columns, *rows, strict=True)]
+    aligned = [[cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))]
+               for row in (columns, *rows)]  # fmt: skip
+    rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (aligned[0], rule, *aligned[1:]))
+
+
+def summary_table(rows: Sequence[Row], space: str, titles: Callable[[str], str] = str) -> str:
+    """A line a method: the means over all scenes."""
+    body = [[titles(s.method), *(f"{value:.3f}" for value in s.mean)] for s in summarize(rows, space)]
+    return markdown([space, *COLUMNS], body)
+
+
+def method_table(rows: Sequence[Row], space: str, titles: Callable[[str], str] = str) -> str:
+    """A line a scene, a column a method: F / best IoU."""
+    methods = [s.method for s in summarize(rows, space)]
+    scores = {(row.scene, row.method): row.scores for row in rows if row.space == space}
+    body = []
+    for scene in dict.fromkeys(row.scene for row in rows if row.space == space):
+        found = [scores.get((scene, method)) for method in methods]
+        body.append([scene, *("" if one is None else f"{one.f:.3f} / {one.best_iou:.3f}" for one in found)])
+    return markdown([f"{space}, F / best IoU", *map(titles, methods)], body)
+
+
+def scene_table(rows: Sequence[Row], titles: Callable[[str], str] = str) -> str:
+    """A line a scene, method and space, and the means below."""
+    several = len({row.method for row in rows}) > 1
+    body = [[r.scene, *([titles(r.method)] if several else []), r.space, *(f"{v:.3f}" for v in r.scores)] for r in rows]
+    for space in dict.fromkeys(row.space for row in rows):
+        for s in summarize(rows, space):
+            body.append(["mean", *([titles(s.method)] if several else []), space, *(f"{v:.3f}" for v in s.mean)])
+    return markdown(["scene", *(["method"] if several else []), "space", *COLUMNS], body)
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """A line for each scene, method and space; written beside, then renamed."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["scene", "method", "space", *(name.replace(" ", "_") for name in Scores._fields)])
+    writer.writerows([row.scene, row.method, row.space, *(f"{value:.6f}" for value in row.scores)] for row in rows)
+    write_text(path, text.getvalue())
+
+
+def write_plot(path: Path, rows: Sequence[Row], titles: Callable[[str], str] = str) -> None:
+    """A picture of F and best IoU: of every method, with the standard errors of the means; of one method, by scene.
+
+    Written beside, then renamed.
+    """
+    from matplotlib.figure import Figure
+
+    spaces = list(dict.fromkeys(row.space for row in rows))
+    bars = [_bars(rows, space, titles) for space in spaces]
+    figure = Figure(figsize=(6.2 * len(spaces), 1.2 + 0.5 * max(map(len, bars))), layout="constrained")
+    for axis, space, of_space in zip(figure.subplots(1, len(spaces), squeeze=False)[0], spaces, bars, strict=True):
+        for offset, (column, index) in enumerate((("F", 3), ("best IoU", 4))):
+            places = [place + 0.38 * offset for place in range(len(of_space))]
+            errors = [0.0 if math.isnan(error[index]) else error[index] for _, _, error in of_space]
+            axis.barh(places, [mean[index] for _, mean, _ in of_space], 0.36, xerr=errors, label=column)
+        axis.set_yticks([place + 0.19 for place in range(len(of_space))], [name for name, _, _ in of_space])
+        axis.set(xlim=(0, 1), title=space)
+        axis.invert_yaxis()
+        axis.legend(loc="lower right")
+    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+    figure.savefig(partial, dpi=100)
+    os.replace(partial, path)
+
+
+def _bars(rows: Sequence[Row], space: str, titles: Callable[[str], str]) -> list[tuple[str, Scores, Scores]]:
+    if len({row.method for row in rows}) > 1:
+        return [(titles(s.method), s.mean, s.error) for s in summarize(rows, space)]
+    nothing = Scores(*[math.nan] * len(COLUMNS))
+    return [(row.scene, row.scores, nothing) for row in rows if row.space == space]

@@ -1,0 +1,59 @@
+"""How well regions cover one another: segmentation covering, and the best IoU of every true instance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import fmean
+from typing import NamedTuple
+
+from torch import Tensor
+
+from torchjoint.metrics.overlaps import overlap_tables
+
+
+class SegmentationCovering(NamedTuple):
+    """Coverings in [0, 1]: their mean, C(pred -> target) over the true regions (the usual one), C(target -> pred)."""
+
+    symmetric: float
+    target_by_pred: float
+    pred_by_target: float
+
+
+def segmentation_covering(pred: Tensor, target: Tensor | Sequence[Tensor]) -> SegmentationCovering:
+    """Segmentation covering, both ways, and its symmetric mean.
+
+    ``C(A -> B) = 1/n sum_{R in B} |R| max_{R' in A} IoU(R, R')``, averaged over the ground truths if several.
+
+    Args:
+        pred: int64, any shape.
+        target: int64 of the same shape, -1 = void; or a sequence of such.
+
+    Raises:
+        TypeError: labels that are not integer tensors.
+        ValueError: shapes that differ, labels below -1, nothing but void, nothing at all.
+
+    >>> import torch
+    >>> segmentation_covering(torch.tensor([0, 0, 1, 1]), torch.tensor([5, 5, 5, 5]))
+    SegmentationCovering(symmetric=0.5, target_by_pred=0.5, pred_by_target=0.5)
+    """
+    _, tables = overlap_tables(pred, target)
+    target_by_pred = fmean([_weighted_mean(t.best_iou_of_target, t.target_area) for t in tables])
+    pred_by_target = fmean([_weighted_mean(t.best_iou_of_pred, t.pred_area) for t in tables])
+    return SegmentationCovering((target_by_pred + pred_by_target) / 2, target_by_pred, pred_by_target)
+
+
+def mean_best_iou(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
+    """Mean, over the true instances, of the best IoU that any predicted region has with it.
+
+    Unlike the covering, every instance counts the same, however small. Arguments and errors are those of
+    :func:`segmentation_covering`.
+
+    >>> import torch
+    >>> mean_best_iou(torch.tensor([0, 0, 0, 1]), torch.tensor([0, 0, 1, 1]))  # 2/3 and 1/2
+    0.5833333333333333
+    """
+    return fmean([t.best_iou_of_target.mean().item() for t in overlap_tables(pred, target)[1]])
+
+
+def _weighted_mean(value: Tensor, weight: Tensor) -> float:
+    return ((value * weight).sum() / weight.sum()).item()

@@ -1,0 +1,85 @@
+"""Predicted instances, in whichever form they come, and how many points they share with true ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.metrics.labels import INTEGERS, checked_labels
+from torchjoint.metrics.overlaps import by_value, count_keys, places
+
+
+class Intersections(NamedTuple):
+    """Points that K masks share with T true instances, as a sparse table. Column 0 is void, 1 ... T the instances."""
+
+    mask: Tensor  #: [E] int64
+    column: Tensor  #: [E] int64
+    shared: Tensor  #: [E] int64, points, > 0
+    mask_area: Tensor  #: [K] int64, void included
+    column_area: Tensor  #: [T + 1] int64
+
+
+def intersect(pred: Tensor | Sequence[Tensor], target: Tensor) -> tuple[Intersections, Tensor | None]:
+    """Predicted instances against the true ones, both in the order of their numbers.
+
+    Args:
+        pred: labels, integers of the target's shape, -1 = none; or masks, bool [K, ...] of the target's shape
+            after the first; or K tensors of points, integers in 0 ... N - 1, where N is the target's size.
+        target: int64, any shape, -1 = void.
+
+    Returns:
+        the table, and the labels [K] of the K instances, ascending; None where `pred` is no labels.
+
+    Raises:
+        TypeError, ValueError: naming the argument, what was expected and what came.
+    """
+    column = by_value(target.flatten())[1] + 1
+    column_area = torch.bincount(column, minlength=1)
+    if isinstance(pred, Tensor) and pred.dtype != torch.bool:
+        labels, mask = by_value(_of_shape(checked_labels(pred, "pred"), pred.shape, target))
+        inside, width = mask >= 0, len(column_area)
+        key, count = count_keys(mask[inside] * width + column[inside], len(labels) * width)
+        area = torch.bincount(mask[inside], minlength=len(labels))
+        return Intersections(key // width, key % width, count, area, column_area), labels
+    rows = [torch.bincount(column[points]) for points in _points(pred, target)]
+    columns = [row.nonzero().flatten() for row in rows]
+    mask = torch.arange(len(rows)).repeat_interleave(torch.tensor([len(one) for one in columns], dtype=torch.int64))
+    count = torch.cat([mask[:0], *(row[one] for row, one in zip(rows, columns, strict=True))])
+    area = torch.tensor([int(row.sum()) for row in rows], dtype=torch.int64)
+    return Intersections(mask, torch.cat([mask[:0], *columns]), count, area, column_area), None
+
+
+def _points(pred: Tensor | Sequence[Tensor], target: Tensor) -> Iterator[Tensor]:
+    """The points of one mask after another, each [M] int64."""
+    if isinstance(pred, Tensor):
+        if pred.dim() == 0 or pred.shape[1:] != target.shape:
+            expected = ", ".join(["K", *map(str, target.shape)])
+            raise ValueError(f"pred: expected masks of shape ({expected}), got {tuple(pred.shape)}")
+        for mask in pred.cpu():
+            yield places(mask.flatten())
+    elif isinstance(pred, Sequence):
+        for i, points in enumerate(pred):
+            yield _checked_points(points, f"pred[{i}]", target.numel())
+    else:
+        raise TypeError(f"pred: expected labels, masks or a sequence of tensors of points, got {type(pred).__name__}")
+
+
+def _checked_points(points: Tensor, name: str, size: int) -> Tensor:
+    got = points.dtype if isinstance(points, Tensor) else type(points).__name__
+    if got not in INTEGERS:
+        raise TypeError(f"{name}: expected an integer tensor of points, got {got}")
+    if points.dim() != 1:
+        raise ValueError(f"{name}: expected points of shape [M], got {tuple(points.shape)}")
+    points = points.to("cpu", torch.int64).unique()
+    if len(points) and not 0 <= int(points[0]) <= int(points[-1]) < size:
+        raise ValueError(f"{name}: expected points in 0 ... {size - 1}, got {int(points[0])} ... {int(points[-1])}")
+    return points
+
+
+def _of_shape(flat: Tensor, shape: torch.Size, target: Tensor) -> Tensor:
+    if shape != target.shape:
+        raise ValueError(f"pred: expected labels of the target's shape, {tuple(target.shape)}, got {tuple(shape)}")
+    return flat

@@ -1,0 +1,213 @@
+"""The measures as torchmetrics classes, which accumulate over the scenes or images of a data set.
+
+``update`` takes one sample and the arguments of the function, options go to the constructor. ``compute`` gives what the
+function gives, a tensor where that is a number. It is the mean of the samples' values, F included; only ScanNet's
+average precision is made from the predictions of all scenes together. States add up over processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torchmetrics import Metric
+
+from torchjoint.metrics.covering import SegmentationCovering, mean_best_iou, segmentation_covering
+from torchjoint.metrics.objects_and_parts import (
+    ObjectsAndParts,
+    average_precision_objects,
+    average_precision_parts,
+    check_thresholds,
+    objects_and_parts,
+)
+from torchjoint.metrics.scannet_module import ScannetAveragePrecisionMetric
+from torchjoint.metrics.states import tell_apart
+from torchjoint.metrics.superpoints import (
+    achievable_segmentation_accuracy,
+    boundary_recall,
+    check_tolerance,
+    undersegmentation_error,
+)
+
+__all__ = [
+    "AchievableSegmentationAccuracyMetric",
+    "AveragePrecisionObjectsMetric",
+    "AveragePrecisionPartsMetric",
+    "BoundaryRecallMetric",
+    "MeanBestIoUMetric",
+    "ObjectsAndPartsMetric",
+    "ScannetAveragePrecisionMetric",
+    "SegmentationCoveringMetric",
+    "UndersegmentationErrorMetric",
+]
+
+
+class _SampleMean(Metric):
+    """The mean of values over samples; `options` are those of the measure."""
+
+    is_differentiable = False
+    higher_is_better = True
+    full_state_update = False
+    total: Tensor
+    num_samples: Tensor
+
+    def __init__(self, *, num_values: int = 1, options: Sequence[float] = (), **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        tell_apart(self, *options)
+        self.add_state("total", torch.zeros(num_values, dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("num_samples", torch.tensor(0), dist_reduce_fx="sum")
+
+    def _add(self, *values: float) -> None:
+        self.total += torch.tensor(values, dtype=torch.float64, device=self.total.device)
+        self.num_samples += 1
+
+    def _mean(self) -> Tensor:
+        if int(self.num_samples) == 0:
+            raise ValueError(f"{type(self).__name__}: expected an update before compute, got none")
+        return self.total / self.num_samples
+
+
+class SegmentationCoveringMetric(_SampleMean):
+    """:func:`torchjoint.metrics.segmentation_covering`, averaged over samples.
+
+    Args:
+        kwargs: those of :class:`torchmetrics.Metric`.
+
+    >>> import torch
+    >>> metric = SegmentationCoveringMetric()
+    >>> metric.update(torch.tensor([0, 0, 1, 1]), torch.tensor([5, 5, 5, 5]))
+    >>> metric.update(torch.tensor([0, 0, 1, 1]), torch.tensor([5, 5, 6, 6]))
+    >>> metric.compute()
+    SegmentationCovering(symmetric=0.75, target_by_pred=0.75, pred_by_target=0.75)
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(num_values=len(SegmentationCovering._fields), **kwargs)
+
+    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
+        """Add one sample: labels of any one shape."""
+        self._add(*segmentation_covering(pred, target))
+
+    def compute(self) -> SegmentationCovering:
+        """Means over the samples; ValueError if there is none."""
+        return SegmentationCovering(*self._mean().tolist())
+
+
+class ObjectsAndPartsMetric(_SampleMean):
+    """:func:`torchjoint.metrics.objects_and_parts`, averaged over samples, F included.
+
+    Args:
+        gamma_object, gamma_part, beta: as of the function.
+        kwargs: those of :class:`torchmetrics.Metric`.
+
+    >>> import torch
+    >>> metric = ObjectsAndPartsMetric()
+    >>> metric.update(torch.tensor([0, 0, 1, 1]), torch.tensor([5, 5, 5, 5]))
+    >>> metric.update(torch.tensor([0, 0, 1, 1]), torch.tensor([5, 5, 6, 6]))
+    >>> metric.compute()
+    ObjectsAndParts(precision=0.55, recall=1.0, f=0.5909090909090909)
+    """
+
+    def __init__(self, gamma_object: float = 0.75, gamma_part: float = 0.25, beta: float = 0.1, **kwargs: Any) -> None:
+        check_thresholds(gamma_object, gamma_part, beta)
+        options = gamma_object, gamma_part, beta
+        super().__init__(num_values=len(ObjectsAndParts._fields), options=options, **kwargs)
+        self.thresholds = options
+
+    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
+        """Add one sample: labels of any one shape."""
+        self._add(*objects_and_parts(pred, target, *self.thresholds))
+
+    def compute(self) -> ObjectsAndParts:
+        """Means over the samples; ValueError if there is none."""
+        return ObjectsAndParts(*self._mean().tolist())
+
+
+class _SampleMeanOfOne(_SampleMean):
+    """A measure that is one number."""
+
+    def compute(self) -> Tensor:
+        """Mean over the samples, a float64 number; ValueError if there is none."""
+        return self._mean()[0]
+
+
+class MeanBestIoUMetric(_SampleMeanOfOne):
+    """:func:`torchjoint.metrics.mean_best_iou`, averaged over samples."""
+
+    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
+        """Add one sample: labels of any one shape."""
+        self._add(mean_best_iou(pred, target))
+
+
+class AveragePrecisionObjectsMetric(_SampleMeanOfOne):
+    """:func:`torchjoint.metrics.average_precision_objects`, averaged over samples.
+
+    Args:
+        gamma_part, beta: as of the function.
+        kwargs: those of :class:`torchmetrics.Metric`.
+    """
+
+    def __init__(self, gamma_part: float = 0.25, beta: float = 0.1, **kwargs: Any) -> None:
+        check_thresholds(0.5, gamma_part, beta)
+        super().__init__(options=(gamma_part, beta), **kwargs)
+        self.gamma_part, self.beta = gamma_part, beta
+
+    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
+        """Add one sample: labels of any one shape."""
+        self._add(average_precision_objects(pred, target, self.gamma_part, self.beta))
+
+
+class AveragePrecisionPartsMetric(_SampleMeanOfOne):
+    """:func:`torchjoint.metrics.average_precision_parts`, averaged over samples.
+
+    Args:
+        gamma_object, beta: as of the function.
+        kwargs: those of :class:`torchmetrics.Metric`.
+    """
+
+    def __init__(self, gamma_object: float = 0.75, beta: float = 0.1, **kwargs: Any) -> None:
+        check_thresholds(gamma_object, 0.7, beta)
+        super().__init__(options=(gamma_object, beta), **kwargs)
+        self.gamma_object, self.beta = gamma_object, beta
+
+    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
+        """Add one sample: labels of any one shape."""
+        self._add(average_precision_parts(pred, target, self.gamma_object, self.beta))
+
+
+class AchievableSegmentationAccuracyMetric(_SampleMeanOfOne):
+    """:func:`torchjoint.metrics.achievable_segmentation_accuracy`, averaged over samples."""
+
+    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
+        """Add one sample: labels of any one shape."""
+        self._add(achievable_segmentation_accuracy(pred, target))
+
+
+class UndersegmentationErrorMetric(_SampleMeanOfOne):
+    """:func:`torchjoint.metrics.undersegmentation_error`, averaged over samples."""
+
+    higher_is_better = False
+
+    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
+        """Add one sample: labels of any one shape."""
+        self._add(undersegmentation_error(pred, target))
+
+
+class BoundaryRecallMetric(_SampleMeanOfOne):
+    """:func:`torchjoint.metrics.boundary_recall`, averaged over samples.
+
+    Args:
+        tolerance: as of the function.
+        kwargs: those of :class:`torchmetrics.Metric`.
+    """
+
+    def __init__(self, tolerance: int = 1, **kwargs: Any) -> None:
+        check_tolerance(tolerance)
+        super().__init__(options=(tolerance,), **kwargs)
+        self.tolerance = tolerance
+
+    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor], edge_index: Tensor) -> None:
+        """Add one sample: labels of N points, and the graph [2, E] of these."""
+        self._add(boundary_recall(pred, target, edge_index, tolerance=self.tolerance))

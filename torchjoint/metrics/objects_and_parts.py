@@ -1,0 +1,151 @@
+"""Precision and recall for objects and parts, and average precisions over both.
+
+J. Pont-Tuset and F. Marques, "Supervised Evaluation of Image Segmentation and Object Proposal Techniques" (PAMI 2016).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.metrics.overlaps import Overlaps, largest, overlap_tables
+
+#: Regions are candidates from the largest down until they hold this share of the data; the rest is too small to count.
+CANDIDATE_SHARE = 0.99
+
+_NONE, _PART, _OBJECT = 0, 1, 2
+
+
+class ObjectsAndParts(NamedTuple):
+    """Precision and recall for objects and parts, in [0, 1], and their harmonic mean (0 if both are 0)."""
+
+    precision: float
+    recall: float
+    f: float
+
+
+def objects_and_parts(
+    pred: Tensor,
+    target: Tensor | Sequence[Tensor],
+    gamma_object: float = 0.75,
+    gamma_part: float = 0.25,
+    beta: float = 0.1,
+) -> ObjectsAndParts:
+    """Precision and recall for objects and parts.
+
+    A predicted and a true region that overlap by ``gamma_object`` of both are objects. One that lies within the other
+    by ``gamma_object`` and fills ``gamma_part`` of it is a part, worth ``beta`` of an object. What is neither still
+    earns its fragmentation: the share of it that regions lying within it fill.
+
+    With several ground truths recall runs over the regions of all of them, a predicted region is an object if it is one
+    for any of them, and its fragmentation is their mean. The predicted candidates are chosen among the points
+    that some ground truth labels.
+
+    Args:
+        pred: int64, any shape.
+        target: int64 of the same shape, -1 = void; or a sequence of such.
+        gamma_object: least overlap of an object. At 0.5 and below a true region may match several predicted ones as
+            an object or as a part; the one seen last (in row-major order of first appearance) then decides.
+        gamma_part: least overlap of a part, 0 < gamma_part <= gamma_object <= 1.
+        beta: the worth of a part, in [0, 1].
+
+    Raises:
+        TypeError, ValueError: as :func:`torchjoint.metrics.segmentation_covering`;
+            ValueError also for thresholds out of range.
+
+    >>> import torch
+    >>> objects_and_parts(torch.tensor([0, 0, 1, 1]), torch.tensor([5, 5, 5, 5]))  # two parts of one object
+    ObjectsAndParts(precision=0.1, recall=1.0, f=0.18181818181818182)
+    """
+    return _objects_and_parts(*overlap_tables(pred, target), gamma_object, gamma_part, beta)
+
+
+def average_precision_objects(
+    pred: Tensor, target: Tensor | Sequence[Tensor], gamma_part: float = 0.25, beta: float = 0.1
+) -> float:
+    """AP_o: :func:`objects_and_parts` with ``gamma_object`` = .50, .55, ... .95, integrated.
+
+    The paper does not say how; here the points are taken by rising recall and the step sum
+    ``sum (Re_i - Re_{i-1}) Pr_i`` is made, from Re_0 = 0, for each sample by itself.
+    """
+    tables = overlap_tables(pred, target)
+    return _step_sum([_objects_and_parts(*tables, k / 20, gamma_part, beta) for k in range(10, 20)])
+
+
+def average_precision_parts(
+    pred: Tensor, target: Tensor | Sequence[Tensor], gamma_object: float = 0.75, beta: float = 0.1
+) -> float:
+    """AP_p: as :func:`average_precision_objects`, but with ``gamma_part`` = .05, .10, ... .70."""
+    tables = overlap_tables(pred, target)
+    return _step_sum([_objects_and_parts(*tables, gamma_object, k / 20, beta) for k in range(1, 15)])
+
+
+def _objects_and_parts(
+    pred_area: Tensor, tables: list[Overlaps], gamma_object: float, gamma_part: float, beta: float
+) -> ObjectsAndParts:
+    check_thresholds(gamma_object, gamma_part, beta)
+    pred_candidate = _candidates(pred_area)
+    pred_class = torch.full_like(pred_area, _NONE)
+    pred_fragments = torch.zeros(len(pred_class), dtype=torch.float64)
+    recalled, expected = 0.0, 0
+    for table in tables:
+        target_candidate = _candidates(table.target_area)
+        eligible = pred_candidate[table.pred] & target_candidate[table.target]
+        fills, within = table.recall >= gamma_object, table.precision >= gamma_object
+        is_object = eligible & fills & within
+        pred_is_part = eligible & within & ~fills & (table.recall >= gamma_part)
+        target_is_part = eligible & fills & ~within & (table.precision >= gamma_part)
+
+        # Of a predicted region's matches the best counts (object before part), over all ground truths ...
+        found = is_object * _OBJECT + pred_is_part * _PART
+        pred_class = torch.maximum(pred_class, largest(found, table.pred, len(pred_class)))
+        # ... of a true region's, the last: the measure's own asymmetry, seen only where gamma_object <= 0.5.
+        found = is_object * _OBJECT + target_is_part * _PART
+        ranked = torch.where(found > _NONE, table.pred * 3 + found, 0)
+        target_class = largest(ranked, table.target, len(table.target_area)) % 3
+
+        fragments = torch.bincount(table.pred, table.precision * (fills & ~within), len(pred_class))
+        pred_fragments += fragments / len(tables)
+        fragments = torch.bincount(table.target, table.recall * (within & ~fills), len(target_class))
+        recalled += _worth(target_class, fragments, target_candidate, beta)
+        expected += int(target_candidate.sum())
+    precision = _worth(pred_class, pred_fragments, pred_candidate, beta) / int(pred_candidate.sum())
+    recall = recalled / expected
+    f = 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
+    return ObjectsAndParts(precision, recall, f)
+
+
+def _candidates(area: Tensor) -> Tensor:
+    """[R] bool: the largest regions, up to and with the one that reaches the share. Ties: the later one first."""
+    order = area.flip(0).argsort(descending=True, stable=True)
+    share = (area.flip(0)[order].double() / area.sum()).cumsum(0)
+    before = torch.cat([share.new_zeros(1), share[:-1]])
+    candidate = torch.zeros_like(area, dtype=torch.bool)
+    candidate[len(area) - 1 - order] = before < CANDIDATE_SHARE
+    return candidate
+
+
+def _worth(found: Tensor, fragments: Tensor, candidate: Tensor, beta: float) -> float:
+    objects, parts = int((found == _OBJECT).sum()), int((found == _PART).sum())
+    return objects + beta * parts + fragments[candidate & (found == _NONE)].sum().item()
+
+
+def _step_sum(curve: list[ObjectsAndParts]) -> float:
+    area = reached = 0.0
+    for precision, recall, _ in sorted(curve, key=lambda point: point.recall):
+        area += (recall - reached) * precision
+        reached = recall
+    return area
+
+
+def check_thresholds(gamma_object: float, gamma_part: float, beta: float) -> None:
+    """Raise ValueError unless they are in range."""
+    if not 0 < gamma_object <= 1:
+        raise ValueError(f"gamma_object: expected a number in (0, 1], got {gamma_object}")
+    if not 0 < gamma_part <= gamma_object:
+        raise ValueError(f"gamma_part: expected a number in (0, gamma_object = {gamma_object}], got {gamma_part}")
+    if not 0 <= beta <= 1:
+        raise ValueError(f"beta: expected a number in [0, 1], got {beta}")
