@@ -29,6 +29,15 @@ def shots_of(scene):
         yield Shot(color, depth, np.linalg.inv(frame.world_to_camera.numpy()))
 
 
+def random_shots(rng, count, color_size, depth_size):
+    """A camera that moves along x in front of a wall two metres away."""
+    for index in range(count):
+        pose = np.eye(4)
+        pose[0, 3] = 0.1 * index
+        pixels = rng.integers(0, 256, (*color_size, 3), dtype=np.uint8)
+        yield Shot(pixels, np.full(depth_size, 2000, dtype=np.uint16), pose)
+
+
 def lost(shot):
     """The same frame where tracking was lost."""
     return shot._replace(pose=np.full((4, 4), -np.inf))

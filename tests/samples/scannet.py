@@ -1,7 +1,7 @@
 """A scan of ScanNet: a sensor stream of three frames, one of them lost, a mesh, its instances, and those of pixels."""
 
 import numpy as np
-from scannet_files import Shot, lost, write_image_truth, write_mesh, write_point_truth, write_sens
+from scannet_files import lost, random_shots, write_image_truth, write_mesh, write_point_truth, write_sens
 
 COLOR = [[24, 0, 11.5], [0, 24, 8.5], [0, 0, 1]]
 DEPTH = [[12, 0, 5.5], [0, 12, 4.1], [0, 0, 1]]
@@ -11,12 +11,7 @@ def write(folder):
     rng = np.random.default_rng(0)
     scan = folder / "scene0000_00"
     scan.mkdir()
-    shots = []
-    for index in range(3):
-        pose = np.eye(4)
-        pose[0, 3] = 0.1 * index
-        pixels = rng.integers(0, 256, (18, 24, 3), dtype=np.uint8)
-        shots.append(Shot(pixels, np.full((9, 12), 2000, dtype=np.uint16), pose))
+    shots = list(random_shots(rng, 3, (18, 24), (9, 12)))
     shots[1] = lost(shots[1])
     write_sens(scan / "scene0000_00.sens", shots, COLOR, DEPTH)
     points = rng.uniform([-0.5, -0.5, 1.9], [0.5, 0.5, 2.1], (40, 3))

@@ -4,7 +4,15 @@ import zipfile
 
 import numpy as np
 from PIL import Image
-from scannet_files import Shot, lost, write_exported, write_info, write_intrinsics, write_mesh, write_point_truth
+from scannet_files import (
+    lost,
+    random_shots,
+    write_exported,
+    write_info,
+    write_intrinsics,
+    write_mesh,
+    write_point_truth,
+)
 
 FORMAT = "scannet"
 CAMERA = [[16, 0, 7.5], [0, 16, 5.5], [0, 0, 1]]
@@ -14,12 +22,7 @@ SCAN = "scene0001_00"
 def write(folder):
     rng = np.random.default_rng(0)
     scan = folder / SCAN
-    shots = []
-    for index in range(2):
-        pose = np.eye(4)
-        pose[0, 3] = 0.1 * index
-        pixels = rng.integers(0, 256, (12, 16, 3), dtype=np.uint8)
-        shots.append(Shot(pixels, np.full((12, 16), 2000, dtype=np.uint16), pose))
+    shots = list(random_shots(rng, 2, (12, 16), (12, 16)))
     write_exported(scan, [*shots, lost(shots[0])])
     write_intrinsics(scan, CAMERA, CAMERA)
     write_info(scan / f"{SCAN}.txt", CAMERA, CAMERA, (12, 16), (12, 16))

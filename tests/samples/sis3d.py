@@ -1,7 +1,7 @@
 """A scene of 3D-SIS' examples: two resized frames, a mesh, a volume with two objects, and the way to its voxels."""
 
 import numpy as np
-from scannet_files import Shot, boxes_of, world_to_grid, write_exported, write_mesh, write_volume
+from scannet_files import boxes_of, random_shots, world_to_grid, write_exported, write_mesh, write_volume
 
 SCAN = "scene0144_00"
 
@@ -9,12 +9,7 @@ SCAN = "scene0144_00"
 def write(folder):
     rng = np.random.default_rng(0)
     frames, mesh, volumes = folder / "images_square" / SCAN, folder / "scans" / SCAN, folder / "scenes"
-    shots = []
-    for index in range(2):
-        pose = np.eye(4)
-        pose[0, 3] = 0.1 * index
-        pixels = rng.integers(0, 256, (12, 16, 3), dtype=np.uint8)
-        shots.append(Shot(pixels, np.full((12, 16), 2000, dtype=np.uint16), pose))
+    shots = list(random_shots(rng, 2, (12, 16), (12, 16)))
     write_exported(frames, shots, step=20)
     points = rng.uniform([-0.4, -0.3, 1.9], [0.4, 0.3, 2.1], (40, 3)).astype(np.float32)
     np.savetxt(frames / "world2grid.txt", world_to_grid(points), fmt="%f")
