@@ -6,18 +6,18 @@ import shutil
 import sys
 import webbrowser
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import torch
 import tyro
 
 from torchjoint import metrics
 from torchjoint.checkpoint import Checkpoint, run_key
+from torchjoint.cli_arguments import DEFAULTS, Flat, Out, check_max_frames
 from torchjoint.cli_benchmark import benchmark
 from torchjoint.cli_boundaries import evaluate_boundaries
 from torchjoint.cli_evaluate import evaluate
+from torchjoint.cli_paper_tables import paper_tables
 from torchjoint.cli_superpoints import superpoints
 from torchjoint.cli_training import train_boundaries
 from torchjoint.config import Config, parameter_table
@@ -31,27 +31,7 @@ from torchjoint.thinning import one_point_a_voxel
 from torchjoint.visibility import in_any_view
 
 
-@dataclass(frozen=True)
-class Parameters:
-    """What the method is told."""
-
-    preset: str = "indoor"
-    """A preset that comes with the package, or a YAML file of your own."""
-    set: tuple[str, ...] = ()
-    """Single parameters: --set propagation.weight=0.2 refinement.merge_ratio=0.95"""
-
-    def config(self) -> Config:
-        """The preset with the assignments applied."""
-        is_file = self.preset.endswith((".yaml", ".yml"))
-        config = Config.from_yaml(self.preset) if is_file else Config.from_preset(self.preset)
-        return config.set(self.set)
-
-
-Flat = tyro.conf.OmitArgPrefixes[Parameters]
-Out = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-
-
-def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = Parameters(), overwrite: bool = False) -> None:
+def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = DEFAULTS, overwrite: bool = False) -> None:
     """Segments an embedded synthetic scene and scores the result against its exact truth; needs no data.
 
     Args:
@@ -72,7 +52,7 @@ def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = Parameters(), ov
 def segment(
     scene: tyro.conf.Positional[Path],
     out: Out,
-    parameters: Flat = Parameters(),
+    parameters: Flat = DEFAULTS,
     overwrite: bool = False,
     voxel_size: float = 0.02,
     max_frames: int | None = None,
@@ -94,17 +74,15 @@ def segment(
         in_view: leave out the points that are in no frame's view (a LiDAR sees all around, a camera does not).
     """
     config = parameters.config()
-    if max_frames is not None and max_frames < 0:
-        raise ValueError(f"--max-frames: expected >= 0, got {max_frames}")
+    check_max_frames(max_frames)
     if out.resolve() in (scene.resolve(), *scene.resolve().parents):
         raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
     source = f"{fingerprint(scene)} {voxel_size}"
     with output_folder(out, source, overwrite=overwrite) as partial:
         fused = partial / f"cloud-{voxel_size * 1000:g}mm.ply"  # kept there, where the recording brings no cloud
         loaded = load_scene(scene, cloud=fused, voxel_size=voxel_size, progress=True)
-        if max_frames is not None and max_frames < len(loaded.frames):
-            chosen = torch.linspace(0, len(loaded.frames) - 1, max_frames).round().long().tolist()
-            loaded = loaded.select_frames(chosen)
+        if max_frames is not None:
+            loaded = loaded.spread_frames(max_frames)
         if in_view:
             loaded = loaded.select_points(in_any_view(loaded.points, loaded.frames, config.visibility))
         if thin is not None:
@@ -153,6 +131,7 @@ def main() -> None:
             "benchmark": benchmark,
             "train-boundaries": train_boundaries,
             "evaluate-boundaries": evaluate_boundaries,
+            "paper-tables": paper_tables,
             "show": show,
             "parameters": parameters,
         }

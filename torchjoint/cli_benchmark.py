@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -26,6 +25,7 @@ from torchjoint.evaluation.table import (
     write_csv,
     write_plot,
 )
+from torchjoint.output import write_text
 
 TABLE, SCORES, PICTURE, SETTINGS = "table.md", "scores.csv", "scores.png", "settings.yaml"
 
@@ -67,7 +67,7 @@ def benchmark(
     write_plot(out / PICTURE, rows, _title)
     write_settings(out / SETTINGS, {m.name: used[m.name] for m in chosen if m.name in used}, f"suite {suite}")
     by_scene = "\n\n".join(method_table(rows, space, _title) for space in dict.fromkeys(row.space for row in rows))
-    _write(out / TABLE, f"{text}\n\n{by_scene}\n")
+    write_text(out / TABLE, f"{text}\n\n{by_scene}\n")
     print(f"\n{by_scene}\n\n{text}\n\nwritten to {out}: {TABLE}, {SCORES}, {PICTURE}, {SETTINGS}")
     if page.is_file() and _fill(page, f"benchmark {suite}", text):
         print(f"and to {page}")
@@ -125,11 +125,5 @@ def _fill(page: Path, part: str, text: str) -> bool:
     )
     if f"<!-- {part} -->" not in old:
         return False
-    _write(page, new)
+    write_text(page, new)
     return True
-
-
-def _write(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)

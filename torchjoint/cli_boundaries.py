@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchjoint.boundary import make_boundary
 from torchjoint.boundary_scores import BoundaryScores, evaluate_predictions
+from torchjoint.cli_arguments import check_output
 from torchjoint.config import DETECTORS, BoundaryConfig
 from torchjoint.datasets.boundary_maps import find_boundary_map, read_boundary_map
 from torchjoint.datasets.bsds import BsdsImage, bsds_images
@@ -49,7 +50,7 @@ def evaluate_boundaries(
         regions: score the image segmentation with and without the boundaries, too.
         overwrite: replace files in OUT.
     """
-    _check_output(out, overwrite)
+    check_output(out, (CURVE, PICTURE), overwrite)
     if multi_scale and not _is_forest(boundaries):
         raise ValueError(f"--multi-scale: only for structured forests, got {boundaries}")
     if boundaries == FOREST and split != "test":
@@ -64,14 +65,6 @@ def evaluate_boundaries(
         found = evaluate_regions(predict, records, list(settings.values()), progress=True)
         print(_region_table(dict(zip(settings, found, strict=True))))
     print(f"written to {out}: {CURVE}, {PICTURE}")
-
-
-def _check_output(out: Path, overwrite: bool) -> None:
-    if out.exists() and not out.is_dir():
-        raise FileExistsError(f"-o: {out} exists and is not a folder")
-    for name in (CURVE, PICTURE):
-        if (out / name).exists() and not overwrite:
-            raise FileExistsError(f"{out / name}: exists already; choose another folder with -o, or --overwrite")
 
 
 def _predictor(boundaries: str, records: Sequence[BsdsImage], multi_scale: bool) -> Callable[[BsdsImage], Tensor]:

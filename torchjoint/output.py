@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchjoint.config import Config
 from torchjoint.datasets.files import write_cloud
+from torchjoint.presets import read_yaml
 from torchjoint.scene import Scene, Segmentation
 from torchjoint.show import label_colors, overview
 
@@ -111,6 +112,21 @@ def read_points(folder: Path) -> PointResult:
         return PointResult(values["points"], values["labels"], values.get("colors"))
     except (ValueError, KeyError, OSError, EOFError, BadZipFile) as error:
         raise ValueError(f"{file}: not a whole result: {error!r}") from error
+
+
+def read_config(folder: Path) -> Config:
+    """The parameters that a result was made with."""
+    file = folder / "run.yaml"
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
+    return read_yaml(file, lambda record: Config.from_dict(record.get("config")), "a record of a run")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a file beside, then renames it: one of that name is always whole."""
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(text, encoding="utf-8")
+    os.replace(partial, path)
 
 
 def _write_label_images(folder: Path, result: Segmentation) -> None:

@@ -160,6 +160,12 @@ class Scene:
             truth=None if self.truth is None else self.truth.select_points(keep),
         )
 
+    def spread_frames(self, most: int) -> Scene:
+        """The scene with at most so many of its frames, evenly spread from the first to the last; they stay lazy."""
+        if most >= len(self.frames):
+            return self
+        return self.select_frames(torch.linspace(0, len(self.frames) - 1, most).round().long().tolist())
+
     def select_frames(self, indices: Sequence[int]) -> Scene:
         """The scene with some of its frames, in the order of `indices`; they stay lazy."""
         return replace(

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import torch
-
 from torchjoint.config import Config
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.scene import Scene
@@ -97,9 +95,7 @@ def _load_in_view(path: Path) -> Scene:
 
 
 def _load_some_frames(path: Path) -> Scene:
-    scene = load_scene(path)
-    count = min(MOST_FRAMES, len(scene.frames))
-    return scene.select_frames(torch.linspace(0, len(scene.frames) - 1, count).round().long().tolist())
+    return load_scene(path).spread_frames(MOST_FRAMES)
 
 
 SUITES = {

@@ -15,11 +15,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol, cast
 
-from torchjoint.datasets import colmap, folder, nerfstudio, tum
+from torchjoint.datasets import colmap, folder, nerfstudio, scannet, sis3d, tum
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
 
-__all__ = ["colmap", "folder", "list_scenes", "load_scene", "nerfstudio", "tum"]
+__all__ = ["colmap", "folder", "list_scenes", "load_scene", "nerfstudio", "scannet", "sis3d", "tum"]
 
 
 class Format(Protocol):
@@ -37,6 +37,8 @@ class Format(Protocol):
 #: Formats by name, in the order in which they are tried.
 FORMATS: dict[str, Format] = {
     "folder": cast(Format, folder),
+    "sis3d": cast(Format, sis3d),
+    "scannet": cast(Format, scannet),
     "tum": cast(Format, tum),
     "nerfstudio": cast(Format, nerfstudio),
     "colmap": cast(Format, colmap),

@@ -7,6 +7,9 @@ import struct
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 
 class BinaryFile:
     """Reads a little-endian file front to back. A context manager.
@@ -38,6 +41,12 @@ class BinaryFile:
         place = self.place
         self.skip(struct.calcsize("<" + layout))
         return struct.unpack_from("<" + layout, self._data, place)
+
+    def array(self, dtype: npt.DTypeLike, count: int) -> npt.NDArray[Any]:
+        """So many numbers, or records, of a type."""
+        place = self.place
+        self.skip(np.dtype(dtype).itemsize * count)
+        return np.frombuffer(self._data, dtype, count, place).copy()
 
     def count(self, smallest: int) -> int:
         """An unsigned 64-bit count of records that follow, each of at least `smallest` bytes."""

@@ -25,11 +25,7 @@ MAX_PIXELS = 64_000_000
 
 def read_image(path: Path) -> Tensor:
     """An 8-bit image of any mode -> [3, H, W] uint8 RGB."""
-    image = _opened(path)
-    if image.mode.startswith(("I", "F")):
-        raise ValueError(f"{path}: expected an 8-bit image, got mode {image.mode}")
-    array = np.array(image.convert("RGB"))
-    return torch.from_numpy(array).permute(2, 0, 1).contiguous()
+    return rgb_of(_opened(path), str(path))
 
 
 def read_image_size(path: Path) -> tuple[int, int]:
@@ -51,10 +47,7 @@ def read_depth(path: Path, unit: float = 0.001) -> Tensor:
 
 def read_label_image(path: Path) -> Tensor:
     """An 8- or 16-bit label image -> [H, W] int64."""
-    image = _opened(path)
-    if image.mode not in ("L", "P", "I;16", "I;16B", "I"):
-        raise ValueError(f"{path}: expected a grey or palette image of labels, got mode {image.mode}")
-    return torch.from_numpy(np.array(image).astype(np.int64))
+    return labels_of(_opened(path), str(path))
 
 
 def read_grey_image(path: Path) -> Tensor:
@@ -172,6 +165,20 @@ def _opened(path: Path) -> Image.Image:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected an image")
     return decode_image(path.read_bytes(), str(path))
+
+
+def rgb_of(image: Image.Image, name: str) -> Tensor:
+    """An 8-bit image of any mode -> [3, H, W] uint8 RGB; errors give the name."""
+    if image.mode.startswith(("I", "F")):
+        raise ValueError(f"{name}: expected an 8-bit image, got mode {image.mode}")
+    return torch.from_numpy(np.array(image.convert("RGB"))).permute(2, 0, 1).contiguous()
+
+
+def labels_of(image: Image.Image, name: str) -> Tensor:
+    """An 8- or 16-bit label image -> [H, W] int64; errors give the name."""
+    if image.mode not in ("L", "P", "I;16", "I;16B", "I"):
+        raise ValueError(f"{name}: expected a grey or palette image of labels, got mode {image.mode}")
+    return torch.from_numpy(np.array(image).astype(np.int64))
 
 
 def decode_image(data: bytes, name: str, *, header_only: bool = False) -> Image.Image:

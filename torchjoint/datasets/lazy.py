@@ -9,11 +9,15 @@ T = TypeVar("T")
 
 
 class LazySequence(Sequence[T]):
-    """A sequence whose item `i` is `read(i)`, made anew each time; `read` sees 0 <= i < count and must be pure."""
+    """A sequence whose item `i` is `read(i)`, made anew each time; `read` sees 0 <= i < count and must be pure.
 
-    def __init__(self, count: int, read: Callable[[int], T]) -> None:
+    `names` are those of the items, where they are known without reading them.
+    """
+
+    def __init__(self, count: int, read: Callable[[int], T], names: Sequence[str] = ()) -> None:
         self._indices = range(count)
         self._read = read
+        self.names = names
 
     def __len__(self) -> int:
         return len(self._indices)

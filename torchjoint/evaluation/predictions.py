@@ -67,7 +67,8 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
 
 def _frame_names(scene: Scene) -> dict[str, int]:
     """Where the frames are, by name; a frame without one is called by its number, as in a result."""
-    found = map_frames(lambda index: scene.frames[index].name, range(len(scene.frames)))
+    known = getattr(scene.frames, "names", ())  # of lazy ones, which need not be read then
+    found = known or map_frames(lambda index: scene.frames[index].name, range(len(scene.frames)))
     return {name or f"{index:06d}": index for index, name in enumerate(found)}
 
 

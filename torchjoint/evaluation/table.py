@@ -12,6 +12,7 @@ from statistics import fmean, stdev
 from typing import NamedTuple
 
 from torchjoint.evaluation.scores import COLUMNS, Scores, mean_scores
+from torchjoint.output import write_text
 
 
 class Row(NamedTuple):
@@ -108,9 +109,7 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["scene", "method", "space", *(name.replace(" ", "_") for name in Scores._fields)])
     writer.writerows([row.scene, row.method, row.space, *(f"{value:.6f}" for value in row.scores)] for row in rows)
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text.getvalue(), encoding="utf-8")
-    os.replace(partial, path)
+    write_text(path, text.getvalue())
 
 
 def write_plot(path: Path, rows: Sequence[Row], titles: Callable[[str], str] = str) -> None:

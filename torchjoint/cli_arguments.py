@@ -1,0 +1,53 @@
+"""What several commands share: the method's parameters, how many frames, files not to be overwritten."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from torchjoint.config import Config
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """What the method is told."""
+
+    preset: str = "indoor"
+    """A preset that comes with the package, or a YAML file of your own."""
+    set: tuple[str, ...] = ()
+    """Single parameters: --set propagation.weight=0.2 refinement.merge_ratio=0.95"""
+
+    def config(self) -> Config:
+        """The preset with the assignments applied."""
+        is_file = self.preset.endswith((".yaml", ".yml"))
+        config = Config.from_yaml(self.preset) if is_file else Config.from_preset(self.preset)
+        return config.set(self.set)
+
+
+#: As the command line has them where nothing is said.
+DEFAULTS = Parameters()
+Flat = tyro.conf.OmitArgPrefixes[Parameters]
+Out = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+
+
+def check_max_frames(max_frames: int | None) -> None:
+    """Raises ValueError if it is no number of frames."""
+    if max_frames is not None and max_frames < 0:
+        raise ValueError(f"--max-frames: expected >= 0, got {max_frames}")
+
+
+def check_output(out: Path, names: Iterable[str], overwrite: bool) -> None:
+    """Whether files of these names may be written into a folder.
+
+    Raises:
+        FileExistsError: the folder is none, or holds one of them, and not `overwrite`.
+    """
+    if out.exists() and not out.is_dir():
+        raise FileExistsError(f"-o: {out} exists and is not a folder")
+    for name in names:
+        if (out / name).exists() and not overwrite:
+            raise FileExistsError(f"{out / name}: exists already; choose another folder with -o, or --overwrite")

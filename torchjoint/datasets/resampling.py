@@ -1,0 +1,45 @@
+"""Depth and label images at the resolution of the colour images, always the nearest pixel's: neither may be mixed."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def register_depth(depth: Tensor, depth_intrinsics: Tensor, intrinsics: Tensor, size: tuple[int, int]) -> Tensor:
+    """Depth as a second camera at the same place and orientation sees it.
+
+    Args:
+        depth: [h, w] metres along z, 0 = unknown.
+        depth_intrinsics: [3, 3] of the depth image; pixel centres at integer coordinates; no skew.
+        intrinsics: [3, 3] of the second camera; no skew.
+        size: (H, W) of its images.
+
+    Returns:
+        [H, W]; 0 also where the depth image does not reach.
+
+    Raises:
+        ValueError: intrinsics with skew.
+    """
+    if depth_intrinsics[0, 1] != 0 or intrinsics[0, 1] != 0:
+        raise ValueError("intrinsics: expected cameras without skew")
+    indices, reached = [], []
+    for axis in (1, 0):  # rows by y, columns by x
+        focal, center = intrinsics[axis, axis], intrinsics[axis, 2]
+        ray = (torch.arange(size[1 - axis], dtype=torch.float64) - center) / focal
+        place = (ray * depth_intrinsics[axis, axis] + depth_intrinsics[axis, 2]).round()
+        reached.append((place >= 0) & (place < depth.shape[1 - axis]))
+        indices.append(place.clamp(0, depth.shape[1 - axis] - 1).long())
+    inside = reached[0][:, None] & reached[1]
+    return torch.where(inside, depth[indices[0]][:, indices[1]], 0)
+
+
+def resize_labels(labels: Tensor, size: tuple[int, int]) -> Tensor:
+    """A label image [h, w] at another resolution (H, W) of the same view."""
+    if labels.shape == size:
+        return labels
+    row, column = (
+        ((torch.arange(new, dtype=torch.float64) + 0.5) * old / new).long()
+        for new, old in zip(size, labels.shape, strict=True)
+    )
+    return labels[row[:, None], column[None]]

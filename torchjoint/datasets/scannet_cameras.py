@@ -1,0 +1,106 @@
+"""The cameras of a ScanNet scan's colour and depth images, which are of one view, from whichever file tells of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.files import read_matrix
+from torchjoint.scene_checks import as_intrinsics
+
+Size = tuple[int, int]
+
+#: (H, W) of the sensors' images in nearly all scans.
+COLOR_SIZE, DEPTH_SIZE = (968, 1296), (480, 640)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Intrinsics [3, 3], pixel centres at integer coordinates, and the image size (H, W) that they are for.
+
+    Where the size is not known it is one of `sizes`, or that of the images themselves: the one whose centre the
+    principal point is nearest to.
+    """
+
+    intrinsics: Tensor
+    sizes: tuple[Size, ...]
+    is_certain: bool = True
+
+    def scaled_to(self, size: Size) -> Tensor:
+        """The intrinsics [3, 3] float64 of images that were resized to (H, W), each axis by itself."""
+        known = self.sizes if self.is_certain else (size, *self.sizes)
+        old = min(known, key=self._off_center)
+        scale = torch.tensor([size[1] / old[1], size[0] / old[0]], dtype=torch.float64)
+        scaled = self.intrinsics.clone()
+        scaled[:2] *= scale[:, None]
+        scaled[:2, 2] += (scale - 1) / 2  # an image's corner is at -1/2 before and after
+        return scaled
+
+    def _off_center(self, size: Size) -> float:
+        x, y = self.intrinsics[:2, 2].tolist()
+        return abs((x + 0.5) / size[1] - 0.5) + abs((y + 0.5) / size[0] - 0.5)
+
+
+class Cameras(NamedTuple):
+    """Of colour and of depth."""
+
+    color: Calibration
+    depth: Calibration
+
+
+_NOMINAL = Calibration(
+    torch.tensor([[577.870605, 0, 319.5], [0, 577.870605, 239.5], [0, 0, 1]], dtype=torch.float64), (DEPTH_SIZE,)
+)
+
+#: What 3D-SIS takes for every scan: that of the commonest sensor.
+NOMINAL = Cameras(_NOMINAL, _NOMINAL)
+
+
+def find_cameras(folder: Path, info: Path) -> Cameras | None:
+    """The cameras of a folder of exported frames; None where nothing tells of them.
+
+    Args:
+        folder: may hold intrinsic/intrinsic_color.txt and intrinsic/intrinsic_depth.txt, 4x4, as ScanNet's exporter
+            writes them: of the sensor's resolution, which is not said, or of the images, if they were scaled, too.
+        info: ScanNet's SCAN.txt, which tells the sensor's calibration and resolution, but less exactly.
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and what is wrong with it.
+    """
+    color = folder / "intrinsic" / "intrinsic_color.txt"
+    if color.is_file():
+        depth = color.with_name("intrinsic_depth.txt")
+        matrices = [as_intrinsics(read_matrix(file, (4, 4))[:3, :3], str(file)) for file in (color, depth)]
+        return Cameras(*(Calibration(matrix, (COLOR_SIZE, DEPTH_SIZE), is_certain=False) for matrix in matrices))
+    return _read_info(info) if info.is_file() else None
+
+
+def _read_info(path: Path) -> Cameras | None:
+    """Of lines such as "fx_color = 1170.187988"; None where there are no calibrations among them.
+
+    Depth images were brought to the colour camera's view, so its calibration, scaled, is theirs, too, and the file's
+    fx_depth, of the sensor before that, is not (https://github.com/ScanNet/ScanNet/issues/92).
+    """
+    try:
+        lines = [line.partition("=") for line in path.read_text(encoding="utf-8").splitlines()]
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: expected lines of text, got {error}") from error
+    values = {name.strip(): value.strip() for name, _, value in lines}
+    if "fx_color" not in values:
+        return None
+    names = ("fx_color", "fy_color", "mx_color", "my_color", "colorHeight", "colorWidth")
+    try:
+        fx, fy, cx, cy, height, width = (float(values[name]) for name in names)
+    except KeyError as error:
+        raise ValueError(f"{path}: expected a line {error.args[0]} = ..., as there is one of fx_color") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: expected numbers, got {error}") from error
+    if not (1 <= height <= 2**16 and 1 <= width <= 2**16):
+        raise ValueError(f"{path}: expected an image size in pixels, got colorWidth {width:g}, colorHeight {height:g}")
+    matrix = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
+    both = Calibration(as_intrinsics(matrix, f"{path}, colour"), ((int(height), int(width)),))
+    return Cameras(both, both)

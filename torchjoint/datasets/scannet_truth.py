@@ -1,0 +1,119 @@
+"""What ScanNet says about instances: of a mesh's vertices by segments that objects are made of, of images by pixels."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from zipfile import BadZipFile, ZipFile
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.files import MAX_PIXELS, decode_image, labels_of, read_label_image
+from torchjoint.datasets.json_record import Record, read_record
+from torchjoint.datasets.lazy import LazySequence
+from torchjoint.datasets.resampling import resize_labels
+from torchjoint.scene import Frame
+
+SEGMENTS, OBJECTS = "_vh_clean_2.0.010000.segs.json", ".aggregation.json"
+
+
+def has_point_instances(folder: Path, scan: str) -> bool:
+    """Whether the vertices of `SCAN_vh_clean_2.ply` are annotated."""
+    return (folder / f"{scan}{OBJECTS}").is_file()
+
+
+def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
+    """[N] int64, the objectId of each vertex of `SCAN_vh_clean_2.ply`, -1 = none.
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and what is wrong with it.
+    """
+    record = read_record(folder / f"{scan}{SEGMENTS}", "segments of a mesh")
+    segments = _integers(record, "segIndices")
+    if len(segments) != num_points:
+        raise ValueError(f"{record.name}: expected the segments of {num_points} points, got {len(segments)}")
+    numbers, segment_of_point = np.unique(segments, return_inverse=True)
+    objects = np.full(len(numbers), -1, dtype=np.int64)
+    for group in read_record(folder / f"{scan}{OBJECTS}", "segments of objects").records("segGroups"):
+        instance = group.values.get("objectId")
+        if type(instance) is not int or not 0 <= instance < 2**31:
+            raise ValueError(f"{group.name}: objectId: expected an integer >= 0")
+        objects[np.isin(numbers, _integers(group, "segments"))] = instance
+    return torch.from_numpy(objects[segment_of_point])
+
+
+def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Sequence[Tensor]:
+    """Label images of frames, [H, W] int64 of the image's size, ids as of the points, -1 = none; read when asked for.
+
+    They are in `instance-filt/N.png`, or `SCAN_2d-instance-filt.zip` as it is downloaded; empty where there is neither.
+
+    Raises:
+        FileNotFoundError: some frames have one, others do not.
+        ValueError: no whole archive.
+    """
+    names = frames.names
+    read = _folder_reader(folder / "instance-filt", names) or _archive_reader(
+        folder / f"{scan}_2d-instance-filt.zip", names
+    )
+    if read is None:
+        return ()
+    return LazySequence(len(names), lambda i: resize_labels(read(names[i]) - 1, frames[i].size))
+
+
+def _folder_reader(folder: Path, names: Sequence[str]) -> Callable[[str], Tensor] | None:
+    if not folder.is_dir():
+        return None
+    for name in names:
+        if not (folder / f"{name}.png").is_file():
+            raise FileNotFoundError(f"{folder / name}.png: missing; expected the instances of every frame's pixels")
+    return lambda name: read_label_image(folder / f"{name}.png")
+
+
+def _archive_reader(file: Path, names: Sequence[str]) -> Callable[[str], Tensor] | None:
+    if not file.is_file():
+        return None
+    try:
+        with ZipFile(file) as archive:
+            inside = set(archive.namelist())
+    except (BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        raise ValueError(f"{file}: not a whole archive: {error}") from error
+    for name in names:
+        if _member(name) not in inside:
+            raise FileNotFoundError(f"{file}: expected {_member(name)} in it, and so for every frame")
+    return lambda name: _read_member(file, _member(name))
+
+
+def _member(name: str) -> str:
+    return f"instance-filt/{name}.png"
+
+
+def _read_member(file: Path, member: str) -> Tensor:
+    try:
+        with ZipFile(file) as archive, archive.open(member) as stream:
+            data = stream.read(4 * MAX_PIXELS)
+    except (
+        BadZipFile,
+        OSError,
+        ValueError,
+        NotImplementedError,
+        RuntimeError,
+        EOFError,
+        KeyError,
+        zlib.error,
+    ) as error:
+        raise ValueError(f"{file}: {member} in it is damaged: {error}") from error
+    return labels_of(decode_image(data, f"{file}, {member}"), f"{file}, {member}")
+
+
+def _integers(record: Record, key: str) -> npt.NDArray[np.int64]:
+    values = record.values.get(key)
+    try:
+        if isinstance(values, list) and all(type(value) is int for value in values):
+            return np.array(values, dtype=np.int64)
+    except OverflowError:
+        pass
+    raise ValueError(f"{record.name}: {key}: expected a list of integers of at most 64 bits")

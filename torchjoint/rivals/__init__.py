@@ -1,0 +1,1 @@
+"""What other methods write, read as segmentations: to be scored beside ours."""

@@ -1,0 +1,122 @@
+"""Matrices of numbers in MATLAB's .mat files of versions 5 to 7.
+
+Read here and not by SciPy, which a damaged file can crash, and a few packed bytes make unpack to gigabytes. Written
+from "MAT-File Format" (The MathWorks): elements of a type, a length and data; a matrix is an element of elements.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+_HEADER_BYTES = 128
+_ORDERS = {b"IM": "<", b"MI": ">"}
+_MATRIX, _COMPRESSED = 14, 15
+
+#: Types of data.
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_INT8, _INT32, _UINT32 = 1, 5, 6
+
+#: Classes of arrays: double, single, and integers of 8 to 64 bits.
+_NUMERIC = range(6, 16)
+_IS_COMPLEX = 0x0800
+
+#: A variable's name and sizes take less than this.
+_START_BYTES = 4096
+
+
+class _Variable(NamedTuple):
+    """What stands before a variable's numbers."""
+
+    name: str
+    shape: tuple[int, ...]
+    is_real: bool  #: real numbers, not text, cells, ...
+    start: int  #: of the numbers
+
+
+def read_matrices(path: Path, max_count: int) -> dict[str, npt.NDArray[Any]]:
+    """The variables of a file that are matrices [H, W] of real numbers; all others are skipped.
+
+    Args:
+        path: the file.
+        max_count: the most numbers that a matrix may have.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: truncated, of another version, or a matrix that is too large.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a .mat file")
+    data = path.read_bytes()
+    order = _ORDERS.get(data[126:128])
+    if order is None or data.startswith(b"MATLAB 7.3") or data[124:126] not in (b"\x00\x01", b"\x01\x00"):
+        raise ValueError(f"{path}: not a .mat file of versions 5 to 7 (save it with -v7)")
+    matrices, place = {}, _HEADER_BYTES
+    try:
+        while place < len(data):
+            kind, count = struct.unpack_from(f"{order}2I", data, place)
+            place += 8
+            if count > len(data) - place:
+                raise ValueError(f"truncated: {count} bytes are announced at byte {place}")
+            packed = data[place : place + count] if kind == _COMPRESSED else None
+            body = data[place : place + count] if packed is None else _unpack(packed, _START_BYTES, order)
+            place += count
+            if kind not in (_MATRIX, _COMPRESSED):
+                continue
+            variable = _read_start(body, order)
+            if variable.is_real and len(variable.shape) == 2:
+                if math.prod(variable.shape) > max_count:
+                    raise ValueError(f"{variable.name} has {variable.shape} numbers; at most {max_count} are expected")
+                if packed is not None:
+                    body = _unpack(packed, variable.start + 8 + 8 * math.prod(variable.shape), order)
+                matrices[variable.name] = _read_numbers(body, variable, order)
+    except (struct.error, zlib.error, UnicodeDecodeError, ValueError) as error:
+        raise ValueError(f"{path}: not a whole .mat file: {error}") from error
+    return matrices
+
+
+def _unpack(packed: bytes, most: int, order: str) -> bytes:
+    """The first bytes, at the most so many, of the matrix in a compressed element."""
+    unpacked = zlib.decompressobj().decompress(packed, most + 8)
+    (kind,) = struct.unpack_from(f"{order}I", unpacked)
+    if kind != _MATRIX:
+        raise ValueError(f"a packed element of type {kind}")
+    return unpacked[8:]
+
+
+def _read_start(body: bytes, order: str) -> _Variable:
+    flags, place = _element(body, 0, _UINT32, order)
+    shape, place = _element(body, place, _INT32, order)
+    name, place = _element(body, place, _INT8, order)
+    if len(flags) < 1 or (shape < 0).any():
+        raise ValueError(f"a variable of shape {shape.tolist()}")
+    is_real = int(flags[0]) & 0xFF in _NUMERIC and not int(flags[0]) & _IS_COMPLEX
+    return _Variable(name.tobytes().decode("ascii"), tuple(shape.tolist()), is_real, place)
+
+
+def _read_numbers(body: bytes, variable: _Variable, order: str) -> npt.NDArray[Any]:
+    numbers, _ = _element(body, variable.start, None, order)
+    if len(numbers) != math.prod(variable.shape):
+        raise ValueError(f"{variable.name} should have {variable.shape} numbers, has {len(numbers)}")
+    return numbers.reshape(variable.shape, order="F").astype(numbers.dtype.newbyteorder("="))
+
+
+def _element(body: bytes, place: int, expected: int | None, order: str) -> tuple[npt.NDArray[Any], int]:
+    """The numbers of an element, and where the next one starts."""
+    kind, count = struct.unpack_from(f"{order}2I", body, place)
+    start = place + 8
+    if kind >> 16:  # up to 4 bytes stand in the place of their number
+        kind, count, start = kind & 0xFFFF, kind >> 16, place + 4
+    if kind not in _TYPES or expected not in (None, kind) or (start == place + 4 and count > 4):
+        raise ValueError(f"an element of type {kind} and {count} bytes")
+    if count > len(body) - start:
+        raise ValueError(f"truncated: {count} bytes of numbers are announced, {len(body) - start} are there")
+    dtype = np.dtype(order + _TYPES[kind])
+    numbers = np.frombuffer(body, dtype, count // dtype.itemsize, start)
+    return numbers, start + 4 if start == place + 4 else start + -(-count // 8) * 8
