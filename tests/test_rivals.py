@@ -164,7 +164,7 @@ class TestPickles:
             None,
             np.float64,
         ],
-        ids=str,
+        ids=lambda thing: type(thing).__name__,
     )
     def test_what_else_is_refused(self, tmp_path, thing):
         (tmp_path / "p").write_bytes(pickle.dumps([thing], 4))
