@@ -145,6 +145,9 @@ SETTINGS = {
 
 
 class TestMethods:
+    def test_the_defaults_have_nothing_to_search(self):
+        assert METHODS["joint_default"].space_in("mosd") == {}
+
     @pytest.mark.parametrize("name", METHODS)
     def test_points_and_images(self, case, name):
         setting = SETTINGS.get(name, {})

@@ -116,6 +116,7 @@ METHODS = {
     for method in (
         Method("joint", "joint (final)", joint, spaces.JOINT),
         Method("joint_painted", "joint, its points painted", joint_painted, like="joint"),
+        Method("joint_default", "joint at the package's defaults", joint),
         Method("geometry", "geometry only", geometry, spaces.GEOMETRY),
         Method("initial", "images only (initial), voted", initial, spaces.INITIAL, judged="2D"),
         Method("scikit_image", "scikit-image fh, voted", scikit_image, spaces.SCIKIT_IMAGE, judged="2D"),
