@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -35,12 +34,6 @@ def test_ci_runs_the_test_command():
     assert "-c constraints.txt" in command
     assert command.rstrip().endswith("pytest -n 2")
     assert "<!-- test command -->" in (ROOT / ".ci" / "run").read_text()
-
-
-def test_every_package_is_in_the_wheel():
-    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
-    there = {".".join(file.parent.relative_to(ROOT).parts) for file in (ROOT / "torchjoint").rglob("__init__.py")}
-    assert set(listed) == there | {"torchjoint.configs"}
 
 
 def test_files_that_are_linked_exist():
