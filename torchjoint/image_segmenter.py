@@ -36,16 +36,18 @@ class ImageSegmenter(nn.Module):
 
     def forward(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> tuple[Tensor, list[Tensor]]:
         """Boundaries [B, H, W], and B label images [H, W] int64, numbered 0, 1, ..., -1 = none."""
-        images = torch.stack([frame.image for frame in frames])
         with stopwatch("boundaries"):
-            boundaries = self._detect(images)
+            boundaries = self._detect(torch.stack([frame.image for frame in frames]))
         with stopwatch("image segments"):
-            given = [frame.labels for frame in frames]
-            missing = any(labels is None for labels in given)
-            segmented = self._segment(images, boundaries) if missing else [torch.empty(0)] * len(given)
-            return boundaries, [
-                other if own is None else _dense(own) for own, other in zip(given, segmented, strict=True)
-            ]
+            return boundaries, self.label(frames, boundaries)
+
+    def label(self, frames: Sequence[Frame], boundaries: Tensor) -> list[Tensor]:
+        """The labels of frames whose boundaries [B, H, W] are known."""
+        given = [frame.labels for frame in frames]
+        missing = any(labels is None for labels in given)
+        images = torch.stack([frame.image for frame in frames])
+        segmented = self._segment(images, boundaries) if missing else [torch.empty(0)] * len(given)
+        return [other if own is None else _dense(own) for own, other in zip(given, segmented, strict=True)]
 
     def _detect(self, images: Tensor) -> Tensor:
         boundaries = self.boundary(images)

@@ -23,19 +23,27 @@ class KnownImages(ImageSegmenter):
     Args:
         config: parameters of the image stages.
         frames: of one size; they are recognised as objects, so the very same must come.
+        bounded: where the boundaries of these frames are taken from, found by the same detector and contours.
     """
 
-    def __init__(self, config: Config, frames: Sequence[Frame]) -> None:
-        super().__init__(config)
+    def __init__(self, config: Config, frames: Sequence[Frame], bounded: KnownImages | None = None) -> None:
+        super().__init__(config, None if bounded is None else bounded.boundary)
         self._frames = frames  # kept, so that no other object gets the identity of one of these
         self._known: dict[int, tuple[Tensor, Tensor]] = {}
         with one_thread_per_operation():
             for start in range(0, len(frames), BATCH):
                 batch = frames[start : start + BATCH]
-                for frame, *seen in zip(batch, *super().forward(batch, Stopwatch()), strict=True):
-                    self._known[id(frame)] = (seen[0], seen[1])
+                if bounded is None:
+                    boundaries, labels = super().forward(batch, Stopwatch())
+                else:
+                    boundaries = bounded.boundaries(batch)
+                    labels = self.label(batch, boundaries)
+                self._known |= {id(f): (b, own) for f, b, own in zip(batch, boundaries, labels, strict=True)}
+
+    def boundaries(self, frames: Sequence[Frame]) -> Tensor:
+        """[B, H, W] of some of the frames."""
+        return torch.stack([self._known[id(frame)][0] for frame in frames])
 
     def forward(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> tuple[Tensor, list[Tensor]]:
         """What was seen in these frames."""
-        known = [self._known[id(frame)] for frame in frames]
-        return torch.stack([boundary for boundary, _ in known]), [labels for _, labels in known]
+        return self.boundaries(frames), [self._known[id(frame)][1] for frame in frames]

@@ -90,8 +90,10 @@ def _config(case: Case, setting: Setting) -> Config:
 
 def _known_images(case: Case, config: Config) -> KnownImages:
     """Boundaries and initial labels; made again only where the setting asks for it."""
-    stages = (config.boundary, config.contours, config.image_graph, config.image_segments)
-    known: KnownImages = case.keep("images", stages, lambda: KnownImages(config, case.frames))
+    stages = (config.boundary, config.contours)
+    bounded: KnownImages = case.keep("boundaries", stages, lambda: KnownImages(config, case.frames))
+    more = (*stages, config.image_graph, config.image_segments)
+    known: KnownImages = case.keep("images", more, lambda: KnownImages(config, case.frames, bounded))
     return known
 
 
