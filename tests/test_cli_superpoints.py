@@ -99,7 +99,7 @@ def test_nothing_is_overwritten(tmp_path, monkeypatch):
         (["cloud.npz", "--set", "sclae=1"], r"superpoints\.sclae: unknown parameter"),
         (["cloud.npz", "--set", "scale"], r"--set: expected parameter=value, got 'scale'"),
         (["cloud.npz", "--set", "scale=["], r"scale: expected a value, got '\['"),
-        (["odd.bin"], r"odd\.bin: not a whole \.bin cloud"),
+        (["odd.bin"], r"odd\.bin: expected rows of 4 float32, 16 bytes each, got 6 bytes"),
         (["odd.npy"], r"odd\.npy: not a whole \.npy cloud: expected a row of x y z for each point, got shape \[3\]"),
         (["odd.npz"], r"odd\.npz: not a whole \.npz cloud: expected an array `points`, got xyz"),
         (["odd.xyz"], r"odd\.xyz: not a whole \.xyz cloud"),

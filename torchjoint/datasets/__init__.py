@@ -15,11 +15,35 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol, cast
 
-from torchjoint.datasets import colmap, folder, nerfstudio, scannet, sis3d, tum
+from torchjoint.datasets import (
+    colmap,
+    folder,
+    kitti,
+    lidar_image,
+    nerfstudio,
+    nuscenes,
+    organized_pcd,
+    scannet,
+    sis3d,
+    tum,
+)
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
 
-__all__ = ["colmap", "folder", "list_scenes", "load_scene", "nerfstudio", "scannet", "sis3d", "tum"]
+__all__ = [
+    "colmap",
+    "folder",
+    "kitti",
+    "lidar_image",
+    "list_scenes",
+    "load_scene",
+    "nerfstudio",
+    "nuscenes",
+    "organized_pcd",
+    "scannet",
+    "sis3d",
+    "tum",
+]
 
 
 class Format(Protocol):
@@ -42,6 +66,10 @@ FORMATS: dict[str, Format] = {
     "tum": cast(Format, tum),
     "nerfstudio": cast(Format, nerfstudio),
     "colmap": cast(Format, colmap),
+    "kitti": cast(Format, kitti),
+    "nuscenes": cast(Format, nuscenes),
+    "lidar_image": cast(Format, lidar_image),
+    "organized_pcd": cast(Format, organized_pcd),
 }
 
 

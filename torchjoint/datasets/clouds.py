@@ -44,15 +44,33 @@ def read_cloud_file(path: Path) -> CloudFile:
     if suffix in (".ply", ".pcd"):
         points, colors, normals = read_cloud(path)
         return CloudFile(points, colors, normals, _triangles(path) if suffix == ".ply" else None)
+    if suffix == ".bin":
+        return CloudFile(read_sweep(path, 4)[:, :3])
     try:
         if suffix == ".npz":
             return _from_archive(path)
-        if suffix == ".bin":
-            return CloudFile(torch.from_numpy(np.fromfile(path, dtype="<f4").reshape(-1, 4)[:, :3].copy()))
         rows = np.load(path, allow_pickle=False) if suffix == ".npy" else np.loadtxt(path, ndmin=2)
         return _from_rows(rows)
     except (ValueError, KeyError, OSError, EOFError, BadZipFile, TypeError) as error:
         raise ValueError(f"{path}: not a whole {suffix} cloud: {error}") from error
+
+
+def read_sweep(path: Path, columns: int) -> Tensor:
+    """A LiDAR sweep as KITTI and nuScenes keep it, float32 rows of x, y, z and more -> [N, columns]; x, y, z finite.
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a LiDAR sweep")
+    size = path.stat().st_size
+    if size == 0 or size % (4 * columns):
+        raise ValueError(f"{path}: expected rows of {columns} float32, {4 * columns} bytes each, got {size} bytes")
+    rows = np.fromfile(path, dtype="<f4").reshape(-1, columns)
+    bad = int((~np.isfinite(rows[:, :3])).any(1).sum())
+    if bad:
+        raise ValueError(f"{path}: {bad} of {len(rows)} points are NaN or infinite")
+    return torch.from_numpy(rows)
 
 
 def _from_archive(path: Path) -> CloudFile:

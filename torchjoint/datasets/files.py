@@ -19,6 +19,8 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from torchjoint.datasets.pcd import read_pcd
+
 #: Larger images are refused before they are unpacked.
 MAX_PIXELS = 64_000_000
 
@@ -76,7 +78,20 @@ def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
     """A PLY or PCD file -> points [N, 3] float64, colours [N, 3] or None, normals [N, 3] or None (also if all zero)."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud")
-    header = _check_ply_is_whole(path) if path.suffix.lower() == ".ply" else []
+    if path.suffix.lower() == ".pcd":
+        pcd = read_pcd(path)
+        points, packed, normals = pcd.points(), pcd.colors(), pcd.normals()
+        colors = None if packed is None else packed.float() / 255
+    else:
+        points, colors, normals = _read_ply(path)
+    if not torch.isfinite(points).all():
+        bad = int((~torch.isfinite(points)).any(1).sum())
+        raise ValueError(f"{path}: {bad} of {len(points)} points are NaN or infinite; remove them")
+    return points, colors, normals if normals is not None and normals.any() else None
+
+
+def _read_ply(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
+    header = _check_ply_is_whole(path)
     import open3d
 
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
@@ -84,14 +99,11 @@ def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
     if not cloud.has_points():
         raise ValueError(f"{path}: no points could be read; truncated, empty or not a point cloud")
     points = torch.from_numpy(np.asarray(cloud.points))
-    if not torch.isfinite(points).all():
-        bad = int((~torch.isfinite(points)).any(1).sum())
-        raise ValueError(f"{path}: {bad} of {len(points)} points are NaN or infinite; remove them")
     colors = torch.from_numpy(np.asarray(cloud.colors)).float() if cloud.has_colors() else None
     if colors is not None and ["property", "float", "red"] in header:
         colors = colors * 255  # Open3D takes colours for 8-bit ones whatever their type
     normals = torch.from_numpy(np.asarray(cloud.normals)).float() if cloud.has_normals() else None
-    return points, colors, normals if normals is not None and normals.any() else None
+    return points, colors, normals
 
 
 def read_array(path: Path) -> Tensor:

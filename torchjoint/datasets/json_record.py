@@ -42,6 +42,13 @@ class Record:
             raise ValueError(f"{self.name}: {key}: expected a string, got {_brief(value)}")
         return value
 
+    def numbers(self, key: str, count: int) -> Tensor:
+        """A list of so many numbers -> [count] float64."""
+        values = self._get(key)
+        if not isinstance(values, list) or len(values) != count:
+            raise ValueError(f"{self.name}: {key}: expected {count} numbers, got {_brief(values)}")
+        return torch.tensor([_number(value, f"{self.name}: {key}") for value in values], dtype=torch.float64)
+
     def matrix(self, key: str, columns: int) -> Tensor:
         """Rows of numbers -> [rows, columns] float64."""
         rows = self._get(key)
@@ -49,6 +56,10 @@ class Record:
             raise ValueError(f"{self.name}: {key}: expected rows of {columns} numbers, got {_brief(rows)}")
         values = [[_number(value, f"{self.name}: {key}") for value in row] for row in rows]
         return torch.tensor(values, dtype=torch.float64).reshape(-1, columns)
+
+    def record(self, key: str) -> Record:
+        """An object."""
+        return _as_record(self._get(key), f"{self.name}: {key}")
 
     def records(self, key: str) -> list[Record]:
         """A list of objects."""
