@@ -93,7 +93,7 @@ def test_yaml_errors_name_the_file(tmp_path):
 
 
 def test_unknown_preset():
-    with pytest.raises(ValueError, match=r"preset: expected one of indoor, paper.*got 'nope'"):
+    with pytest.raises(ValueError, match=r"preset: expected one of indoor, lidar, paper.*got 'nope'"):
         Config.from_preset("nope")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+import warnings
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
@@ -121,7 +122,8 @@ def parameters(superpoints: bool = False) -> None:
 
 
 def main() -> None:
-    """Entry point; errors of the user's making are one line."""
+    """Entry point; errors of the user's making, and warnings, are one line."""
+    warnings.formatwarning = lambda message, *_, **__: f"torchjoint: warning: {message}\n"
     try:
         commands: dict[str, Callable[..., Any]] = {
             "demo": demo,

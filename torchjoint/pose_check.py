@@ -99,9 +99,9 @@ def _edge_complaints(alignment: EdgeAlignment | None) -> list[str]:
     if alignment is None or alignment.significance >= CHANCE:
         return []
     return [
-        "edges in the depth of the points fall on edges of the images no more than they do by chance, in images that "
-        f"are shifted (correlation {alignment.correlation:.2f}, {alignment.significance:.1f} standard deviations "
-        "better than chance; right poses have 2.6 and more): wrong extrinsics or intrinsics?"
+        "where the depth of the points jumps the images have edges no more than by chance (correlation "
+        f"{alignment.correlation:.2f}, {alignment.significance:+.1f} standard deviations from that of shifted images; "
+        "right poses have +2.6 and more): wrong extrinsics or intrinsics?"
     ]
 
 
