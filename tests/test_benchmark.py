@@ -240,21 +240,43 @@ class TestSearch:
         assert search(self.method(again), "x", cases, Budget(10, 10), tmp_path / "b") == best
         assert first == again
         lines = (tmp_path / "a").read_text().splitlines()
-        assert len(lines) == 20
-        (tmp_path / "a").write_text("\n".join(lines[:15]) + "\n")
+        assert len(lines) == 1 + 20
+        (tmp_path / "a").write_text("\n".join(lines[:16]) + "\n")
         assert search(self.method(resumed), "x", cases, Budget(10, 10), tmp_path / "a") == best
         assert resumed == first[15:]
         assert (tmp_path / "a").read_text().splitlines() == lines
 
-    def test_a_log_of_something_else(self, cases, tmp_path):
-        (tmp_path / "log").write_text("no\n")
-        with pytest.raises(ValueError, match="log, line 1: not a trial of a search"):
-            search(self.method([]), "x", cases, Budget(1, 0), tmp_path / "log")
+    def test_logs_of_something_else(self, cases, tmp_path):
+        log = tmp_path / "log"
+        search(self.method([]), "x", cases, Budget(2, 0), log)
+        log.write_text(log.read_text() + "no\n")
+        with pytest.raises(ValueError, match="log, line 4: not a trial of a search"):
+            search(self.method([]), "x", cases, Budget(3, 0), log)
+        log.write_text("no\n")
+        with pytest.raises(ValueError, match="log: is of a search on other scenes or in other ranges"):
+            search(self.method([]), "x", cases, Budget(1, 0), log)
 
-    def test_trials_of_another_search_are_not_believed(self, cases, tmp_path):
+    def test_a_log_of_other_scenes(self, cases, tmp_path):
+        search(self.method([]), "x", cases, Budget(2, 0), tmp_path / "log")
+        other = tj.Scene(cases[0].scene.points + 1, cases[0].frames, truth=cases[0].scene.truth)
+        with pytest.raises(ValueError, match="log: is of a search on other scenes"):
+            search(self.method([]), "x", [Case(other, tj.Config())], Budget(2, 0), tmp_path / "log")
+
+    def test_trials_of_other_settings_are_not_believed(self, cases, tmp_path):
+        search(self.method([]), "x", cases, Budget(1, 0), tmp_path / "log")
         wrong = json.dumps({"setting": {"cut": 31.0}, "score": 2.0})
-        (tmp_path / "log").write_text(wrong + "\n")
+        first = (tmp_path / "log").read_text().splitlines()[0]
+        (tmp_path / "log").write_text(f"{first}\n{wrong}\n")
         assert search(self.method([]), "x", cases, Budget(3, 0), tmp_path / "log").score <= 1
+
+    def test_scenes_without_truth(self, cases, tmp_path):
+        void = tj.Scene(cases[0].scene.points, cases[0].frames, truth=tj.scene.Truth(torch.full((100,), -1)))
+        assert run_scores(self.method([]), {"cut": 3}, Case(void, tj.Config())) == {}
+        both = [Case(void, tj.Config()), *cases]
+        best = search(self.method([]), "x", cases, Budget(5, 5), tmp_path / "a")
+        assert search(self.method([]), "x", both, Budget(5, 5), tmp_path / "b") == best
+        with pytest.raises(ValueError, match="expected scenes with truth"):
+            search(self.method([]), "x", both[:1], Budget(5, 5), tmp_path / "c")
 
 
 class TestSettings:
@@ -266,7 +288,14 @@ class TestSettings:
 
     @pytest.mark.parametrize(
         ("text", "message"),
-        [("jiont: {}", "jiont: unknown method"), ("joint: 3", "joint: expected parameters by name")],
+        [
+            ("jiont: {}", "jiont: unknown method"),
+            ("joint: 3", "joint: expected parameters by name"),
+            ("joint: {point_segments.nope: 1}", r"joint: point_segments\.nope: unknown parameter"),
+            ("normals: {nope: 1}", r"normals: .*nope: unknown parameter"),
+            ("ransac_dbscan: {eps: hello}", "ransac_dbscan: eps: expected a number, got 'hello'"),
+            ("scikit_image: {scaale: 3}", "scikit_image: scaale: unknown parameter"),
+        ],
     )
     def test_mistakes(self, tmp_path, text, message):
         (tmp_path / "mine.yaml").write_text(text)
@@ -289,11 +318,22 @@ class TestSuites:
         assert list(SUITES["scannet"].scenes("checking", data)) == ["scene2"]
         assert len(next(suites.load_all(SUITES["scannet"].scenes("checking", data))).points) == 6000
 
+    def test_scans_of_one_room_stay_together(self, monkeypatch):
+        names = ["scene0000_00", "scene0000_01", "scene0001_00", "scene0002_00", "scene0002_01", "scene0003_00"]
+        monkeypatch.setattr(suites, "list_scenes", lambda _: {name: Path(name) for name in names})
+        tuning, checking = (list(SUITES["scannet"].scenes(half, Path())) for half in ("tuning", "checking"))
+        assert tuning == ["scene0000_00", "scene0000_01", "scene0002_00", "scene0002_01"]
+        assert checking == ["scene0001_00", "scene0003_00"]
+
     def test_folders_that_do_not_do(self, tmp_path):
         with pytest.raises(ValueError, match="suite mosd needs the folder of its data"):
             SUITES["mosd"].scenes("tuning", None)
+        write_truth(write_folder(tmp_path / "one", synthetic := tj.synthetic.make_scene(0, num_views=2)), synthetic)
         with pytest.raises(ValueError, match="holds too few scenes: none is left for checking"):
             SUITES["mosd"].scenes("checking", tmp_path)
+        (tmp_path / "empty").mkdir()
+        with pytest.raises(ValueError, match=r"is of no known format\. Looked for: "):
+            SUITES["mosd"].scenes("checking", tmp_path / "empty")
         with pytest.raises(FileNotFoundError, match="nowhere does not exist"):
             SUITES["mosd"].scenes("checking", tmp_path / "nowhere")
 
@@ -304,8 +344,11 @@ class TestSuites:
     def test_the_command(self, data, monkeypatch, tmp_path, capsys):
         page = tmp_path / "page.md"
         page.write_text("# Page\n\n<!-- benchmark scannet -->\nold\n<!-- end benchmark scannet -->\nrest\n")
-        common = ["--data", data, "-o", tmp_path / "out", "--page", page, "--methods", "joint", "ransac_dbscan"]
-        run(monkeypatch, "benchmark", "scannet", *common, "--tuning", 2, 1)
+        common = ["--data", data, "-o", tmp_path / "out"]
+        tuning = ["--tuning", 2, 1]
+        run(monkeypatch, "benchmark", "scannet", *common, *tuning, "--methods", "joint_painted", "ransac_dbscan")
+        assert set(yaml.safe_load((tmp_path / "out" / "settings.yaml").read_text())) == {"ransac_dbscan"}
+        run(monkeypatch, "benchmark", "scannet", *common, *tuning, "--page", page, "--overwrite")
         printed = capsys.readouterr().out
         out = tmp_path / "out"
         names = {"table.md", "scores.csv", "scores.png", "settings.yaml", "search"}
@@ -319,12 +362,14 @@ class TestSuites:
         assert (head, rest) == ("# Page\n\n", "\nrest\n")
         assert filled.strip() in printed
         assert table.startswith(filled)
-        assert len((out / "search" / "joint.jsonl").read_text().splitlines()) == 3
+        assert len((out / "search" / "joint.jsonl").read_text().splitlines()) == 1 + 3
         found = yaml.safe_load((out / "settings.yaml").read_text())
+        assert set(found) == {name for name, method in METHODS.items() if method.space}
         before = (out / "scores.csv").read_text()
-        run(monkeypatch, "benchmark", "scannet", *common, "--settings", out / "settings.yaml")
+        run(monkeypatch, "benchmark", "scannet", *common, "--settings", out / "settings.yaml", "--overwrite")
         assert (out / "scores.csv").read_text() == before
-        assert set(found) == {"joint", "ransac_dbscan"}
+        with pytest.raises(SystemExit, match="exists already; choose another folder with -o, or --overwrite"):
+            run(monkeypatch, "benchmark", "scannet", *common)
 
     def test_mistakes_on_the_command_line(self, monkeypatch, tmp_path):
         out = ["-o", tmp_path / "out"]
@@ -334,4 +379,8 @@ class TestSuites:
             run(monkeypatch, "benchmark", "mosd", *out)
         with pytest.raises(SystemExit, match=r"--settings: .*nope\.yaml does not exist"):
             run(monkeypatch, "benchmark", "synthetic", *out, "--settings", Path("nope.yaml"))
+        with pytest.raises(SystemExit, match="--tuning: expected draws >= 1 and steps >= 0, got 0 0"):
+            run(monkeypatch, "benchmark", "synthetic", *out, "--tuning", 0, 0)
+        with pytest.raises(SystemExit, match=r"--page: .*nope\.md has no part"):
+            run(monkeypatch, "benchmark", "synthetic", *out, "--page", "nope.md")
         assert list(tmp_path.iterdir()) == []

@@ -49,6 +49,10 @@ class TestScores:
         with pytest.raises(ValueError, match="images: expected one for each of 2 truths, got 1"):
             score_images([torch.zeros(1, 1).long()], [torch.zeros(1, 1).long()] * 2)
 
+    def test_images_of_another_size(self):
+        with pytest.raises(ValueError, match=r"image 1: expected the size of its truth, \[1, 2\], got \[1, 1\]"):
+            score_images([torch.zeros(1, 2).long(), torch.zeros(1, 1).long()], [torch.zeros(1, 2).long()] * 2)
+
     def test_the_mean_of_f_is_that_of_the_samples(self):
         assert mean_scores([scores(0.2), scores(0.6)]).f == pytest.approx(0.4)
 
@@ -231,6 +235,33 @@ class TestCommand:
         (results / "second.npy").unlink()
         with pytest.raises(SystemExit, match=r"second: missing; expected a result"):
             run(monkeypatch, "evaluate", results, data)
+
+    def test_what_is_left_out_is_told(self, recording, synthetic, monkeypatch, tmp_path, capsys):
+        keep = synthetic.scene.points[:, 0] > synthetic.scene.points[:, 0].median()
+        points, labels = synthetic.scene.points[keep], synthetic.point_labels[keep]
+        np.savez(tmp_path / "points.npz", points=points.numpy(), labels=labels.numpy())
+        run(monkeypatch, "evaluate", tmp_path, recording)
+        assert f"recording: only {len(points)} of 6000 points are there to be scored" in capsys.readouterr().out
+
+    def test_scenes_before_a_bad_one_are_not_lost(self, recording, synthetic, monkeypatch, tmp_path, capsys):
+        data, results = tmp_path / "data", tmp_path / "results"
+        data.mkdir()
+        results.mkdir()
+        for name in ("first", "second", "without"):
+            (data / name).symlink_to(recording)
+            np.save(results / f"{name}.npy", synthetic.point_labels.numpy())
+        (data / "without").unlink()
+        write_folder(data / "without", synthetic)
+        run(monkeypatch, "evaluate", results, data, "-o", tmp_path / "scores")
+        printed = capsys.readouterr().out
+        assert "without: has no truth and is left out" in printed
+        np.save(results / "second.npy", np.zeros(3, int))
+        with pytest.raises(SystemExit, match="exists already"):
+            run(monkeypatch, "evaluate", results, data, "-o", tmp_path / "scores")
+        with pytest.raises(SystemExit, match=r"second\.npy: expected shape \[6000\]"):
+            run(monkeypatch, "evaluate", results, data, "-o", tmp_path / "scores", "--overwrite")
+        assert "| first" in capsys.readouterr().out
+        assert len((tmp_path / "scores" / "scores.csv").read_text().splitlines()) == 2
 
     def test_only_points_in_view(self, synthetic, monkeypatch, tmp_path):
         recording = write_folder(tmp_path / "recording", synthetic)

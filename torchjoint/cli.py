@@ -31,6 +31,11 @@ from torchjoint.superpoints_config import superpoint_table
 from torchjoint.thinning import one_point_a_voxel
 from torchjoint.visibility import in_any_view
 
+INTERRUPTED = (
+    "torchjoint: interrupted; `segment`, `benchmark --tuning` and `train-boundaries` go on where they were when "
+    "started again"
+)
+
 
 def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = DEFAULTS, overwrite: bool = False) -> None:
     """Segments an embedded synthetic scene and scores the result against its exact truth; needs no data.
@@ -76,6 +81,8 @@ def segment(
     """
     config = parameters.config()
     check_max_frames(max_frames)
+    if thin is not None and not thin > 0:
+        raise ValueError(f"--thin: expected more than 0 metres, got {thin}")
     if out.resolve() in (scene.resolve(), *scene.resolve().parents):
         raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
     source = f"{fingerprint(scene)} {voxel_size}"
@@ -139,7 +146,7 @@ def main() -> None:
         }
         tyro.extras.subcommand_cli_from_dict(commands, prog="torchjoint")
     except KeyboardInterrupt:
-        sys.exit("torchjoint: interrupted; `segment` and `train-boundaries` go on where they were when started again")
+        sys.exit(INTERRUPTED)
     except (ValueError, TypeError, OSError) as error:
         sys.exit(f"torchjoint: error: {error}")
 

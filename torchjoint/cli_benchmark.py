@@ -16,6 +16,7 @@ from torchjoint.benchmark.search import Budget
 from torchjoint.benchmark.settings import read_settings, write_settings
 from torchjoint.benchmark.space import Setting
 from torchjoint.benchmark.suites import SUITES, Suite
+from torchjoint.cli_arguments import check_output
 from torchjoint.evaluation.table import (
     Row,
     method_table,
@@ -38,7 +39,8 @@ def benchmark(
     settings: Path | None = None,
     tuning: tuple[int, int] | None = None,
     half: Literal["checking", "tuning"] = "checking",
-    page: Path = Path("benchmarks/README.md"),
+    page: Path | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Compares methods, each at one setting for all scenes: ours, its parts, and what one could do without it.
 
@@ -49,27 +51,40 @@ def benchmark(
         methods: only these; default: all.
         settings: YAML file of methods' settings; default: those that come with the package.
         tuning: search each method's setting on the suite's tuning half first, by so many draws and so many steps
-            from the best (60 40 is what the package's own were found with); can be interrupted and resumed.
+            from the best, such as 60 40; can be interrupted and resumed.
         half: which half of the scenes the table shows.
-        page: a Markdown file whose part between `<!-- benchmark SUITE -->` marks gets the table, where it exists.
+        page: a Markdown file whose part between `<!-- benchmark SUITE -->` marks gets the table of all methods.
+        overwrite: replace files in OUT.
     """
     chosen = _chosen(methods)
     kind = SUITES[suite]
-    kind.scenes(half, data)  # a wrong folder is to be told before hours of work
-    used = read_settings(suite, settings)
     out = out or Path(f"benchmark-{suite}")
+    # What is wrong is to be told before hours of work.
+    check_output(out, (TABLE, SCORES, PICTURE, SETTINGS), overwrite)
+    _check_page(page, suite, len(chosen) == len(METHODS) and half == "checking")
+    if tuning is not None and (tuning[0] < 1 or tuning[1] < 0):
+        raise ValueError(f"--tuning: expected draws >= 1 and steps >= 0, got {tuning[0]} {tuning[1]}")
+    kind.scenes(half, data)
+    used = read_settings(suite, settings)
     out.mkdir(parents=True, exist_ok=True)
     if tuning is not None:
         used |= _tuned(kind, chosen, data, Budget(*tuning), out)
-    rows = compare(kind, chosen, used, data, half)
+    _tell_untuned(kind, chosen, used)
+    rows: list[Row] = []
+    for of_scene in compare(kind, chosen, used, data, half):
+        rows += of_scene
+        write_csv(out / SCORES, rows)
+    if not rows:
+        raise ValueError(f"--data: none of the {half} scenes has a truth to compare with")
     text = report(rows, kind, half)
-    write_csv(out / SCORES, rows)
     write_plot(out / PICTURE, rows, _title)
-    write_settings(out / SETTINGS, {m.name: used[m.name] for m in chosen if m.name in used}, f"suite {suite}")
+    names = dict.fromkeys(method.like or method.name for method in chosen)
+    write_settings(out / SETTINGS, {name: used[name] for name in names if name in used}, f"suite {suite}")
     by_scene = "\n\n".join(method_table(rows, space, _title) for space in dict.fromkeys(row.space for row in rows))
     write_text(out / TABLE, f"{text}\n\n{by_scene}\n")
     print(f"\n{by_scene}\n\n{text}\n\nwritten to {out}: {TABLE}, {SCORES}, {PICTURE}, {SETTINGS}")
-    if page.is_file() and _fill(page, f"benchmark {suite}", text):
+    if page is not None:
+        _fill(page, f"benchmark {suite}", text)
         print(f"and to {page}")
 
 
@@ -117,13 +132,22 @@ def _title(name: str) -> str:
     return METHODS[name].title
 
 
-def _fill(page: Path, part: str, text: str) -> bool:
-    """Puts a text between a page's marks of that part; False if it has none."""
-    old = page.read_text(encoding="utf-8")
-    new = re.sub(
-        rf"(<!-- {part} -->\n).*?(<!-- end {part} -->)", lambda m: f"{m[1]}{text}\n{m[2]}", old, flags=re.DOTALL
-    )
-    if f"<!-- {part} -->" not in old:
-        return False
-    write_text(page, new)
-    return True
+def _tell_untuned(suite: Suite, methods: Sequence[Method], used: Mapping[str, Setting]) -> None:
+    untuned = [method.title for method in methods if method.space_in(suite.name) and method.name not in used]
+    if untuned:
+        print(f"at their defaults, not tuned for {suite.name} (--tuning does that): {'; '.join(untuned)}")
+
+
+def _check_page(page: Path | None, suite: str, is_whole: bool) -> None:
+    if page is None:
+        return
+    if not page.is_file() or f"<!-- benchmark {suite} -->" not in page.read_text(encoding="utf-8"):
+        raise ValueError(f"--page: {page} has no part <!-- benchmark {suite} --> ... <!-- end benchmark {suite} -->")
+    if not is_whole:
+        raise ValueError("--page: is for the table of all methods on the checking half")
+
+
+def _fill(page: Path, part: str, text: str) -> None:
+    """Puts a text between a page's marks of that part."""
+    pattern = re.compile(rf"(<!-- {part} -->\n).*?(<!-- end {part} -->)", flags=re.DOTALL)
+    write_text(page, pattern.sub(lambda m: f"{m[1]}{text}\n{m[2]}", page.read_text(encoding="utf-8")))

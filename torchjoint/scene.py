@@ -99,6 +99,11 @@ class Truth:
     points: Tensor | None = None
     images: Sequence[Tensor] = ()
 
+    @property
+    def has_points(self) -> bool:
+        """Whether the instance of any point is known."""
+        return self.points is not None and bool((self.points >= 0).any())
+
     def select_points(self, keep: Tensor) -> Truth:
         """That of some of the points, in the order of `keep` (a mask, or places)."""
         return self if self.points is None else replace(self, points=self.points[keep])

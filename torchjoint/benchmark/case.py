@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Hashable
 from functools import cached_property
 from typing import Any
@@ -23,13 +24,21 @@ class Case:
     Args:
         scene: with truth.
         config: of the data set: says how visibility is found out; a method's own settings come on top.
+        preset: the package's parameters for such data.
     """
 
-    def __init__(self, scene: Scene, config: Config) -> None:
+    def __init__(self, scene: Scene, config: Config, preset: Config | None = None) -> None:
         self.scene = scene
         self.config = config
+        self.preset = preset or config
         self.frames: list[Frame] = map_frames(scene.frames.__getitem__, range(len(scene.frames)))
         self._kept: dict[str, tuple[Hashable, Any]] = {}
+
+    def digest(self) -> str:
+        """Tells scenes apart: a hash of the points and of what is known to be right."""
+        truth = self.scene.truth
+        tensors = [self.scene.points, *(() if truth is None or truth.points is None else (truth.points,))]
+        return hashlib.sha256(b"".join(tensor.numpy().tobytes() for tensor in tensors)).hexdigest()
 
     def keep(self, what: str, key: Hashable, make: Callable[[], Any]) -> Any:
         """What `make` makes; it is made again only for another key than the last."""

@@ -29,6 +29,8 @@ class Method:
         run: from a scene, a setting and whether images are wanted, to labels.
         space: of its parameters in a suite, by the suite's name; "" = in all others.
         like: name of the method whose setting it uses instead of one of its own.
+        checked: raises ValueError or TypeError for a setting that the method cannot be given; default: names are those
+            of its space, values numbers.
         judged: what its setting is chosen by, "3D" or "2D" (where there is such truth).
     """
 
@@ -38,6 +40,19 @@ class Method:
     space: Mapping[str, Space] = field(default_factory=dict)
     like: str | None = None
     judged: str = "3D"
+    checked: Callable[[Setting], object] | None = None
+
+    def check(self, setting: Setting) -> None:
+        """Raises ValueError or TypeError, naming the parameter, for a setting that the method cannot be given."""
+        if self.checked is not None:
+            self.checked(setting)
+            return
+        known = {name for space in self.space.values() for name in space}
+        for name, value in setting.items():
+            if name not in known:
+                raise ValueError(f"{name}: unknown parameter, expected one of {', '.join(sorted(known))}")
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise TypeError(f"{name}: expected a number, got {value!r}")
 
     def space_in(self, suite: str) -> Space:
         """The parameters that are searched in a suite."""

@@ -32,6 +32,12 @@ def joint_painted(case: Case, setting: Setting, images: bool) -> Result:
     return _painted(case, joint(case, setting, False).points, images)
 
 
+def joint_default(case: Case, setting: Setting, images: bool) -> Result:
+    """The joint method as the package's preset for such data has it; `setting` is empty."""
+    result = _seen(case, case.preset).compute(images=images)
+    return Result(result.points, result.images)
+
+
 def geometry(case: Case, setting: Setting, images: bool) -> Result:
     """The same graph without the images' evidence, painted into the images."""
     setting = setting | {"propagation.weight": 0.0}
@@ -81,7 +87,11 @@ def _painted(case: Case, points: Tensor | None, images: bool) -> Result:
 
 
 def _config(case: Case, setting: Setting) -> Config:
-    config = case.config
+    return changed(case.config, setting)
+
+
+def changed(config: Config, setting: Setting) -> Config:
+    """A config with parameters replaced, by `stage.parameter`."""
     for name, value in setting.items():
         stage, _, parameter = name.partition(".")
         config = config.replace({stage: {parameter: value}})
@@ -113,17 +123,27 @@ def _seen(case: Case, config: Config) -> JointSegmenter:
     return seen.with_config(config)
 
 
+def _of_config(setting: Setting) -> Config:
+    return changed(Config(), setting)
+
+
 METHODS = {
     method.name: method
     for method in (
-        Method("joint", "joint (final)", joint, spaces.JOINT),
+        Method("joint", "joint (final)", joint, spaces.JOINT, checked=_of_config),
         Method("joint_painted", "joint, its points painted", joint_painted, like="joint"),
-        Method("joint_default", "joint at the package's defaults", joint),
-        Method("geometry", "geometry only", geometry, spaces.GEOMETRY),
-        Method("initial", "images only (initial), voted", initial, spaces.INITIAL, judged="2D"),
+        Method("joint_default", "joint, the package's preset", joint_default),
+        Method("geometry", "geometry only", geometry, spaces.GEOMETRY, checked=_of_config),
+        Method("initial", "images only (initial), voted", initial, spaces.INITIAL, judged="2D", checked=_of_config),
         Method("scikit_image", "scikit-image fh, voted", scikit_image, spaces.SCIKIT_IMAGE, judged="2D"),
-        Method("normals", "normals-only fh", normals, spaces.NORMALS),
-        Method("distance_normal_color", "distance + normal + colour fh", distance_normal_color, spaces.COLORED),
+        Method("normals", "normals-only fh", normals, spaces.NORMALS, checked=SuperpointsConfig().replace),
+        Method(
+            "distance_normal_color",
+            "distance + normal + colour fh",
+            distance_normal_color,
+            spaces.COLORED,
+            checked=SuperpointsConfig().replace,
+        ),
         Method("ransac_dbscan", "RANSAC planes + DBSCAN", ransac_dbscan, spaces.RANSAC_DBSCAN),
     )
 }

@@ -12,7 +12,13 @@ TRIES, SAMPLE = 500, 10_000
 
 
 def planes_and_clusters(
-    points: Tensor, distance: float, min_share: float, max_planes: int, eps: float, min_points: int, seed: int = 0
+    points: Tensor,
+    distance: float = 0.02,
+    min_share: float = 0.05,
+    max_planes: int = 8,
+    eps: float = 0.05,
+    min_points: int = 8,
+    seed: int = 0,
 ) -> Tensor:
     """Segments a cloud into planes and clusters (M. Fischler, R. Bolles 1981; M. Ester et al. 1996).
 

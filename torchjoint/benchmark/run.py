@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tqdm import tqdm
@@ -12,34 +12,41 @@ from torchjoint.benchmark.method import Method
 from torchjoint.benchmark.search import Budget, Trial, run_scores, search
 from torchjoint.benchmark.space import Setting
 from torchjoint.benchmark.suites import Suite, load_all
+from torchjoint.config import Config
 from torchjoint.evaluation.table import Row
+
+#: Frames of a scene that methods of images alone are tuned on, evenly spread; and scenes that are tuned on at the most,
+#: since all are held in memory.
+JUDGED_FRAMES, MOST_SCENES = 6, 12
 
 
 def tune(suite: Suite, methods: Sequence[Method], data: Path | None, budget: Budget, folder: Path) -> dict[str, Trial]:
     """The best setting of each method on the tuning half; the trials are kept in `folder`, and not run twice."""
-    scenes = suite.scenes("tuning", data)
+    scenes = dict(list(suite.scenes("tuning", data).items())[:MOST_SCENES])
     loaded = tqdm(load_all(scenes), total=len(scenes), desc="load", unit="scene")
     cases = [Case(scene, suite.config) for scene in loaded]
+    few = [Case(case.scene.spread_frames(JUDGED_FRAMES), suite.config) for case in cases]
     found = {}
     for method in methods:
-        if method.like is None:
-            found[method.name] = search(
-                method, suite.name, cases, budget, folder / f"{method.name}.jsonl", progress=True
-            )
-            for case in cases:
+        if method.space_in(suite.name):
+            judged = few if method.judged == "2D" else cases
+            log = folder / f"{method.name}.jsonl"
+            found[method.name] = search(method, suite.name, judged, budget, log, progress=True)
+            for case in judged:
                 case.forget()
     return found
 
 
 def compare(
     suite: Suite, methods: Sequence[Method], settings: Mapping[str, Setting], data: Path | None, half: str = "checking"
-) -> list[Row]:
-    """The scores of each method on each scene of a half."""
+) -> Iterator[list[Row]]:
+    """The scores of each method, scene by scene of a half; none of a scene without truth."""
     scenes = suite.scenes(half, data)
-    rows = []
+    preset = Config.from_preset(suite.preset)
     for name, scene in zip(scenes, tqdm(load_all(scenes), total=len(scenes), unit="scene"), strict=True):
-        case = Case(scene, suite.config)
+        case = Case(scene, suite.config, preset)
+        rows = []
         for method in methods:
             setting = settings.get(method.like or method.name, {})
             rows += [Row(name, method.name, *scores) for scores in run_scores(method, setting, case, True).items()]
-    return rows
+        yield rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import zlib
 from collections.abc import Sequence
@@ -16,6 +17,8 @@ from torchjoint.benchmark.case import Case
 from torchjoint.benchmark.method import Method
 from torchjoint.benchmark.space import Setting, draw, near
 from torchjoint.evaluation.scores import Scores, score, score_images
+from torchjoint.output import write_text
+from torchjoint.scene import Truth
 
 
 class Trial(NamedTuple):
@@ -45,12 +48,21 @@ def search(
     """The best of `budget` settings on some scenes; ties: the first.
 
     Args:
-        log: a line a trial, JSON. Trials that are there already are not run again, so that a search that was
-            interrupted goes on where it was; the settings that are tried are always the same.
+        log: a line of what is searched, then a line a trial, JSON. Trials that are there already are not run again, so
+            that a search that was interrupted goes on where it was; the settings that are tried are always the same.
+
+    Raises:
+        ValueError: the log is of a search on other scenes, or in other ranges; no scene has truth; no tries.
     """
+    cases = [case for case in cases if _has_truth(case)]
+    if not cases or budget.draws < 1 or budget.steps < 0:
+        raise ValueError(
+            f"search: expected scenes with truth, draws >= 1, steps >= 0, got {len(cases)} scenes, {budget}"
+        )
     space = method.space_in(suite)
+    key = _key(method, suite, cases, seed)
     random = np.random.default_rng([seed, zlib.crc32(f"{suite} {method.name}".encode())])
-    known = _read(log)
+    known = _read(log, key)
     best: Trial | None = None
     bar = tqdm(range(sum(budget) if space else 1), desc=method.name, unit="setting", disable=not progress)
     for index in bar:
@@ -60,7 +72,7 @@ def search(
         else:
             trial = Trial(setting, quality(method, setting, cases))
             known = [*known[:index], trial]
-            _write(log, known)
+            _write(log, key, known)
         if best is None or trial.score > best.score:
             best = trial
             bar.set_postfix(best=f"{best.score:.3f}")
@@ -80,11 +92,9 @@ def run_scores(method: Method, setting: Setting, case: Case, images: bool | None
         images: whether images are wanted; default: only if the method is judged by them.
     """
     result = method.run(case, setting, method.judged == "2D" if images is None else images)
-    truth = case.scene.truth
-    if truth is None:
-        raise ValueError(f"{case.scene.name}: the scene comes without truth")
+    truth = case.scene.truth or Truth()
     scores = {}
-    if result.points is not None and truth.points is not None:
+    if result.points is not None and truth.points is not None and truth.has_points:
         scores["3D"] = score(result.points, truth.points)
     if len(result.images) and len(truth.images):
         in_2d = score_images(result.images, truth.images)
@@ -97,11 +107,26 @@ def _judged(scores: dict[str, Scores], space: str) -> float:
     return (chosen.f + chosen.best_iou) / 2
 
 
-def _read(log: Path) -> list[Trial]:
+def _has_truth(case: Case) -> bool:
+    truth = case.scene.truth or Truth()
+    return truth.has_points or any(int(image.max()) >= 0 for image in truth.images)
+
+
+def _key(method: Method, suite: str, cases: Sequence[Case], seed: int) -> str:
+    """Tells searches apart: what is tried where."""
+    parts = [method.name, suite, str(seed), str(method.space_in(suite))]
+    parts += [f"{case.digest()} {len(case.frames)} {case.config}" for case in cases]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _read(log: Path, key: str) -> list[Trial]:
     if not log.is_file():
         return []
+    first, *lines = log.read_text(encoding="utf-8").splitlines() or [""]
+    if first != json.dumps({"search": key}):
+        raise ValueError(f"{log}: is of a search on other scenes or in other ranges; remove it, or choose another -o")
     trials = []
-    for number, line in enumerate(log.read_text(encoding="utf-8").splitlines(), start=1):
+    for number, line in enumerate(lines, start=2):
         try:
             values = json.loads(line)
             trials.append(Trial(dict(values["setting"]), float(values["score"])))
@@ -110,7 +135,5 @@ def _read(log: Path) -> list[Trial]:
     return trials
 
 
-def _write(log: Path, trials: Sequence[Trial]) -> None:
-    partial = log.with_name(f".{log.name}.partial")
-    partial.write_text("".join(json.dumps(trial._asdict()) + "\n" for trial in trials), encoding="utf-8")
-    partial.replace(log)
+def _write(log: Path, key: str, trials: Sequence[Trial]) -> None:
+    write_text(log, "".join(json.dumps(line) + "\n" for line in ({"search": key}, *(t._asdict() for t in trials))))

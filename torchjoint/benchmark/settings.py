@@ -11,6 +11,7 @@ import yaml
 
 from torchjoint.benchmark.methods import METHODS
 from torchjoint.benchmark.space import Setting
+from torchjoint.output import write_text
 from torchjoint.presets import read_yaml
 
 
@@ -30,9 +31,7 @@ def read_settings(suite: str, file: Path | None = None) -> dict[str, Setting]:
 
 def write_settings(file: Path, settings: Mapping[str, Setting], comment: str) -> None:
     """Writes what :func:`read_settings` reads; beside, then renamed."""
-    partial = file.with_name(f".{file.name}.partial")
-    partial.write_text(f"# {comment}\n{yaml.safe_dump(dict(settings), sort_keys=False)}", encoding="utf-8")
-    partial.replace(file)
+    write_text(file, f"# {comment}\n{yaml.safe_dump(dict(settings), sort_keys=False)}")
 
 
 def _checked(values: Mapping[str, Any]) -> dict[str, Setting]:
@@ -41,4 +40,8 @@ def _checked(values: Mapping[str, Any]) -> dict[str, Setting]:
             raise ValueError(f"{method}: unknown method, expected one of {', '.join(METHODS)}")
         if not isinstance(setting, Mapping):
             raise TypeError(f"{method}: expected parameters by name, got {setting!r}")
+        try:
+            METHODS[method].check(dict(setting))
+        except (ValueError, TypeError) as error:
+            raise type(error)(f"{method}: {error}") from error
     return {method: dict(setting) for method, setting in values.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +19,7 @@ from torchjoint.visibility import in_any_view
 SPACING = 0.005
 
 #: Frames of a long recording that are used, evenly spread.
-MOST_FRAMES = 40
+MOST_FRAMES = 20
 
 Scenes = Mapping[str, Callable[[], Scene]]
 
@@ -33,6 +34,7 @@ class Suite:
         tuning: the scenes that settings are chosen on, by name, from the data's folder.
         checking: those that the table shows.
         config: what all methods have in common there, as of visibility.
+        preset: the package's for such data.
         needs_data: whether a folder must be given.
     """
 
@@ -41,6 +43,7 @@ class Suite:
     tuning: Callable[[Path | None], Scenes]
     checking: Callable[[Path | None], Scenes]
     config: Config
+    preset: str = "indoor"
     needs_data: bool = True
 
     def scenes(self, half: str, data: Path | None) -> Scenes:
@@ -64,14 +67,21 @@ def load_all(scenes: Scenes) -> Iterator[Scene]:
 
 
 def _every_other(first: int, load: Callable[[Path], Scene], data: Path | None) -> Scenes:
+    """Every other place of a data set, with all scenes of it: several scans of a room stay on one side."""
     assert data is not None  # checked by Suite.scenes
     found = list_scenes(data)
     names = sorted(found, key=lambda name: (len(name), name))  # learn8 before learn10
-    return {name: partial(load, found[name]) for name in names[first::2]}
+    places = list(dict.fromkeys(map(_place, names)))[first::2]
+    return {name: partial(load, found[name]) for name in names if _place(name) in places}
 
 
-def _folder_suite(name: str, what: str, load: Callable[[Path], Scene], config: Config) -> Suite:
-    return Suite(name, what, partial(_every_other, 0, load), partial(_every_other, 1, load), config)
+def _place(name: str) -> str:
+    """Of ScanNet's scene0012_00, scene0012_01, ...: scene0012."""
+    return re.sub(r"(scene\d{4})_\d\d", r"\1", name)
+
+
+def _folder_suite(name: str, what: str, load: Callable[[Path], Scene], config: Config, preset: str = "indoor") -> Suite:
+    return Suite(name, what, partial(_every_other, 0, load), partial(_every_other, 1, load), config, preset)
 
 
 def _synthetic(seeds: range, _: Path | None) -> Scenes:
@@ -115,7 +125,8 @@ SUITES = {
             "street LiDAR and one camera, the points in its view",
             _load_in_view,
             Config().set(["visibility.depth_tolerance=0.3"]),
+            preset="lidar",
         ),
-        _folder_suite("scannet", "rooms, up to 40 frames each", _load_some_frames, Config()),
+        _folder_suite("scannet", "rooms, up to 20 frames each", _load_some_frames, Config()),
     )
 }

@@ -99,12 +99,8 @@ def load_scene(
     for module in FORMATS.values():
         if module.recognizes(path):
             return module.load(path, options)
-    inside = list_scenes(path)
-    if inside:
-        some = ", ".join(str(one) for one in list(inside.values())[:3])
-        raise ValueError(f"scene: {path} holds {len(inside)} scenes; choose one, such as {some}")
-    looked_for = "; ".join(f"{name}: {module.WHAT}" for name, module in FORMATS.items())
-    raise ValueError(f"scene: {path} is of no known format. Looked for: {looked_for}")
+    some = ", ".join(str(one) for one in list(list_scenes(path).values())[:3])
+    raise ValueError(f"scene: {path} is a data set; choose one of its scenes, such as {some}")
 
 
 def list_scenes(path: str | Path) -> dict[str, Path]:
@@ -112,10 +108,19 @@ def list_scenes(path: str | Path) -> dict[str, Path]:
 
     Raises:
         FileNotFoundError: there is no such path.
+        ValueError: there is no scene, and what was looked for.
     """
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"scenes: {path} does not exist")
+    found = _find_scenes(path)
+    if not found:
+        looked_for = "; ".join(f"{name}: {module.WHAT}" for name, module in FORMATS.items())
+        raise ValueError(f"scene: {path} is of no known format. Looked for: {looked_for}")
+    return found
+
+
+def _find_scenes(path: Path) -> dict[str, Path]:
     if any(module.recognizes(path) for module in FORMATS.values()):
         return {path.stem if path.is_file() else path.name: path}
     for module in FORMATS.values():

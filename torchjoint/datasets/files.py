@@ -125,9 +125,10 @@ def read_array(path: Path) -> Tensor:
 def fingerprint(path: Path) -> str:
     """Tells whether files were changed: a hash of names, sizes and times.
 
-    Of all in a folder and below it; of a file and those of its name in the folders beside its own (as KITTI has them).
+    Of all in a folder and below it; for a file, in its own folder, and of its name in those beside (as KITTI has them).
     """
-    files = sorted(path.rglob("*") if path.is_dir() else [path, *path.parent.parent.glob(f"*/{path.stem}.*")])
+    folder = path if path.is_dir() else path.parent
+    files = sorted({*folder.rglob("*"), *(() if path.is_dir() else folder.parent.glob(f"*/{path.stem}.*"))})
     stats = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files if file.is_file()]
     return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
 

@@ -12,19 +12,34 @@ def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") 
     """The rows of one scene: 3D where both know points, 2D where both know images.
 
     Raises:
-        ValueError: the scene has no truth, or none of what was predicted.
+        ValueError: the scene has no truth, or none of what was predicted; sizes that do not fit.
     """
     truth = scene.truth
-    if truth is None:
+    if truth is None or not (truth.has_points or len(truth.images)):
         raise ValueError(f"{name}: the scene comes without truth, there is nothing to compare with")
     rows = []
     if prediction.points is not None and truth.points is not None:
-        rows.append(Row(name, method, "3D", score(prediction.points, truth.points[prediction.of_points])))
+        known = truth.select_points(prediction.of_points)
+        if known.points is not None and known.has_points:
+            rows.append(Row(name, method, "3D", score(prediction.points, known.points)))
     if len(prediction.images) and len(truth.images):
         if len(truth.images) != len(scene.frames):
             raise ValueError(f"{name}: {len(truth.images)} truths for {len(scene.frames)} frames")
-        in_2d = score_images(prediction.images, [truth.images[index] for index in prediction.of_frames])
+        try:
+            in_2d = score_images(prediction.images, truth.select_frames(prediction.of_frames).images)
+        except ValueError as error:
+            raise ValueError(f"{name}, images in the order of their names: {error}") from error
         rows += [Row(name, method, "2D", in_2d)] if in_2d else []
     if not rows:
         raise ValueError(f"{name}: what is predicted (points, images) is not what there is truth for")
     return rows
+
+
+def left_out(prediction: Prediction, scene: Scene) -> str:
+    """What of the scene was not predicted, and so is not scored; empty if that is nothing."""
+    parts = []
+    if prediction.points is not None and len(prediction.points) < len(scene.points):
+        parts.append(f"{len(prediction.points)} of {len(scene.points)} points")
+    if len(prediction.images) and len(prediction.images) < len(scene.frames):
+        parts.append(f"{len(prediction.images)} of {len(scene.frames)} images")
+    return " and ".join(parts)

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files import read_array, read_label_image
+from torchjoint.datasets.lazy import LazySequence
 from torchjoint.output import read_points
 from torchjoint.scene import Scene
 from torchjoint.scene_checks import as_labels
@@ -62,14 +63,19 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
     if unknown:
         raise ValueError(f"{unknown[0]}: the scene has no frame of that name; it has {', '.join(list(names)[:3])} ...")
     of_frames = [names[file.stem] for file in files]
-    return Prediction(points, of_points, [read_label_image(file) - 1 for file in files], of_frames)
+    images = LazySequence(len(files), lambda index: read_label_image(files[index]) - 1)
+    return Prediction(points, of_points, images, of_frames)
 
 
 def _frame_names(scene: Scene) -> dict[str, int]:
     """Where the frames are, by name; a frame without one is called by its number, as in a result."""
     known = getattr(scene.frames, "names", ())  # of lazy ones, which need not be read then
     found = known or map_frames(lambda index: scene.frames[index].name, range(len(scene.frames)))
-    return {name or f"{index:06d}": index for index, name in enumerate(found)}
+    names = [name or f"{index:06d}" for index, name in enumerate(found)]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"{scene.name}: two frames have the name {twice!r}; whose label image is {twice}.png?")
+    return {name: index for index, name in enumerate(names)}
 
 
 def _read_labels(path: Path) -> Tensor:

@@ -36,11 +36,18 @@ def score_images(pred: Sequence[Tensor], target: Sequence[Tensor]) -> Scores | N
     """Mean over the images that have any truth; None if none has.
 
     Raises:
-        ValueError: not as many images as truths.
+        ValueError: not as many images as truths, or another size.
     """
     if len(pred) != len(target):
         raise ValueError(f"images: expected one for each of {len(target)} truths, got {len(pred)}")
-    each = [score(image, truth) for image, truth in zip(pred, target, strict=True) if int(truth.max()) >= 0]
+    each = []
+    for index, (image, truth) in enumerate(zip(pred, target, strict=True)):
+        if image.shape != truth.shape:
+            raise ValueError(
+                f"image {index}: expected the size of its truth, {list(truth.shape)}, got {list(image.shape)}"
+            )
+        if int(truth.max()) >= 0:
+            each.append(score(image, truth))
     return mean_scores(each) if each else None
 
 
