@@ -24,7 +24,7 @@ from scipy.io import savemat
 
 import torchjoint as tj
 from torchjoint import cli
-from torchjoint.evaluation.paper_tables import ROWS, Row, Scores, paper_table, score_points
+from torchjoint.evaluation.paper_tables import ROWS, Row, Scores, comparable, paper_table, score_points
 
 SMALL = ["--set", "point_segments.min_size=20", "image_segments.min_size=20"]
 SCANS = ("scene0011_00", "scene0025_01")
@@ -240,3 +240,16 @@ def test_a_table_of_one_row():
     assert head.split("|")[1].strip() == "table I"
     assert [cell.strip() for cell in line.split("|")] == ["", "ours, P", "2", *["0.750"] * 8, ""]
     assert paper_table(rows, "II") == ""
+
+
+def test_means_are_of_the_same_scenes():
+    one, two, three = (Scores(*[value] * len(Scores._fields)) for value in (0.1, 0.2, 0.3))
+    initial, final, rival, points = ROWS[4], ROWS[5], ROWS[6], ROWS[1]
+    found = {
+        "a": {initial: one, final: one, rival: one, points: one},
+        "b": {initial: two, final: two, points: two},
+        "c": {initial: three, final: three, rival: three},
+    }
+    rows = comparable(found)
+    assert rows == {points: [one, two], initial: [one, three], final: [one, three], rival: [one, three]}
+    assert comparable({"a": {initial: one}, "b": {final: two}}) == {initial: [one], final: [two]}

@@ -23,6 +23,7 @@ from torchjoint.evaluation.paper_tables import (
     LabelImages,
     Row,
     Scores,
+    comparable,
     mean_scores,
     paper_table,
     score_images,
@@ -75,13 +76,16 @@ def paper_tables(
     sources = _Sources(sis3d, scenecut, results, max_frames, JointSegmenter(parameters.config()))
     paths = list_scenes(scenes)
     found: dict[str, dict[Row, Scores]] = {}
-    for number, path in enumerate(paths.values(), 1):
-        scene = load_scene(path, progress=True)
-        print(f"scene {number} of {len(paths)}: {scene.name}")
-        found[scene.name] = sources.score(scene, path)
+    try:
+        for number, path in enumerate(paths.values(), 1):
+            scene = load_scene(path, progress=True)
+            print(f"scene {number} of {len(paths)}: {scene.name}")
+            found[scene.name] = sources.score(scene, path)
+    finally:  # what was scored before an error is not lost
+        if any(found.values()):
+            print(f"\n{_write(out, found, sources.notes)}\nwritten to {out}: {TABLES}, {MEANS}, {SCENES}")
     if not any(found.values()):
         raise ValueError(f"{scenes}: none of its {len(paths)} scenes has a truth to compare with")
-    print(f"\n{_write(out, found, sources.notes)}\nwritten to {out}: {TABLES}, {MEANS}, {SCENES}")
 
 
 @dataclass(frozen=True)
@@ -170,12 +174,16 @@ def _fitted(labels: Tensor, size: tuple[int, int], file: Path) -> Tensor:
 
 def _write(out: Path, found: Mapping[str, Mapping[Row, Scores]], notes: Sequence[str]) -> str:
     """Writes the three files; returns the tables."""
-    rows = {row: [scores[row] for scores in found.values() if row in scores] for row in ROWS}
-    rows = {row: scores for row, scores in rows.items() if scores}
+    rows = comparable(found)
+    partial = [
+        f"{row.method} on {row.on}: {total} scenes, of which {len(rows[row])} have all rows and are shown"
+        for row in rows
+        if (total := sum(row in scores for scores in found.values())) > len(rows[row])
+    ]
     missing = [f"{row.method} on {row.on}: nothing to score; the row is left out" for row in ROWS if row not in rows]
     means = [[*row, len(scores), *_rounded(mean_scores(scores))] for row, scores in rows.items()]
     singles = [[name, *row, *_rounded(scores[row])] for name, scores in found.items() for row in ROWS if row in scores]
-    remarks = "\n".join(f"- {note}" for note in (*notes, *missing))
+    remarks = "\n".join(f"- {note}" for note in (*notes, *partial, *missing))
     text = "\n\n".join(part for part in (paper_table(rows, "I"), paper_table(rows, "II"), remarks) if part) + "\n"
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / SCENES, _csv(("scene", *Row._fields, *Scores._fields), singles))

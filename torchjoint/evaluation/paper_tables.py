@@ -122,6 +122,22 @@ def score_images(
     return {row: mean_scores(scores) for row, scores in found.items()}
 
 
+def comparable(found: Mapping[str, Mapping[Row, Scores]]) -> dict[Row, list[Scores]]:
+    """The scores of each row, of the scenes that have all rows on the same data: means of other scenes do not compare.
+
+    Args:
+        found: by scene, the rows it has. A method that has no scene at all does not count; where no scene has all rows,
+            each row keeps those that it has.
+    """
+    rows: dict[Row, list[Scores]] = {}
+    there = [row for row in ROWS if any(row in scores for scores in found.values())]
+    for row in there:
+        beside = [other for other in there if (other.table, other.on) == (row.table, row.on)]
+        whole = [scores for scores in found.values() if all(other in scores for other in beside)]
+        rows[row] = [scores[row] for scores in whole or found.values() if row in scores]
+    return rows
+
+
 def paper_table(rows: Mapping[Row, Sequence[Scores]], table: str) -> str:
     """One of the tables as Markdown: of each row how many scenes it has, and their mean; empty if it has none."""
     body = [
