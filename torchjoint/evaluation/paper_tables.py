@@ -11,8 +11,14 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from torchjoint import metrics
 from torchjoint.evaluation.table import markdown
+from torchjoint.metrics.covering import covering_of
+from torchjoint.metrics.objects_and_parts import (
+    average_precision_objects_of,
+    average_precision_parts_of,
+    objects_and_parts_of,
+)
+from torchjoint.metrics.overlaps import overlap_tables
 
 #: Place of a frame, size (H, W) of its truth -> label image of that size.
 LabelImages = Callable[[int, tuple[int, int]], Tensor]
@@ -57,14 +63,15 @@ ROWS = (
 
 def score(pred: Tensor, target: Tensor) -> Scores:
     """One segmentation against the truth, -1 = void; see :mod:`torchjoint.metrics`."""
-    covering = metrics.segmentation_covering(pred, target)
+    areas, tables = overlap_tables(pred, target)
+    covering = covering_of(tables)
     return Scores(
-        *metrics.objects_and_parts(pred, target),
+        *objects_and_parts_of(areas, tables),
         covering.symmetric,
         covering.target_by_pred,
         covering.pred_by_target,
-        metrics.average_precision_objects(pred, target),
-        metrics.average_precision_parts(pred, target),
+        average_precision_objects_of(areas, tables),
+        average_precision_parts_of(areas, tables),
     )
 
 

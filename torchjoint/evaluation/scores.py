@@ -8,7 +8,10 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torchjoint import metrics
+from torchjoint.metrics.covering import best_iou_of, covering_of
+from torchjoint.metrics.objects_and_parts import objects_and_parts_of
+from torchjoint.metrics.overlaps import overlap_tables
+from torchjoint.threads import map_frames, one_thread_per_operation
 
 
 class Scores(NamedTuple):
@@ -27,9 +30,9 @@ COLUMNS = ("covering", "precision", "recall", "F", "best IoU")
 
 def score(pred: Tensor, target: Tensor) -> Scores:
     """Scores of labels of any shape; target -1 = void. Errors: those of :mod:`torchjoint.metrics`."""
-    precision, recall, f = metrics.objects_and_parts(pred, target)
-    covering = metrics.segmentation_covering(pred, target).symmetric
-    return Scores(covering, precision, recall, f, metrics.mean_best_iou(pred, target))
+    areas, tables = overlap_tables(pred, target)
+    precision, recall, f = objects_and_parts_of(areas, tables)
+    return Scores(covering_of(tables).symmetric, precision, recall, f, best_iou_of(tables))
 
 
 def score_images(pred: Sequence[Tensor], target: Sequence[Tensor]) -> Scores | None:
@@ -40,14 +43,17 @@ def score_images(pred: Sequence[Tensor], target: Sequence[Tensor]) -> Scores | N
     """
     if len(pred) != len(target):
         raise ValueError(f"images: expected one for each of {len(target)} truths, got {len(pred)}")
-    each = []
-    for index, (image, truth) in enumerate(zip(pred, target, strict=True)):
+
+    def score_one(index: int) -> Scores | None:
+        image, truth = pred[index], target[index]
         if image.shape != truth.shape:
             raise ValueError(
                 f"image {index}: expected the size of its truth, {list(truth.shape)}, got {list(image.shape)}"
             )
-        if int(truth.max()) >= 0:
-            each.append(score(image, truth))
+        return score(image, truth) if int(truth.max()) >= 0 else None
+
+    with one_thread_per_operation():
+        each = [scores for scores in map_frames(score_one, range(len(target))) if scores is not None]
     return mean_scores(each) if each else None
 
 

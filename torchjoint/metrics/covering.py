@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torchjoint.metrics.overlaps import overlap_tables
+from torchjoint.metrics.overlaps import Overlaps, overlap_tables
 
 
 class SegmentationCovering(NamedTuple):
@@ -36,7 +36,11 @@ def segmentation_covering(pred: Tensor, target: Tensor | Sequence[Tensor]) -> Se
     >>> segmentation_covering(torch.tensor([0, 0, 1, 1]), torch.tensor([5, 5, 5, 5]))
     SegmentationCovering(symmetric=0.5, target_by_pred=0.5, pred_by_target=0.5)
     """
-    _, tables = overlap_tables(pred, target)
+    return covering_of(overlap_tables(pred, target)[1])
+
+
+def covering_of(tables: Sequence[Overlaps]) -> SegmentationCovering:
+    """:func:`segmentation_covering`, from tables that are there already, one for each ground truth."""
     target_by_pred = fmean([_weighted_mean(t.best_iou_of_target, t.target_area) for t in tables])
     pred_by_target = fmean([_weighted_mean(t.best_iou_of_pred, t.pred_area) for t in tables])
     return SegmentationCovering((target_by_pred + pred_by_target) / 2, target_by_pred, pred_by_target)
@@ -52,7 +56,12 @@ def mean_best_iou(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
     >>> mean_best_iou(torch.tensor([0, 0, 0, 1]), torch.tensor([0, 0, 1, 1]))  # 2/3 and 1/2
     0.5833333333333333
     """
-    return fmean([t.best_iou_of_target.mean().item() for t in overlap_tables(pred, target)[1]])
+    return best_iou_of(overlap_tables(pred, target)[1])
+
+
+def best_iou_of(tables: Sequence[Overlaps]) -> float:
+    """:func:`mean_best_iou`, from tables that are there already."""
+    return fmean([table.best_iou_of_target.mean().item() for table in tables])
 
 
 def _weighted_mean(value: Tensor, weight: Tensor) -> float:

@@ -60,7 +60,7 @@ def objects_and_parts(
     >>> objects_and_parts(torch.tensor([0, 0, 1, 1]), torch.tensor([5, 5, 5, 5]))  # two parts of one object
     ObjectsAndParts(precision=0.1, recall=1.0, f=0.18181818181818182)
     """
-    return _objects_and_parts(*overlap_tables(pred, target), gamma_object, gamma_part, beta)
+    return objects_and_parts_of(*overlap_tables(pred, target), gamma_object, gamma_part, beta)
 
 
 def average_precision_objects(
@@ -71,21 +71,38 @@ def average_precision_objects(
     The paper does not say how; here the points are taken by rising recall and the step sum
     ``sum (Re_i - Re_{i-1}) Pr_i`` is made, from Re_0 = 0, for each sample by itself.
     """
-    tables = overlap_tables(pred, target)
-    return _step_sum([_objects_and_parts(*tables, k / 20, gamma_part, beta) for k in range(10, 20)])
+    return average_precision_objects_of(*overlap_tables(pred, target), gamma_part, beta)
 
 
 def average_precision_parts(
     pred: Tensor, target: Tensor | Sequence[Tensor], gamma_object: float = 0.75, beta: float = 0.1
 ) -> float:
     """AP_p: as :func:`average_precision_objects`, but with ``gamma_part`` = .05, .10, ... .70."""
-    tables = overlap_tables(pred, target)
-    return _step_sum([_objects_and_parts(*tables, gamma_object, k / 20, beta) for k in range(1, 15)])
+    return average_precision_parts_of(*overlap_tables(pred, target), gamma_object, beta)
 
 
-def _objects_and_parts(
-    pred_area: Tensor, tables: list[Overlaps], gamma_object: float, gamma_part: float, beta: float
+def average_precision_objects_of(
+    pred_area: Tensor, tables: Sequence[Overlaps], gamma_part: float = 0.25, beta: float = 0.1
+) -> float:
+    """:func:`average_precision_objects`, from tables that are there already."""
+    return _step_sum([objects_and_parts_of(pred_area, tables, k / 20, gamma_part, beta) for k in range(10, 20)])
+
+
+def average_precision_parts_of(
+    pred_area: Tensor, tables: Sequence[Overlaps], gamma_object: float = 0.75, beta: float = 0.1
+) -> float:
+    """:func:`average_precision_parts`, from tables that are there already."""
+    return _step_sum([objects_and_parts_of(pred_area, tables, gamma_object, k / 20, beta) for k in range(1, 15)])
+
+
+def objects_and_parts_of(
+    pred_area: Tensor,
+    tables: Sequence[Overlaps],
+    gamma_object: float = 0.75,
+    gamma_part: float = 0.25,
+    beta: float = 0.1,
 ) -> ObjectsAndParts:
+    """:func:`objects_and_parts`, from what :func:`torchjoint.metrics.overlaps.overlap_tables` made already."""
     check_thresholds(gamma_object, gamma_part, beta)
     pred_candidate = _candidates(pred_area)
     pred_class = torch.full_like(pred_area, _NONE)
