@@ -48,5 +48,7 @@ def compare(
         rows = []
         for method in methods:
             setting = settings.get(method.like or method.name, {})
-            rows += [Row(name, method.name, *scores) for scores in run_scores(method, setting, case, True).items()]
+            for space, scores in run_scores(method, setting, case, True).items():
+                if method.like is None or space == "2D":  # its points are those of the other
+                    rows.append(Row(name, method.name, space, scores))
         yield rows
