@@ -3,6 +3,7 @@
 import re
 import struct
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -103,3 +104,13 @@ def test_missing_files_give_clear_errors(name, tmp_path):
         file.unlink()
         read_all(path)
         file.write_bytes(whole)
+
+
+def test_every_format_has_a_sample():
+    assert {samples.format_of(name) for name in samples.FORMATS} == set(tj.datasets.FORMATS)
+
+
+def test_every_format_is_in_the_readme():
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    table = readme.partition("<!-- formats -->")[2].partition("<!-- end formats -->")[0]
+    assert len(table.strip().splitlines()) - 2 == len(tj.datasets.FORMATS)
