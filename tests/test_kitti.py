@@ -89,7 +89,7 @@ def test_scenes(sweep):
     expected = {name: root / "velodyne" / f"{name}.bin" for name in ("000003", "000007", "000010")}
     for folder in (root, root.parent):
         assert tj.datasets.list_scenes(folder) == expected
-        with pytest.raises(ValueError, match=r"holds 3 scenes; choose one, such as .*000003"):
+        with pytest.raises(ValueError, match=r"is a data set; choose one of its scenes, such as .*000003"):
             tj.load_scene(folder)
     assert tj.datasets.list_scenes(sweep) == {"000007": sweep}
 

@@ -86,7 +86,7 @@ def test_several_scenes_are_listed(root):
     (other / "world2grid.txt").write_text("")
     (root / "images_square" / "notes").mkdir()
     assert list(tj.datasets.list_scenes(root)) == [SCAN, "scene0378_00"]
-    with pytest.raises(ValueError, match="holds 2 scenes; choose one, such as"):
+    with pytest.raises(ValueError, match="is a data set; choose one of its scenes, such as"):
         tj.load_scene(root)
 
 
