@@ -94,10 +94,10 @@ def method_table(rows: Sequence[Row], space: str, titles: Callable[[str], str] =
 
 
 def scene_table(rows: Sequence[Row], titles: Callable[[str], str] = str) -> str:
-    """A line a scene, method and space, and the means below."""
+    """A line a scene, method and space, and below the means, if there are several scenes."""
     several = len({row.method for row in rows}) > 1
     body = [[r.scene, *([titles(r.method)] if several else []), r.space, *(f"{v:.3f}" for v in r.scores)] for r in rows]
-    for space in dict.fromkeys(row.space for row in rows):
+    for space in dict.fromkeys(row.space for row in rows) if len({row.scene for row in rows}) > 1 else ():
         for s in summarize(rows, space):
             body.append(["mean", *([titles(s.method)] if several else []), space, *(f"{v:.3f}" for v in s.mean)])
     return markdown(["scene", *(["method"] if several else []), "space", *COLUMNS], body)
