@@ -181,10 +181,8 @@ class TestMethods:
         space = METHODS[name].space_in(suite)
         for _ in range(20 if space else 0):
             setting = near(draw(space, random), space, random)
-            if name in ("joint", "geometry", "initial"):
-                tj.Config().set([f"{key}={value}" for key, value in setting.items()])
-            elif name in ("normals", "distance_normal_color"):
-                tj.SuperpointsConfig().replace(setting)
+            assert list(setting) == list(space)
+            METHODS[name].check(setting)  # raises for what the method cannot be given
 
     def test_settings_that_ship(self):
         for suite in SUITES:

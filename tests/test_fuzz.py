@@ -104,6 +104,7 @@ def test_missing_files_give_clear_errors(name, tmp_path):
         file.unlink()
         read_all(path)
         file.write_bytes(whole)
+    assert read_all(path) is not None
 
 
 def test_every_format_has_a_sample():

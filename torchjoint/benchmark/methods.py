@@ -22,7 +22,7 @@ from torchjoint.timing import Stopwatch
 
 def joint(case: Case, setting: Setting, images: bool) -> Result:
     """The whole method; `setting` is of `stage.parameter`, on top of the suite's config."""
-    segmenter = _seen(case, _config(case, setting))
+    segmenter = _seen(case, changed(case.config, setting))
     result = segmenter.compute(images=images)
     return Result(result.points, result.images)
 
@@ -41,12 +41,12 @@ def joint_default(case: Case, setting: Setting, images: bool) -> Result:
 def geometry(case: Case, setting: Setting, images: bool) -> Result:
     """The same graph without the images' evidence, painted into the images."""
     setting = setting | {"propagation.weight": 0.0}
-    return _painted(case, _seen(case, _config(case, setting)).compute(images=False).points, images)
+    return _painted(case, _seen(case, changed(case.config, setting)).compute(images=False).points, images)
 
 
 def initial(case: Case, setting: Setting, images: bool) -> Result:
     """The images alone, and these voted onto the points."""
-    _, label_images = _known_images(case, _config(case, setting))(case.frames, Stopwatch())
+    _, label_images = _known_images(case, changed(case.config, setting))(case.frames, Stopwatch())
     return Result(vote(label_images, case.visible, case.scene.points), label_images if images else ())
 
 
@@ -84,10 +84,6 @@ def _superpoints(case: Case, setting: Setting, images: bool) -> Result:
 
 def _painted(case: Case, points: Tensor | None, images: bool) -> Result:
     return Result(points, case.paint(points) if images and points is not None else ())
-
-
-def _config(case: Case, setting: Setting) -> Config:
-    return changed(case.config, setting)
 
 
 def changed(config: Config, setting: Setting) -> Config:
