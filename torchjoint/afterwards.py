@@ -9,7 +9,11 @@ from torchjoint.config import Config
 AFTERWARDS = {
     "point_graph": ("distance_weight", "angle_weight", "convex_factor", "color_weight"),
     "propagation": ("overlap_threshold", "normalization", "saturation", "weight"),
-    "point_segments": ("scale", "min_size"),
+    "point_segments": ("method", "scale", "min_size"),
+    "regions": ("scale", "min_size", "color_weight", "image_weight"),
+    "borders": ("threshold", "agreement", "min_size"),
+    "confirmation": ("min_size", "overlap"),
+    "bridges": ("min_votes", "share", "cell", "depth_step", "flatness", "max_gap"),
     "refinement": ("radius", "merge_ratio", "split_min_edges", "max_splits"),
 }
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from torchjoint.parameter import Stage, parameter
 from torchjoint.presets import presets, read_assignment, read_preset, read_yaml
+from torchjoint.region_config import BordersConfig, BridgesConfig, ConfirmationConfig, RegionsConfig
 
 #: Boundary detectors of the package.
 DETECTORS = ("structured_forest", "gradient")
@@ -106,10 +107,14 @@ class PointGraphConfig(Stage):
 
     neighbors: int = parameter(16, "K, neighbours of a point in the graph", low=1, high=200, sensible="8-30")
     normal_neighbors: int = parameter(
-        30, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=3, high=500,
+        45, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=3, high=500,
         sensible="10-80",
     )  # fmt: skip
     reach: float = reach_parameter()
+    plane_neighbors: int = parameter(
+        20, "regions: neighbours that a point's one-sided plane is fitted to, of which those in its own region count",
+        low=3, high=500, sensible="20-60, more for noisy clouds",
+    )  # fmt: skip
     distance_weight: float = parameter(
         0.2, "w_d, weight of the distance of two points; separates sparse from dense", unit="1/m", low=0,
         sensible="0-10",
@@ -193,16 +198,21 @@ class PropagationConfig(Stage):
         sensible="1-10",
     )  # fmt: skip
     weight: float = parameter(
-        0.17, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation", low=0, sensible="0.05-0.5"
-    )
+        0.42, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation, in which no image has a say",
+        low=0, sensible="0.05-0.5",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class PointSegmentsConfig(Stage):
-    """Step 6: Felzenszwalb-Huttenlocher on the point graph."""
+    """Step 6: segments of the point graph."""
 
-    scale: float = parameter(4.5, "k; more gives larger segments", unit="weight x points", low=0)
-    min_size: int = parameter(120, "smaller segments are joined to a neighbour", unit="points", low=0)
+    method: str = parameter(
+        "regions", "small regions, merged by what lies on their whole border; or, as in the paper, "
+        "Felzenszwalb-Huttenlocher on the edges, eq. 3", choices=("regions", "edges"),
+    )  # fmt: skip
+    scale: float = parameter(4.5, "edges: k; more gives larger segments", unit="weight x points", low=0)
+    min_size: int = parameter(120, "edges: smaller segments are joined to a neighbour", unit="points", low=0)
 
 
 @dataclass(frozen=True)
@@ -237,6 +247,10 @@ class Config:
     visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
     propagation: PropagationConfig = field(default_factory=PropagationConfig)
     point_segments: PointSegmentsConfig = field(default_factory=PointSegmentsConfig)
+    regions: RegionsConfig = field(default_factory=RegionsConfig)
+    borders: BordersConfig = field(default_factory=BordersConfig)
+    confirmation: ConfirmationConfig = field(default_factory=ConfirmationConfig)
+    bridges: BridgesConfig = field(default_factory=BridgesConfig)
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
 
     def __post_init__(self) -> None:
@@ -305,6 +319,10 @@ _STAGES: tuple[type[Stage], ...] = (
     VisibilityConfig,
     PropagationConfig,
     PointSegmentsConfig,
+    RegionsConfig,
+    BordersConfig,
+    ConfirmationConfig,
+    BridgesConfig,
     RefinementConfig,
 )
 

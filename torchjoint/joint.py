@@ -13,16 +13,16 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from torchjoint import ops
 from torchjoint.afterwards import seen_otherwise
 from torchjoint.boundary import smooth
 from torchjoint.checkpoint import Checkpoint
 from torchjoint.config import Config
 from torchjoint.image_segmenter import ImageSegmenter
 from torchjoint.joint_labels import joint_labels, separate_private_ids
-from torchjoint.point_graph import PointGraph, build_point_graph, faces_camera, geometric_weights, orient_normals
+from torchjoint.point_graph import PointGraph, build_point_graph, faces_camera
+from torchjoint.point_segments import segment_points
 from torchjoint.pose_check import check_poses
-from torchjoint.propagation import EdgeLists, disagreement, edge_overlaps
+from torchjoint.propagation import EdgeLists, edge_overlaps
 from torchjoint.refinement import merge_segments, split_segments
 from torchjoint.scene import Frame, LabelImages, Scene, Segmentation
 from torchjoint.state import JointState, Observation
@@ -163,7 +163,8 @@ class JointSegmenter(nn.Module):
         """
         state = self.state
         with one_thread_per_operation():
-            point_labels = self._segment_points()
+            with self.stopwatch("point segments"):
+                point_labels = segment_points(self._require_graph(), state, self.config)
             if not images:
                 return Segmentation(point_labels, (), seconds=dict(self.stopwatch.seconds))
             sizes = torch.bincount(point_labels)
@@ -241,23 +242,6 @@ class JointSegmenter(nn.Module):
             edges, overlaps = edge_overlaps(self._edges, visible, labels, self.config.propagation.window)
         observation = Observation(frame.name, labels, visible, _to_8_bits(frame.image), _to_8_bits(boundary))
         return observation, facing, edges, overlaps
-
-    def _segment_points(self) -> Tensor:
-        """Step 6, with what steps 3 and 5 left to do: orient the normals, eq. 6, and the whole weight of eq. 3."""
-        graph, state, config = self._require_graph(), self.state, self.config
-        with self.stopwatch("point segments"):
-            normals, oriented = orient_normals(graph, state.facing)
-            weights = geometric_weights(
-                graph.points, graph.edge_index, normals, oriented, config.point_graph, graph.colors
-            )
-            if state.observations and config.propagation.weight > 0:
-                num_images = len(state.observations)
-                r = disagreement(state.views, state.overlap_sum, num_images, config.propagation)
-                weights = weights + config.propagation.weight * r
-            return ops.felzenszwalb(
-                graph.edge_index, weights, graph.num_points, config.point_segments.scale,
-                config.point_segments.min_size,
-            )  # fmt: skip
 
     def _refine(self, observation: Observation, point_labels: Tensor, sizes: Tensor) -> tuple[Tensor, int]:
         """Steps 7 and 8 for one frame: labels, those without a point numbered from the number of 3D segments."""

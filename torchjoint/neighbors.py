@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,18 +63,18 @@ def nearest_neighbors(points: Tensor, count: int, reach: float = 0.0) -> Neighbo
     return Neighbors(indices, spacing)
 
 
-def neighbor_tables(points: Tensor, first: int, second: int, reach: float) -> tuple[dict[int, Tensor], Tensor]:
-    """Two tables of neighbours, of so many and of so many a point, at the price of one where that is possible.
+def neighbor_tables(points: Tensor, counts: Iterable[int], reach: float) -> tuple[dict[int, Tensor], Tensor]:
+    """Tables of neighbours, of so many and of so many a point, at the price of one where that is possible.
 
     Args:
         points: [N, 3] float32.
-        first, second: neighbours of a point; 0 = no table is needed.
+        counts: neighbours of a point in each table; 0 = no table is needed.
         reach: as of :func:`nearest_neighbors`.
 
     Returns:
         the tables [N, K] int32 by their K, and the points' spacing [N] (empty where there is no table).
     """
-    counts = sorted({first, second} - {0})
+    counts = sorted(set(counts) - {0})
     if not counts:
         return {}, torch.empty(0)
     if reach > 0:  # the fewer are not the first of the more

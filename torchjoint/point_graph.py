@@ -27,6 +27,7 @@ class PointGraph(NamedTuple):
     normals_are_given: bool  #: and so their signs mean something where no camera sees the point
     spacing: Tensor  #: [N] metres
     edge_index: Tensor  #: [2, E]
+    neighbors: Tensor  #: [N, K] int32, nearest first, that planes are fitted to
 
     @property
     def num_points(self) -> int:
@@ -41,7 +42,8 @@ class PointGraph(NamedTuple):
 def build_point_graph(cloud: Scene, config: PointGraphConfig) -> PointGraph:
     """Neighbours, edges and normals of a cloud (its frames are not looked at)."""
     for_normals = config.normal_neighbors if cloud.normals is None else 0
-    table, spacing = neighbor_tables(cloud.points, config.neighbors, for_normals, config.reach)
+    counts = (config.neighbors, for_normals, config.plane_neighbors)
+    table, spacing = neighbor_tables(cloud.points, counts, config.reach)
     normals = cloud.normals
     if normals is None:
         normals = estimate_normals(cloud.points, table[for_normals])
@@ -52,6 +54,7 @@ def build_point_graph(cloud: Scene, config: PointGraphConfig) -> PointGraph:
         cloud.normals is not None,
         spacing,
         undirected_edges(table[config.neighbors]),
+        table[config.plane_neighbors],
     )
 
 

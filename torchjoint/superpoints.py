@@ -156,7 +156,7 @@ def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, boo
         normals = vertex_normals(points, cloud.faces) if normals is None else normals
     for_edges = config.neighbors if edges is None else 0
     for_normals = config.normal_neighbors if normals is None else 0
-    table = neighbor_tables(points, for_edges, for_normals, config.reach)[0]
+    table = neighbor_tables(points, (for_edges, for_normals), config.reach)[0]
     if normals is None:
         normals, known = estimate_normals(points, table[for_normals]), False
         if cloud.viewpoint is not None:

@@ -1,11 +1,8 @@
 // Closed contours of a boundary map, each as strong as the merging of regions that would erase it.
+#include "border_graph.h"
 #include "common.h"
 
-#include <array>
 #include <cmath>
-#include <functional>
-#include <queue>
-#include <unordered_map>
 #include <utility>
 
 namespace torchjoint {
@@ -13,7 +10,6 @@ namespace {
 
 // Strengths are added up as whole numbers of this many to 1, so that their sums do not depend on the order.
 constexpr double kLevels = 65535;
-constexpr int32_t kNone = -1;
 
 struct Grid {
   int64_t height, width;
@@ -100,104 +96,18 @@ std::vector<int32_t> basins(const float* relief, const Grid& grid) {
   return region;
 }
 
-// What parts two regions: pairs of pixels, and how strong a boundary they lie on.
-struct Border {
-  int32_t region[2];
-  int64_t sum, count;
-  int32_t first_part, last_part;  // of the list of original borders it is made of
-
-  double mean() const { return static_cast<double>(sum) / static_cast<double>(count); }
-};
-
-// Merges neighbouring regions, always those with the weakest border, until there is no border left. Of equally weak ones
-// it is the one with the lowest number; borders are numbered as they come, and keep the lower number when they join.
-class Merging {
- public:
-  explicit Merging(int64_t num_regions) : borders_around_(num_regions) {}
-
-  // Returns the number of the border that the pair belongs to.
-  int32_t add_pair(int32_t a, int32_t b, int64_t strength) {
-    const int32_t number = number_of(key(a, b));
-    if (number == static_cast<int32_t>(borders_.size())) {
-      borders_.push_back({{a, b}, 0, 0, number, number});
-      borders_around_[a].push_back(number);
-      borders_around_[b].push_back(number);
-    }
-    borders_[number].sum += strength;
-    ++borders_[number].count;
-    return number;
-  }
-
-  // For each border the height at which it vanishes: the largest mean strength of those that have vanished by then.
-  std::vector<double> heights() {
-    std::vector<double> height(borders_.size());
-    is_gone_.assign(borders_.size(), false);
-    next_part_.assign(borders_.size(), kNone);
-    for (size_t number = 0; number < borders_.size(); ++number) wait(static_cast<int32_t>(number));
-    double level = 0;
-    while (!waiting_.empty()) {
-      const auto [mean, number] = waiting_.top();
-      waiting_.pop();
-      if (is_gone_[number] || mean != borders_[number].mean()) continue;
-      level = std::max(level, mean);
-      for (int32_t part = borders_[number].first_part; part != kNone; part = next_part_[part]) height[part] = level;
-      is_gone_[number] = true;
-      merge(borders_[number].region[0], borders_[number].region[1]);
-    }
-    return height;
-  }
-
- private:
-  static uint64_t key(int32_t a, int32_t b) {
-    return static_cast<uint64_t>(std::min(a, b)) << 32 | static_cast<uint64_t>(std::max(a, b));
-  }
-
-  // Of a border, which may be new; most pairs are of one that has come shortly before.
-  int32_t number_of(uint64_t key) {
-    auto& [recent_key, number] = recent_[key * 0x9E3779B97F4A7C15u >> 54];
-    if (recent_key != key) {
-      number = border_between_.try_emplace(key, static_cast<int32_t>(borders_.size())).first->second;
-      recent_key = key;
-    }
-    return number;
-  }
-
-  void wait(int32_t number) { waiting_.emplace(borders_[number].mean(), number); }
-
-  // The region with fewer borders gives them to the other one.
-  void merge(int32_t kept, int32_t given) {
-    if (borders_around_[kept].size() < borders_around_[given].size()) std::swap(kept, given);
-    const std::vector<int32_t> moving = std::move(borders_around_[given]);
-    for (const int32_t moved : moving) {
-      if (is_gone_[moved]) continue;
-      int32_t* const region = borders_[moved].region;
-      region[region[0] == given ? 0 : 1] = kept;
-      const auto [found, is_new] = border_between_.try_emplace(key(region[0], region[1]), moved);
-      if (!is_new) found->second = join(found->second, moved);
-      if (found->second == moved) borders_around_[kept].push_back(moved);
-    }
-  }
-
-  int32_t join(int32_t a, int32_t b) {
-    if (a > b) std::swap(a, b);
-    borders_[a].sum += borders_[b].sum;
-    borders_[a].count += borders_[b].count;
-    next_part_[borders_[a].last_part] = borders_[b].first_part;
-    borders_[a].last_part = borders_[b].last_part;
-    is_gone_[b] = true;
-    wait(a);
-    return a;
-  }
-
-  std::vector<Border> borders_;
-  std::vector<uint8_t> is_gone_;
-  std::vector<int32_t> next_part_;  // of each original border
-  std::unordered_map<uint64_t, int32_t> border_between_;
-  std::array<std::pair<uint64_t, int32_t>, 1024> recent_{};  // no border has the key 0
-  std::vector<std::vector<int32_t>> borders_around_;
-  using Waiting = std::pair<double, int32_t>;  // mean strength and number; stale where the mean is another by now
-  std::priority_queue<Waiting, std::vector<Waiting>, std::greater<>> waiting_;
-};
+// For each border the height at which it vanishes: the largest mean strength of those that have vanished by then.
+std::vector<double> heights(BorderGraph& graph) {
+  std::vector<double> height(graph.num_borders());
+  double level = 0;
+  graph.merge_weakest(
+      [](const Border&) { return true; },
+      [&](int32_t number) {
+        level = std::max(level, graph.border(number).mean());
+        graph.for_each_part(number, [&](int32_t part) { height[part] = level; });
+      });
+  return height;
+}
 
 Tensor ultrametric_contours(const Tensor& boundary, const Tensor& relief) {
   const Tensor boundaries = checked_array(boundary, ScalarType::Float, {-1, -1}, "boundary");
@@ -214,12 +124,12 @@ Tensor ultrametric_contours(const Tensor& boundary, const Tensor& relief) {
   }
 
   const std::vector<int32_t> region = basins(reliefs.const_data_ptr<float>(), grid);
-  Merging merging(num_pixels == 0 ? 0 : 1 + *std::max_element(region.begin(), region.end()));
+  BorderGraph graph(num_pixels == 0 ? 0 : 1 + *std::max_element(region.begin(), region.end()));
   std::vector<int32_t> border;  // of each pair of pixels that lie in two regions
   grid.for_each_pair([&](int64_t a, int64_t b) {
-    if (region[a] != region[b]) border.push_back(merging.add_pair(region[a], region[b], std::max(level[a], level[b])));
+    if (region[a] != region[b]) border.push_back(graph.add(region[a], region[b], std::max(level[a], level[b])));
   });
-  const std::vector<double> height = merging.heights();
+  const std::vector<double> height = heights(graph);
 
   Tensor contours = torch::stable::new_empty(boundaries, {grid.height, grid.width}, ScalarType::Float);
   float* const out = contours.mutable_data_ptr<float>();

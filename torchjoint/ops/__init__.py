@@ -18,10 +18,12 @@ from torchjoint.ops.felzenszwalb import felzenszwalb
 from torchjoint.ops.felzenszwalb_image import felzenszwalb_image
 from torchjoint.ops.fit_normals import fit_normals
 from torchjoint.ops.match_pixels import match_pixels
+from torchjoint.ops.merge_regions import merge_regions
 from torchjoint.ops.min_cut import min_cut
 from torchjoint.ops.neighbor_edges import neighbor_edges
 from torchjoint.ops.pair_counts import pair_counts
 from torchjoint.ops.project import project
+from torchjoint.ops.region_planes import region_planes
 from torchjoint.ops.segment_graphs import segment_graphs
 from torchjoint.ops.splat_depth import splat_depth
 from torchjoint.ops.ultrametric_contours import ultrametric_contours
@@ -32,10 +34,12 @@ __all__ = [
     "felzenszwalb_image",
     "fit_normals",
     "match_pixels",
+    "merge_regions",
     "min_cut",
     "neighbor_edges",
     "pair_counts",
     "project",
+    "region_planes",
     "segment_graphs",
     "splat_depth",
     "ultrametric_contours",

@@ -18,16 +18,22 @@ from torchjoint.ops.reference.points import (
     splat_depth_reference,
     window_overlaps_reference,
 )
+from torchjoint.ops.reference.regions import (
+    merge_regions_reference,
+    region_planes_reference,
+)
 
 __all__ = [
     "felzenszwalb_reference",
     "fit_normals_reference",
     "match_pixels_reference",
+    "merge_regions_reference",
     "min_cut_reference",
     "neighbor_edges_reference",
     "pair_counts_reference",
     "project_reference",
     "quantise_reference",
+    "region_planes_reference",
     "segment_graphs_reference",
     "splat_depth_reference",
     "ultrametric_contours_reference",

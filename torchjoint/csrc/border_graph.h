@@ -1,0 +1,127 @@
+// Regions and the borders between them, which are merged one by one, the weakest border first.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <functional>
+#include <queue>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+namespace torchjoint {
+
+constexpr int32_t kNone = -1;
+
+// What parts two regions: how many edges cross it, and the sum of their costs.
+struct Border {
+  int32_t region[2];
+  double sum;
+  int64_t count;
+  int32_t first_part, last_part;  // of the list of original borders it is made of
+
+  double mean() const { return sum / static_cast<double>(count); }
+};
+
+// Of equally weak borders the one with the lowest number comes first; borders are numbered as they come, and keep the
+// lower number when they join. Sums must be exact, so that they do not depend on the order: whole numbers below 2^53.
+class BorderGraph {
+ public:
+  explicit BorderGraph(int64_t num_regions) : borders_around_(num_regions) {}
+
+  size_t num_borders() const { return borders_.size(); }
+  const Border& border(int32_t number) const { return borders_[number]; }
+
+  // Adds an edge to the border between a and b, which are two regions; returns its number.
+  int32_t add(int32_t a, int32_t b, double cost) {
+    const int32_t number = number_of(key(a, b));
+    if (number == static_cast<int32_t>(borders_.size())) {
+      borders_.push_back({{a, b}, 0, 0, number, number});
+      borders_around_[a].push_back(number);
+      borders_around_[b].push_back(number);
+    }
+    borders_[number].sum += cost;
+    ++borders_[number].count;
+    return number;
+  }
+
+  // Merges the two regions of the weakest border that may go, again and again, until none may. Whether `may_go(border)`
+  // must not become true for a border unless it is joined with another; `on_merge(number)` is called before each merge.
+  // Afterwards a border's `region` are the two that are left of what it once parted.
+  template <typename MayGo, typename OnMerge>
+  void merge_weakest(const MayGo& may_go, const OnMerge& on_merge) {
+    is_gone_.resize(borders_.size(), false);
+    next_part_.resize(borders_.size(), kNone);
+    for (size_t number = 0; number < borders_.size(); ++number) {
+      if (!is_gone_[number]) wait(static_cast<int32_t>(number));
+    }
+    while (!waiting_.empty()) {
+      const auto [mean, number] = waiting_.top();
+      waiting_.pop();
+      if (is_gone_[number] || mean != borders_[number].mean() || !may_go(borders_[number])) continue;
+      on_merge(number);
+      is_gone_[number] = true;
+      merge(borders_[number].region[0], borders_[number].region[1]);
+    }
+  }
+
+  // Calls `function(original border)` for all that a border was joined from.
+  template <typename Function>
+  void for_each_part(int32_t number, const Function& function) const {
+    for (int32_t part = borders_[number].first_part; part != kNone; part = next_part_[part]) function(part);
+  }
+
+ private:
+  static uint64_t key(int32_t a, int32_t b) {
+    return static_cast<uint64_t>(std::min(a, b)) << 32 | static_cast<uint64_t>(std::max(a, b));
+  }
+
+  // Of a border, which may be new; most pairs are of one that has come shortly before.
+  int32_t number_of(uint64_t key) {
+    auto& [recent_key, number] = recent_[key * 0x9E3779B97F4A7C15u >> 54];
+    if (recent_key != key) {
+      number = border_between_.try_emplace(key, static_cast<int32_t>(borders_.size())).first->second;
+      recent_key = key;
+    }
+    return number;
+  }
+
+  void wait(int32_t number) { waiting_.emplace(borders_[number].mean(), number); }
+
+  // The region with fewer borders gives them to the other one.
+  void merge(int32_t kept, int32_t given) {
+    if (borders_around_[kept].size() < borders_around_[given].size()) std::swap(kept, given);
+    const std::vector<int32_t> moving = std::move(borders_around_[given]);
+    for (const int32_t moved : moving) {
+      if (is_gone_[moved]) continue;
+      int32_t* const region = borders_[moved].region;
+      region[region[0] == given ? 0 : 1] = kept;
+      const auto [found, is_new] = border_between_.try_emplace(key(region[0], region[1]), moved);
+      if (!is_new) found->second = join(found->second, moved);
+      if (found->second == moved) borders_around_[kept].push_back(moved);
+    }
+  }
+
+  int32_t join(int32_t a, int32_t b) {
+    if (a > b) std::swap(a, b);
+    borders_[a].sum += borders_[b].sum;
+    borders_[a].count += borders_[b].count;
+    next_part_[borders_[a].last_part] = borders_[b].first_part;
+    borders_[a].last_part = borders_[b].last_part;
+    is_gone_[b] = true;
+    wait(a);
+    return a;
+  }
+
+  std::vector<Border> borders_;
+  std::vector<uint8_t> is_gone_;
+  std::vector<int32_t> next_part_;  // of each original border
+  std::unordered_map<uint64_t, int32_t> border_between_;
+  std::array<std::pair<uint64_t, int32_t>, 1024> recent_{};  // no border has the key 0
+  std::vector<std::vector<int32_t>> borders_around_;
+  using Waiting = std::pair<double, int32_t>;  // mean and number; stale where the mean is another by now
+  std::priority_queue<Waiting, std::vector<Waiting>, std::greater<>> waiting_;
+};
+
+}  // namespace torchjoint

@@ -1,0 +1,95 @@
+// Greedy merging of regions by the mean cost of what crosses the border between them.
+#include "border_graph.h"
+#include "common.h"
+
+#include <cmath>
+#include <numeric>
+
+namespace torchjoint {
+namespace {
+
+// Costs are summed as whole numbers of this many to 1: exact, in any order.
+constexpr double kUnit = 1 << 20;
+constexpr float kLargestCost = 1 << 10;
+
+BorderGraph borders_of(const int64_t* edges, const float* cost, int64_t num_edges, int64_t num_regions) {
+  BorderGraph graph(num_regions);
+  for (int64_t e = 0; e < num_edges; ++e) {
+    const int64_t a = edges[e], b = edges[num_edges + e];
+    check_node(a, num_regions, e);
+    check_node(b, num_regions, e);
+    check(cost[e] >= 0 && cost[e] <= kLargestCost, "cost: expected numbers in [0, ", kLargestCost, "], got ", cost[e],
+          " at edge ", e);
+    if (a == b) continue;
+    graph.add(static_cast<int32_t>(a), static_cast<int32_t>(b), std::nearbyint(cost[e] * kUnit));
+  }
+  return graph;
+}
+
+// Which regions have become one, and how large they are.
+class Merged {
+ public:
+  Merged(const int64_t* size, int64_t num_regions) : parent_(num_regions), size_(size, size + num_regions) {
+    std::iota(parent_.begin(), parent_.end(), 0);
+  }
+
+  int32_t find(int32_t region) {
+    while (parent_[region] != region) region = parent_[region] = parent_[parent_[region]];
+    return region;
+  }
+
+  int64_t size(int32_t region) { return size_[find(region)]; }
+
+  void join(int32_t a, int32_t b) {
+    a = find(a), b = find(b);
+    if (a == b) return;
+    size_[a] += size_[b];
+    parent_[b] = a;
+  }
+
+ private:
+  std::vector<int32_t> parent_;
+  std::vector<int64_t> size_;
+};
+
+Tensor merge_regions(const Tensor& edge_index, const Tensor& cost, const Tensor& size, double threshold,
+                     int64_t min_size) {
+  const Tensor edges = checked_edge_index(edge_index);
+  const int64_t num_edges = edges.size(1);
+  const Tensor costs = checked_array(cost, ScalarType::Float, {num_edges}, "cost");
+  const Tensor sizes = checked_array(size, ScalarType::Long, {-1}, "size");
+  const int64_t num_regions = sizes.size(0);
+  check(num_regions <= kMaxCount, "size: expected at most 2^31 - 1 regions, got ", num_regions);
+  check(threshold >= 0, "threshold: expected a number >= 0, got ", threshold);
+  check(min_size >= 0, "min_size: expected a number >= 0, got ", min_size);
+
+  BorderGraph graph = borders_of(edges.const_data_ptr<int64_t>(), costs.const_data_ptr<float>(), num_edges, num_regions);
+  Merged merged(sizes.const_data_ptr<int64_t>(), num_regions);
+  const auto join = [&](int32_t number) { merged.join(graph.border(number).region[0], graph.border(number).region[1]); };
+  const auto is_small = [&](int32_t region) { return merged.size(region) < min_size; };
+  graph.merge_weakest([&](const Border& border) { return border.mean() <= threshold * kUnit; }, join);
+  graph.merge_weakest([&](const Border& border) { return is_small(border.region[0]) || is_small(border.region[1]); }, join);
+
+  Tensor labels = torch::stable::new_empty(sizes, {num_regions}, ScalarType::Long);
+  int64_t* const out = labels.mutable_data_ptr<int64_t>();
+  std::vector<int64_t> number(num_regions, -1);
+  int64_t next = 0;
+  for (int64_t region = 0; region < num_regions; ++region) {
+    int64_t& label = number[merged.find(static_cast<int32_t>(region))];
+    if (label < 0) label = next++;
+    out[region] = label;
+  }
+  return labels;
+}
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
+  m.def("merge_regions(Tensor edge_index, Tensor cost, Tensor size, float threshold, int min_size) -> Tensor");
+}
+
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
+  m.impl("merge_regions", TORCH_BOX(&merge_regions));
+}
+
+}  // namespace torchjoint

@@ -1,0 +1,56 @@
+"""Greedy merging of regions by the mean cost of their borders."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from torchjoint.ops._checks import check_array, check_edge_index, check_number
+
+
+def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int = 0) -> Tensor:
+    """Merge neighbouring regions, always those whose border has the lowest mean cost, up to a threshold.
+
+    The border of two regions is all edges between them; two borders with the same third region become one when regions
+    merge. Afterwards regions of less than ``min_size`` are merged across their cheapest borders, the cheapest of all
+    first, until none is left that has a neighbour.
+
+    Costs are rounded to multiples of 2^-20, so that sums are exact. Of equally cheap borders the one with the lowest
+    number goes first; borders are numbered by their first edges, and joined ones keep the lower number.
+
+    Args:
+        edge_index: ``[2, E]`` int64, region numbers; edges between a region and itself are ignored, several edges
+            between two regions are what makes a border long.
+        cost: ``[E]`` float32 in [0, 1024].
+        size: ``[R]`` int64, of each region, >= 0, in any unit.
+        threshold: mean cost up to which regions merge, >= 0.
+        min_size: in the unit of ``size``.
+
+    Returns:
+        ``[R]`` int64, for each region a label 0, 1, ..., numbered by first appearance. No gradient flows through it.
+
+    Raises:
+        TypeError: an argument of the wrong type or dtype.
+        ValueError: a wrong shape or device, a number out of range, a NaN.
+
+    Example:
+        >>> import torch
+        >>> edge_index = torch.tensor([[0, 0, 1, 1], [1, 1, 2, 2]])  # two borders of two edges each
+        >>> merge_regions(edge_index, torch.tensor([0.0, 0.2, 0.1, 0.9]), torch.ones(3, dtype=torch.int64), 0.3)
+        tensor([0, 0, 1])
+    """
+    check_edge_index(edge_index)
+    check_array("cost", cost, torch.float32, (edge_index.shape[1],), f"[E] = [{edge_index.shape[1]}]")
+    check_array("size", size, torch.int64, (None,), "[R]")
+    check_number("threshold", threshold, (int, float))
+    check_number("min_size", min_size, (int,))
+    return cast(
+        Tensor, torch.ops.torchjoint.merge_regions.default(edge_index, cost.detach(), size, float(threshold), min_size)
+    )
+
+
+@torch.library.register_fake("torchjoint::merge_regions")
+def _fake(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int) -> Tensor:
+    return size.new_empty(size.shape)

@@ -1,0 +1,80 @@
+"""The twins of the operators on regions."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def merge_regions_reference(
+    edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int = 0
+) -> Tensor:
+    """What :func:`torchjoint.ops.merge_regions` computes; the arguments are not checked.
+
+    Example:
+        >>> edge_index = torch.tensor([[0, 0, 1, 1], [1, 1, 2, 2]])
+        >>> merge_regions_reference(edge_index, torch.tensor([0.0, 0.2, 0.1, 0.9]), torch.ones(3).long(), 0.3)
+        tensor([0, 0, 1])
+    """
+    group = [[region] for region in range(len(size))]  # of each region, those it has become one with
+    costs: dict[frozenset[int], list[float]] = {}  # of each border, by the first regions of the groups it parts
+    for (a, b), value in zip(edge_index.t().tolist(), cost.double().tolist(), strict=True):
+        if a != b:
+            costs.setdefault(frozenset((a, b)), []).append(round(value * 2**20) / 2**20)
+    number = {sides: i for i, sides in enumerate(costs)}
+
+    def mean(sides: frozenset[int]) -> float:
+        return sum(costs[sides]) / len(costs[sides])
+
+    def total(region: int) -> int:
+        return sum(int(size[member]) for member in group[region])
+
+    def merge(sides: frozenset[int]) -> None:
+        kept, given = sorted(sides)
+        group[kept] += group[given]
+        group[given] = []
+        del costs[sides]
+        for old in [other for other in costs if given in other]:
+            now = old - {given} | {kept}
+            number[now] = min(number.get(now, number[old]), number[old]) if now in costs else number[old]
+            costs[now] = costs.get(now, []) + costs.pop(old)
+
+    for is_small in (False, True):
+        while True:
+            may_go = [
+                sides
+                for sides in costs
+                if (any(total(region) < min_size for region in sides) if is_small else mean(sides) <= threshold)
+            ]
+            if not may_go:
+                break
+            merge(min(may_go, key=lambda sides: (mean(sides), number[sides])))
+    labels = torch.empty(len(size), dtype=torch.int64)
+    for label, members in enumerate(members for members in group if members):
+        labels[members] = label
+    return labels
+
+
+def region_planes_reference(
+    points: Tensor, neighbors: Tensor, region: Tensor, normals: Tensor, min_points: int = 6
+) -> tuple[Tensor, Tensor]:
+    """What :func:`torchjoint.ops.region_planes` computes; the arguments are not checked.
+
+    Where a neighbourhood has no one direction in which it varies least, any of them may come.
+
+    Example:
+        >>> points = torch.tensor([[0.0, 0, 0], [0, 1, 0], [0, 0, 1]])
+        >>> neighbors, up = torch.tensor([[1, 2], [0, 2], [0, 1]]), torch.tensor([[-1.0, 0, 1]]).expand(3, 3)
+        >>> region_planes_reference(points, neighbors, torch.zeros(3).long(), up, 3)[1][0] + 0.0
+        tensor([-1.,  0.,  0.])
+    """
+    means, fitted = points.clone(), normals.clone()
+    for i, row in enumerate(neighbors.long()):
+        own = torch.cat([torch.tensor([i]), row[region[row] == region[i]]])
+        around = points[own].double()
+        means[i] = around.mean(dim=0).float()
+        if len(own) >= min_points:
+            centred = around - around.mean(dim=0)
+            normal = torch.linalg.eigh(centred.t() @ centred)[1][:, 0]
+            fitted[i] = (normal if normal @ normals[i].double() >= 0 else -normal).float()
+    return means, fitted

@@ -1,0 +1,78 @@
+"""Parameters of step 6 where points are grouped into regions, and these merged: our own addition to the method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torchjoint.parameter import Stage, parameter
+
+
+@dataclass(frozen=True)
+class RegionsConfig(Stage):
+    """Step 6, regions: small regions by Felzenszwalb-Huttenlocher, and the plane on each side of a crease."""
+
+    scale: float = parameter(
+        0.13, "k; more gives larger regions; they must not reach across objects", unit="weight x points", low=0,
+        sensible="0.003-0.3",
+    )  # fmt: skip
+    min_size: int = parameter(
+        5, "smaller regions are joined to a neighbour", unit="points", low=0, sensible="3-15, less where points are few"
+    )
+    color_weight: float = parameter(
+        0.034, "weight of the RGB distance of two points, where the cloud has colours", low=0, sensible="0-0.1"
+    )
+    image_weight: float = parameter(0.03, "weight of the images' disagreement r (eq. 6)", low=0, sensible="0-0.1")
+
+
+@dataclass(frozen=True)
+class BordersConfig(Stage):
+    """Step 6, regions: merging of neighbours by the mean cost of what crosses their whole border."""
+
+    threshold: float = parameter(
+        0.27, "tau, mean cost of a border up to which the regions merge; a concave right angle costs 1", low=0, high=2,
+        sensible="0.1-0.4",
+    )  # fmt: skip
+    agreement: float = parameter(
+        0.6, "how much of a crease's cost is taken back where images see one segment on both sides", low=0, high=1,
+        sensible="0-0.7",
+    )  # fmt: skip
+    min_size: int = parameter(5, "smaller segments are joined to a neighbour", unit="points", low=0, sensible="3-500")
+
+
+@dataclass(frozen=True)
+class ConfirmationConfig(Stage):
+    """Step 6, regions: a small segment stays if an image has a segment of its shape."""
+
+    min_size: int = parameter(
+        250, "smaller segments need an image that confirms them, or else are joined to a neighbour; 0: none does",
+        unit="points", low=0, sensible="0-500",
+    )  # fmt: skip
+    overlap: float = parameter(
+        0.55, "intersection over union, in points, of a segment with one of an image, from which on that confirms it",
+        low=0, high=1, sensible="0.4-0.7",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BridgesConfig(Stage):
+    """Step 6, regions: joins what something in front cuts in two."""
+
+    min_votes: int | None = parameter(
+        None, "lines of sight across what is in front, on both sides of which one surface goes on, from which on two "
+        "segments become one; null: never", low=1, sensible="null, or 3-10",
+    )  # fmt: skip
+    share: float = parameter(
+        0.5, "of the lines across, those on which the surface goes on", low=0, high=1, sensible="0.3-0.8"
+    )
+    cell: int = parameter(
+        4, "side of the squares that the image is looked at in: about as wide as points are apart there", unit="px",
+        low=1, high=100, sensible="2-12",
+    )  # fmt: skip
+    depth_step: float = parameter(
+        0.03, "how much nearer it must be to be in front", unit="m", above=0, sensible="0.02-0.1"
+    )
+    flatness: float = parameter(
+        0.015, "how far off the other's plane a surface may go on, and a twentieth of the gap more", unit="m", above=0,
+        sensible="0.01-0.05",
+    )  # fmt: skip
+    max_gap: float = parameter(1.0, "wider gaps are not bridged", unit="m", above=0, sensible="0.3-3")
