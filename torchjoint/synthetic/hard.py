@@ -9,7 +9,7 @@ import numpy as np
 from torchjoint.synthetic import clutter, flats, furniture, occluders, vessels
 from torchjoint.synthetic import materials as paint
 from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.layout import Footprints, furnish
+from torchjoint.synthetic.layout import Footprints
 from torchjoint.synthetic.site import Site
 from torchjoint.synthetic.trajectory import surroundings
 from torchjoint.synthetic.world import Front, Item, Pose, Surface
@@ -88,7 +88,7 @@ def _fix(
         item = make(failed / _TRIES)
         along = rng.uniform(-0.5, 0.5) * (site.length(wall) - item.size[0])
         pose = site.at_wall(wall, along, item.size[1], float(rng.uniform(*heights)))
-        if pose.z + item.size[2] <= site.size[2] and taken.claim(item, pose, margin=0.01):
+        if pose.z + item.size[2] <= site.size[2] and taken.claim(item, pose, margin=0.03):
             site.builder.place(item, pose)
             return True
     return False
@@ -118,7 +118,7 @@ def _pull_out_drawers(site: Site, rng: Rng, taken: Footprints, fronts: list[tupl
         at = pose.at(middle, front.y - item.size[1] / 2, front.high[1] - item.size[2])
         if taken.claim(item, at):
             site.builder.place(item, at)
-            furnish(site.builder, rng, at, item.surfaces[0], int(rng.integers(0, 4)))
+            _fill(site, rng, at, item.surfaces[0])
 
 
 def _cover_fronts(site: Site, rng: Rng, taken: Footprints, fronts: list[tuple[Pose, Front]]) -> None:
@@ -146,32 +146,53 @@ def _stand_vessels(site: Site, rng: Rng, taken: Footprints, floor: Surface) -> N
     for _ in range(rng.integers(2, 5)):
         item = vessels.crate(rng) if rng.random() < 0.6 else vessels.basket(rng)
         pose = _lay(site, rng, taken, Pose(), floor, item)
-        for inside in item.surfaces if pose else ():
-            furnish(site.builder, rng, pose, inside, int(rng.integers(0, 4)))
+        if pose and item.surfaces:
+            _fill(site, rng, pose, item.surfaces[0])
+
+
+def _fill(site: Site, rng: Rng, pose: Pose, inside: Surface) -> None:
+    """Up to three things in a crate or a drawer."""
+    taken = Footprints()
+    for _ in range(rng.integers(0, 4)):
+        _lay(site, rng, taken, pose, inside, clutter.thing(rng))
 
 
 def _cover_top(site: Site, rng: Rng, taken: Footprints, pose: Pose, surface: Surface) -> None:
     """Mats, paper that overlaps paper, and deep bowls, on what is free of a table's, a cabinet's or a rug's top."""
     width, depth = np.subtract(surface.high, surface.low)
     for _ in range(max(round(_DENSITY * width * depth), 2)):
-        kind = rng.random()
-        if kind < 0.1 and surface.z > 0.1:
+        kind = rng.random() if pose.z + surface.z > 0.1 else 1.0
+        if kind < 0.1:
             _lay(site, rng, taken, pose, surface, vessels.deep_bowl(rng))
-        elif kind < 0.25 and surface.z > 0.1:
-            item = flats.mat(rng)
-            at = _lay(site, rng, taken, pose, surface, item)
-            if at:
-                dish = (clutter.mug, clutter.bowl, clutter.plate, clutter.bottle)[rng.integers(4)](rng)
-                site.builder.place(dish, at.at(*rng.uniform(-0.03, 0.03, 2), item.size[2], float(rng.normal(0, 0.5))))
+        elif kind < 0.25:
+            dish = (clutter.mug, clutter.bowl, clutter.plate, clutter.bottle)[rng.integers(4)](rng)
+            _lay_two(site, rng, taken, pose, surface, flats.mat(rng), dish, (0.0, 0.03))
+        elif rng.random() < 0.35:
+            _lay_two(site, rng, taken, pose, surface, flats.lying(rng), flats.lying(rng), (0.03, 0.1))
         else:
-            item = flats.lying(rng)
-            at = _lay(site, rng, taken, pose, surface, item)
-            if at and rng.random() < 0.35:
-                upper = flats.lying(rng)
-                shift = rng.uniform(0.03, 0.1, 2) * rng.choice([-1, 1], 2)
-                above = at.at(*shift, item.size[2], float(rng.normal(0, 0.3)))
-                if taken.claim(upper, above):
-                    site.builder.place(upper, above)
+            _lay(site, rng, taken, pose, surface, flats.lying(rng))
+
+
+def _lay_two(
+    site: Site,
+    rng: Rng,
+    taken: Footprints,
+    pose: Pose,
+    surface: Surface,
+    lower: Item,
+    upper: Item,
+    shift: tuple[float, float],
+) -> None:
+    """Puts ``upper`` on ``lower``, shifted by some metres of the range ``shift`` both ways, if there is room."""
+    at = _lay(site, rng, taken, pose, surface, lower)
+    if at is None:
+        return
+    x, y = rng.uniform(*shift, 2) * rng.choice([-1, 1], 2)
+    above = at.at(float(x), float(y), lower.size[2], float(rng.normal(0, 0.3)))
+    to_corner = np.hypot(upper.size[0], upper.size[1]) / 2
+    inside = abs(above.x) + to_corner < site.size[0] / 2 and abs(above.y) + to_corner < site.size[1] / 2
+    if inside and lower.size[2] + upper.size[2] < surface.headroom and taken.claim(upper, above):
+        site.builder.place(upper, above)
 
 
 def _lay(site: Site, rng: Rng, taken: Footprints, pose: Pose, surface: Surface, item: Item) -> Pose | None:

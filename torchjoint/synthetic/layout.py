@@ -36,8 +36,16 @@ class Footprints:
         return True
 
     def add(self, item: Item, pose: Pose) -> None:
-        """Takes the item's bounding box, free or not."""
-        self.boxes.append(_bounds(item, pose, 0.0))
+        """Takes the box around the item's triangles, brackets and knobs included, free or not.
+
+        Handles are not: what is fixed to an item's fronts keeps clear of them.
+        """
+        if item.fronts:
+            self.boxes.append(_bounds(item, pose, 0.0))
+            return
+        corners = np.concatenate([part.moved((pose.x, pose.y, pose.z), pose.yaw).positions for part, _ in item.parts])
+        low, high = corners.min(axis=(0, 1)) + 1e-6, corners.max(axis=(0, 1)) - 1e-6
+        self.boxes.append((low[0], low[1], high[0], high[1], low[2], high[2]))
 
 
 def _bounds(item: Item, pose: Pose, margin: float) -> tuple[float, float, float, float, float, float]:

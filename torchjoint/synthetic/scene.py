@@ -146,7 +146,8 @@ def make_scene(
         shots.append(cloud.Shot(image, depth, view.labels, poses[i]))
     points, colors, labels = cloud.fuse(streams[3], shots, intrinsics, resolved.num_points)
     frames = tuple(_as_frame(shot, intrinsics, i) for i, shot in enumerate(shots))
-    truth = Truth(torch.from_numpy(labels), tuple(torch.from_numpy(shot.labels) for shot in shots))
+    kinds = {instance: kind for instance, kind in enumerate(world.kinds) if kind != "other"}
+    truth = Truth(torch.from_numpy(labels), tuple(torch.from_numpy(shot.labels) for shot in shots), kinds)
     name = f"synthetic-{size}-{seed}"
     return SyntheticScene(
         scene=Scene(torch.from_numpy(points), frames, torch.from_numpy(colors), name=name, truth=truth),

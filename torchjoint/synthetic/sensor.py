@@ -59,7 +59,9 @@ def rippled(rng: Rng, depth: Array, depth_ripple: float) -> Array:
         depth_ripple: standard deviation at 1 m, metres; grows with the square of the depth.
     """
     height = depth.shape[0]
-    waves = sum(share * blobs(rng, depth.shape, height / scale) for share, scale in _RIPPLES)
+    waves = np.zeros(depth.shape)
+    for share, scale in _RIPPLES:
+        waves += share * blobs(rng, depth.shape, height / scale)
     seen = depth > 0
     step = _RIPPLE_STEP * depth_ripple
     inverse = 1 / depth[seen].astype(np.float64) + depth_ripple * waves[seen]
