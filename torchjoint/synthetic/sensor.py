@@ -61,7 +61,7 @@ def rippled(rng: Rng, depth: Array, depth_ripple: float) -> Array:
     height = depth.shape[0]
     waves = np.zeros(depth.shape)
     for share, scale in _RIPPLES:
-        waves += share * blobs(rng, depth.shape, height / scale)
+        waves += share * _waves(rng, depth.shape, height / scale)
     seen = depth > 0
     step = _RIPPLE_STEP * depth_ripple
     inverse = 1 / depth[seen].astype(np.float64) + depth_ripple * waves[seen]
@@ -110,12 +110,24 @@ def _projector_shadow(depth: Array, focal: float) -> Array:
 
 def blobs(rng: Rng, shape: tuple[int, int], radius: float) -> Array:
     """[H, W] Gaussian noise of unit variance, correlated over about ``radius`` pixels."""
-    noise = rng.standard_normal(shape)
+    noise = _smooth(rng, shape, max(round(radius), 1))
+    return np.asarray(noise / (noise.std() + 1e-12))
+
+
+def _waves(rng: Rng, shape: tuple[int, int], radius: float) -> Array:
+    """As :func:`blobs`, but of unit variance over all images: the mean of one is not 0 if the blobs are large."""
     reach = max(round(radius), 1)
+    window = 2 * reach + 1
+    # The squares of the weights of two box filters add up to this, along each axis.
+    return _smooth(rng, shape, reach) / ((2 * window**2 + 1) / (3 * window**3))
+
+
+def _smooth(rng: Rng, shape: tuple[int, int], reach: int) -> Array:
+    noise = rng.standard_normal(shape)
     for axis in (0, 1):
         for _ in range(2):  # two box filters: nearly a Gaussian
             noise = _box_filter(noise, reach, axis)
-    return np.asarray(noise / (noise.std() + 1e-12))
+    return noise
 
 
 def _box_filter(values: Array, reach: int, axis: int) -> Array:
