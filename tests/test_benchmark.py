@@ -1,6 +1,7 @@
 """The benchmark: its baselines by hand, its search, and the command from end to end."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -338,6 +339,40 @@ class TestSuites:
     def test_seeds_that_are_tuned_on_are_not_checked_on(self):
         synthetic = SUITES["synthetic"]
         assert not set(synthetic.scenes("tuning", None)) & set(synthetic.scenes("checking", None))
+
+    def test_synthetic_scenes(self, monkeypatch):
+        made = {}
+
+        def make(seed, size, **arguments):
+            made[seed] = arguments
+            return tj.synthetic.make_scene(seed, num_views=1)
+
+        monkeypatch.setattr(suites, "make_scene", make)
+        for name, num_points in (("synthetic", 120_000), ("sparse", 20_000)):
+            scenes = SUITES[name].scenes("checking", None)
+            assert list(scenes) == [str(seed) for seed in range(10)]
+            scenes["3"]()
+            assert made == {3: {"num_views": 24, "num_points": num_points, "depth_ripple": 0.002, "hard": True}}
+
+    def test_sparse_is_set_as_synthetic(self, monkeypatch, tmp_path, capsys):
+        small = tj.synthetic.make_scene
+        monkeypatch.setattr(suites, "make_scene", lambda seed, size, **_: small(seed, num_views=2, num_points=3000))
+        monkeypatch.setitem(
+            SUITES,
+            "sparse",
+            replace(SUITES["sparse"], checking=lambda _: dict([*SUITES["synthetic"].checking(None).items()][:2])),
+        )
+        out = tmp_path / "out"
+        run(monkeypatch, "benchmark", "sparse", "-o", out, "--methods", "normals")
+        used = yaml.safe_load((out / "settings.yaml").read_text())
+        assert used == {"normals": read_settings("synthetic")["normals"]}
+        table = (out / "table.md").read_text()
+        assert "flat IoU" in table
+        assert "concave IoU" in table
+        assert "flat_iou" in (out / "scores.csv").read_text().splitlines()[0]
+        assert "not tuned" not in capsys.readouterr().out
+        with pytest.raises(SystemExit, match="--tuning: suite sparse uses the settings of suite synthetic; tune that"):
+            run(monkeypatch, "benchmark", "sparse", "-o", tmp_path / "other", "--tuning", 1, 1)
 
     def test_the_command(self, data, monkeypatch, tmp_path, capsys):
         page = tmp_path / "page.md"

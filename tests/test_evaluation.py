@@ -12,6 +12,7 @@ from test_datasets import write_folder
 
 import torchjoint as tj
 from torchjoint.evaluation.evaluate import evaluate
+from torchjoint.evaluation.kinds import best_iou_by_kind
 from torchjoint.evaluation.predictions import Prediction, read_prediction
 from torchjoint.evaluation.scores import Scores, mean_scores, score, score_images
 from torchjoint.evaluation.table import (
@@ -57,6 +58,36 @@ class TestScores:
         assert mean_scores([scores(0.2), scores(0.6)]).f == pytest.approx(0.4)
 
 
+KINDS = {9: "flat", 2: "concave", 5: "flat", 4: "flat", 1: "concave"}
+
+
+class TestKinds:
+    #: 40 points of instance 5, 20 of 2, 30 of 7, 19 of 9, 30 of 4, and 6 of nothing known.
+    TRUTH = torch.tensor([5] * 40 + [-1] * 6 + [2] * 20 + [7] * 30 + [9] * 19 + [4] * 30)
+
+    def test_by_hand(self):
+        pred = torch.tensor([0] * 30 + [1] * 10 + [0] * 6 + [2] * 50 + [3] * 19 + [4] * 30)
+        # Flat: 5 is found by 30 of 40, 4 by all, 9 has too few points. Concave: 2 shares a segment with 7; 1 is unseen.
+        found = best_iou_by_kind(pred, Truth(self.TRUTH, kinds=KINDS))
+        assert found == {"concave": pytest.approx(20 / 50), "flat": pytest.approx((0.75 + 1) / 2)}
+
+    def test_they_are_those_of_mean_best_iou(self):
+        random = torch.Generator().manual_seed(0)
+        truth, pred = (torch.randint(low, 6, (4000,), generator=random) for low in (-1, 0))
+        everything = best_iou_by_kind(pred, Truth(truth, kinds=dict.fromkeys(range(6), "any")))
+        assert everything == {"any": pytest.approx(tj.metrics.mean_best_iou(pred, truth))}
+        shuffled = torch.randperm(4000, generator=random)
+        one = best_iou_by_kind(pred, Truth(truth, kinds={3: "three"}))
+        assert one == best_iou_by_kind(pred[shuffled], Truth(truth[shuffled], kinds={3: "three"}))
+
+    def test_a_kind_without_instances_is_left_out(self):
+        assert best_iou_by_kind(self.TRUTH, Truth(self.TRUTH, kinds={9: "flat", 5: "concave"})) == {"concave": 1.0}
+
+    @pytest.mark.parametrize("truth", [Truth(TRUTH), Truth(kinds=KINDS), Truth(-torch.ones_like(TRUTH), kinds=KINDS)])
+    def test_nothing_known(self, truth):
+        assert best_iou_by_kind(self.TRUTH, truth) == {}
+
+
 class TestTable:
     ROWS = (
         Row("a", "ours", "3D", scores(0.9)),
@@ -90,6 +121,28 @@ class TestTable:
         assert len(lines) == 4
         assert lines[2].startswith("| OURS")
         assert "0.800" in lines[2]
+
+    def test_kinds(self, tmp_path):
+        rows = [
+            Row("a", "ours", "3D", scores(0.9), {"flat": 0.25, "concave": 0.5}),
+            Row("b", "ours", "3D", scores(0.7), {"flat": 0.75}),
+            Row("b", "theirs", "3D", scores(0.7)),
+            Row("a", "ours", "2D", scores(0.9)),
+        ]
+        head, _, ours, theirs = summary_table(rows, "3D").splitlines()
+        assert [cell.strip() for cell in head.split("|")][-3:-1] == ["concave IoU", "flat IoU"]
+        assert [cell.strip() for cell in ours.split("|")][-3:-1] == ["0.500", "0.500"]
+        assert [cell.strip() for cell in theirs.split("|")][-3:-1] == ["", ""]
+        assert "flat" not in summary_table(rows, "2D")
+        write_csv(tmp_path / "scores.csv", rows)
+        with (tmp_path / "scores.csv").open() as file:
+            read = list(csv.DictReader(file))
+        assert [(row["concave_iou"], row["flat_iou"]) for row in read[:2]] == [
+            ("0.500000", "0.250000"),
+            ("", "0.750000"),
+        ]
+        write_csv(tmp_path / "scores.csv", rows[2:])
+        assert "iou" not in (tmp_path / "scores.csv").read_text().replace("best_iou", "")
 
     def test_a_line_a_scene(self):
         rows = method_table(self.ROWS, "3D").splitlines()

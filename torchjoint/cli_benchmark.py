@@ -32,7 +32,7 @@ TABLE, SCORES, PICTURE, SETTINGS = "table.md", "scores.csv", "scores.png", "sett
 
 
 def benchmark(
-    suite: Annotated[Literal["synthetic", "mosd", "kitti", "scannet"], tyro.conf.Positional],
+    suite: Annotated[Literal["synthetic", "sparse", "mosd", "kitti", "scannet"], tyro.conf.Positional],
     data: Path | None = None,
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     methods: tuple[str, ...] = (),
@@ -64,8 +64,10 @@ def benchmark(
     _check_page(page, suite, len(chosen) == len(METHODS) and half == "checking")
     if tuning is not None and (tuning[0] < 1 or tuning[1] < 0):
         raise ValueError(f"--tuning: expected draws >= 1 and steps >= 0, got {tuning[0]} {tuning[1]}")
+    if tuning is not None and kind.tuned_as:
+        raise ValueError(f"--tuning: suite {suite} uses the settings of suite {kind.tuned_as}; tune that")
     kind.scenes(half, data)
-    used = read_settings(suite, settings)
+    used = read_settings(kind.tuned_as or suite, settings)
     out.mkdir(parents=True, exist_ok=True)
     if tuning is not None:
         used |= _tuned(kind, chosen, data, Budget(*tuning), out)
@@ -133,7 +135,9 @@ def _title(name: str) -> str:
 
 
 def _tell_untuned(suite: Suite, methods: Sequence[Method], used: Mapping[str, Setting]) -> None:
-    untuned = [method.title for method in methods if method.space_in(suite.name) and method.name not in used]
+    untuned = [
+        method.title for method in methods if method.space_in(suite.tuned_as or suite.name) and method.name not in used
+    ]
     if untuned:
         print(f"at their defaults, not tuned for {suite.name} (--tuning does that): {'; '.join(untuned)}")
 

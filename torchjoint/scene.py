@@ -18,7 +18,7 @@ name                      shape, dtype           meaning
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar, cast, overload
 
@@ -94,10 +94,12 @@ class Truth:
         points: optional [N] integers, the instance of each point, -1 = not known (void).
         images: label images [H, W], -1 = void, one for each frame (may be lazy); empty where there are none. Their
             number is checked where they are used.
+        kinds: of those instances whose scores are wanted by kind: instance -> kind, such as "flat".
     """
 
     points: Tensor | None = None
     images: Sequence[Tensor] = ()
+    kinds: Mapping[int, str] = field(default_factory=dict)
 
     @property
     def has_points(self) -> bool:

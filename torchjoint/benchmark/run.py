@@ -8,12 +8,14 @@ from pathlib import Path
 from tqdm import tqdm
 
 from torchjoint.benchmark.case import Case
-from torchjoint.benchmark.method import Method
-from torchjoint.benchmark.search import Budget, Trial, run_scores, search
+from torchjoint.benchmark.method import Method, Result
+from torchjoint.benchmark.search import Budget, Trial, score_result, search
 from torchjoint.benchmark.space import Setting
 from torchjoint.benchmark.suites import Suite, load_all
 from torchjoint.config import Config
+from torchjoint.evaluation.kinds import best_iou_by_kind
 from torchjoint.evaluation.table import Row
+from torchjoint.scene import Scene
 
 #: Frames of a scene that methods of images alone are tuned on, evenly spread; and scenes that are tuned on at the most,
 #: since all are held in memory.
@@ -48,7 +50,12 @@ def compare(
         rows = []
         for method in methods:
             setting = settings.get(method.like or method.name, {})
-            for space, scores in run_scores(method, setting, case, True).items():
+            result = method.run(case, setting, True)
+            for space, scores in score_result(result, scene).items():
                 if method.like is None or space == "2D":  # its points are those of the other
-                    rows.append(Row(name, method.name, space, scores))
+                    rows.append(Row(name, method.name, space, scores, _by_kind(result, scene) if space == "3D" else {}))
         yield rows
+
+
+def _by_kind(result: Result, scene: Scene) -> dict[str, float]:
+    return best_iou_by_kind(result.points, scene.truth) if result.points is not None and scene.truth else {}

@@ -14,11 +14,11 @@ import numpy as np
 from tqdm import tqdm
 
 from torchjoint.benchmark.case import Case
-from torchjoint.benchmark.method import Method
+from torchjoint.benchmark.method import Method, Result
 from torchjoint.benchmark.space import Setting, draw, near
 from torchjoint.evaluation.scores import Scores, score, score_images
 from torchjoint.output import write_text
-from torchjoint.scene import Truth
+from torchjoint.scene import Scene, Truth
 
 
 class Trial(NamedTuple):
@@ -91,8 +91,12 @@ def run_scores(method: Method, setting: Setting, case: Case, images: bool | None
     Args:
         images: whether images are wanted; default: only if the method is judged by them.
     """
-    result = method.run(case, setting, method.judged == "2D" if images is None else images)
-    truth = case.scene.truth or Truth()
+    return score_result(method.run(case, setting, method.judged == "2D" if images is None else images), case.scene)
+
+
+def score_result(result: Result, scene: Scene) -> dict[str, Scores]:
+    """Scores by "3D" and "2D", as far as there are labels and truth."""
+    truth = scene.truth or Truth()
     scores = {}
     if result.points is not None and truth.points is not None and truth.has_points:
         scores["3D"] = score(result.points, truth.points)

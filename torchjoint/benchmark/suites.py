@@ -36,6 +36,7 @@ class Suite:
         config: what all methods have in common there, as of visibility.
         preset: the package's for such data.
         needs_data: whether a folder must be given.
+        tuned_as: the suite whose settings are used, if it has none of its own.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Suite:
     config: Config
     preset: str = "indoor"
     needs_data: bool = True
+    tuned_as: str = ""
 
     def scenes(self, half: str, data: Path | None) -> Scenes:
         """The scenes of a half, "tuning" or "checking", each to be loaded by a call.
@@ -84,12 +86,16 @@ def _folder_suite(name: str, what: str, load: Callable[[Path], Scene], config: C
     return Suite(name, what, partial(_every_other, 0, load), partial(_every_other, 1, load), config, preset)
 
 
-def _synthetic(seeds: range, _: Path | None) -> Scenes:
-    return {str(seed): partial(_make, seed) for seed in seeds}
+def _synthetic(name: str, what: str, num_points: int, tuned_as: str = "") -> Suite:
+    def scenes(seeds: range, _: Path | None) -> Scenes:
+        return {str(seed): partial(_make, seed, num_points) for seed in seeds}
+
+    halves = partial(scenes, range(100, 104)), partial(scenes, range(10))
+    return Suite(name, what, *halves, Config(), needs_data=False, tuned_as=tuned_as)
 
 
-def _make(seed: int) -> Scene:
-    return make_scene(seed, "large", num_views=24, num_points=120_000).scene
+def _make(seed: int, num_points: int) -> Scene:
+    return make_scene(seed, "large", num_views=24, num_points=num_points, depth_ripple=0.002, hard=True).scene
 
 
 def _load_thinned(path: Path) -> Scene:
@@ -111,14 +117,8 @@ def _load_some_frames(path: Path) -> Scene:
 SUITES = {
     suite.name: suite
     for suite in (
-        Suite(
-            "synthetic",
-            "furnished rooms, 24 views 640x480, 120,000 points; tuned on seeds 100-103",
-            partial(_synthetic, range(100, 104)),
-            partial(_synthetic, range(10)),
-            Config(),
-            needs_data=False,
-        ),
+        _synthetic("synthetic", "furnished rooms, 24 views 640x480, 120,000 points; tuned on seeds 100-103", 120_000),
+        _synthetic("sparse", "the same rooms, 20,000 points; settings of suite synthetic", 20_000, "synthetic"),
         _folder_suite("mosd", "table-tops, one RGB-D view each, points 5 mm apart", _load_thinned, Config()),
         _folder_suite(
             "kitti",

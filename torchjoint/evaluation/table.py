@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import NamedTuple
@@ -22,6 +22,7 @@ class Row(NamedTuple):
     method: str
     space: str  #: "3D" or "2D"
     scores: Scores
+    kinds: Mapping[str, float] = {}  #: mean best IoU by kind of instance, where the truth tells kinds
 
 
 class Summary(NamedTuple):
@@ -31,16 +32,23 @@ class Summary(NamedTuple):
     num_scenes: int
     mean: Scores
     error: Scores  #: standard error of the mean over scenes; NaN for a single scene
+    kinds: Mapping[str, float]  #: means over the scenes that have the kind
 
 
 def summarize(rows: Sequence[Row], space: str) -> list[Summary]:
     """Mean over the scenes, by method in order of first appearance."""
     summaries = []
     for method in dict.fromkeys(row.method for row in rows if row.space == space):
-        scores = [row.scores for row in rows if (row.method, row.space) == (method, space)]
+        of_method = [row for row in rows if (row.method, row.space) == (method, space)]
+        scores = [row.scores for row in of_method]
         error = Scores(*(standard_error(values) for values in zip(*scores, strict=True)))
-        summaries.append(Summary(method, len(scores), mean_scores(scores), error))
+        kinds = {kind: fmean(row.kinds[kind] for row in of_method if kind in row.kinds) for kind in _kinds(of_method)}
+        summaries.append(Summary(method, len(scores), mean_scores(scores), error, kinds))
     return summaries
+
+
+def _kinds(rows: Sequence[Row]) -> list[str]:
+    return sorted({kind for row in rows for kind in row.kinds})
 
 
 class Difference(NamedTuple):
@@ -78,8 +86,12 @@ def markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def summary_table(rows: Sequence[Row], space: str, titles: Callable[[str], str] = str) -> str:
     """A line a method: the means over all scenes."""
-    body = [[titles(s.method), *(f"{value:.3f}" for value in s.mean)] for s in summarize(rows, space)]
-    return markdown([space, *COLUMNS], body)
+    kinds = _kinds([row for row in rows if row.space == space])
+    body = []
+    for s in summarize(rows, space):
+        by_kind = (f"{s.kinds[kind]:.3f}" if kind in s.kinds else "" for kind in kinds)
+        body.append([titles(s.method), *(f"{value:.3f}" for value in s.mean), *by_kind])
+    return markdown([space, *COLUMNS, *(f"{kind} IoU" for kind in kinds)], body)
 
 
 def method_table(rows: Sequence[Row], space: str, titles: Callable[[str], str] = str) -> str:
@@ -107,8 +119,12 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """A line for each scene, method and space; written beside, then renamed."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["scene", "method", "space", *(name.replace(" ", "_") for name in Scores._fields)])
-    writer.writerows([row.scene, row.method, row.space, *(f"{value:.6f}" for value in row.scores)] for row in rows)
+    kinds = _kinds(rows)
+    names = [*(name.replace(" ", "_") for name in Scores._fields), *(f"{kind}_iou" for kind in kinds)]
+    writer.writerow(["scene", "method", "space", *names])
+    for row in rows:
+        by_kind = (f"{row.kinds[kind]:.6f}" if kind in row.kinds else "" for kind in kinds)
+        writer.writerow([row.scene, row.method, row.space, *(f"{value:.6f}" for value in row.scores), *by_kind])
     write_text(path, text.getvalue())
 
 

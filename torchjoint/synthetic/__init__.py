@@ -7,7 +7,10 @@
 
 What makes joint segmentation hard is there on purpose: prints and grain inside objects, neighbours of one colour, flat
 things on flat things, doors and posters flush with walls, slatted chairs before cupboards, hollow bowls, cast shadows,
-changing exposure, motion blur, depth noise, holes, pose errors, uneven clouds.
+changing exposure, motion blur, depth noise, holes, pose errors, uneven clouds. Optional, for they came later: depth
+errors that neighbours share, and harder rooms (:mod:`~torchjoint.synthetic.hard`) with more flat things
+(:mod:`~torchjoint.synthetic.flats`), more that cuts what is behind it in two (:mod:`~torchjoint.synthetic.occluders`)
+and more that is hollow (:mod:`~torchjoint.synthetic.vessels`).
 """
 
 from torchjoint.synthetic.scene import SyntheticScene, make_scene

@@ -20,14 +20,14 @@ def mug(rng: Rng) -> Item:
     turn = np.linspace(-0.45 * np.pi, 0.45 * np.pi, 9)
     ring = np.stack([r - 0.006 + h * 0.36 * np.cos(turn), 0 * turn, h / 2 + h * 0.3 * np.sin(turn)], axis=1)
     parts = [(cup(r, h, 0.004), glaze), (tube(ring, 0.006), glaze)]
-    return Item("cup", (2.9 * r, 2 * r, h), parts)
+    return Item("cup", (2.9 * r, 2 * r, h), parts, hollow=True)
 
 
 def bowl(rng: Rng) -> Item:
     """A round bowl, hollow."""
     r = rng.uniform(0.08, 0.15)
     h = r * rng.uniform(0.5, 0.8)
-    return Item("bowl", (2 * r, 2 * r, h), [(cup(r, h, 0.005, rounded=True), _ceramic(rng))])
+    return Item("bowl", (2 * r, 2 * r, h), [(cup(r, h, 0.005, rounded=True), _ceramic(rng))], hollow=True)
 
 
 def plate(rng: Rng) -> Item:
@@ -44,7 +44,7 @@ def tray(rng: Rng) -> Item:
     parts = [(box((w, d, t)), body)]
     parts += [(box((t, d, h), (x * (w - t) / 2, 0, 0)), body) for x in (-1, 1)]
     parts += [(box((w, t, h), (0, y * (d - t) / 2, 0)), body) for y in (-1, 1)]
-    return Item("tray", (w, d, h), parts)
+    return Item("tray", (w, d, h), parts, hollow=True)
 
 
 def carton(rng: Rng) -> Item:

@@ -8,7 +8,7 @@ from torchjoint.synthetic import materials as paint
 from torchjoint.synthetic.arrays import Rng
 from torchjoint.synthetic.materials import Material
 from torchjoint.synthetic.mesh import box, cup, cylinder, lathe
-from torchjoint.synthetic.world import Item, Surface
+from torchjoint.synthetic.world import Front, Item, Surface
 
 
 def table(rng: Rng, top: Material) -> Item:
@@ -59,6 +59,7 @@ def cabinet(rng: Rng, front: Material, width: float, height: float, depth: float
         worktop = paint.speckle(rng, color, gloss=0.7, absorbs=0.12 if dark else 0.0)
         parts.append((box((width + 0.01, depth + 0.015, thick), (0, -0.0075, top)), worktop))
     columns = max(round(width / rng.uniform(0.4, 0.6)), 1)
+    fronts = []
     for column in range(columns):
         rows = int(rng.choice([1, 1, 1, 3])) if low else int(rng.choice([1, 2]))
         w, h = width / columns, (top - kick) / rows
@@ -66,8 +67,12 @@ def cabinet(rng: Rng, front: Material, width: float, height: float, depth: float
             x, z = (column + 0.5) * w - width / 2, kick + row * h
             parts.append((box((w - 0.005, 0.02, h - 0.005), (x, -(depth - 0.02) / 2, z + 0.0025)), front))
             parts.append((box((min(0.16, w * 0.4), 0.018, 0.012), (x, -depth / 2 - 0.009, z + h - 0.07)), handle))
+            reach = w / 2 - 0.01
+            fronts.append(
+                Front((x - reach, z + 0.01), (x + reach, z + h - 0.08), -depth / 2, front)
+            )  # below the handle
     place = Surface((-width / 2, -depth / 2), (width / 2, depth / 2 - 0.022), height, 0.38 if low else 0.3)
-    return Item("cabinet", (width, depth, height), parts, [place])
+    return Item("cabinet", (width, depth, height), parts, [place], fronts)
 
 
 def bookcase(rng: Rng, body: Material, width: float) -> Item:
@@ -84,7 +89,7 @@ def bookcase(rng: Rng, body: Material, width: float) -> Item:
         room = (height - 0.05 - t) / shelves - t if i < shelves else 0.5
         half = width / 2 - t - 0.005
         surfaces.append(Surface((-half, -depth / 2 + 0.01), (half, depth / 2 - 0.015), z + t, room - 0.01))
-    return Item("bookcase", (width, depth, height), parts, surfaces)
+    return Item("bookcase", (width, depth, height), parts, surfaces, hollow=True)
 
 
 def wall_shelf(rng: Rng, body: Material) -> Item:
@@ -137,7 +142,7 @@ def bin_(rng: Rng) -> Item:
     """A waste-paper bin, hollow."""
     r, h = rng.uniform(0.12, 0.16), rng.uniform(0.26, 0.36)
     plastic = paint.plain(rng, paint.pick(rng, paint.SOBER[2:] + paint.VIVID), gloss=0.3)
-    return Item("bin", (2 * r, 2 * r, h), [(cup(r, h, 0.006, flare=1.3), plastic)])
+    return Item("bin", (2 * r, 2 * r, h), [(cup(r, h, 0.006, flare=1.3), plastic)], hollow=True)
 
 
 def rug(rng: Rng, width: float, depth: float) -> Item:
@@ -151,7 +156,8 @@ def rug(rng: Rng, width: float, depth: float) -> Item:
     else:
         cloth = paint.speckle(rng, a, contrast=0.25, gloss=0.0)
     h = float(rng.uniform(0.006, 0.01))
-    return Item("rug", (width, depth, h), [(box((width, depth, h)), cloth)])
+    top = Surface((-width / 2, -depth / 2), (width / 2, depth / 2), h)
+    return Item("rug", (width, depth, h), [(box((width, depth, h)), cloth)], [top])
 
 
 def door(rng: Rng) -> Item:

@@ -21,10 +21,7 @@ class Footprints:
 
     def claim(self, item: Item, pose: Pose, margin: float = 0.0) -> bool:
         """Takes the item's bounding box, grown sideways by ``margin``; False, and nothing taken, if it is not free."""
-        c, s = abs(np.cos(pose.yaw)), abs(np.sin(pose.yaw))
-        hx = (item.size[0] * c + item.size[1] * s) / 2 + margin - 1e-6
-        hy = (item.size[0] * s + item.size[1] * c) / 2 + margin - 1e-6
-        new = (pose.x - hx, pose.y - hy, pose.x + hx, pose.y + hy, pose.z, pose.z + item.size[2])
+        new = _bounds(item, pose, margin)
         for old in self.boxes:
             if (
                 new[0] < old[2]
@@ -37,6 +34,25 @@ class Footprints:
                 return False
         self.boxes.append(new)
         return True
+
+    def add(self, item: Item, pose: Pose) -> None:
+        """Takes the box around the item's triangles, brackets and knobs included, free or not.
+
+        Handles are not: what is fixed to an item's fronts keeps clear of them.
+        """
+        if item.fronts:
+            self.boxes.append(_bounds(item, pose, 0.0))
+            return
+        corners = np.concatenate([part.moved((pose.x, pose.y, pose.z), pose.yaw).positions for part, _ in item.parts])
+        low, high = corners.min(axis=(0, 1)) + 1e-6, corners.max(axis=(0, 1)) - 1e-6
+        self.boxes.append((low[0], low[1], high[0], high[1], low[2], high[2]))
+
+
+def _bounds(item: Item, pose: Pose, margin: float) -> tuple[float, float, float, float, float, float]:
+    c, s = abs(np.cos(pose.yaw)), abs(np.sin(pose.yaw))
+    hx = (item.size[0] * c + item.size[1] * s) / 2 + margin - 1e-6
+    hy = (item.size[0] * s + item.size[1] * c) / 2 + margin - 1e-6
+    return pose.x - hx, pose.y - hy, pose.x + hx, pose.y + hy, pose.z, pose.z + item.size[2]
 
 
 def furnish(

@@ -2,50 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from torchjoint.synthetic import clutter, furniture
 from torchjoint.synthetic import materials as paint
 from torchjoint.synthetic.arrays import Rng
+from torchjoint.synthetic.hard import harden
 from torchjoint.synthetic.layout import Footprints, fill_shelf, furnish
 from torchjoint.synthetic.materials import Material
 from torchjoint.synthetic.mesh import box
+from torchjoint.synthetic.site import Site
 from torchjoint.synthetic.world import Item, Light, Pose, World, WorldBuilder
 
-#: Yaw at which an item's back (+y) is against the wall: north (+y), east (+x), south, west.
-_WALL_YAW = (0.0, -np.pi / 2, np.pi, np.pi / 2)
 #: What stands along walls, and how often.
 _ALONG_WALLS = {"cabinet": 0.42, "high": 0.1, "bookcase": 0.08, "sofa": 0.07, "lamp": 0.09, "bin": 0.06, "gap": 0.18}
 
 
-@dataclass
-class Site:
-    """A room while it is being furnished: ``size`` (x, y, z) metres; ``clutter`` scales the number of small things."""
-
-    size: tuple[float, float, float]
-    clutter: float
-    builder: WorldBuilder
-    taken: Footprints
-
-    def length(self, wall: int) -> float:
-        """Length of a wall, metres."""
-        return self.size[0] if wall % 2 == 0 else self.size[1]
-
-    def at_wall(self, wall: int, along: float, depth: float, z: float = 0.0) -> Pose:
-        """Pose of an item ``depth`` deep with its back on a wall, ``along`` metres from the wall's middle."""
-        reach = (self.size[1] if wall % 2 == 0 else self.size[0]) / 2 - depth / 2
-        return Pose(yaw=_WALL_YAW[wall]).at(along, reach, z)
-
-
-def make_world(rng: Rng, clutter_factor: float = 1.0, textures: bool = True) -> World:
+def make_world(rng: Rng, clutter_factor: float = 1.0, textures: bool = True, hardship: Rng | None = None) -> World:
     """A furnished room, its floor at z = 0 and its middle at the origin.
 
     Args:
         rng: decides everything.
         clutter_factor: scales how many small things are put on surfaces; 1 gives 90-180 instances.
         textures: False paints every material in the mean colour of its tile.
+        hardship: decides what :func:`~torchjoint.synthetic.hard.harden` adds; None adds nothing.
     """
     size = (float(rng.uniform(3.9, 5.2)), float(rng.uniform(3.5, 4.4)), float(rng.uniform(2.4, 2.7)))
     site = Site(size, clutter_factor, WorldBuilder(), Footprints())
@@ -56,6 +38,8 @@ def make_world(rng: Rng, clutter_factor: float = 1.0, textures: bool = True) -> 
     for wall in range(4):
         _on_wall(site, rng, wall)
     _on_floor(site, rng)
+    if hardship is not None:
+        harden(site, hardship, focus)
     world = site.builder.build(_lights(rng, size), float(rng.uniform(0.2, 0.5)), size, focus)
     return world if textures else replace(world, materials=tuple(map(_untextured, world.materials)))
 

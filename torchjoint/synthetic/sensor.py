@@ -13,6 +13,10 @@ DEPTH_RANGE = (0.4, 5.0)
 _BASELINE = 0.075
 #: Steps of inverse depth are this many times the noise's standard deviation.
 _QUANTISATION = 1.8
+#: Of the ripple: share of each scale (their squares add up to 1), and the image's height over its wavelength.
+_RIPPLES = ((0.8, 5.0), (0.5, 30.0), (0.33, 100.0))
+#: Steps of inverse depth are this many times the ripple's standard deviation: a Kinect's eighth of a pixel is 0.0028.
+_RIPPLE_STEP = 1.4
 
 
 def photograph(rng: Rng, view: View, exposure: float, motion_blur: float, image_noise: float) -> Array:
@@ -41,6 +45,29 @@ def photograph(rng: Rng, view: View, exposure: float, motion_blur: float, image_
     noise = 0.6 * noise[1:, 1:] + 0.4 * (noise[:-1, 1:] + noise[1:, :-1] + noise[:-1, :-1])
     image = image + np.float32(image_noise / np.sqrt(0.84)) * noise
     return np.asarray(np.round(np.clip(image, 0, 1) * 255).astype(np.float32) / np.float32(255))
+
+
+def rippled(rng: Rng, depth: Array, depth_ripple: float) -> Array:
+    """A [H, W] depth image with an error that neighbours share, as structured light's: fused walls ripple and double.
+
+    The inverse depth gets smooth noise of three scales (a fifth, a thirtieth and a hundredth of the image), and then
+    is quantised, before any noise of single pixels: whole patches are rounded one way.
+
+    Args:
+        rng: draws the noise.
+        depth: [H, W] metres, 0 = none, which stays 0.
+        depth_ripple: standard deviation at 1 m, metres; grows with the square of the depth.
+    """
+    height = depth.shape[0]
+    waves = np.zeros(depth.shape)
+    for share, scale in _RIPPLES:
+        waves += share * _waves(rng, depth.shape, height / scale)
+    seen = depth > 0
+    step = _RIPPLE_STEP * depth_ripple
+    inverse = 1 / depth[seen].astype(np.float64) + depth_ripple * waves[seen]
+    result = depth.copy()
+    result[seen] = 1 / np.maximum(np.round(inverse / step) * step, step)
+    return result
 
 
 def measure_depth(rng: Rng, view: View, focal: float, depth_noise: float, depth_holes: float) -> Array:
@@ -83,12 +110,24 @@ def _projector_shadow(depth: Array, focal: float) -> Array:
 
 def blobs(rng: Rng, shape: tuple[int, int], radius: float) -> Array:
     """[H, W] Gaussian noise of unit variance, correlated over about ``radius`` pixels."""
-    noise = rng.standard_normal(shape)
+    noise = _smooth(rng, shape, max(round(radius), 1))
+    return np.asarray(noise / (noise.std() + 1e-12))
+
+
+def _waves(rng: Rng, shape: tuple[int, int], radius: float) -> Array:
+    """As :func:`blobs`, but of unit variance over all images: the mean of one is not 0 if the blobs are large."""
     reach = max(round(radius), 1)
+    window = 2 * reach + 1
+    # The squares of the weights of two box filters add up to this, along each axis.
+    return _smooth(rng, shape, reach) / ((2 * window**2 + 1) / (3 * window**3))
+
+
+def _smooth(rng: Rng, shape: tuple[int, int], reach: int) -> Array:
+    noise = rng.standard_normal(shape)
     for axis in (0, 1):
         for _ in range(2):  # two box filters: nearly a Gaussian
             noise = _box_filter(noise, reach, axis)
-    return np.asarray(noise / (noise.std() + 1e-12))
+    return noise
 
 
 def _box_filter(values: Array, reach: int, axis: int) -> Array:

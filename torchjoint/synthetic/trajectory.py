@@ -45,6 +45,16 @@ def walk(rng: Rng, world: World, num_views: int) -> list[Array]:
     ]
 
 
+def surroundings(room: tuple[float, float, float], focus: tuple[float, float, float, float]) -> Array:
+    """[K, 2] places all over the ring that cameras of :func:`walk` come from, metres; arguments: as of World."""
+    x, y, half_x, half_y = focus
+    angle, away = np.meshgrid(np.arange(0, 2 * np.pi, 0.05), np.linspace(0.5, 0.9, 5))
+    reach = np.array(room[:2]) / 2 - _WALL_MARGIN
+    ring_x = np.clip(x + (half_x + away) * np.cos(angle), -reach[0], reach[0])
+    ring_y = np.clip(y + (half_y + away) * np.sin(angle), -reach[1], reach[1])
+    return np.stack([ring_x.ravel(), ring_y.ravel()], axis=1)
+
+
 def erroneous(rng: Rng, poses: list[Array], pose_error: float) -> list[Array]:
     """The poses as a tracker would report them.
 

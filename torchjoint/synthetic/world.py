@@ -10,6 +10,12 @@ from torchjoint.synthetic.arrays import Array
 from torchjoint.synthetic.materials import Material
 from torchjoint.synthetic.mesh import Part, rotation_z
 
+#: What makes an instance hard to find: "flat" things lie flush on the surface below, or hang flush on a wall;
+#: "concave" ones are hollow.
+KINDS = ("flat", "concave", "other")
+#: Greatest thickness of a flat thing, metres.
+FLAT = 0.015
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -42,6 +48,22 @@ class Surface:
     headroom: float = 9.0
 
 
+@dataclass(frozen=True)
+class Front:
+    """An upright rectangle that things can be fixed to, facing -y, in its item's frame, metres.
+
+    Attributes:
+        low, high: least and greatest (x, z).
+        y: where it is.
+        material: its own.
+    """
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+    y: float
+    material: Material
+
+
 @dataclass
 class Item:
     """One instance: its parts, with the front towards -y and the origin in the middle of its foot.
@@ -51,12 +73,23 @@ class Item:
         size: (x, y, z) extent, metres.
         parts: triangles and their material.
         surfaces: where things can be put.
+        fronts: where things can be fixed.
+        hollow: whether its inside can be seen, as a bowl's.
     """
 
     name: str
     size: tuple[float, float, float]
     parts: list[tuple[Part, Material]]
     surfaces: list[Surface] = field(default_factory=list)
+    fronts: list[Front] = field(default_factory=list)
+    hollow: bool = False
+
+    @property
+    def kind(self) -> str:
+        """One of :data:`KINDS`."""
+        if self.hollow:
+            return "concave"
+        return "flat" if min(self.size[1:]) <= FLAT else "other"
 
 
 @dataclass(frozen=True)
@@ -78,6 +111,7 @@ class World:
         labels: [T] int64 instance ids.
         material_ids: [T] index into ``materials``.
         names: instance id -> name.
+        kinds: instance id -> one of :data:`KINDS`.
         ambient: light that comes from everywhere, linear.
         room: (x, y, z) extent; the floor is z = 0, its middle the origin.
         focus: (x, y, half x, half y) of the furniture group that the camera walks around.
@@ -89,6 +123,7 @@ class World:
     material_ids: Array
     materials: tuple[Material, ...]
     names: tuple[str, ...]
+    kinds: tuple[str, ...]
     lights: tuple[Light, ...]
     ambient: float
     room: tuple[float, float, float]
@@ -99,14 +134,14 @@ class WorldBuilder:
     """Collects placed items; :meth:`place` gives each the next instance id."""
 
     def __init__(self) -> None:
-        self.names: list[str] = []
+        self.placed: list[tuple[Item, Pose]] = []
         self._materials: list[Material] = []
         self._chunks: list[tuple[Array, Array, int, int]] = []
 
     def place(self, item: Item, pose: Pose) -> Pose:
         """Adds ``item`` as a new instance; returns ``pose``, for what is to be put on it."""
-        label = len(self.names)
-        self.names.append(item.name)
+        label = len(self.placed)
+        self.placed.append((item, pose))
         for part, material in item.parts:
             moved = part.moved((pose.x, pose.y, pose.z), pose.yaw)
             corners = np.concatenate([moved.normals, moved.uv], axis=2)
@@ -133,7 +168,8 @@ class WorldBuilder:
             labels=np.repeat(np.array([chunk[2] for chunk in self._chunks], dtype=np.int64), counts),
             material_ids=np.repeat(np.array([chunk[3] for chunk in self._chunks], dtype=np.int64), counts),
             materials=tuple(self._materials),
-            names=tuple(self.names),
+            names=tuple(item.name for item, _ in self.placed),
+            kinds=tuple(item.kind for item, _ in self.placed),
             lights=lights,
             ambient=ambient,
             room=room,

@@ -1,0 +1,214 @@
+"""Makes a furnished room harder: flat things on everything flat, slender things before it, and hollow ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from torchjoint.synthetic import clutter, flats, furniture, occluders, vessels
+from torchjoint.synthetic import materials as paint
+from torchjoint.synthetic.arrays import Array, Rng
+from torchjoint.synthetic.layout import Footprints
+from torchjoint.synthetic.site import Site
+from torchjoint.synthetic.trajectory import surroundings
+from torchjoint.synthetic.world import Front, Item, Pose, Surface
+
+#: What the room itself is of.
+_SHELL = ("floor", "wall", "ceiling")
+#: Things are laid on surfaces lower than this, metres: higher ones are seen from the side only.
+_HIGHEST = 1.3
+#: Metres that what reaches a camera's height keeps from where cameras walk.
+_CLEARANCE = 0.25
+#: Places that are tried for a thing.
+_TRIES = 80
+#: Things that are laid on a square metre, if there is room.
+_DENSITY = 7.0
+
+
+def harden(site: Site, rng: Rng, focus: tuple[float, float, float, float]) -> None:
+    """Adds to a furnished room, and leaves alone what is there. ``focus``: that of :class:`World`."""
+    furnished = list(site.builder.placed)
+    taken = Footprints()
+    for item, pose in furnished:
+        if item.name not in _SHELL:
+            taken.add(item, pose)
+    _occlude(site, rng, taken, focus)
+    fronts = [(pose, front) for item, pose in furnished for front in item.fronts]
+    _pull_out_drawers(site, rng, taken, fronts)
+    _cover_fronts(site, rng, taken, fronts)
+    _hang(site, rng, taken, any(item.name == "door" for item, _ in furnished))
+    floor = Surface((-site.size[0] / 2, -site.size[1] / 2), (site.size[0] / 2, site.size[1] / 2), 0.0)
+    _stand_vessels(site, rng, taken, floor)
+    for item, pose in furnished:
+        for surface in item.surfaces:
+            if surface.z == item.size[2] and pose.z + surface.z < _HIGHEST:  # its top: nothing of itself is above
+                _cover_top(site, rng, taken, pose, surface)
+    for _ in range(rng.integers(4, 9)):
+        make = flats.doormat if rng.random() < 0.2 else flats.lying
+        _lay(site, rng, taken, Pose(), floor, make(rng))
+
+
+def _occlude(site: Site, rng: Rng, taken: Footprints, focus: tuple[float, float, float, float]) -> None:
+    """Pipes and rails on walls, slender things that stand before walls and furniture."""
+    for _ in range(rng.integers(1, 3)):
+        _fix(site, rng, taken, lambda _: occluders.pillar(rng, site.size[2]), (0.0, 0.0), range(4))
+    for wall in rng.permutation(4)[: rng.integers(1, 4)]:
+        _fix(site, rng, taken, lambda failed: occluders.rail(rng, 2.6 - 1.8 * failed), (0.7, 1.7), [int(wall)])
+    cameras = surroundings(site.size, focus)
+    pillar = lambda rng: occluders.pillar(rng, site.size[2])  # noqa: E731
+    kinds = (occluders.coat_stand, occluders.plant, occluders.clothes_rail, pillar, furniture.lamp)
+    for kind in rng.permutation(len(kinds))[: rng.integers(2, 5)]:
+        item = kinds[kind](rng)
+        for _ in range(_TRIES):
+            wall = int(rng.integers(4))
+            along = rng.uniform(-0.5, 0.5) * (site.length(wall) - item.size[0])
+            gap = rng.uniform(0.1, 0.9)
+            pose = site.at_wall(wall, along, item.size[1] + 2 * gap)
+            away = np.hypot(cameras[:, 0] - pose.x, cameras[:, 1] - pose.y).min()
+            if away > item.size[0] / 2 + _CLEARANCE and taken.claim(item, pose, 0.02):
+                site.builder.place(item, pose)
+                break
+
+
+def _fix(
+    site: Site,
+    rng: Rng,
+    taken: Footprints,
+    make: Callable[[float], Item],
+    heights: tuple[float, float],
+    walls: range | list[int],
+) -> bool:
+    """Hangs a thing flush on one of ``walls``, its lower side at one of ``heights``; whether there was a place.
+
+    ``make`` gets the share of the tries that have failed, to make smaller things when space is scarce.
+    """
+    for failed in range(_TRIES):
+        wall = walls[int(rng.integers(len(walls)))]
+        item = make(failed / _TRIES)
+        along = rng.uniform(-0.5, 0.5) * (site.length(wall) - item.size[0])
+        pose = site.at_wall(wall, along, item.size[1], float(rng.uniform(*heights)))
+        if pose.z + item.size[2] <= site.size[2] and taken.claim(item, pose, margin=0.03):
+            site.builder.place(item, pose)
+            return True
+    return False
+
+
+def _hang(site: Site, rng: Rng, taken: Footprints, has_door: bool) -> None:
+    """Doors if there is none, hatches, posters, notices."""
+    walls = range(4)
+    if not has_door:
+        _fix(site, rng, taken, lambda _: furniture.door(rng), (0.0, 0.0), walls)
+    tone = paint.pick(rng, paint.WALLS)
+    for _ in range(rng.integers(1, 4)):
+        _fix(site, rng, taken, lambda _: flats.hatch(rng, tone), (0.3, 1.5), walls)
+    for _ in range(rng.integers(3, 7)):
+        _fix(site, rng, taken, lambda _: furniture.poster(rng), (0.7, 1.6), walls)
+    for _ in range(rng.integers(2, 6)):
+        _fix(site, rng, taken, lambda _: flats.notice(rng, 0.3), (0.7, 1.6), walls)
+
+
+def _pull_out_drawers(site: Site, rng: Rng, taken: Footprints, fronts: list[tuple[Pose, Front]]) -> None:
+    """Up to three low fronts have an open drawer before them, with something in it."""
+    low = [(pose, front) for pose, front in fronts if front.high[1] < 0.95 and front.high[1] - front.low[1] > 0.19]
+    for index in rng.permutation(len(low))[: rng.integers(1, 4)]:
+        pose, front = low[index]
+        item = vessels.drawer(rng, front.high[0] - front.low[0], float(rng.uniform(0.18, 0.32)), front.material)
+        middle = (front.low[0] + front.high[0]) / 2
+        at = pose.at(middle, front.y - item.size[1] / 2, front.high[1] - item.size[2])
+        if taken.claim(item, at):
+            site.builder.place(item, at)
+            _fill(site, rng, at, item.surfaces[0])
+
+
+def _cover_fronts(site: Site, rng: Rng, taken: Footprints, fronts: list[tuple[Pose, Front]]) -> None:
+    """Notices stuck on cupboards, and fronts of another material."""
+    for pose, front in fronts:
+        w, h = front.high[0] - front.low[0], front.high[1] - front.low[1]
+        kind = rng.random()
+        if kind < 0.15:
+            item = flats.panel(rng, w, h)
+        elif kind < 0.5:
+            item = flats.notice(rng, w - 0.04)
+        else:
+            continue
+        slack = np.array([w - item.size[0], h - item.size[2]])
+        if (slack < -1e-9).any():
+            continue
+        x, z = (front.low[0] + w / 2, front.low[1]) + rng.uniform([-0.5, 0], [0.5, 1]) * slack
+        at = pose.at(float(x), front.y - item.size[1] / 2, float(z))
+        if taken.claim(item, at):
+            site.builder.place(item, at)
+
+
+def _stand_vessels(site: Site, rng: Rng, taken: Footprints, floor: Surface) -> None:
+    """Crates with things in them and baskets, on the floor."""
+    for _ in range(rng.integers(2, 5)):
+        item = vessels.crate(rng) if rng.random() < 0.6 else vessels.basket(rng)
+        pose = _lay(site, rng, taken, Pose(), floor, item)
+        if pose and item.surfaces:
+            _fill(site, rng, pose, item.surfaces[0])
+
+
+def _fill(site: Site, rng: Rng, pose: Pose, inside: Surface) -> None:
+    """Up to three things in a crate or a drawer."""
+    taken = Footprints()
+    for _ in range(rng.integers(0, 4)):
+        _lay(site, rng, taken, pose, inside, clutter.thing(rng))
+
+
+def _cover_top(site: Site, rng: Rng, taken: Footprints, pose: Pose, surface: Surface) -> None:
+    """Mats, paper that overlaps paper, and deep bowls, on what is free of a table's, a cabinet's or a rug's top."""
+    width, depth = np.subtract(surface.high, surface.low)
+    for _ in range(max(round(_DENSITY * width * depth), 2)):
+        kind = rng.random() if pose.z + surface.z > 0.1 else 1.0
+        if kind < 0.1:
+            _lay(site, rng, taken, pose, surface, vessels.deep_bowl(rng))
+        elif kind < 0.25:
+            dish = (clutter.mug, clutter.bowl, clutter.plate, clutter.bottle)[rng.integers(4)](rng)
+            _lay_two(site, rng, taken, pose, surface, flats.mat(rng), dish, (0.0, 0.03))
+        elif rng.random() < 0.35:
+            _lay_two(site, rng, taken, pose, surface, flats.lying(rng), flats.lying(rng), (0.03, 0.1))
+        else:
+            _lay(site, rng, taken, pose, surface, flats.lying(rng))
+
+
+def _lay_two(
+    site: Site,
+    rng: Rng,
+    taken: Footprints,
+    pose: Pose,
+    surface: Surface,
+    lower: Item,
+    upper: Item,
+    shift: tuple[float, float],
+) -> None:
+    """Puts ``upper`` on ``lower``, shifted by some metres of the range ``shift`` both ways, if there is room."""
+    at = _lay(site, rng, taken, pose, surface, lower)
+    if at is None:
+        return
+    x, y = rng.uniform(*shift, 2) * rng.choice([-1, 1], 2)
+    above = at.at(float(x), float(y), lower.size[2], float(rng.normal(0, 0.3)))
+    to_corner = np.hypot(upper.size[0], upper.size[1]) / 2
+    inside = abs(above.x) + to_corner < site.size[0] / 2 and abs(above.y) + to_corner < site.size[1] / 2
+    if inside and lower.size[2] + upper.size[2] < surface.headroom and taken.claim(upper, above):
+        site.builder.place(upper, above)
+
+
+def _lay(site: Site, rng: Rng, taken: Footprints, pose: Pose, surface: Surface, item: Item) -> Pose | None:
+    """Puts ``item`` somewhere on ``surface`` of what stands at ``pose``; None if no place was found."""
+    if item.size[2] > surface.headroom:
+        return None
+    for _ in range(_TRIES):
+        yaw = float(rng.normal(0, 0.2)) + float(rng.choice([0, np.pi / 2]))
+        c, s = abs(np.cos(yaw)), abs(np.sin(yaw))
+        half: Array = np.array([item.size[0] * c + item.size[1] * s, item.size[0] * s + item.size[1] * c]) / 2
+        low, high = np.asarray(surface.low) + half, np.asarray(surface.high) - half
+        if (low > high).any():
+            continue
+        x, y = rng.uniform(low, high)
+        at = pose.at(float(x), float(y), surface.z, yaw)
+        if taken.claim(item, at, 0.004):
+            site.builder.place(item, at)
+            return at
+    return None

@@ -1,0 +1,32 @@
+"""A room under construction: its walls and what stands in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchjoint.synthetic.layout import Footprints
+from torchjoint.synthetic.world import Pose, WorldBuilder
+
+#: Yaw at which an item's back (+y) is against the wall: north (+y), east (+x), south, west.
+_WALL_YAW = (0.0, -np.pi / 2, np.pi, np.pi / 2)
+
+
+@dataclass
+class Site:
+    """A room while it is being furnished: ``size`` (x, y, z) metres; ``clutter`` scales the number of small things."""
+
+    size: tuple[float, float, float]
+    clutter: float
+    builder: WorldBuilder
+    taken: Footprints
+
+    def length(self, wall: int) -> float:
+        """Length of a wall, metres."""
+        return self.size[0] if wall % 2 == 0 else self.size[1]
+
+    def at_wall(self, wall: int, along: float, depth: float, z: float = 0.0) -> Pose:
+        """Pose of an item ``depth`` deep with its back on a wall, ``along`` metres from the wall's middle."""
+        reach = (self.size[1] if wall % 2 == 0 else self.size[0]) / 2 - depth / 2
+        return Pose(yaw=_WALL_YAW[wall]).at(along, reach, z)
