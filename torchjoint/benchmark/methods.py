@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -15,15 +17,15 @@ from torchjoint.benchmark.space import Setting
 from torchjoint.benchmark.vote import vote
 from torchjoint.config import Config
 from torchjoint.joint import JointSegmenter
+from torchjoint.presets import presets
 from torchjoint.superpoints import superpoints
 from torchjoint.superpoints_config import SuperpointsConfig
 from torchjoint.timing import Stopwatch
 
 
 def joint(case: Case, setting: Setting, images: bool) -> Result:
-    """The whole method; `setting` is of `stage.parameter`, on top of the suite's config."""
-    segmenter = _seen(case, changed(case.config, setting))
-    result = segmenter.compute(images=images)
+    """The whole method; `setting` is of `stage.parameter`, on top of the package's preset for such data."""
+    result = _seen(case, changed(case.preset, setting)).compute(images=images)
     return Result(result.points, result.images)
 
 
@@ -32,16 +34,27 @@ def joint_painted(case: Case, setting: Setting, images: bool) -> Result:
     return _painted(case, joint(case, setting, False).points, images)
 
 
-def joint_default(case: Case, setting: Setting, images: bool) -> Result:
-    """The joint method as the package's preset for such data has it; `setting` is empty."""
-    result = _seen(case, case.preset).compute(images=images)
+def geometry(case: Case, setting: Setting, images: bool) -> Result:
+    """The same, but no image has a say; painted into the images."""
+    setting = setting | {"propagation.weight": 0.0}
+    return _painted(case, joint(case, setting, False).points, images)
+
+
+def edges(case: Case, setting: Setting, images: bool) -> Result:
+    """The joint method with step 6 as the paper has it, edge by edge; `setting` on top of the suite's config."""
+    config = changed(case.config, {"point_segments.method": "edges"} | setting)
+    result = _seen(case, config).compute(images=images)
     return Result(result.points, result.images)
 
 
-def geometry(case: Case, setting: Setting, images: bool) -> Result:
-    """The same graph without the images' evidence, painted into the images."""
-    setting = setting | {"propagation.weight": 0.0}
-    return _painted(case, _seen(case, changed(case.config, setting)).compute(images=False).points, images)
+def preset(name: str) -> Callable[[Case, Setting, bool], Result]:
+    """The joint method as one of the package's presets has it, whatever the data."""
+
+    def run(case: Case, setting: Setting, images: bool) -> Result:
+        result = _seen(case, Config.from_preset(name)).compute(images=images)
+        return Result(result.points, result.images)
+
+    return run
 
 
 def initial(case: Case, setting: Setting, images: bool) -> Result:
@@ -128,7 +141,8 @@ METHODS = {
     for method in (
         Method("joint", "joint (final)", joint, spaces.JOINT, checked=_of_config),
         Method("joint_painted", "joint, its points painted", joint_painted, like="joint"),
-        Method("joint_default", "joint, the package's preset", joint_default),
+        *(Method(f"preset_{name}", f"joint, preset {name}", preset(name)) for name in presets()),
+        Method("edges", "joint, step 6 by edges", edges, spaces.EDGES, checked=_of_config),
         Method("geometry", "geometry only", geometry, spaces.GEOMETRY, checked=_of_config),
         Method("initial", "images only (initial), voted", initial, spaces.INITIAL, judged="2D", checked=_of_config),
         Method("scikit_image", "scikit-image fh, voted", scikit_image, spaces.SCIKIT_IMAGE, judged="2D"),

@@ -2,7 +2,25 @@
 
 from torchjoint.benchmark.space import Between, Choice, Space
 
-_GRAPH: Space = {
+_REGIONS: Space = {
+    "point_graph.normal_neighbors": Choice((20, 30, 45, 60)),
+    "point_graph.plane_neighbors": Choice((20, 30, 45, 60)),
+    "point_graph.convex_factor": Between(0.02, 0.3, or_zero=True),
+    "regions.scale": Between(0.001, 0.5),
+    "regions.min_size": Between(3, 30, whole=True),
+    "regions.color_weight": Between(0.003, 0.2, or_zero=True),
+    "borders.threshold": Between(0.1, 0.5),
+    "borders.min_size": Between(3, 600, whole=True),
+    "bridges.min_votes": Choice((None, 4)),
+}
+_IMAGES_ON_BORDERS: Space = {
+    "propagation.weight": Between(0.05, 0.8),
+    "regions.image_weight": Between(0.003, 0.2, or_zero=True),
+    "borders.agreement": Between(0.1, 0.9, or_zero=True),
+    "confirmation.min_size": Between(50, 600, whole=True, or_zero=True),
+    "confirmation.overlap": Between(0.3, 0.8),
+}
+_EDGES: Space = {
     "point_graph.neighbors": Choice((10, 16, 24)),
     "point_graph.normal_neighbors": Choice((20, 30, 45, 60)),
     "point_graph.convex_factor": Between(0.03, 1.0),
@@ -11,7 +29,7 @@ _GRAPH: Space = {
     "point_segments.scale": Between(0.3, 30.0),
     "point_segments.min_size": Between(50, 1000, whole=True),
 }
-_LIDAR_GRAPH: Space = {
+_LIDAR_EDGES: Space = {
     "point_graph.neighbors": Choice((8, 12, 16, 24)),
     "point_graph.normal_neighbors": Choice((10, 20, 30)),
     "point_graph.reach": Choice((0.0, 0.3, 0.5, 0.7)),
@@ -46,12 +64,13 @@ _COLORED: Space = {
 }
 
 #: Rooms have too many images to segment them anew for every setting: there those of the default are used.
-JOINT = {
-    "": {**_GRAPH, **_EVIDENCE},
-    "mosd": {**_GRAPH, **_EVIDENCE, **_IMAGES},
-    "kitti": {**_LIDAR_GRAPH, **_EVIDENCE, **_IMAGES},
+JOINT = {"": {**_REGIONS, **_IMAGES_ON_BORDERS}}
+GEOMETRY = {"": _REGIONS}
+EDGES = {
+    "": {**_EDGES, **_EVIDENCE},
+    "mosd": {**_EDGES, **_EVIDENCE, **_IMAGES},
+    "kitti": {**_LIDAR_EDGES, **_EVIDENCE, **_IMAGES},
 }
-GEOMETRY = {"": _GRAPH, "kitti": _LIDAR_GRAPH}
 INITIAL = {"": _IMAGES}
 SCIKIT_IMAGE: dict[str, Space] = {
     "": {

@@ -119,7 +119,9 @@ SUITES = {
     for suite in (
         _synthetic("synthetic", "furnished rooms, 24 views 640x480, 120,000 points; tuned on seeds 100-103", 120_000),
         _synthetic("sparse", "the same rooms, 20,000 points; settings of suite synthetic", 20_000, "synthetic"),
-        _folder_suite("mosd", "table-tops, one RGB-D view each, points 5 mm apart", _load_thinned, Config()),
+        _folder_suite(
+            "mosd", "table-tops, one RGB-D view each, points 5 mm apart", _load_thinned, Config(), "tabletop"
+        ),
         _folder_suite(
             "kitti",
             "street LiDAR and one camera, the points in its view",
