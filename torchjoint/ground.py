@@ -28,33 +28,22 @@ FAR = 1e5
 
 
 class Profile(NamedTuple):
-    """The ground's height at some places of each of C columns, by column, then by distance."""
+    """The ground's height at some places of each of C columns, by column, then by distance, from below the sensor."""
 
     column: Tensor  #: [M] int64
     distance: Tensor  #: [M] float64 metres from the sensor, on the level
     height: Tensor  #: [M] float64 metres over the sensor
-    start: float  #: metres over the sensor: the ground below it
     num_columns: int  #: C, all around
 
     def at(self, column: Tensor, distance: Tensor) -> Tensor:
-        """The heights [...] at places in columns [...]: on a line between two places, as high as the last beyond them.
-
-        Where a column has no place, the ground is level.
-        """
+        """The heights [...] at places in columns [...]: on a line between two places, level beyond the last."""
         column = column % self.num_columns
-        keys = self.column * FAR + self.distance
-        after = torch.searchsorted(keys, column * FAR + distance.clamp(max=FAR / 2))
-        first = torch.searchsorted(self.column, column)
-        last = torch.searchsorted(self.column, column, right=True) - 1
-        empty = last < first
-        below = torch.minimum(torch.maximum(after - 1, first), last).clamp(min=0)
-        above = torch.maximum(torch.minimum(after, last), first).clamp(max=max(len(keys) - 1, 0))
-        if len(keys) == 0:
-            return torch.full_like(distance, self.start)
+        after = torch.searchsorted(self.column * FAR + self.distance, column * FAR + distance.clamp(max=FAR / 2))
+        below = torch.maximum(after - 1, torch.searchsorted(self.column, column))
+        above = torch.minimum(after, torch.searchsorted(self.column, column, right=True) - 1)
         way = self.distance[above] - self.distance[below]
-        share = ((distance - self.distance[below]) / torch.where(way > 0, way, 1)).clamp(0, 1)
-        rise = self.height[above] - self.height[below]
-        return torch.where(empty, self.start, self.height[below] + torch.where(way > 0, share, 0) * rise)
+        share = (distance - self.distance[below]) / torch.where(way > 0, way, torch.inf)
+        return self.height[below] + share * (self.height[above] - self.height[below])
 
 
 def ground(points: Tensor, config: SweepConfig | None = None, sensor: Tensor | None = None) -> Tensor:
@@ -116,8 +105,11 @@ def ground_profile(seen: Directions, height: Tensor, config: SweepConfig) -> Pro
     heights = height[place].view(num_rows, num_columns)
     start = _start(seen.distance, height, column, num_columns)
     taken = _walk(exists.view(num_rows, num_columns), distances, heights, start, config)
+    distances = torch.cat([torch.zeros_like(distances[:1]), distances])
+    heights = torch.cat([torch.full_like(heights[:1], start), heights])
+    taken = torch.cat([torch.ones_like(taken[:1]), taken])
     of_column, of_row = torch.nonzero(taken.T).unbind(1)
-    return Profile(of_column, distances[of_row, of_column], heights[of_row, of_column], start, num_columns)
+    return Profile(of_column, distances[of_row, of_column], heights[of_row, of_column], num_columns)
 
 
 def _walk(exists: Tensor, distances: Tensor, heights: Tensor, start: float, config: SweepConfig) -> Tensor:

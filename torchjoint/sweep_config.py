@@ -52,8 +52,12 @@ class SweepConfig(Stage):
         sensible="0.01-0.04; about twice the angle between two beams, in radians",
     )  # fmt: skip
     min_size: int = parameter(
-        15, "smaller segments are joined to a neighbour", unit="points", low=0, sensible="5-50"
+        15, "smaller segments are joined to a neighbour, if one is near", unit="points", low=0, sensible="5-30"
     )
+    joining_gap: float = parameter(
+        2.0, "how far small segments may be from what they are joined to; more leaves fewer crumbs, and joins what is "
+        "far and small to what is behind it", unit="gaps", low=1, sensible="1.5-3",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()

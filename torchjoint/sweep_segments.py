@@ -26,7 +26,7 @@ def segment_sweep(points: Tensor, config: SweepConfig | None = None, sensor: Ten
     Points on the :func:`~torchjoint.ground.ground` are one segment. The others are joined to their nearest neighbours
     in space and to those :func:`~torchjoint.angular_neighbors.angular_neighbors` finds across beams; edges of
     :func:`gap_weights` up to 1 make segments, and those of fewer than `config.min_size` points are joined to the
-    neighbour that the lightest edge leads to.
+    neighbour that the lightest edge leads to, if it is no heavier than `config.joining_gap`.
 
     Args:
         points: [N, 3] metres, z up.
@@ -46,7 +46,7 @@ def segment_sweep(points: Tensor, config: SweepConfig | None = None, sensor: Ten
         standing = torch.nonzero(~on_ground).flatten()
         edges = standing[sweep_edges(points[standing], config, sensor)]
         weight = gap_weights(points, edges, config, sensor)
-        return _components(edges, weight, on_ground, config.min_size)
+        return _components(edges, weight, on_ground, config)
 
 
 def sweep_edges(points: Tensor, config: SweepConfig, sensor: Tensor | None = None) -> Tensor:
@@ -74,12 +74,13 @@ def gap_weights(points: Tensor, edges: Tensor, config: SweepConfig, sensor: Tens
     return (length / (config.gap + config.gap_growth * torch.minimum(reach[u], reach[v]))).float()
 
 
-def _components(edges: Tensor, weight: Tensor, on_ground: Tensor, min_size: int) -> Tensor:
+def _components(edges: Tensor, weight: Tensor, on_ground: Tensor, config: SweepConfig) -> Tensor:
     """Components of edges of weight up to 1, and the ground; small ones join the neighbour by the lightest edge.
 
     That is what Felzenszwalb's and Huttenlocher's two passes do with k = 0, where what is up to 1 weighs nothing.
     """
+    near = weight <= config.joining_gap
     of_ground = torch.nonzero(on_ground).flatten()
     chain = torch.stack([of_ground[:-1], of_ground[1:]])
-    weight = torch.cat([(weight - 1).clamp(min=0), torch.zeros(chain.shape[1])])
-    return ops.felzenszwalb(torch.cat([edges, chain], dim=1), weight, len(on_ground), 0.0, min_size)
+    excess = torch.cat([(weight[near] - 1).clamp(min=0), torch.zeros(chain.shape[1])])
+    return ops.felzenszwalb(torch.cat([edges[:, near], chain], 1), excess, len(on_ground), 0.0, config.min_size)
