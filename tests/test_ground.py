@@ -17,7 +17,7 @@ CAR = ((8.0, -1.0, -HEIGHT), (12.0, 1.0, -0.2))
 @pytest.mark.parametrize("slope", [-0.08, 0.0, 0.05, 0.15])
 def test_a_plane_that_slopes_is_ground(slope):
     points, _ = sweep(slope=slope, reach=30)
-    assert (~ground(points)).sum() <= 10  # where rays graze it, columns are too wide
+    assert (~ground(points)).float().mean() < 0.001  # where rays graze it, columns are too wide
     assert height_over_ground(points).abs().median() < 0.01
 
 
@@ -26,7 +26,7 @@ def test_a_box_stands_on_it_and_hides_what_is_behind():
     on_ground = ground(points)
     assert on_ground[what == 0].all()
     height = points[:, 2].double() + HEIGHT
-    torch.testing.assert_close(on_ground[what == 1], height[what == 1] < 0.15)
+    torch.testing.assert_close(on_ground[what == 1], height[what == 1] < 0.1)
     torch.testing.assert_close(height_over_ground(points), height, atol=0.02, rtol=0)
 
 

@@ -17,6 +17,8 @@ from torchjoint.config import Config
 from torchjoint.joint import JointSegmenter
 from torchjoint.superpoints import superpoints
 from torchjoint.superpoints_config import SuperpointsConfig
+from torchjoint.sweep_config import SweepConfig
+from torchjoint.sweep_segments import segment_sweep
 from torchjoint.timing import Stopwatch
 
 
@@ -74,6 +76,11 @@ def distance_normal_color(case: Case, setting: Setting, images: bool) -> Result:
 def ransac_dbscan(case: Case, setting: Setting, images: bool) -> Result:
     """RANSAC planes, and DBSCAN of what is left."""
     return _painted(case, planes_and_clusters(case.scene.points, **setting), images)
+
+
+def sweep(case: Case, setting: Setting, images: bool) -> Result:
+    """A LiDAR's sweep as the ground and what stands on it; the LiDAR stands at the origin, z is up."""
+    return _painted(case, segment_sweep(case.scene.points, SweepConfig().replace(setting)), images)
 
 
 def _superpoints(case: Case, setting: Setting, images: bool) -> Result:
@@ -141,5 +148,13 @@ METHODS = {
             checked=SuperpointsConfig().replace,
         ),
         Method("ransac_dbscan", "RANSAC planes + DBSCAN", ransac_dbscan, spaces.RANSAC_DBSCAN),
+        Method(
+            "sweep",
+            "sweep: ground and components",
+            sweep,
+            spaces.SWEEP,
+            suites=("kitti",),
+            checked=SweepConfig().replace,
+        ),
     )
 }
