@@ -364,7 +364,7 @@ class TestSuites:
         found = yaml.safe_load((out / "settings.yaml").read_text())
         assert set(found) == {name for name, method in METHODS.items() if method.space_in("scannet")}
         assert "sweep" not in (out / "scores.csv").read_text()  # is for LiDARs
-        with pytest.raises(SystemExit, match="--methods: expected some of joint, .*, got 'sweep'"):
+        with pytest.raises(SystemExit, match=r"--methods: expected some of joint, .*, got 'sweep'"):
             run(monkeypatch, "benchmark", "scannet", *common, "--methods", "sweep")
         before = (out / "scores.csv").read_text()
         run(monkeypatch, "benchmark", "scannet", *common, "--settings", out / "settings.yaml", "--overwrite")

@@ -7,7 +7,7 @@ from sweeps import HEIGHT, sweep
 from torchjoint.ground import ground
 from torchjoint.metrics import mean_best_iou
 from torchjoint.sweep_config import SweepConfig
-from torchjoint.sweep_segments import gap_weights, segment_sweep, sweep_edges
+from torchjoint.sweep_segments import foot_edges, gap_weights, segment_sweep, sweep_edges
 
 BOXES = (
     ((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1)),
@@ -32,10 +32,29 @@ def test_boxes_on_the_ground():
     points, what = sweep(*BOXES)
     labels = segment_sweep(points)
     stands = ~ground(points)
-    assert torch.equal(labels[~stands].unique(), labels[what == 0].unique())
+    assert len(labels[what == 0].unique()) == 1
     assert len(labels.unique()) == 1 + len(BOXES)
-    assert mean_best_iou(labels, torch.where(stands, what, 0)) == 1
+    assert mean_best_iou(labels[stands], what[stands]) == 1
     assert mean_best_iou(labels, what) > 0.9
+
+
+def test_feet_by_hand():
+    config = SweepConfig(ground_height=0.1, foot_distance=0.2)
+    height = torch.tensor([0.0, 0.06, 0.07, 0.04, 0.2, 0.5, 0.15]).double()
+    points = torch.tensor([[0.0, 0], [0.1, 0], [0.31, 0], [0.1, 0], [0.1, 0.1], [0.1, 0.01], [0.1, 0.05]])
+    points = torch.cat([points, height[:, None].float()], 1)
+    # Of 0 and 3 the height, of 2 the distance is another's; 5 is nearest to 1 but too high.
+    assert foot_edges(points, height, config).tolist() == [[1], [6]]
+    assert foot_edges(points, height, SweepConfig(ground_height=0.1, foot_distance=0.3)).tolist() == [[1, 2], [6, 6]]
+    assert foot_edges(points, height, SweepConfig(foot_distance=0)).shape == (2, 0)
+    assert foot_edges(points, height * 0, config).shape == (2, 0)
+
+
+def test_feet_belong_to_what_they_carry():
+    points, what = sweep(*BOXES)
+    labels, cut = segment_sweep(points), segment_sweep(points, SweepConfig(foot_distance=0))
+    assert mean_best_iou(labels, what) > mean_best_iou(cut, what)
+    assert (labels[what == 0] == labels[0]).all()
 
 
 def test_labels_are_numbered_by_first_points():

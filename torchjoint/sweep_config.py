@@ -35,6 +35,10 @@ class SweepConfig(Stage):
         0.1, "ground: points lower than this over it belong to it; less keeps feet and kerbs, and leaves crumbs of a "
         "rough road", unit="m", above=0, sensible="0.05-0.3",
     )  # fmt: skip
+    foot_distance: float = parameter(
+        0.2, "points of the upper half of `ground_height` that are this near, on the level, to something standing are "
+        "its feet, and no ground; 0: there are none", unit="m", low=0, sensible="0.1-0.3",
+    )  # fmt: skip
     neighbors: int = parameter(
         12, "K, neighbours of a point in space, and as many across beams", low=1, high=200, sensible="8-24"
     )

@@ -7,26 +7,32 @@ edge weighs its length in units of the gap that is allowed at its distance from 
 
 from __future__ import annotations
 
+import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.angular_neighbors import angular_neighbors, directions
-from torchjoint.ground import ground
+from torchjoint.ground import height_over_ground
 from torchjoint.neighbors import nearest_neighbors
 from torchjoint.point_graph import undirected_edges
 from torchjoint.scene_checks import as_points
 from torchjoint.sweep_config import SweepConfig
 from torchjoint.threads import one_thread_per_operation
 
+#: Metres over the ground: what a foot belongs to has points lower than this.
+FOOT_HEIGHT = 0.4
+
 
 def segment_sweep(points: Tensor, config: SweepConfig | None = None, sensor: Tensor | None = None) -> Tensor:
     """Segments one sweep of a LiDAR, without training, colours or normals.
 
-    Points on the :func:`~torchjoint.ground.ground` are one segment. The others are joined to their nearest neighbours
-    in space and to those :func:`~torchjoint.angular_neighbors.angular_neighbors` finds across beams; edges of
-    :func:`gap_weights` up to 1 make segments, and those of fewer than `config.min_size` points are joined to the
-    neighbour that the lightest edge leads to, if it is no heavier than `config.joining_gap`.
+    Points on the :func:`~torchjoint.ground.ground` are one segment, but for the feet of what stands on it. The others
+    are joined to their nearest neighbours in space and to those that
+    :func:`~torchjoint.angular_neighbors.angular_neighbors` finds across beams; edges of :func:`gap_weights` up to 1
+    make segments, and those of fewer than `config.min_size` points are joined to the neighbour that the lightest edge
+    leads to, if it is no heavier than `config.joining_gap`.
 
     Args:
         points: [N, 3] metres, z up.
@@ -41,12 +47,39 @@ def segment_sweep(points: Tensor, config: SweepConfig | None = None, sensor: Ten
         ValueError, TypeError: naming the argument, what was expected and what came.
     """
     points, config = as_points(points), config or SweepConfig()
-    on_ground = ground(points, config, sensor)
+    height = height_over_ground(points, config, sensor)
     with torch.no_grad(), one_thread_per_operation():
+        on_ground = height < config.ground_height
         standing = torch.nonzero(~on_ground).flatten()
         edges = standing[sweep_edges(points[standing], config, sensor)]
         weight = gap_weights(points, edges, config, sensor)
+        feet = foot_edges(points, height, config)
+        on_ground[feet[0]] = False
+        edges, weight = torch.cat([edges, feet], 1), torch.cat([weight, torch.zeros(feet.shape[1])])
         return _components(edges, weight, on_ground, config)
+
+
+def foot_edges(points: Tensor, height: Tensor, config: SweepConfig) -> Tensor:
+    """Edges from feet to what they carry: the ground cuts off tyres and shoes at a height where it is never certain.
+
+    A foot is a point between half of `ground_height` and that, and at most `foot_distance` on the level away from what
+    stands and is lower than `FOOT_HEIGHT`; the nearest such point is what it belongs to.
+
+    Args:
+        points: [N, 3] metres.
+        height: [N] float64 metres over the ground.
+
+    Returns:
+        [2, F] int64, feet and the points that they belong to.
+    """
+    low = torch.nonzero((height >= config.ground_height) & (height < FOOT_HEIGHT)).flatten()
+    feet = torch.nonzero((height > config.ground_height / 2) & (height < config.ground_height)).flatten()
+    if config.foot_distance == 0 or len(low) == 0 or len(feet) == 0:
+        return torch.empty(2, 0, dtype=torch.int64)
+    places = points[:, :2].double().numpy()
+    distance, nearest = cKDTree(places[low]).query(places[feet], distance_upper_bound=config.foot_distance)
+    near = torch.from_numpy(np.isfinite(distance))
+    return torch.stack([feet[near], low[torch.from_numpy(nearest)[near]]])
 
 
 def sweep_edges(points: Tensor, config: SweepConfig, sensor: Tensor | None = None) -> Tensor:
