@@ -46,7 +46,7 @@ def nearest_neighbors(points: Tensor, count: int, reach: float = 0.0) -> Neighbo
         reach: metres, 0 = just the nearest.
     """
     num_points = points.shape[0]
-    count = min(count, num_points - 1)
+    count = max(0, min(count, num_points - 1))
     indices = torch.empty(num_points, count, dtype=torch.int32)
     spacing = torch.zeros(num_points)
     if count == 0:

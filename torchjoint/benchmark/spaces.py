@@ -103,3 +103,15 @@ RANSAC_DBSCAN: dict[str, Space] = {
         "min_points": Choice((2, 4, 8, 16)),
     },
 }
+SWEEP: dict[str, Space] = {
+    "kitti": {
+        "azimuth_cell": Choice((1.0, 2.0, 3.0, 4.0)),
+        "ground_height": Between(0.06, 0.25),
+        "max_slope": Between(5, 15),
+        "neighbors": Choice((8, 12, 16, 24)),
+        "gap": Between(0.1, 0.5),
+        "gap_growth": Between(0.01, 0.04),
+        "min_size": Between(5, 40, whole=True),
+        "joining_gap": Between(1.2, 4.0),
+    },
+}
