@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from torchjoint.config import Config
+from torchjoint.config import STAGES, Config
 
 AFTERWARDS = {
     "point_graph": ("distance_weight", "angle_weight", "convex_factor", "color_weight"),
@@ -14,6 +14,7 @@ AFTERWARDS = {
     "borders": ("threshold", "agreement", "min_size"),
     "confirmation": ("min_size", "overlap"),
     "bridges": ("min_votes", "share", "cell", "depth_step", "flatness", "max_gap"),
+    "sweep": tuple(spec.name for spec in dataclasses.fields(STAGES["sweep"])),
     "refinement": ("radius", "merge_ratio", "split_min_edges", "max_splits"),
 }
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from torchjoint.parameter import Stage, parameter
 from torchjoint.presets import presets, read_assignment, read_preset, read_yaml
+from torchjoint.sweep_config import SweepConfig
 from torchjoint.region_config import BordersConfig, BridgesConfig, ConfirmationConfig, RegionsConfig
 
 #: Boundary detectors of the package.
@@ -208,8 +209,9 @@ class PointSegmentsConfig(Stage):
     """Step 6: segments of the point graph."""
 
     method: str = parameter(
-        "regions", "small regions, merged by what lies on their whole border; or, as in the paper, "
-        "Felzenszwalb-Huttenlocher on the edges, eq. 3", choices=("regions", "edges"),
+        "regions", "small regions, merged by what lies on their whole border; as in the paper, Felzenszwalb-Huttenlocher "
+        "on the edges, eq. 3; or a LiDAR's sweep, z up and the sensor at the origin: its ground and what stands on it, "
+        "in which images have no say", choices=("regions", "edges", "sweep"),
     )  # fmt: skip
     scale: float = parameter(4.5, "edges: k; more gives larger segments", unit="weight x points", low=0)
     min_size: int = parameter(120, "edges: smaller segments are joined to a neighbour", unit="points", low=0)
@@ -251,6 +253,7 @@ class Config:
     borders: BordersConfig = field(default_factory=BordersConfig)
     confirmation: ConfirmationConfig = field(default_factory=ConfirmationConfig)
     bridges: BridgesConfig = field(default_factory=BridgesConfig)
+    sweep: SweepConfig = field(default_factory=SweepConfig)
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
 
     def __post_init__(self) -> None:
@@ -323,6 +326,7 @@ _STAGES: tuple[type[Stage], ...] = (
     BordersConfig,
     ConfirmationConfig,
     BridgesConfig,
+    SweepConfig,
     RefinementConfig,
 )
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.angular_neighbors import Directions, directions
+from torchjoint.directions import Directions, directions
 from torchjoint.scene_checks import as_float, as_points, check_shape
 from torchjoint.sweep_config import SweepConfig
 from torchjoint.threads import one_thread_per_operation

@@ -13,6 +13,7 @@ from torchjoint.point_graph import PointGraph, geometric_weights, orient_normals
 from torchjoint.propagation import disagreement
 from torchjoint.regions import one_sided_planes, small_regions
 from torchjoint.state import JointState
+from torchjoint.sweep_segments import segment_sweep
 
 
 def segment_points(graph: PointGraph, state: JointState, config: Config) -> Tensor:
@@ -25,6 +26,8 @@ def segment_points(graph: PointGraph, state: JointState, config: Config) -> Tens
     r = None
     if state.observations and config.propagation.weight > 0:
         r = disagreement(state.views, state.overlap_sum, len(state.observations), config.propagation)
+    if config.point_segments.method == "sweep":
+        return segment_sweep(graph.points, config.sweep)
     methods = {"edges": by_edges, "regions": by_regions}
     return methods[config.point_segments.method](graph, normals, oriented, r, state, config)
 

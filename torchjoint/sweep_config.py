@@ -39,14 +39,7 @@ class SweepConfig(Stage):
         0.2, "points of the upper half of `ground_height` that are this near, on the level, to something standing are "
         "its feet, and no ground; 0: there are none", unit="m", low=0, sensible="0.1-0.3",
     )  # fmt: skip
-    neighbors: int = parameter(
-        12, "K, neighbours of a point in space, and as many across beams", low=1, high=200, sensible="8-24"
-    )
-    azimuth_weight: float = parameter(
-        0.4, "what an angle of azimuth counts against one of elevation where neighbours are sought across beams: "
-        "about the angle between two beams over that between two points of a beam, turned round; less reaches "
-        "farther along a beam", above=0, sensible="0.2-1",
-    )  # fmt: skip
+    neighbors: int = parameter(12, "K, neighbours of a point in the graph", low=1, high=200, sensible="8-24")
     gap: float = parameter(
         0.2, "points closer than this belong together; more joins what stands side by side", unit="m", low=0,
         sensible="0.1-0.5",

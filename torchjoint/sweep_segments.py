@@ -1,8 +1,7 @@
 """A LiDAR's sweep in segments: the ground, and what stands on it in one piece.
 
-The same graph framework as elsewhere, with weights of its own: edges join neighbours in space and across beams, and an
-edge weighs its length in units of the gap that is allowed at its distance from the sensor. What edges of weight up to
-1 hold together is a segment.
+The same graph framework as elsewhere, with weights of its own: an edge weighs its length in units of the gap that is
+allowed at its distance from the sensor. What edges of weight up to 1 hold together is a segment.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.angular_neighbors import angular_neighbors, directions
+from torchjoint.directions import directions
 from torchjoint.ground import height_over_ground
 from torchjoint.neighbors import nearest_neighbors
 from torchjoint.point_graph import undirected_edges
@@ -29,10 +28,9 @@ def segment_sweep(points: Tensor, config: SweepConfig | None = None, sensor: Ten
     """Segments one sweep of a LiDAR, without training, colours or normals.
 
     Points on the :func:`~torchjoint.ground.ground` are one segment, but for the feet of what stands on it. The others
-    are joined to their nearest neighbours in space and to those that
-    :func:`~torchjoint.angular_neighbors.angular_neighbors` finds across beams; edges of :func:`gap_weights` up to 1
-    make segments, and those of fewer than `config.min_size` points are joined to the neighbour that the lightest edge
-    leads to, if it is no heavier than `config.joining_gap`.
+    are joined to their nearest neighbours; edges of :func:`gap_weights` up to 1 make segments, and those of fewer than
+    `config.min_size` points are joined to the neighbour that the lightest edge leads to, if it is no heavier than
+    `config.joining_gap`.
 
     Args:
         points: [N, 3] metres, z up.
@@ -51,7 +49,7 @@ def segment_sweep(points: Tensor, config: SweepConfig | None = None, sensor: Ten
     with torch.no_grad(), one_thread_per_operation():
         on_ground = height < config.ground_height
         standing = torch.nonzero(~on_ground).flatten()
-        edges = standing[sweep_edges(points[standing], config, sensor)]
+        edges = standing[undirected_edges(nearest_neighbors(points[standing], config.neighbors).indices)]
         weight = gap_weights(points, edges, config, sensor)
         feet = foot_edges(points, height, config)
         on_ground[feet[0]] = False
@@ -80,13 +78,6 @@ def foot_edges(points: Tensor, height: Tensor, config: SweepConfig) -> Tensor:
     distance, nearest = cKDTree(places[low]).query(places[feet], distance_upper_bound=config.foot_distance)
     near = torch.from_numpy(np.isfinite(distance))
     return torch.stack([feet[near], low[torch.from_numpy(nearest)[near]]])
-
-
-def sweep_edges(points: Tensor, config: SweepConfig, sensor: Tensor | None = None) -> Tensor:
-    """[2, E] int64, edges to the K nearest neighbours in space, then to K across beams (some are both)."""
-    in_space = nearest_neighbors(points, config.neighbors).indices
-    across = angular_neighbors(points, config.neighbors, config.azimuth_weight, sensor)
-    return torch.cat([undirected_edges(in_space), undirected_edges(across)], dim=1)
 
 
 def gap_weights(points: Tensor, edges: Tensor, config: SweepConfig, sensor: Tensor | None = None) -> Tensor:
