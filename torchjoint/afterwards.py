@@ -10,7 +10,16 @@ AFTERWARDS = {
     "point_graph": ("distance_weight", "angle_weight", "convex_factor", "color_weight"),
     "propagation": ("overlap_threshold", "normalization", "saturation", "weight"),
     "point_segments": ("scale", "min_size"),
-    "refinement": ("radius", "merge_ratio", "split_min_edges", "max_splits"),
+    "refinement": (
+        "method",
+        "color_weight",
+        "boundary_weight",
+        "unseen",
+        "radius",
+        "merge_ratio",
+        "split_min_edges",
+        "max_splits",
+    ),
 }
 
 

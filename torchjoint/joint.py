@@ -18,6 +18,7 @@ from torchjoint.afterwards import seen_otherwise
 from torchjoint.boundary import smooth
 from torchjoint.checkpoint import Checkpoint
 from torchjoint.config import Config
+from torchjoint.image_labels import spread_point_labels
 from torchjoint.image_segmenter import ImageSegmenter
 from torchjoint.joint_labels import joint_labels, separate_private_ids
 from torchjoint.point_graph import PointGraph, build_point_graph, faces_camera, geometric_weights, orient_normals
@@ -264,6 +265,8 @@ class JointSegmenter(nn.Module):
         config, visible, labels = self.config, observation.visible, observation.labels
         at_point = point_labels[visible.point]
         with self.stopwatch("refinement"):
+            if config.refinement.method == "spread":
+                return spread_point_labels(observation, at_point, sizes.shape[0], config)
             labels = merge_segments(labels, visible, at_point, config.refinement)
             image, boundary = observation.image.float() / 255, observation.boundary.float() / 255
             colors = smooth(image[None], config.image_graph.smoothing)[0]

@@ -24,6 +24,7 @@ from torchjoint.ops.pair_counts import pair_counts
 from torchjoint.ops.project import project
 from torchjoint.ops.segment_graphs import segment_graphs
 from torchjoint.ops.splat_depth import splat_depth
+from torchjoint.ops.spread_labels import spread_labels
 from torchjoint.ops.ultrametric_contours import ultrametric_contours
 from torchjoint.ops.window_overlaps import window_overlaps
 
@@ -38,6 +39,7 @@ __all__ = [
     "project",
     "segment_graphs",
     "splat_depth",
+    "spread_labels",
     "ultrametric_contours",
     "window_overlaps",
 ]
