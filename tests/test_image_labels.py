@@ -28,10 +28,11 @@ def test_labels_meet_at_the_image_s_edge() -> None:
     image = torch.zeros(3, 6, 10, dtype=torch.uint8)
     image[:, :, 7:] = 255  # nearer to the right point than to the left one
     initial = torch.zeros(6, 10, dtype=torch.int32)
+    initial[0] = -1  # stays
     seen = seen_at([(3, 0), (3, 9)], image, initial)
     labels, next_free = spread_point_labels(seen, torch.tensor([5, 2]), 6, PLAIN)
     assert labels.dtype == torch.int32
-    assert labels.tolist() == [[5] * 7 + [2] * 3] * 6
+    assert labels.tolist() == [[-1] * 10] + [[5] * 7 + [2] * 3] * 5
     assert next_free == 6
 
 

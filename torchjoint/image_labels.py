@@ -27,7 +27,7 @@ def spread_point_labels(
         num_segments: of the 3D segments.
 
     Returns:
-        ([H, W] int32, the next free id); a pixel is -1 only where it was so and no point is visible.
+        ([H, W] int32, the next free id); pixels that are -1 in the initial labels stay so.
     """
     height, width = seen.labels.shape
     markers = nearest_labels(seen.visible, point_labels, (height, width))
@@ -83,4 +83,4 @@ def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, least: float, fir
     names = torch.full((num_initial,), -1, dtype=torch.int32)
     names[kept] = first_free + torch.arange(len(kept), dtype=torch.int32)
     own = look_up(names, initial, -1)
-    return torch.where(own >= 0, own, labels), first_free + len(kept)
+    return torch.where((own >= 0) | (initial < 0), own, labels), first_free + len(kept)
