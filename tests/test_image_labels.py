@@ -29,8 +29,8 @@ def test_labels_meet_at_the_image_s_edge() -> None:
     image[:, :, 7:] = 255  # nearer to the right point than to the left one
     initial = torch.zeros(6, 10, dtype=torch.int32)
     initial[0] = -1  # stays
-    seen = seen_at([(3, 0), (3, 9)], image, initial)
-    labels, next_free = spread_point_labels(seen, torch.tensor([5, 2]), 6, PLAIN)
+    seen = seen_at([(3, 0), (2, 0), (3, 9), (2, 9)], image, initial)
+    labels, next_free = spread_point_labels(seen, torch.tensor([5, 5, 2, 2]), 6, PLAIN)
     assert labels.dtype == torch.int32
     assert labels.tolist() == [[-1] * 10] + [[5] * 7 + [2] * 3] * 5
     assert next_free == 6
@@ -54,6 +54,16 @@ def test_large_segments_without_a_point_keep_ids_of_their_own() -> None:
     labels, next_free = spread_point_labels(seen, at_point, 4, PLAIN.set(["refinement.unseen=27"]))
     assert not labels.any()
     assert next_free == 4
+
+
+def test_specks_of_a_single_point_are_left_to_their_neighbours() -> None:
+    initial = torch.zeros(5, 6, dtype=torch.int32)
+    seen = seen_at([(2, 0), (2, 2), (2, 4), (1, 1)], torch.zeros(3, 5, 6, dtype=torch.uint8), initial)
+    at_point = torch.tensor([0, 1, 0, 0])
+    assert not spread_point_labels(seen, at_point, 2, PLAIN)[0].any()
+    assert spread_point_labels(seen, at_point, 2, PLAIN.set(["refinement.min_points=1"]))[0].any()
+    alone = seen_at([(2, 2)], torch.zeros(3, 5, 6, dtype=torch.uint8), initial)
+    assert spread_point_labels(alone, torch.tensor([1]), 2, PLAIN)[0].all()  # nothing else to go by
 
 
 def test_without_points_the_initial_segments_stay() -> None:

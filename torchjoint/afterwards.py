@@ -14,6 +14,7 @@ AFTERWARDS = {
         "method",
         "color_weight",
         "boundary_weight",
+        "min_points",
         "unseen",
         "radius",
         "merge_ratio",

@@ -221,6 +221,10 @@ class RefinementConfig(Stage):
         50.0, "spread: how far a label goes on rather than across a boundary of strength 1", unit="px", low=0,
         high=1000, sensible="10-100",
     )  # fmt: skip
+    min_points: int = parameter(
+        2, "spread: a connected part of one label with fewer points is left to its neighbours; more removes points "
+        "seen through gaps, and small things; 1: none", unit="points", low=1, sensible="1-3",
+    )  # fmt: skip
     unseen: float = parameter(
         30.0, "spread: an initial segment without a point keeps an id of its own where so many were to be expected, "
         "at the image's mean density; less keeps sky and glass apart, and breaks up what has few points",

@@ -33,7 +33,11 @@ def spread_point_labels(
     markers = nearest_labels(seen.visible, point_labels, (height, width))
     colors = smooth(seen.image[None].float() / 255, config.image_graph.smoothing)[0].clamp_(0, 1)
     weights = config.refinement.color_weight, config.refinement.boundary_weight
-    labels = ops.spread_labels(markers, colors, seen.boundary.float() / 255, *weights)
+    image = colors, seen.boundary.float() / 255, *weights
+    labels = ops.spread_labels(markers, *image)
+    if config.refinement.min_points > 1:
+        markers = _without_specks(markers, labels, config.refinement.min_points)
+        labels = ops.spread_labels(markers, *image)
     return _keep_unseen(labels, markers >= 0, seen.labels, config.refinement.unseen, num_segments)
 
 
@@ -56,6 +60,17 @@ def nearest_labels(visible: Visible, point_labels: Tensor, size: tuple[int, int]
     labels = torch.full((size[0] * size[1],), -1, dtype=torch.int32)
     labels[pixel[first]] = point_labels[first].to(torch.int32)
     return labels.view(size)
+
+
+def _without_specks(markers: Tensor, labels: Tensor, least: int) -> Tensor:
+    """The markers [H, W] but those of connected parts of one label [H, W] that hold fewer than `least` of them.
+
+    They are mostly points of the background, seen through gaps between those in front of it.
+    """
+    part = ops.felzenszwalb_image(labels.float()[None, None], scale=1e-9)[0]  # joins what does not differ at all
+    count = torch.bincount(part[markers >= 0], minlength=int(part.max()) + 1 if part.numel() else 0)
+    kept = torch.where(count[part] >= least, markers, -1)
+    return kept if bool((kept >= 0).any()) else markers
 
 
 def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, least: float, first_free: int) -> tuple[Tensor, int]:
