@@ -22,7 +22,7 @@ from torch import nn
 import torchjoint as tj
 
 #: Stages of the stopwatch that are a frame's own, in the order of the method.
-STAGES = ("boundaries", "image segments", "visibility", "propagation", "refinement", "joint labels")
+STAGES = ("boundaries", "image segments", "visibility", "propagation", "image labels")
 BATCH = 8
 
 

@@ -7,7 +7,7 @@ import torch
 from sweeps import HEIGHT, sweep
 
 import torchjoint.ground as module
-from torchjoint.angular_neighbors import directions
+from torchjoint.directions import directions
 from torchjoint.ground import Profile, ground, ground_profile, height_over_ground
 from torchjoint.sweep_config import SweepConfig
 

@@ -28,6 +28,7 @@ from torchjoint.ops import (
     project,
     segment_graphs,
     splat_depth,
+    spread_labels,
     ultrametric_contours,
     window_overlaps,
 )
@@ -68,6 +69,10 @@ SEGMENT_GRAPHS = {
     "boundary": torch.rand(3, 4), "color_weight": 1.0, "boundary_weight": 0.5,
 }  # fmt: skip
 MATCH_PIXELS = {"pred": LABELS > 0, "target": LABELS == 0, "radius": 1.5}
+SPREAD_LABELS = {
+    "markers": LABELS, "colors": torch.rand(3, 3, 4), "boundary": torch.rand(3, 4), "color_weight": 9.0,
+    "boundary_weight": 2.0,
+}  # fmt: skip
 #: Every operator, with arguments that are right.
 VALID: dict[Callable[..., Any], dict[str, Any]] = {
     felzenszwalb: FELZENSZWALB,
@@ -81,6 +86,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     pair_counts: PAIR_COUNTS,
     segment_graphs: SEGMENT_GRAPHS,
     match_pixels: MATCH_PIXELS,
+    spread_labels: SPREAD_LABELS,
     ultrametric_contours: {"boundary": IMAGES[0, 0], "relief": IMAGES[0, 1]},
 }
 
@@ -221,6 +227,13 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (match_pixels, {"radius": -1}, ValueError, "radius: expected a number >= 0, got -1"),
     (match_pixels, {"radius": torch.inf}, ValueError, "radius: expected a finite number >= 0, got inf"),
     (match_pixels, {"radius": "1"}, TypeError, "radius: expected int or float, got str"),
+    (spread_labels, {"markers": LABELS.long()}, TypeError, "markers: expected dtype torch.int32, got torch.int64"),
+    (spread_labels, {"colors": torch.rand(1, 3, 4)}, ValueError, "colors: expected shape [3, H, W] = [3, 3, 4], got"),
+    (spread_labels, {"colors": torch.full((3, 3, 4), NAN)}, ValueError, "colors: expected numbers in [0, 1], got nan"),
+    (spread_labels, {"boundary": torch.ones(3)}, ValueError, "boundary: expected shape [H, W] = [3, 4], got [3]"),
+    (spread_labels, {"boundary": torch.full((3, 4), 1.5)}, ValueError, "boundary: expected numbers in [0, 1], got 1.5"),
+    (spread_labels, {"color_weight": -1.0}, ValueError, "color_weight: expected a number >= 0, got -1.0"),
+    (spread_labels, {"boundary_weight": 1001.0}, ValueError, "boundary_weight: expected 0 to 1000, got 1001"),
     (ultrametric_contours, {"boundary": IMAGES[0]}, ValueError, "boundary: expected shape [H, W], got [3, 2, 4]"),
     (ultrametric_contours, {"boundary": LABELS}, TypeError, "boundary: expected dtype torch.float32, got torch.int32"),
     (
@@ -275,6 +288,10 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (segment_graphs, {"boundary": torch.rand(3)}),
         (segment_graphs, {"chosen": PIXELS}),
         (segment_graphs, {"color_weight": NAN}),
+        (spread_labels, {"markers": LABELS.long()}),
+        (spread_labels, {"colors": torch.rand(3, 4, 3)}),
+        (spread_labels, {"boundary": torch.rand(3)}),
+        (spread_labels, {"boundary_weight": NAN}),
         (match_pixels, {"pred": LABELS}),
         (match_pixels, {"target": LABELS.T > 0}),
         (match_pixels, {"radius": NAN}),

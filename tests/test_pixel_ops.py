@@ -179,3 +179,40 @@ def test_gaps_are_closed() -> None:
         passable = (boundary < 0.5).float()
         labels = ops.felzenszwalb_image(passable.expand(1, 3, -1, -1), scale=1e-9)[0]
         assert (labels[inside] == labels[outside]) == leaks
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    seed=SEEDS,
+    height=st.integers(0, 12),
+    width=st.integers(0, 12),
+    levels=st.sampled_from([1, 3, 1000]),
+    weights=st.sampled_from([(0.0, 0.0), (3.0, 0.0), (0.0, 2.5), (100.0, 50.0), (1000.0, 1000.0)]),
+)
+def test_spread_labels(seed: int, height: int, width: int, levels: int, weights: tuple[float, float]) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    markers = integers(generator, -20, 4, height, width).clamp(min=-1).int()
+    image = torch.randint(0, levels + 1, (4, height, width), generator=generator) / levels
+    arguments = (markers, image[:3], image[3], *weights)
+    assert_same((ops.spread_labels(*arguments),), (reference.spread_labels_reference(*arguments),))
+
+
+def test_spread_labels_by_hand() -> None:
+    """Half way without an edge, the lower label in the middle; at the edge, with one; around it, if that is cheaper."""
+    markers = torch.full((1, 7), -1, dtype=torch.int32)
+    markers[0, 0], markers[0, 6] = 9, 4
+    plain, edge = torch.zeros(3, 1, 7), torch.zeros(3, 1, 7)
+    edge[:, 0, 5:] = 1.0
+    assert ops.spread_labels(markers, plain, plain[0], 5.0, 5.0).tolist() == [[9, 9, 9, 4, 4, 4, 4]]
+    assert ops.spread_labels(markers, edge, plain[0], 5.0, 5.0).tolist() == [[9, 9, 9, 9, 9, 4, 4]]
+    wall = torch.zeros(3, 5)
+    wall[:2, 1:3] = 1.0  # two pixels wide, and open below
+    markers = torch.full((3, 5), -1, dtype=torch.int32)
+    markers[0, 0], markers[0, 4] = 1, 2
+    labels = ops.spread_labels(markers, torch.zeros(3, 3, 5), wall, 0.0, 100.0)
+    assert labels.tolist() == [[1, 1, 2, 2, 2], [1, 1, 2, 2, 2], [1, 1, 1, 2, 2]]
+
+
+def test_spread_labels_of_nothing() -> None:
+    markers = torch.full((3, 4), -1, dtype=torch.int32)
+    assert torch.equal(ops.spread_labels(markers, torch.rand(3, 3, 4), torch.rand(3, 4), 1.0, 1.0), markers)

@@ -7,7 +7,7 @@ from sweeps import HEIGHT, sweep
 from torchjoint.ground import ground
 from torchjoint.metrics import mean_best_iou
 from torchjoint.sweep_config import SweepConfig
-from torchjoint.sweep_segments import foot_edges, gap_weights, segment_sweep, sweep_edges
+from torchjoint.sweep_segments import foot_edges, gap_weights, segment_sweep
 
 BOXES = (
     ((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1)),
@@ -114,14 +114,6 @@ def test_the_sensor_may_stand_anywhere():
     here, there = segment_sweep(points), segment_sweep(points + sensor, sensor=sensor)
     assert here.max() == there.max()
     assert mean_best_iou(there, here) > 0.99  # coordinates are rounded otherwise there
-
-
-def test_edges_are_of_both_kinds():
-    points, _ = sweep(*BOXES)
-    points = points[::7]
-    edges = sweep_edges(points, SweepConfig(neighbors=3))
-    assert (edges[0] < edges[1]).all()
-    assert edges.shape[1] > len(points) * 3 // 2 * 1.5
 
 
 def test_threads_change_nothing():

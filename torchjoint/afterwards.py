@@ -6,16 +6,18 @@ import dataclasses
 
 from torchjoint.config import STAGES, Config
 
+
+def _all_of(stage: str) -> tuple[str, ...]:
+    return tuple(spec.name for spec in dataclasses.fields(STAGES[stage]))
+
+
 AFTERWARDS = {
     "point_graph": ("distance_weight", "angle_weight", "convex_factor", "color_weight"),
     "propagation": ("overlap_threshold", "normalization", "saturation", "weight"),
-    "point_segments": ("method", "scale", "min_size"),
-    "regions": ("scale", "min_size", "color_weight", "image_weight"),
-    "borders": ("threshold", "agreement", "min_size"),
-    "confirmation": ("min_size", "overlap"),
-    "bridges": ("min_votes", "share", "cell", "depth_step", "flatness", "max_gap"),
-    "sweep": tuple(spec.name for spec in dataclasses.fields(STAGES["sweep"])),
-    "refinement": ("radius", "merge_ratio", "split_min_edges", "max_splits"),
+    **{
+        stage: _all_of(stage)
+        for stage in ("point_segments", "regions", "borders", "confirmation", "bridges", "sweep", "refinement")
+    },
 }
 
 

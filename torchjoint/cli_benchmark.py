@@ -48,7 +48,7 @@ def benchmark(
         suite: the kind of scenes.
         data: folder of the data; synthetic scenes need none.
         out: folder for table.md, scores.csv, scores.png, settings.yaml; default: benchmark-SUITE.
-        methods: only these; default: all that are made for such scenes.
+        methods: only these; default: all.
         settings: YAML file of methods' settings; default: those that come with the package.
         tuning: search each method's setting on the suite's tuning half first, by so many draws and so many steps
             from the best, such as 60 40; can be interrupted and resumed.
@@ -56,11 +56,11 @@ def benchmark(
         page: a Markdown file whose part between `<!-- benchmark SUITE -->` marks gets the table of all methods.
         overwrite: replace files in OUT.
     """
-    kind, chosen = SUITES[suite], _chosen(methods, suite)
+    kind, chosen = SUITES[suite], _chosen(methods)
     out = out or Path(f"benchmark-{suite}")
     # What is wrong is to be told before hours of work.
     check_output(out, (TABLE, SCORES, PICTURE, SETTINGS), overwrite)
-    _check_page(page, suite, len(chosen) == len(_chosen((), suite)) and half == "checking")
+    _check_page(page, suite, len(chosen) == len(METHODS) and half == "checking")
     if tuning is not None and (tuning[0] < 1 or tuning[1] < 0):
         raise ValueError(f"--tuning: expected draws >= 1 and steps >= 0, got {tuning[0]} {tuning[1]}")
     if tuning is not None and kind.tuned_as:
@@ -122,12 +122,11 @@ def _tuned(
     return {name: trial.setting for name, trial in found.items()}
 
 
-def _chosen(names: Sequence[str], suite: str) -> list[Method]:
-    known = {name: method for name, method in METHODS.items() if method.is_for(suite)}
-    unknown = [name for name in names if name not in known]
+def _chosen(names: Sequence[str]) -> list[Method]:
+    unknown = [name for name in names if name not in METHODS]
     if unknown:
-        raise ValueError(f"--methods: expected some of {', '.join(known)}, got {unknown[0]!r}")
-    return [method for name, method in known.items() if not names or name in names]
+        raise ValueError(f"--methods: expected some of {', '.join(METHODS)}, got {unknown[0]!r}")
+    return [method for name, method in METHODS.items() if not names or name in names]
 
 
 def _title(name: str) -> str:

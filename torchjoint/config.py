@@ -14,8 +14,8 @@ from typing import Any
 
 from torchjoint.parameter import Stage, parameter
 from torchjoint.presets import presets, read_assignment, read_preset, read_yaml
-from torchjoint.sweep_config import SweepConfig
 from torchjoint.region_config import BordersConfig, BridgesConfig, ConfirmationConfig, RegionsConfig
+from torchjoint.sweep_config import SweepConfig
 
 #: Boundary detectors of the package.
 DETECTORS = ("structured_forest", "gradient")
@@ -209,9 +209,9 @@ class PointSegmentsConfig(Stage):
     """Step 6: segments of the point graph."""
 
     method: str = parameter(
-        "regions", "small regions, merged by what lies on their whole border; as in the paper, Felzenszwalb-Huttenlocher "
-        "on the edges, eq. 3; or a LiDAR's sweep, z up and the sensor at the origin: its ground and what stands on it, "
-        "in which images have no say", choices=("regions", "edges", "sweep"),
+        "regions", "regions: small ones, merged by what lies on their whole border; edges: as in the paper, "
+        "Felzenszwalb-Huttenlocher on eq. 3; sweep: of a LiDAR, z up and the sensor at the origin, its ground and what "
+        "stands on it, in which images have no say", choices=("regions", "edges", "sweep"),
     )  # fmt: skip
     scale: float = parameter(4.5, "edges: k; more gives larger segments", unit="weight x points", low=0)
     min_size: int = parameter(120, "edges: smaller segments are joined to a neighbour", unit="points", low=0)
@@ -219,22 +219,43 @@ class PointSegmentsConfig(Stage):
 
 @dataclass(frozen=True)
 class RefinementConfig(Stage):
-    """Step 7, eq. 7-14: the 3D labels merge and split the segments of each image."""
+    """Steps 7 and 8: the final labels of each image, from the 3D labels and its own edges."""
 
+    method: str = parameter(
+        "spread", "spread: the points' 3D labels spread over the image and meet at its edges; cuts: they merge and "
+        "split the initial segments, eq. 7-14", choices=("spread", "cuts"),
+    )  # fmt: skip
+    color_weight: float = parameter(
+        100.0, "spread: how far a label goes on rather than across an RGB distance of 1; 0: to the nearest point",
+        unit="px", low=0, high=1000, sensible="25-200",
+    )  # fmt: skip
+    boundary_weight: float = parameter(
+        50.0, "spread: how far a label goes on rather than across a boundary of strength 1", unit="px", low=0,
+        high=1000, sensible="10-100",
+    )  # fmt: skip
+    min_points: int = parameter(
+        2, "spread: a connected part of one label with fewer points is left to its neighbours; more removes points "
+        "seen through gaps, and small things; 1: none", unit="points", low=1, sensible="1-3",
+    )  # fmt: skip
+    unseen: float = parameter(
+        30.0, "spread: an initial segment without a point keeps an id of its own where so many were to be expected, "
+        "at the image's mean density; less keeps sky and glass apart, and breaks up what has few points",
+        unit="points", low=0, sensible="10-100",
+    )  # fmt: skip
     radius: float = parameter(
-        3.0, "R, visible points closer than this in the image are compared", unit="px", above=0, high=100,
+        3.0, "cuts: R, visible points closer than this in the image are compared", unit="px", above=0, high=100,
         sensible="2-8; at least the spacing of the projected points",
     )  # fmt: skip
     merge_ratio: float | None = parameter(
-        None, "r_m, two image segments merge when this share of their point pairs has one 3D label; null: off "
+        None, "cuts: r_m, two image segments merge when this share of their point pairs has one 3D label; null: off "
         "(merging chains whole images together, and step 8 joins segments of one label anyway)", low=0, high=1,
         sensible="null, or 0.9-1",
     )  # fmt: skip
     split_min_edges: int | None = parameter(
-        10, "n_s, external point pairs inside an image segment before it is cut in two; null: never cut", low=1,
+        10, "cuts: n_s, external point pairs inside an image segment before it is cut in two; null: never cut", low=1,
         sensible="5-100",
     )  # fmt: skip
-    max_splits: int = parameter(8, "how often a segment may be cut again, at the most", low=1, high=64)
+    max_splits: int = parameter(8, "cuts: how often a segment may be cut again, at the most", low=1, high=64)
 
 
 @dataclass(frozen=True)

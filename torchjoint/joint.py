@@ -14,16 +14,15 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from torchjoint.afterwards import seen_otherwise
-from torchjoint.boundary import smooth
 from torchjoint.checkpoint import Checkpoint
 from torchjoint.config import Config
+from torchjoint.image_labels import label_image
 from torchjoint.image_segmenter import ImageSegmenter
-from torchjoint.joint_labels import joint_labels, separate_private_ids
+from torchjoint.joint_labels import separate_private_ids
 from torchjoint.point_graph import PointGraph, build_point_graph, faces_camera
 from torchjoint.point_segments import segment_points
 from torchjoint.pose_check import check_poses
 from torchjoint.propagation import EdgeLists, edge_overlaps
-from torchjoint.refinement import merge_segments, split_segments
 from torchjoint.scene import Frame, LabelImages, Scene, Segmentation
 from torchjoint.state import JointState, Observation
 from torchjoint.threads import map_frames, one_thread_per_operation
@@ -168,10 +167,11 @@ class JointSegmenter(nn.Module):
             if not images:
                 return Segmentation(point_labels, (), seconds=dict(self.stopwatch.seconds))
             sizes = torch.bincount(point_labels)
-            bar = tqdm(total=len(state.observations), desc="refine", unit="frame", disable=not progress)
+            bar = tqdm(total=len(state.observations), desc="images", unit="frame", disable=not progress)
 
             def refine(observation: Observation) -> tuple[Tensor, int]:
-                refined = self._refine(observation, point_labels, sizes)
+                with self.stopwatch("image labels"):
+                    refined = label_image(observation, point_labels, sizes, self.config)
                 bar.update()
                 return refined
 
@@ -242,18 +242,6 @@ class JointSegmenter(nn.Module):
             edges, overlaps = edge_overlaps(self._edges, visible, labels, self.config.propagation.window)
         observation = Observation(frame.name, labels, visible, _to_8_bits(frame.image), _to_8_bits(boundary))
         return observation, facing, edges, overlaps
-
-    def _refine(self, observation: Observation, point_labels: Tensor, sizes: Tensor) -> tuple[Tensor, int]:
-        """Steps 7 and 8 for one frame: labels, those without a point numbered from the number of 3D segments."""
-        config, visible, labels = self.config, observation.visible, observation.labels
-        at_point = point_labels[visible.point]
-        with self.stopwatch("refinement"):
-            labels = merge_segments(labels, visible, at_point, config.refinement)
-            image, boundary = observation.image.float() / 255, observation.boundary.float() / 255
-            colors = smooth(image[None], config.image_graph.smoothing)[0]
-            labels = split_segments(labels, colors, boundary, visible, at_point, config.refinement, config.image_graph)
-        with self.stopwatch("joint labels"):
-            return joint_labels(labels, visible, at_point, sizes, sizes.shape[0])
 
 
 def _batches_of_one_size(frames: Sequence[Frame]) -> Iterator[list[Frame]]:

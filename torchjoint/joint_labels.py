@@ -32,7 +32,7 @@ def joint_labels(
     names = torch.full((int(labels.max()) + 1 if labels.numel() else 0,), -1)
     segment, winner = _most_votes(labels[visible.row, visible.column].long(), point_labels, segment_sizes)
     names[segment] = winner
-    unnamed = _by_first_appearance(labels, names < 0)
+    unnamed = by_first_appearance(labels, names < 0)
     names[unnamed] = first_free + torch.arange(unnamed.shape[0])
     return look_up(names.to(torch.int32), labels, -1), first_free + unnamed.shape[0]
 
@@ -84,7 +84,7 @@ def starts_group(sorted_values: Tensor) -> Tensor:
     return starts
 
 
-def _by_first_appearance(labels: Tensor, wanted: Tensor) -> Tensor:
+def by_first_appearance(labels: Tensor, wanted: Tensor) -> Tensor:
     """Those of the wanted labels ([K] bool) that an image has, in the order of their first pixels."""
     pixel = torch.nonzero(look_up(wanted, labels, False).view(-1)).squeeze(1)
     first_pixel = torch.full((wanted.shape[0],), labels.numel())

@@ -31,7 +31,6 @@ class Method:
         like: name of the method whose setting it uses instead of one of its own.
         checked: raises ValueError or TypeError for a setting that the method cannot be given; default: names are those
             of its space, values numbers.
-        suites: names of those it is made for; empty = all.
         judged: what its setting is chosen by, "3D" or "2D" (where there is such truth).
     """
 
@@ -40,7 +39,6 @@ class Method:
     run: Callable[[Case, Setting, bool], Result]
     space: Mapping[str, Space] = field(default_factory=dict)
     like: str | None = None
-    suites: tuple[str, ...] = ()
     judged: str = "3D"
     checked: Callable[[Setting], object] | None = None
 
@@ -55,10 +53,6 @@ class Method:
                 raise ValueError(f"{name}: unknown parameter, expected one of {', '.join(sorted(known))}")
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise TypeError(f"{name}: expected a number, got {value!r}")
-
-    def is_for(self, suite: str) -> bool:
-        """Whether it is compared in a suite."""
-        return not self.suites or suite in self.suites
 
     def space_in(self, suite: str) -> Space:
         """The parameters that are searched in a suite."""

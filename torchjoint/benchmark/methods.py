@@ -20,8 +20,6 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.presets import presets
 from torchjoint.superpoints import superpoints
 from torchjoint.superpoints_config import SuperpointsConfig
-from torchjoint.sweep_config import SweepConfig
-from torchjoint.sweep_segments import segment_sweep
 from torchjoint.timing import Stopwatch
 
 
@@ -91,11 +89,6 @@ def ransac_dbscan(case: Case, setting: Setting, images: bool) -> Result:
     return _painted(case, planes_and_clusters(case.scene.points, **setting), images)
 
 
-def sweep(case: Case, setting: Setting, images: bool) -> Result:
-    """A LiDAR's sweep as the ground and what stands on it; the LiDAR stands at the origin, z is up."""
-    return _painted(case, segment_sweep(case.scene.points, SweepConfig().replace(setting)), images)
-
-
 def _superpoints(case: Case, setting: Setting, images: bool) -> Result:
     config = SuperpointsConfig().replace(setting)
     colors = case.scene.colors if config.color_weight > 0 else None
@@ -162,13 +155,5 @@ METHODS = {
             checked=SuperpointsConfig().replace,
         ),
         Method("ransac_dbscan", "RANSAC planes + DBSCAN", ransac_dbscan, spaces.RANSAC_DBSCAN),
-        Method(
-            "sweep",
-            "sweep: ground and components",
-            sweep,
-            spaces.SWEEP,
-            suites=("kitti",),
-            checked=SweepConfig().replace,
-        ),
     )
 }

@@ -62,10 +62,20 @@ _COLORED: Space = {
     "angle_weight": Between(0.1, 2.0),
     "scale": Between(0.3, 30.0),
 }
+_SWEEP: Space = {
+    "sweep.azimuth_cell": Choice((1.0, 2.0, 3.0, 4.0)),
+    "sweep.ground_height": Between(0.06, 0.25),
+    "sweep.max_slope": Between(5, 15),
+    "sweep.neighbors": Choice((8, 12, 16, 24)),
+    "sweep.gap": Between(0.1, 0.5),
+    "sweep.gap_growth": Between(0.01, 0.04),
+    "sweep.min_size": Between(5, 40, whole=True),
+    "sweep.joining_gap": Between(1.2, 4.0),
+}
 
 #: Rooms have too many images to segment them anew for every setting: there those of the default are used.
-JOINT = {"": {**_REGIONS, **_IMAGES_ON_BORDERS}}
-GEOMETRY = {"": _REGIONS}
+JOINT = {"": {**_REGIONS, **_IMAGES_ON_BORDERS}, "kitti": _SWEEP}
+GEOMETRY = {"": _REGIONS, "kitti": _SWEEP}
 EDGES = {
     "": {**_EDGES, **_EVIDENCE},
     "mosd": {**_EDGES, **_EVIDENCE, **_IMAGES},
@@ -101,17 +111,5 @@ RANSAC_DBSCAN: dict[str, Space] = {
         "max_planes": Choice((1, 2, 3)),
         "eps": Between(0.2, 1.5),
         "min_points": Choice((2, 4, 8, 16)),
-    },
-}
-SWEEP: dict[str, Space] = {
-    "kitti": {
-        "azimuth_cell": Choice((1.0, 2.0, 3.0, 4.0)),
-        "ground_height": Between(0.06, 0.25),
-        "max_slope": Between(5, 15),
-        "neighbors": Choice((8, 12, 16, 24)),
-        "gap": Between(0.1, 0.5),
-        "gap_growth": Between(0.01, 0.04),
-        "min_size": Between(5, 40, whole=True),
-        "joining_gap": Between(1.2, 4.0),
     },
 }

@@ -26,6 +26,7 @@ from torchjoint.ops.project import project
 from torchjoint.ops.region_planes import region_planes
 from torchjoint.ops.segment_graphs import segment_graphs
 from torchjoint.ops.splat_depth import splat_depth
+from torchjoint.ops.spread_labels import spread_labels
 from torchjoint.ops.ultrametric_contours import ultrametric_contours
 from torchjoint.ops.window_overlaps import window_overlaps
 
@@ -42,6 +43,7 @@ __all__ = [
     "region_planes",
     "segment_graphs",
     "splat_depth",
+    "spread_labels",
     "ultrametric_contours",
     "window_overlaps",
 ]

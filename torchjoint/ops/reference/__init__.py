@@ -8,6 +8,7 @@ from torchjoint.ops.reference.graphs import (
 from torchjoint.ops.reference.images import (
     match_pixels_reference,
     segment_graphs_reference,
+    spread_labels_reference,
     ultrametric_contours_reference,
 )
 from torchjoint.ops.reference.points import (
@@ -36,6 +37,7 @@ __all__ = [
     "region_planes_reference",
     "segment_graphs_reference",
     "splat_depth_reference",
+    "spread_labels_reference",
     "ultrametric_contours_reference",
     "window_overlaps_reference",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from heapq import heappop, heappush
 
 import numpy as np
 import torch
@@ -156,3 +157,34 @@ def ultrametric_contours_reference(boundary: Tensor, relief: Tensor) -> Tensor:
         for pixel in (here, there):
             contours[pixel] = max(contours[pixel].item(), torch.tensor(value).item())
     return contours
+
+
+def spread_labels_reference(
+    markers: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float
+) -> Tensor:
+    """What :func:`torchjoint.ops.spread_labels` computes; the arguments are not checked."""
+    height, width = markers.shape
+    red, green, blue = colors.numpy()
+    strength = boundary.numpy()
+    weights = np.float32(color_weight), np.float32(boundary_weight)
+    labels = torch.full_like(markers, -1)
+    queue = [(0, int(markers[row, column]), row, column) for row, column in torch.nonzero(markers >= 0).tolist()]
+    queue.sort()
+    while queue:
+        cost, label, row, column = heappop(queue)
+        if labels[row, column] >= 0:
+            continue
+        labels[row, column] = label
+        here = row, column
+        for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)):
+            there = row + down, column + right
+            if not (0 <= there[0] < height and 0 <= there[1] < width):
+                continue
+            differences = [plane[here] - plane[there] for plane in (red, green, blue)]
+            squares = [difference * difference for difference in differences]
+            distance = np.sqrt((squares[0] + squares[1]) + squares[2])
+            length = np.float32(1.41421356 if down and right else 1)
+            weakest = min(strength[here], strength[there])
+            step = np.rint(np.float32(8) * ((length + weights[0] * distance) + weights[1] * weakest))
+            heappush(queue, (cost + int(step), label, *there))
+    return labels
