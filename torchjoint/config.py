@@ -108,7 +108,7 @@ class PointGraphConfig(Stage):
 
     neighbors: int = parameter(16, "K, neighbours of a point in the graph", low=1, high=200, sensible="8-30")
     normal_neighbors: int = parameter(
-        45, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=3, high=500,
+        30, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=3, high=500,
         sensible="10-80",
     )  # fmt: skip
     reach: float = reach_parameter()
@@ -122,7 +122,7 @@ class PointGraphConfig(Stage):
     )  # fmt: skip
     angle_weight: float = parameter(1.0, "w_theta, weight of the angle of two normals", unit="1/rad", low=0)
     convex_factor: float = parameter(
-        0.1,
+        0.06,
         "the angle counts only this much where the surface is convex: objects mostly are, and the borders between "
         "them concave; 1 is the paper's letter",
         low=0,
@@ -184,7 +184,7 @@ class PropagationConfig(Stage):
     """Step 5, eq. 5-6: what the image segmentations say about each edge of the point graph."""
 
     window: int = parameter(
-        3, "t, side of the window around a point's pixel (odd); more forgives pose error and softens borders",
+        1, "t, side of the window around a point's pixel (odd); more forgives pose error and softens borders",
         unit="px", low=1, high=31, sensible="1-7",
     )  # fmt: skip
     overlap_threshold: float = parameter(
@@ -199,8 +199,8 @@ class PropagationConfig(Stage):
         sensible="1-10",
     )  # fmt: skip
     weight: float = parameter(
-        0.42, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation, in which no image has a say",
-        low=0, sensible="0.05-0.5",
+        0.65, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation, in which no image has a say",
+        low=0, sensible="0.05-0.8",
     )  # fmt: skip
 
 

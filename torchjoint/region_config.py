@@ -16,10 +16,10 @@ class RegionsConfig(Stage):
         sensible="0.003-0.3",
     )  # fmt: skip
     min_size: int = parameter(
-        5, "smaller regions are joined to a neighbour", unit="points", low=0, sensible="3-15, less where points are few"
+        3, "smaller regions are joined to a neighbour", unit="points", low=0, sensible="3-15, less where points are few"
     )
     color_weight: float = parameter(
-        0.034, "weight of the RGB distance of two points, where the cloud has colours", low=0, sensible="0-0.1"
+        0.04, "weight of the RGB distance of two points, where the cloud has colours", low=0, sensible="0-0.1"
     )
     image_weight: float = parameter(0.03, "weight of the images' disagreement r (eq. 6)", low=0, sensible="0-0.1")
 
@@ -33,7 +33,7 @@ class BordersConfig(Stage):
         sensible="0.1-0.4",
     )  # fmt: skip
     agreement: float = parameter(
-        0.6, "how much of a crease's cost is taken back where images see one segment on both sides", low=0, high=1,
+        0.35, "how much of a crease's cost is taken back where images see one segment on both sides", low=0, high=1,
         sensible="0-0.7",
     )  # fmt: skip
     min_size: int = parameter(5, "smaller segments are joined to a neighbour", unit="points", low=0, sensible="3-500")
@@ -48,7 +48,7 @@ class ConfirmationConfig(Stage):
         unit="points", low=0, sensible="0-500",
     )  # fmt: skip
     overlap: float = parameter(
-        0.55, "intersection over union, in points, of a segment with one of an image, from which on that confirms it",
+        0.6, "intersection over union, in points, of a segment with one of an image, from which on that confirms it",
         low=0, high=1, sensible="0.4-0.7",
     )  # fmt: skip
 
