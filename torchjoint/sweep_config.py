@@ -32,7 +32,7 @@ class SweepConfig(Stage):
         sensible="0.1-0.5",
     )  # fmt: skip
     ground_height: float = parameter(
-        0.1, "ground: points lower than this over it belong to it; less keeps feet and kerbs, and leaves crumbs of a "
+        0.08, "ground: points lower than this over it belong to it; less keeps feet and kerbs, and leaves crumbs of a "
         "rough road", unit="m", above=0, sensible="0.05-0.3",
     )  # fmt: skip
     foot_distance: float = parameter(
