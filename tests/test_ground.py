@@ -26,7 +26,7 @@ def test_a_box_stands_on_it_and_hides_what_is_behind():
     on_ground = ground(points)
     assert on_ground[what == 0].all()
     height = points[:, 2].double() + HEIGHT
-    torch.testing.assert_close(on_ground[what == 1], height[what == 1] < 0.1)
+    torch.testing.assert_close(on_ground[what == 1], height[what == 1] < SweepConfig().ground_height)
     torch.testing.assert_close(height_over_ground(points), height, atol=0.02, rtol=0)
 
 
