@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from torchjoint.benchmark.settings import read_settings, write_settings
 from torchjoint.benchmark.space import Between, Choice, draw, near
 from torchjoint.benchmark.suites import SUITES
 from torchjoint.benchmark.vote import vote
+from torchjoint.presets import presets
 from torchjoint.visibility import Visible, in_any_view
 
 
@@ -146,8 +148,9 @@ SETTINGS = {
 
 
 class TestMethods:
-    def test_the_defaults_have_nothing_to_search(self):
-        assert METHODS["joint_default"].space_in("mosd") == {}
+    def test_presets_have_nothing_to_search(self):
+        assert {name for name in METHODS if name.startswith("preset_")} == {f"preset_{name}" for name in presets()}
+        assert METHODS["preset_paper"].space_in("mosd") == {}
 
     @pytest.mark.parametrize("name", METHODS)
     def test_points_and_images(self, case, name):
@@ -345,14 +348,15 @@ class TestSuites:
 
         def make(seed, size, **arguments):
             made[seed] = arguments
-            return tj.synthetic.make_scene(seed, num_views=1)
+            whole = tj.Scene(torch.arange(360_000.0).view(-1, 3))
+            return SimpleNamespace(scene=whole)
 
         monkeypatch.setattr(suites, "make_scene", make)
         for name, num_points in (("synthetic", 120_000), ("sparse", 20_000)):
             scenes = SUITES[name].scenes("checking", None)
             assert list(scenes) == [str(seed) for seed in range(10)]
-            scenes["3"]()
-            assert made == {3: {"num_views": 24, "num_points": num_points, "depth_ripple": 0.002, "hard": True}}
+            assert len(scenes["3"]().points) == num_points
+            assert made == {3: {"num_views": 24, "num_points": 120_000, "depth_ripple": 0.002, "hard": True}}
 
     def test_sparse_is_set_as_synthetic(self, monkeypatch, tmp_path, capsys):
         small = tj.synthetic.make_scene
