@@ -110,6 +110,15 @@ def test_a_wall_that_turns_behind_the_strip_is_two():
     assert not is_bridged(wall_behind_a_strip(slope=0.6), flatness=1)
 
 
+@pytest.mark.parametrize("side", [LEFT, RIGHT])
+def test_each_side_must_lie_in_the_other_s_plane(side):
+    segment, planes, observations = wall_behind_a_strip()
+    normal = planes.normal.clone()
+    normal[segment == side] = torch.nn.functional.normalize(torch.tensor([0.36, 0.0, -1.0]), dim=0)
+    assert not is_bridged((segment, planes._replace(normal=normal), observations))
+    assert is_bridged((segment, planes._replace(normal=normal), observations), flatness=0.2)
+
+
 def test_the_back_of_a_thing_is_not_its_front():
     assert not is_bridged(wall_behind_a_strip(upside_down=True))
 
@@ -139,13 +148,13 @@ def test_of_a_square_the_nearest_point_counts():
     """What is seen through a gap of the strip does not end it."""
     segment, planes, observations = wall_behind_a_strip()
     visible = observations[0].visible
-    hole = (segment == STRIP) & (visible.column == 5)
-    behind = hole & (visible.row % 2 == 0)
+    behind = (segment == STRIP) & ((visible.row + visible.column) % 2 == 0)
     segment = torch.where(behind, LEFT, segment)
     z = torch.where(behind, 2.0, visible.z)
     scene = segment, planes, [dataclasses.replace(observations[0], visible=visible._replace(z=z))]
-    assert is_bridged(scene, cell=2, min_votes=4, share=1)  # 4 rows of squares, in each of which the strip is whole
-    assert not is_bridged(scene, cell=1, share=1, min_votes=5)
+    assert is_bridged(scene, cell=2, min_votes=4)  # 4 rows of squares, in each of which the strip is whole
+    assert not is_bridged(scene, cell=2, min_votes=5)
+    assert not is_bridged(scene, cell=1, min_votes=1)
 
 
 def test_neither_the_order_of_views_nor_threads_matter():
