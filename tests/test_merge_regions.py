@@ -36,8 +36,8 @@ def random_regions(seed: int, num_regions: int, num_edges: int) -> tuple[Tensor,
 @settings(deadline=None, max_examples=600)
 @given(
     seed=st.integers(0, 2**32 - 1),
-    num_regions=st.integers(1, 14),
-    num_edges=st.integers(0, 40),
+    num_regions=st.integers(1, 30),
+    num_edges=st.integers(0, 60),
     levels=st.sampled_from([1, 2, 3, 4, 1000]),
     threshold=st.sampled_from([0.0, 0.2, 0.5, 0.75, 1.0, math.inf]),
     min_size=st.sampled_from([0, 1, 3, 8, 1000]),
