@@ -8,7 +8,7 @@ from torchjoint.presets import presets
 
 
 def test_presets_load_and_round_trip():
-    assert {"indoor", "paper"} <= set(presets())
+    assert set(presets()) == {"indoor", "tabletop", "lidar", "paper"}
     for name in presets():
         config = Config.from_preset(name)
         assert Config.from_dict(yaml.safe_load(yaml.safe_dump(config.to_dict()))) == config
@@ -22,9 +22,21 @@ def test_the_paper_preset_is_the_letter():
     paper = Config.from_preset("paper")
     assert paper.propagation.normalization == "all"
     assert paper.point_graph.convex_factor == 1
+    assert paper.point_graph.color_weight == 0
+    assert paper.point_segments.method == "edges"
+    assert paper.refinement.method == "cuts"
+    assert not paper.contours.closed
     assert paper.refinement.merge_ratio is not None
     assert paper.refinement.split_min_edges is not None
     assert paper.visibility.method == "hidden_point_removal"
+
+
+def test_each_preset_has_its_method_of_step_6():
+    methods = {name: Config.from_preset(name).point_segments.method for name in presets()}
+    assert methods == {"indoor": "regions", "tabletop": "regions", "lidar": "sweep", "paper": "edges"}
+    tabletop = Config.from_preset("tabletop")
+    assert tabletop.bridges.min_votes is not None
+    assert tabletop.confirmation.min_size == 0
 
 
 @pytest.mark.parametrize(
@@ -34,6 +46,7 @@ def test_the_paper_preset_is_the_letter():
         ({"propagation": {"wieght": 1}}, r"propagation\.wieght: unknown parameter, expected one of window, "),
         ({"propagation": 3}, r"propagation: expected parameters by name, got 3"),
         ({"propagation": {"weight": -1}}, r"propagation\.weight: expected >= 0, got -1"),
+        ({"propagation": {"weight": 1001}}, r"propagation\.weight: expected <= 1000, got 1001"),
         ({"propagation": {"weight": "much"}}, r"propagation\.weight: expected float, got 'much'"),
         ({"propagation": {"weight": True}}, r"propagation\.weight: expected float, got True"),
         ({"propagation": {"weight": None}}, r"propagation\.weight: expected float, got null"),
@@ -44,6 +57,16 @@ def test_the_paper_preset_is_the_letter():
         ({"visibility": {"method": "magic"}}, r"visibility\.method: expected one of zbuffer, hidden.*, got 'magic'"),
         ({"visibility": {"near": 0}}, r"visibility\.near: expected > 0, got 0"),
         ({"visibility": {"near": 3, "far": 2}}, r"visibility\.far: expected more than near \(3\.0\), got 2\.0"),
+        (
+            {"point_segments": {"method": "magic"}},
+            r"point_segments\.method: expected one of regions, edges, sweep, got",
+        ),
+        ({"borders": {"agreement": 1.1}}, r"borders\.agreement: expected <= 1, got 1\.1"),
+        ({"borders": {"threshold": None}}, r"borders\.threshold: expected float, got null"),
+        ({"confirmation": {"overlap": -0.1}}, r"confirmation\.overlap: expected >= 0, got -0\.1"),
+        ({"bridges": {"min_votes": 0}}, r"bridges\.min_votes: expected >= 1, got 0"),
+        ({"bridges": {"depth_step": 0}}, r"bridges\.depth_step: expected > 0, got 0"),
+        ({"regions": {"min_size": 2.5}}, r"regions\.min_size: expected a whole number, got 2\.5"),
         ({"point_graph": {"neighbors": 0}}, r"point_graph\.neighbors: expected >= 1, got 0"),
     ],
 )

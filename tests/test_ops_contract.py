@@ -22,10 +22,12 @@ from torchjoint.ops import (
     felzenszwalb_image,
     fit_normals,
     match_pixels,
+    merge_regions,
     min_cut,
     neighbor_edges,
     pair_counts,
     project,
+    region_planes,
     segment_graphs,
     splat_depth,
     spread_labels,
@@ -73,6 +75,13 @@ SPREAD_LABELS = {
     "markers": LABELS, "colors": torch.rand(3, 3, 4), "boundary": torch.rand(3, 4), "color_weight": 9.0,
     "boundary_weight": 2.0,
 }  # fmt: skip
+MERGE_REGIONS = {
+    "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
+}  # fmt: skip
+REGION_PLANES = {
+    "points": POINTS, "neighbors": NEIGHBORS, "region": torch.tensor([0, 0, 0, 1]), "normals": POINTS + 1,
+    "min_points": 3,
+}  # fmt: skip
 #: Every operator, with arguments that are right.
 VALID: dict[Callable[..., Any], dict[str, Any]] = {
     felzenszwalb: FELZENSZWALB,
@@ -87,6 +96,8 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     segment_graphs: SEGMENT_GRAPHS,
     match_pixels: MATCH_PIXELS,
     spread_labels: SPREAD_LABELS,
+    merge_regions: MERGE_REGIONS,
+    region_planes: REGION_PLANES,
     ultrametric_contours: {"boundary": IMAGES[0, 0], "relief": IMAGES[0, 1]},
 }
 
@@ -234,6 +245,35 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (spread_labels, {"boundary": torch.full((3, 4), 1.5)}, ValueError, "boundary: expected numbers in [0, 1], got 1.5"),
     (spread_labels, {"color_weight": -1.0}, ValueError, "color_weight: expected a number >= 0, got -1.0"),
     (spread_labels, {"boundary_weight": 1001.0}, ValueError, "boundary_weight: expected 0 to 1000, got 1001"),
+    (merge_regions, {"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
+    (merge_regions, {"edge_index": EDGES.t()}, ValueError, "edge_index: expected shape [2, E], got [3, 2]"),
+    (merge_regions, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
+    (merge_regions, {"edge_index": changed(EDGES, -1, 0, 1)}, ValueError, "numbers in [0, 4), got -1 at edge 1"),
+    (merge_regions, {"cost": VALUES.double()}, TypeError, "cost: expected dtype torch.float32, got torch.float64"),
+    (merge_regions, {"cost": VALUES[:2]}, ValueError, "cost: expected shape [E] = [3], got [2]"),
+    (merge_regions, {"cost": changed(VALUES, NAN, 1)}, ValueError, "cost: expected numbers in [0, 1024], got nan at"),
+    (merge_regions, {"cost": -VALUES}, ValueError, "cost: expected numbers in [0, 1024], got -0.1 at edge 0"),
+    (merge_regions, {"cost": VALUES + 1024}, ValueError, "cost: expected numbers in [0, 1024], got 1024.1 at edge 0"),
+    (merge_regions, {"size": torch.ones(4)}, TypeError, "size: expected dtype torch.int64, got torch.float32"),
+    (merge_regions, {"size": PIXELS[None]}, ValueError, "size: expected shape [R], got [1, 3]"),
+    (merge_regions, {"size": torch.tensor([9, 1, -2, 3])}, ValueError, "size: expected numbers >= 0, got -2 at 2"),
+    (merge_regions, {"threshold": -0.1}, ValueError, "threshold: expected a number >= 0, got -0.1"),
+    (merge_regions, {"threshold": NAN}, ValueError, "threshold: expected a number >= 0, got nan"),
+    (merge_regions, {"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
+    (merge_regions, {"min_size": 1.5}, TypeError, "min_size: expected int, got float"),
+    (merge_regions, {"min_size": -1}, ValueError, "min_size: expected a number >= 0, got -1"),
+    (region_planes, {"points": EYE[:, :3]}, TypeError, "points: expected dtype torch.float32, got torch.float64"),
+    (region_planes, {"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [4, 2]"),
+    (region_planes, {"neighbors": NEIGHBORS.short()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
+    (region_planes, {"neighbors": NEIGHBORS[:3]}, ValueError, "neighbors: expected shape [N, K] = [4, K], got [3, 2]"),
+    (region_planes, {"neighbors": changed(NEIGHBORS, 4, 1, 0)}, ValueError, "numbers in [0, 4), got 4 in row 1"),
+    (region_planes, {"neighbors": changed(NEIGHBORS, -1, 3, 0).int()}, ValueError, "in [0, 4), got -1 in row 3"),
+    (region_planes, {"region": PIXELS}, ValueError, "region: expected shape [N] = [4], got [3]"),
+    (region_planes, {"region": SOURCE}, TypeError, "region: expected dtype torch.int64, got torch.float32"),
+    (region_planes, {"normals": POINTS[:3]}, ValueError, "normals: expected shape [N, 3] = [4, 3], got [3, 3]"),
+    (region_planes, {"min_points": 2}, ValueError, "min_points: expected at least 3, got 2"),
+    (region_planes, {"min_points": -3}, ValueError, "min_points: expected a number >= 0, got -3"),
+    (region_planes, {"min_points": 3.0}, TypeError, "min_points: expected int, got float"),
     (ultrametric_contours, {"boundary": IMAGES[0]}, ValueError, "boundary: expected shape [H, W], got [3, 2, 4]"),
     (ultrametric_contours, {"boundary": LABELS}, TypeError, "boundary: expected dtype torch.float32, got torch.int32"),
     (
@@ -292,6 +332,18 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (spread_labels, {"colors": torch.rand(3, 4, 3)}),
         (spread_labels, {"boundary": torch.rand(3)}),
         (spread_labels, {"boundary_weight": NAN}),
+        (merge_regions, {"edge_index": EDGES.int()}),
+        (merge_regions, {"cost": VALUES[:2]}),
+        (merge_regions, {"cost": VALUES.double()}),
+        (merge_regions, {"size": PIXELS[None]}),
+        (merge_regions, {"threshold": NAN}),
+        (merge_regions, {"min_size": -1}),
+        (region_planes, {"points": POINTS[:, :2]}),
+        (region_planes, {"neighbors": NEIGHBORS[:3]}),
+        (region_planes, {"neighbors": NEIGHBORS.float()}),
+        (region_planes, {"region": PIXELS}),
+        (region_planes, {"normals": EYE[:, :3]}),
+        (region_planes, {"min_points": 2}),
         (match_pixels, {"pred": LABELS}),
         (match_pixels, {"target": LABELS.T > 0}),
         (match_pixels, {"radius": NAN}),
@@ -359,6 +411,10 @@ def test_no_gradient_flows() -> None:
     assert not felzenszwalb_image(IMAGES.clone().requires_grad_(), scale=1.0).requires_grad
     assert not any(result.requires_grad for result in min_cut(EDGES, weight, SOURCE, SINK))
     assert not fit_normals(POINTS.clone().requires_grad_(), NEIGHBORS).requires_grad
+    assert not merge_regions(**MERGE_REGIONS | {"cost": weight}).requires_grad
+    with_grad = {name: REGION_PLANES[name].clone().requires_grad_() for name in ("points", "normals")}
+    assert not any(result.requires_grad for result in region_planes(**REGION_PLANES | with_grad))
+    assert not spread_labels(**SPREAD_LABELS | {"boundary": torch.rand(3, 4).requires_grad_()}).requires_grad
 
 
 @pytest.mark.filterwarnings("ignore")  # the compiler's own
@@ -409,7 +465,16 @@ def large_graph(num_edges: int) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.randint(num_edges, (2, num_edges), generator=generator), torch.rand(num_edges, generator=generator)
 
 
-GRAPH_OPERATORS = (felzenszwalb, felzenszwalb_image, min_cut, neighbor_edges, fit_normals)
+LONG_OPERATORS = (
+    felzenszwalb,
+    felzenszwalb_image,
+    min_cut,
+    neighbor_edges,
+    fit_normals,
+    merge_regions,
+    region_planes,
+    spread_labels,
+)
 
 
 def long_call(op: Callable[..., Any]) -> Callable[[], Any]:
@@ -417,18 +482,29 @@ def long_call(op: Callable[..., Any]) -> Callable[[], Any]:
     if op is felzenszwalb_image:
         images = torch.rand(1, 3, 1500, 1500, generator=torch.Generator().manual_seed(0))
         return lambda: felzenszwalb_image(images, scale=1.0)
-    if op in (neighbor_edges, fit_normals):
+    if op is spread_labels:
+        generator = torch.Generator().manual_seed(0)
+        image = torch.rand(4, 1000, 1000, generator=generator)
+        markers = torch.where(image[0] < 0.01, torch.arange(1000), -1).int()
+        return lambda: spread_labels(markers, image[:3], image[3], 9.0, 2.0)
+    if op in (neighbor_edges, fit_normals, region_planes):
         generator = torch.Generator().manual_seed(0)
         points = torch.rand(500_000, 3, generator=generator)
         neighbors = torch.randint(len(points), (len(points), 16), generator=generator)
+        if op is region_planes:
+            region = torch.arange(len(points)) % 2
+            return lambda: region_planes(points, neighbors, region, points)
         return lambda: op(**{"points": points} if op is fit_normals else {}, neighbors=neighbors)
+    if op is merge_regions:
+        edges, cost = large_graph(100_000)
+        return lambda: merge_regions(edges, cost, torch.ones(len(cost), dtype=torch.int64), 0.4, 2)
     edges, weight = large_graph(3_000_000 if op is felzenszwalb else 1_000_000)
     if op is felzenszwalb:
         return lambda: felzenszwalb(edges, weight, len(weight), 1.0)
     return lambda: min_cut(edges, weight, 9 * weight, 9 * weight.flip(0))
 
 
-@pytest.mark.parametrize("op", GRAPH_OPERATORS)
+@pytest.mark.parametrize("op", LONG_OPERATORS)
 def test_gil_is_released(op: Callable[..., Any]) -> None:
     """While one thread is inside the operator, another one runs Python, and so may be inside it, too."""
     call = long_call(op)
@@ -451,7 +527,7 @@ def test_gil_is_released(op: Callable[..., Any]) -> None:
     assert sum(start + margin < tick < end - margin for tick in ticks) >= 3
 
 
-@pytest.mark.parametrize("op", GRAPH_OPERATORS)
+@pytest.mark.parametrize("op", LONG_OPERATORS)
 def test_two_threads_at_once_give_the_same_results(op: Callable[..., Any]) -> None:
     call = long_call(op)
     expected = call()

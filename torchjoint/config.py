@@ -200,7 +200,7 @@ class PropagationConfig(Stage):
     )  # fmt: skip
     weight: float = parameter(
         0.65, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation, in which no image has a say",
-        low=0, sensible="0.05-0.8",
+        low=0, high=1000, sensible="0.05-0.8",
     )  # fmt: skip
 
 

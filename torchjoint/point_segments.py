@@ -50,11 +50,12 @@ def by_regions(
     region = small_regions(graph, normals, oriented, r, config.regions)
     planes = one_sided_planes(graph, region, normals)
     cost = crease_costs(graph.edge_index, planes, oriented, config.point_graph.convex_factor)
+    observations = state.observations if r is not None else ()
     if r is not None:
         cost = with_images(cost, r, config.propagation.weight, config.borders.agreement)
     segment = merge(region, graph.edge_index, cost, config.borders)
-    segment = bridge(segment, planes, state.observations, config.bridges)
+    segment = bridge(segment, planes, observations, config.bridges)
     if config.confirmation.min_size == 0:
         return segment
-    seen = best_overlaps(segment, state.observations if r is not None else ())
+    seen = best_overlaps(segment, observations)
     return absorb(segment, graph.edge_index, cost, seen >= config.confirmation.overlap, config.confirmation.min_size)

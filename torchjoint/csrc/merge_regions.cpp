@@ -60,6 +60,10 @@ Tensor merge_regions(const Tensor& edge_index, const Tensor& cost, const Tensor&
   const Tensor sizes = checked_array(size, ScalarType::Long, {-1}, "size");
   const int64_t num_regions = sizes.size(0);
   check(num_regions <= kMaxCount, "size: expected at most 2^31 - 1 regions, got ", num_regions);
+  for (int64_t region = 0; region < num_regions; ++region) {
+    const int64_t got = sizes.const_data_ptr<int64_t>()[region];
+    check(got >= 0, "size: expected numbers >= 0, got ", got, " at ", region);
+  }
   check(threshold >= 0, "threshold: expected a number >= 0, got ", threshold);
   check(min_size >= 0, "min_size: expected a number >= 0, got ", min_size);
 

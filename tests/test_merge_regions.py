@@ -1,0 +1,161 @@
+"""merge_regions: by hand, against its slow twin exactly, and that numbering is all that the order of edges changes."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from torchjoint.ops import merge_regions
+from torchjoint.ops.reference import merge_regions_reference
+
+
+def edges_of(*pairs: tuple[int, int]) -> Tensor:
+    return torch.tensor(pairs, dtype=torch.int64).view(-1, 2).t()
+
+
+def merged(
+    pairs: list[tuple[int, int]], cost: list[float], threshold: float, *, size: list[int] | None = None, **options: int
+) -> list[int]:
+    """Of as many regions of one point each as edges name, unless sizes are given."""
+    sizes = [1] * (1 + max(map(max, pairs))) if size is None else size
+    return merge_regions(edges_of(*pairs), torch.tensor(cost), torch.tensor(sizes), threshold, **options).tolist()
+
+
+def random_regions(seed: int, num_regions: int, num_edges: int) -> tuple[Tensor, Tensor]:
+    """A multigraph with self loops, and sizes 0 to 5."""
+    generator = torch.Generator().manual_seed(seed)
+    edges = torch.randint(num_regions, (2, num_edges), generator=generator)
+    return edges, torch.randint(6, (num_regions,), generator=generator)
+
+
+@settings(deadline=None, max_examples=600)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    num_regions=st.integers(1, 30),
+    num_edges=st.integers(0, 60),
+    levels=st.sampled_from([1, 2, 3, 4, 1000]),
+    threshold=st.sampled_from([0.0, 0.2, 0.5, 0.75, 1.0, math.inf]),
+    min_size=st.sampled_from([0, 1, 3, 8, 1000]),
+)
+def test_the_twin(seed: int, num_regions: int, num_edges: int, levels: int, threshold: float, min_size: int) -> None:
+    """With few levels of costs nearly all borders tie at one time or another."""
+    edges, size = random_regions(seed, num_regions, num_edges)
+    cost = torch.randint(levels, (num_edges,), generator=torch.Generator().manual_seed(seed)) / max(levels - 1, 1)
+    got = merge_regions(edges, cost, size, threshold, min_size)
+    assert got.tolist() == merge_regions_reference(edges, cost, size, threshold, min_size).tolist()
+
+
+@settings(deadline=None, max_examples=100, derandomize=True)  # costs hardly ever tie, but they may
+@given(seed=st.integers(0, 2**32 - 1), num_regions=st.integers(1, 60), threshold=st.sampled_from([0.1, 0.3, 0.6]))
+def test_without_ties_the_order_and_direction_of_edges_change_nothing(
+    seed: int, num_regions: int, threshold: float
+) -> None:
+    """Float32 would tell sums in another order apart; sums of whole numbers do not."""
+    generator = torch.Generator().manual_seed(seed)
+    edges, size = random_regions(seed, num_regions, 5 * num_regions)
+    cost = torch.rand(5 * num_regions, generator=generator)
+    order = torch.randperm(len(cost), generator=generator)
+    other = torch.where(torch.rand(len(cost), generator=generator) < 0.5, edges, edges.flip(0))
+    expected = merge_regions(edges, cost, size, threshold, 6)
+    assert torch.equal(merge_regions(other[:, order], cost[order], size, threshold, 6), expected)
+
+
+def test_a_border_counts_by_its_mean() -> None:
+    pairs, cost = [(0, 1), (1, 0), (0, 1)], [0.0, 0.0, 0.9]
+    assert merged(pairs, cost, 0.29) == [0, 1]
+    assert merged(pairs, cost, 0.31) == [0, 0]
+
+
+def test_the_threshold_is_inclusive() -> None:
+    assert merged([(0, 1)], [0.25], 0.25) == [0, 0]
+    assert merged([(0, 1)], [0.25], 0.249) == [0, 1]
+    assert merged([(0, 1), (1, 2)], [0.0, 2**-20], 0) == [0, 0, 1]
+    assert merged([(0, 1)], [1024.0], math.inf) == [0, 0]
+
+
+def test_borders_with_a_third_region_become_one() -> None:
+    # 0 and 1 merge first; their borders to 2 then have the mean 0.5, which neither the one nor the other has.
+    pairs = [(0, 1), (0, 2), (1, 2), (1, 2)]
+    cost = [0.0, 0.1, 0.7, 0.7]
+    assert merged(pairs, cost, 0.4) == [0, 0, 1]
+    assert merged(pairs, cost, 0.51) == [0, 0, 0]
+    assert merged([(0, 2), (1, 2), (1, 2)], [0.1, 0.7, 0.7], 0.4) == [0, 1, 0]
+
+
+def test_a_self_loop_is_no_border() -> None:
+    assert merged([(0, 0), (0, 1), (1, 1)], [9.0, 0.1, 9.0], 0.1 + 2**-20) == [0, 0]
+
+
+def test_of_equally_cheap_borders_that_of_the_first_edge_goes_first() -> None:
+    # Whichever of 0 and 2 comes first takes 1, and the other one is then too far away.
+    near, far = (0.25, 1.0)
+    assert merged([(0, 1), (1, 2), (0, 2)], [near, near, far], 0.3) == [0, 0, 1]
+    assert merged([(1, 2), (0, 1), (0, 2)], [near, near, far], 0.3) == [0, 1, 1]
+
+
+@pytest.mark.parametrize("first", [(0, 1), (3, 1)])
+def test_joined_borders_keep_the_lower_number(first: tuple[int, int]) -> None:
+    # After 0 and 3 have merged, their border to 1 (number 0 and 2) ties with 1 - 2 (number 1) and goes before it.
+    pairs = [first, (1, 2), (3 - first[0], 1), (0, 2), (0, 3)]
+    assert merged(pairs, [0.5, 0.5, 0.5, 9.0, 0.0], 0.5) == [0, 0, 1, 0]
+
+
+def test_small_regions_go_across_their_cheapest_border() -> None:
+    pairs = [(0, 1), (1, 2), (2, 3)]
+    assert merged(pairs, [0.9, 0.8, 0.1], 0, size=[5, 1, 5, 5], min_size=3) == [0, 1, 1, 2]
+    assert merged(pairs, [0.9, 0.8, 0.1], 0, size=[5, 1, 5, 5], min_size=1) == [0, 1, 2, 3]
+
+
+def test_of_the_small_ones_the_cheapest_border_goes_first() -> None:
+    # 1 and 2 merge and are large enough; one after the other from the left 0 and 1 would have.
+    assert merged([(0, 1), (1, 2)], [0.9, 0.8], 0, size=[3, 1, 2], min_size=3) == [0, 1, 1]
+
+
+def test_isolated_regions_stay_however_small() -> None:
+    assert merged([(1, 3)], [9.0], 0, size=[1, 1, 1, 1, 1], min_size=100) == [0, 1, 2, 1, 3]
+
+
+def test_sizes_are_in_any_unit() -> None:
+    large = 2**40
+    assert merged([(0, 1)], [1.0], 0, size=[large, 1], min_size=2) == [0, 0]
+    assert merged([(0, 1)], [1.0], 0, size=[large, large], min_size=large) == [0, 1]
+
+
+def test_costs_are_rounded_to_even_multiples() -> None:
+    unit = 2.0**-20
+    assert merged([(0, 1)], [0.5 * unit], 0) == [0, 0]
+    assert merged([(0, 1)], [0.51 * unit], 0) == [0, 1]
+    assert merged([(0, 1)], [1.5 * unit], 1.9 * unit) == [0, 1]
+
+
+@pytest.mark.parametrize("num_regions", [0, 1, 3])
+def test_without_edges(num_regions: int) -> None:
+    size = torch.ones(num_regions, dtype=torch.int64)
+    labels = merge_regions(edges_of(), torch.empty(0), size, math.inf, 9)
+    assert labels.tolist() == list(range(num_regions))
+    assert labels.dtype == torch.int64
+
+
+def test_a_chain_of_many_regions() -> None:
+    """Each merge gives the small side's borders away: 200 000 of them take no quadratic time."""
+    ends = torch.arange(200_000)
+    edges = torch.stack([ends, ends + 1])
+    star = torch.stack([torch.zeros_like(ends), ends + 1])
+    size = torch.ones(200_001, dtype=torch.int64)
+    cost = torch.rand(len(ends), generator=torch.Generator().manual_seed(0))
+    for graph in (edges, star):
+        labels = merge_regions(graph, cost, size, 0.5)
+        assert int(labels.max()) == int((torch.round(cost.double() * 2**20) > 2**19).sum())
+
+
+def test_any_strides() -> None:
+    edges, size = random_regions(0, 30, 100)
+    cost = torch.rand(100)
+    expected = merge_regions(edges, cost, size, 0.4, 4)
+    strided = edges.t().contiguous().t(), cost.repeat_interleave(2)[::2], size.repeat_interleave(3)[::3]
+    assert torch.equal(merge_regions(*strided, 0.4, 4), expected)
