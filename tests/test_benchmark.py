@@ -348,7 +348,7 @@ class TestSuites:
 
         def make(seed, size, **arguments):
             made[seed] = arguments
-            whole = tj.Scene(torch.arange(360_000.0).view(-1, 3))
+            whole = tj.Scene(torch.rand(120_000, 3))
             return SimpleNamespace(scene=whole)
 
         monkeypatch.setattr(suites, "make_scene", make)

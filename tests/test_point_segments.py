@@ -44,7 +44,14 @@ def indoor(synthetic):
 class TestMethods:
     def test_edges_are_those_of_eq_3(self, indoor):
         graph, state = indoor
-        config = tj.Config().set(["point_segments.method=edges", "point_segments.scale=2", "point_segments.min_size=9"])
+        config = tj.Config().set(
+            [
+                "point_segments.method=edges",
+                "point_segments.scale=2",
+                "point_segments.min_size=9",
+                "propagation.weight=0.42",
+            ]
+        )
         normals, oriented = orient_normals(graph, state.facing)
         weights = geometric_weights(graph.points, graph.edge_index, normals, oriented, config.point_graph)
         weights += 0.42 * disagreement(state.views, state.overlap_sum, 6, config.propagation)

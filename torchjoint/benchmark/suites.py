@@ -97,8 +97,8 @@ def _synthetic(name: str, what: str, every: int = 1, tuned_as: str = "") -> Suit
 
 
 def _make(seed: int, every: int) -> Scene:
-    made = make_scene(seed, "large", num_views=24, num_points=120_000, depth_ripple=0.002, hard=True)
-    return made.scene.select_points(torch.arange(0, 120_000, every))  # they come in no order
+    scene = make_scene(seed, "large", num_views=24, num_points=120_000, depth_ripple=0.002, hard=True).scene
+    return scene.select_points(torch.arange(0, len(scene.points), every))  # they come in no order
 
 
 def _load_thinned(path: Path) -> Scene:
