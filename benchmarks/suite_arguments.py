@@ -9,9 +9,9 @@ from pathlib import Path
 from torchjoint.benchmark.suites import SUITES, Scenes, Suite
 
 
-def add(parser: argparse.ArgumentParser, **suite: str) -> None:
-    """Adds the arguments; `suite` are further ones of the suite's own, such as nargs."""
-    parser.add_argument("suite", choices=SUITES, **suite)
+def add(parser: argparse.ArgumentParser) -> None:
+    """Adds the arguments."""
+    parser.add_argument("suite", choices=SUITES)
     parser.add_argument("--data", type=Path, help="folder of the data; synthetic scenes need none")
     parser.add_argument("--scenes", type=int, metavar="COUNT", help="only the first scenes; default: all")
 
