@@ -115,8 +115,9 @@ def variants(suite: Suite) -> tuple[list[Method], Mapping[str, Setting]]:
             like = None if switch.changes_points else "joint"
             found[config] = Method(switch.title, f"{word} {switch.title}", partial(_run, setting), like=like)
     # The rest sees the scene otherwise; what was seen is kept for the last config only, and so this comes at the end.
+    tuned = read_settings(suite.tuned_as or suite.name).get("edges", {})
     title = f"without {preset.point_segments.method} (edges, as in the paper, at their best setting)"
-    return [*found.values(), replace(METHODS["edges"], title=title)], read_settings(suite.tuned_as or suite.name)
+    return [*found.values(), replace(METHODS["edges"], title=title)], {"edges": tuned}
 
 
 def _run(setting: Setting, case: Case, _: Setting, images: bool) -> Result:
