@@ -156,9 +156,10 @@ def cell(values: Mapping[tuple[str, str, str, str], float], method: str, space: 
         return f"{fmean(of_method.values()):.3f}"
     differences = [v - values["joint", space, name, scene] for scene, v in of_method.items()]
     mean, error = fmean(differences), standard_error(differences)
+    text = f"{round(mean, 3) + 0:+.3f}"  # + 0: no minus before a zero
     if len(differences) == 1:
-        return f"{mean:+.3f}"
-    text = f"{mean:+.3f} ± {error:.3f}"
+        return text
+    text = f"{text} ± {error:.3f}"
     return f"**{text}**" if abs(mean) > 2 * error else text
 
 
