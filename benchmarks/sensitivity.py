@@ -139,12 +139,12 @@ def mean(scores: Sequence[Scores]) -> Scores:
 
 
 def draw(found: Sequence[Panel], suite: Suite, columns: int = 4) -> Figure:
-    """A small plot for each parameter; all of one space have the same scale."""
+    """A small plot for each parameter, all of one scale."""
     rows = -(-len(found) // columns)
     figure = Figure(figsize=(3.1 * columns, 1.8 * rows + 0.5), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).flat
     for panel in found:
-        draw_panel(next(axes), panel, [p for p in found if p.space == panel.space])
+        draw_panel(next(axes), panel, found)
     for axis in axes:
         axis.set_axis_off()
     lines = figure.axes[0].get_lines()[:2]
@@ -155,13 +155,13 @@ def draw(found: Sequence[Panel], suite: Suite, columns: int = 4) -> Figure:
     return figure
 
 
-def draw_panel(axis: Axes, panel: Panel, like: Sequence[Panel]) -> None:
+def draw_panel(axis: Axes, panel: Panel, all_panels: Sequence[Panel]) -> None:
     """Values stand evenly spaced, whatever they are: most are steps of a factor, and some are 0."""
     places = range(len(panel.values))
     axis.plot(places, [scores.f for scores in panel.means], marker=".")
     axis.plot(places, [scores.best_iou for scores in panel.means], marker=".")
     axis.axvline(panel.values.index(panel.preset), color="grey", linestyle="--", linewidth=1)
-    shown = [score for p in like for scores in p.means for score in (scores.f, scores.best_iou)]
+    shown = [score for p in all_panels for scores in p.means for score in (scores.f, scores.best_iou)]
     margin = 0.05 * (max(shown) - min(shown)) + 1e-3
     axis.set_ylim(min(shown) - margin, max(shown) + margin)
     axis.set_xticks(places, [f"{value:g}" for value in panel.values], fontsize=7)
