@@ -9,13 +9,21 @@ import torch
 README = Path(__file__).parent / "README.md"
 
 
-def write_part(name: str, text: str) -> None:
+def check_part(name: str, page: Path = README) -> None:
+    """Raises ValueError if the page has no such part."""
+    if not page.is_file() or not _part(name).search(page.read_text(encoding="utf-8")):
+        raise ValueError(f"{page}: no part <!-- {name} --> ... <!-- end {name} -->")
+
+
+def write_part(name: str, text: str, page: Path = README) -> None:
     """Replaces what stands between `<!-- name -->` and `<!-- end name -->`."""
-    page = README.read_text(encoding="utf-8")
-    pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end {name} -->)", flags=re.DOTALL)
-    if not pattern.search(page):
-        raise ValueError(f"{README}: no part <!-- {name} --> ... <!-- end {name} -->")
-    README.write_text(pattern.sub(lambda match: f"{match[1]}{text.rstrip()}\n{match[2]}", page), encoding="utf-8")
+    check_part(name, page)
+    before = page.read_text(encoding="utf-8")
+    page.write_text(_part(name).sub(lambda match: f"{match[1]}{text.rstrip()}\n{match[2]}", before), encoding="utf-8")
+
+
+def _part(name: str) -> re.Pattern[str]:
+    return re.compile(rf"(<!-- {name} -->\n).*?(<!-- end {name} -->)", flags=re.DOTALL)
 
 
 def table(columns: list[str], rows: list[list[str]]) -> str:

@@ -1,0 +1,167 @@
+"""What each stage buys: `python benchmarks/ablation.py SUITE [--data FOLDER]`.
+
+The package's preset for the suite, and the same with one stage switched off, switched on or replaced by something
+simpler; scene by scene, so that differences have standard errors.
+"""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from statistics import fmean
+from typing import NamedTuple
+
+import report
+import suite_arguments
+
+from torchjoint.benchmark.case import Case
+from torchjoint.benchmark.method import Method, Result
+from torchjoint.benchmark.methods import METHODS, changed, joint
+from torchjoint.benchmark.run import compare
+from torchjoint.benchmark.settings import read_settings
+from torchjoint.benchmark.space import Setting
+from torchjoint.benchmark.suites import Suite
+from torchjoint.config import Config
+from torchjoint.evaluation.table import Row, markdown, standard_error, write_csv
+
+#: A weight that decides nothing but switches no image off: agreement and confirmation stay as they are.
+NEXT_TO_NOTHING = 1e-9
+
+
+class Switch(NamedTuple):
+    """A stage: off where the preset has it, on where the preset has not."""
+
+    title: str
+    off: Setting
+    on: Setting | None = None
+    changes_points: bool = True
+
+
+IMAGE_LABELS = tuple(
+    Switch(title, {f"refinement.{name}": value for name, value in off.items()}, changes_points=False)
+    for title, off in (
+        ("spreading (cuts, as in the paper)", {"method": "cuts"}),
+        ("colours and boundaries in spreading (nearest point)", {"color_weight": 0, "boundary_weight": 0}),
+        ("colours in spreading", {"color_weight": 0}),
+        ("boundaries in spreading", {"boundary_weight": 0}),
+        ("removal of specks in images", {"min_points": 1}),
+        ("ids of their own for unseen image segments", {"unseen": 1e9}),
+    )
+)
+REGIONS = (
+    Switch("images in 3D (all small segments joined)", {"propagation.weight": 0}),
+    Switch("images in 3D (all small segments kept)", {"propagation.weight": 0, "confirmation.min_size": 0}),
+    Switch("images in small regions", {"regions.image_weight": 0}, {"regions.image_weight": 0.03}),
+    Switch("images on borders", {"propagation.weight": NEXT_TO_NOTHING, "borders.agreement": 0}),
+    Switch("disagreement on borders", {"propagation.weight": NEXT_TO_NOTHING}),
+    Switch("agreement on borders", {"borders.agreement": 0}, {"borders.agreement": 0.6}),
+    Switch("confirmation by images", {"confirmation.min_size": 0}, {"confirmation.min_size": 250}),
+    Switch("bridges", {"bridges.min_votes": None}, {"bridges.min_votes": 4}),
+    Switch("colours in small regions", {"regions.color_weight": 0}, {"regions.color_weight": 0.034}),
+    Switch("convexity on borders", {"point_graph.convex_factor": 1}),
+    Switch("small regions (each point is one)", {"regions.scale": 0, "regions.min_size": 0}),
+    # Fewer neighbours than a plane needs (regions.MIN_POINTS): the normal of the point itself is taken.
+    Switch("one-sided planes (plain normals)", {"point_graph.plane_neighbors": 4}),
+    *IMAGE_LABELS,
+)
+SWEEP = (
+    Switch("feet", {"sweep.foot_distance": 0}),
+    Switch("removal of bumps from the ground", {"sweep.max_bump": 1e3}),
+    Switch("a limit to joining what is small", {"sweep.joining_gap": 1e6}),
+    Switch("joining of what is small", {"sweep.min_size": 0}),
+    Switch("growth of the gap with distance", {"sweep.gap_growth": 0}),
+    *IMAGE_LABELS,
+)
+
+#: Columns of the table: space, and what is measured there.
+COLUMNS = tuple(("3D", name) for name in ("F", "best IoU", "flat IoU")) + tuple(
+    ("2D", name) for name in ("F", "best IoU")
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    suite_arguments.add(parser)
+    parser.add_argument("--half", choices=("checking", "tuning"), default="checking")
+    parser.add_argument("--page", type=Path, help="Markdown file with the marks <!-- ablation SUITE -->")
+    parser.add_argument("--csv", type=Path, help="file for the scores of each scene")
+    arguments = parser.parse_args()
+    suite = suite_arguments.suite_of(arguments)
+    part = f"ablation {suite.name}"
+    if arguments.page:
+        report.check_part(part, arguments.page)  # before hours of work
+    methods, settings = variants(suite)
+    rows: list[Row] = []
+    for of_scene in compare(suite, methods, settings, arguments.data, arguments.half):
+        rows += of_scene
+        if arguments.csv:
+            write_csv(arguments.csv, rows)
+    text = table(rows, methods, suite, arguments.half)
+    print(text)
+    if arguments.page:
+        report.write_part(part, text, arguments.page)
+
+
+def variants(suite: Suite) -> tuple[list[Method], Mapping[str, Setting]]:
+    """The full method and those that lack a stage, each with its setting; those that would be the same are left out."""
+    preset = Config.from_preset(suite.preset)
+    switches = SWEEP if preset.point_segments.method == "sweep" else REGIONS
+    found = {preset: Method("joint", f"full method, preset {suite.preset}", joint)}
+    for switch in switches:
+        off, on = changed(preset, switch.off), changed(preset, switch.on or {})
+        config, word, setting = (off, "without", switch.off) if off != preset else (on, "with", switch.on or {})
+        if config not in found:
+            like = None if switch.changes_points else "joint"
+            found[config] = Method(switch.title, f"{word} {switch.title}", partial(_run, setting), like=like)
+    # The rest sees the scene otherwise; what was seen is kept for the last config only, and so this comes at the end.
+    tuned = read_settings(suite.tuned_as or suite.name).get("edges", {})
+    title = f"without {preset.point_segments.method} (edges, as in the paper, at their best setting)"
+    return [*found.values(), replace(METHODS["edges"], title=title)], {"edges": tuned}
+
+
+def _run(setting: Setting, case: Case, _: Setting, images: bool) -> Result:
+    return joint(case, setting, images)
+
+
+def table(rows: Sequence[Row], methods: Sequence[Method], suite: Suite, half: str) -> str:
+    """The full method's scores, and what each of the others is better or worse by."""
+    scenes = len({row.scene for row in rows})
+    values = {(row.method, row.space, name, row.scene): v for row in rows for name, v in measured(row).items()}
+    columns = [column for column in COLUMNS if any(key[1:3] == column for key in values)]
+    body = []
+    for method in methods:
+        cells = [cell(values, method.name, *column) for column in columns]
+        if any(cells):
+            body.append([method.title, *cells])
+    return (
+        f"{scenes} {half} scenes: {suite.what}. Means over the scenes; below the full method's the differences to it, "
+        "scene by scene, with their standard errors, bold where they are more than twice that.\n\n"
+        + markdown([suite.name, *(" ".join(column) for column in columns)], body)
+    )
+
+
+def measured(row: Row) -> dict[str, float]:
+    """The values of a row that the table shows."""
+    flat = {"flat IoU": row.kinds["flat"]} if "flat" in row.kinds else {}
+    return {"F": row.scores.f, "best IoU": row.scores.best_iou, **flat}
+
+
+def cell(values: Mapping[tuple[str, str, str, str], float], method: str, space: str, name: str) -> str:
+    """A mean of the full method; of another the mean of its differences to that."""
+    of_method = {key[3]: value for key, value in values.items() if key[:3] == (method, space, name)}
+    if not of_method:
+        return ""
+    if method == "joint":
+        return f"{fmean(of_method.values()):.3f}"
+    differences = [v - values["joint", space, name, scene] for scene, v in of_method.items()]
+    mean, error = fmean(differences), standard_error(differences)
+    text = f"{round(mean, 3) + 0:+.3f}"  # + 0: no minus before a zero
+    if len(differences) == 1:
+        return text
+    text = f"{text} ± {error:.3f}"
+    return f"**{text}**" if abs(mean) > 2 * error else text
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,174 @@
+"""How much the parameters matter: `python benchmarks/sensitivity.py SUITE [--data FOLDER] [--scenes COUNT]`.
+
+One parameter at a time takes values around that of the suite's preset, on the suite's tuning half. Draws
+docs/sensitivity-SUITE.png.
+"""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import fmean
+from typing import Any, NamedTuple
+
+import suite_arguments
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from torchjoint.afterwards import what_is_seen
+from torchjoint.benchmark.case import Case
+from torchjoint.benchmark.methods import METHODS, changed
+from torchjoint.benchmark.search import run_scores
+from torchjoint.benchmark.suites import Suite, load_all
+from torchjoint.config import Config
+from torchjoint.evaluation.scores import Scores
+
+DOCS = Path(__file__).parent.parent / "docs"
+
+IMAGE_LABELS = {
+    "refinement.color_weight": (0, 25, 50, 100, 200, 400),
+    "refinement.boundary_weight": (0, 10, 25, 50, 100, 200),
+    "refinement.min_points": (1, 2, 3, 5),
+    "refinement.unseen": (1, 10, 30, 100, 1000),
+}
+REGIONS = {
+    "propagation.weight": (0, 0.05, 0.1, 0.2, 0.42, 0.8, 1.6),
+    "propagation.overlap_threshold": (0.3, 0.5, 0.6, 0.7, 0.8, 0.9),
+    "propagation.window": (1, 3, 5, 7, 11),
+    "image_segments.scale": (0.5, 1, 3, 6, 12, 30),
+    "regions.scale": (0.001, 0.003, 0.01, 0.03, 0.13, 0.5),
+    "regions.min_size": (2, 3, 5, 8, 15, 30, 60),
+    "regions.color_weight": (0, 0.01, 0.02, 0.034, 0.07, 0.15),
+    "regions.image_weight": (0, 0.01, 0.03, 0.06, 0.15),
+    "borders.threshold": (0.1, 0.15, 0.2, 0.27, 0.35, 0.5),
+    "borders.agreement": (0, 0.2, 0.4, 0.6, 0.8, 1),
+    "borders.min_size": (3, 5, 15, 50, 150, 300, 600),
+    "confirmation.min_size": (0, 60, 120, 250, 500, 1000),
+    "confirmation.overlap": (0.3, 0.4, 0.5, 0.55, 0.65, 0.8),
+    "point_graph.neighbors": (8, 12, 16, 24, 32),
+    "point_graph.normal_neighbors": (15, 20, 30, 45, 60, 80),
+    "point_graph.plane_neighbors": (10, 20, 30, 45, 60, 80),
+    "point_graph.convex_factor": (0, 0.02, 0.05, 0.1, 0.2, 0.4, 1),
+}
+SWEEP = {
+    "sweep.azimuth_cell": (0.5, 1, 2, 3, 4, 8),
+    "sweep.elevation_cell": (0.2, 0.3, 0.4, 0.6, 1, 2),
+    "sweep.max_slope": (3, 5, 7, 10, 15, 25),
+    "sweep.max_step": (0, 0.02, 0.05, 0.1, 0.2),
+    "sweep.max_bump": (0.05, 0.1, 0.2, 0.4, 1),
+    "sweep.ground_height": (0.05, 0.07, 0.1, 0.15, 0.2, 0.3),
+    "sweep.foot_distance": (0, 0.1, 0.2, 0.3, 0.5),
+    "sweep.neighbors": (4, 8, 12, 16, 24),
+    "sweep.gap": (0.05, 0.1, 0.2, 0.3, 0.5, 0.8),
+    "sweep.gap_growth": (0, 0.01, 0.015, 0.02, 0.03, 0.05),
+    "sweep.min_size": (0, 5, 10, 15, 25, 50),
+    "sweep.joining_gap": (1, 1.5, 2, 3, 5, 10),
+}
+
+
+class Panel(NamedTuple):
+    """One parameter, and what comes of its values."""
+
+    name: str
+    preset: Any
+    values: list[Any]  #: ascending, that of the preset among them
+    space: str  #: "3D" or "2D"
+    means: list[Scores]  #: over the scenes, by value
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    suite_arguments.add(parser)
+    arguments = parser.parse_args()
+    suite = suite_arguments.suite_of(arguments)
+    found = panels(suite, arguments.data)
+    for panel in found:
+        pairs = zip(panel.values, panel.means, strict=True)
+        print(
+            f"{panel.name} = {panel.preset}, {panel.space} F / best IoU:",
+            ", ".join(f"{value:g}: {mean.f:.3f} / {mean.best_iou:.3f}" for value, mean in pairs),
+        )
+    draw(found, suite).savefig(DOCS / f"sensitivity-{suite.name}.png", dpi=75)
+
+
+def panels(suite: Suite, data: Path | None) -> list[Panel]:
+    """Every parameter's values, run on all scenes; without those of images that have no truth."""
+    preset = Config.from_preset(suite.preset)
+    ranges = SWEEP if preset.point_segments.method == "sweep" else REGIONS
+    spaces = dict.fromkeys(ranges, "3D") | dict.fromkeys(IMAGE_LABELS, "2D")
+    values = {name: with_preset(of_name, value_in(preset, name)) for name, of_name in (ranges | IMAGE_LABELS).items()}
+    runs = [(name, value, spaces[name]) for name, of_name in values.items() for value in of_name]
+    scores: dict[tuple[str, Any], list[Scores]] = {}
+    scenes = suite.scenes("tuning", data)
+    bar = tqdm(total=len(scenes) * len(runs), unit="run")
+    for scene in load_all(scenes):
+        case = Case(scene, suite.config, preset)
+        known: dict[tuple[Config, bool], Mapping[str, Scores]] = {}
+        for name, value, space in by_what_is_seen(preset, runs):
+            key = changed(preset, {name: value}), space == "2D"
+            if key not in known:
+                known[key] = run_scores(METHODS["joint"], {name: value}, case, images=space == "2D")
+            if space in known[key]:
+                scores.setdefault((name, value), []).append(known[key][space])
+            bar.update()
+    return [
+        Panel(name, value_in(preset, name), of_name, spaces[name], [mean(scores[name, value]) for value in of_name])
+        for name, of_name in values.items()
+        if (name, of_name[0]) in scores
+    ]
+
+
+def by_what_is_seen(preset: Config, runs: Sequence[tuple[str, Any, str]]) -> list[tuple[str, Any, str]]:
+    """First the runs for which a scene is seen as by the preset: only what was seen last is kept."""
+    seen = what_is_seen(preset)
+    return sorted(runs, key=lambda run: what_is_seen(changed(preset, {run[0]: run[1]})) != seen)
+
+
+def value_in(config: Config, name: str) -> Any:
+    """Of stage.parameter."""
+    stage, _, parameter = name.partition(".")
+    return getattr(getattr(config, stage), parameter)
+
+
+def with_preset(values: Sequence[Any], preset: Any) -> list[Any]:
+    return sorted({*values, preset})
+
+
+def mean(scores: Sequence[Scores]) -> Scores:
+    return Scores(*map(fmean, zip(*scores, strict=True)))
+
+
+def draw(found: Sequence[Panel], suite: Suite, columns: int = 4) -> Figure:
+    """A small plot for each parameter, all of one scale."""
+    rows = -(-len(found) // columns)
+    figure = Figure(figsize=(3.1 * columns, 1.8 * rows + 0.5), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).flat
+    for panel in found:
+        draw_panel(next(axes), panel, found)
+    for axis in axes:
+        axis.set_axis_off()
+    lines = figure.axes[0].get_lines()[:2]
+    figure.legend(lines, ["F", "best IoU"], loc="outside upper right", ncols=2, fontsize=9)
+    figure.suptitle(
+        f"{suite.name}: one parameter changed at a time; dashed: preset {suite.preset}", fontsize=10, x=0.35
+    )
+    return figure
+
+
+def draw_panel(axis: Axes, panel: Panel, all_panels: Sequence[Panel]) -> None:
+    """Values stand evenly spaced, whatever they are: most are steps of a factor, and some are 0."""
+    places = range(len(panel.values))
+    axis.plot(places, [scores.f for scores in panel.means], marker=".")
+    axis.plot(places, [scores.best_iou for scores in panel.means], marker=".")
+    axis.axvline(panel.values.index(panel.preset), color="grey", linestyle="--", linewidth=1)
+    shown = [score for p in all_panels for scores in p.means for score in (scores.f, scores.best_iou)]
+    margin = 0.05 * (max(shown) - min(shown)) + 1e-3
+    axis.set_ylim(min(shown) - margin, max(shown) + margin)
+    axis.set_xticks(places, [f"{value:g}" for value in panel.values], fontsize=7)
+    axis.tick_params(axis="y", labelsize=7)
+    axis.set_title(f"{panel.name} ({panel.space})", fontsize=8)
+    axis.grid(alpha=0.3)
+
+
+if __name__ == "__main__":
+    main()
