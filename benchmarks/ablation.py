@@ -52,13 +52,11 @@ IMAGE_LABELS = tuple(
 REGIONS = (
     Switch("images in 3D (all small segments joined)", {"propagation.weight": 0}),
     Switch("images in 3D (all small segments kept)", {"propagation.weight": 0, "confirmation.min_size": 0}),
-    Switch("images in small regions", {"regions.image_weight": 0}, {"regions.image_weight": 0.03}),
     Switch("images on borders", {"propagation.weight": NEXT_TO_NOTHING, "borders.agreement": 0}),
     Switch("disagreement on borders", {"propagation.weight": NEXT_TO_NOTHING}),
     Switch("agreement on borders", {"borders.agreement": 0}, {"borders.agreement": 0.6}),
     Switch("confirmation by images", {"confirmation.min_size": 0}, {"confirmation.min_size": 250}),
     Switch("bridges", {"bridges.min_votes": None}, {"bridges.min_votes": 4}),
-    Switch("colours in small regions", {"regions.color_weight": 0}, {"regions.color_weight": 0.034}),
     Switch("convexity on borders", {"point_graph.convex_factor": 1}),
     Switch("small regions (each point is one)", {"regions.scale": 0, "regions.min_size": 0}),
     # Fewer neighbours than a plane needs (regions.MIN_POINTS): the normal of the point itself is taken.

@@ -38,8 +38,6 @@ REGIONS = {
     "image_segments.scale": (0.5, 1, 3, 6, 12, 30),
     "regions.scale": (0.001, 0.003, 0.01, 0.03, 0.13, 0.5),
     "regions.min_size": (2, 3, 5, 8, 15, 30, 60),
-    "regions.color_weight": (0, 0.01, 0.02, 0.034, 0.07, 0.15),
-    "regions.image_weight": (0, 0.01, 0.03, 0.06, 0.15),
     "borders.threshold": (0.1, 0.15, 0.2, 0.27, 0.35, 0.5),
     "borders.agreement": (0, 0.2, 0.4, 0.6, 0.8, 1),
     "borders.min_size": (3, 5, 15, 50, 150, 300, 600),

@@ -47,7 +47,7 @@ def turned(degrees):
 
 class TestSmallRegions:
     def test_weights(self, monkeypatch):
-        """1 - n_i . n_j, squared where convex, unless a sign is not known; plus the colours' and the images' part."""
+        """1 - n_i . n_j, squared where convex, unless a sign is not known; colours do not count."""
         points = torch.tensor([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0]])
         normals = turned([0.0, 60.0, 0.0, 120.0, 120.0])
         colors = torch.tensor([[0.0, 0, 0], [0, 0, 0], [0.3, 0, 0.4], [0.3, 0, 0.4], [0.3, 0, 0.4]])
@@ -60,29 +60,24 @@ class TestSmallRegions:
             assert (num_nodes, scale, min_size) == (5, 0.5, 7)
 
         monkeypatch.setattr(ops, "felzenszwalb", felzenszwalb)
-        config = RegionsConfig(scale=0.5, min_size=7, color_weight=0.2, image_weight=0.1)
-        small_regions(graph, normals, known, torch.tensor([0.0, 0.0, 1.0, 0.5]), config)
-        # convex; concave, and half a unit of colour; 120 degrees of unknown sign are 60; flat
-        assert weights["got"].tolist() == pytest.approx([0.25, 0.5 + 0.1, 0.5 + 0.1, 0.05], abs=1e-6)
-        small_regions(graph, normals, known, None, config)
-        assert weights["got"].tolist() == pytest.approx([0.25, 0.6, 0.5, 0.0], abs=1e-6)
-        small_regions(graph._replace(colors=None), normals, known, None, config)
+        small_regions(graph, normals, known, RegionsConfig(scale=0.5, min_size=7))
+        # convex; concave; 120 degrees of unknown sign are 60; flat
         assert weights["got"].tolist() == pytest.approx([0.25, 0.5, 0.5, 0.0], abs=1e-6)
 
-    def test_what_images_part_is_two_regions(self):
-        points = torch.arange(6.0)[:, None] * torch.tensor([1.0, 0, 0])
-        graph = graph_of(points, [[i, i + 1] for i in range(5)], turned([0.0] * 6))
-        known = torch.ones(6, dtype=torch.bool)
-        parted = torch.tensor([0.0, 0, 1, 0, 0])
-        assert small_regions(graph, graph.normals, known, None, ALL).tolist() == [0] * 6
-        assert small_regions(graph, graph.normals, known, parted, ALL).tolist() == [0, 0, 0, 1, 1, 1]
-        assert small_regions(graph, graph.normals, known, parted, RegionsConfig(scale=0, image_weight=0)).max() == 0
+    def test_with_scale_0_every_point_is_one(self):
+        """Even where nothing parts them."""
+        graph = graph_of(torch.zeros(3, 3), [[0, 1], [1, 2]], turned([0.0] * 3))
+        assert small_regions(graph, graph.normals, torch.ones(3, dtype=torch.bool), RegionsConfig()).tolist() == [
+            0,
+            1,
+            2,
+        ]
 
     def test_none_reaches_around_a_corner(self):
         points, side = corner()
         graph = build_point_graph(Scene(points), PointGraphConfig(normal_neighbors=20))
         known = torch.ones(len(points), dtype=torch.bool)
-        region = small_regions(graph, graph.normals, known, None, RegionsConfig(scale=0.003, min_size=0))
+        region = small_regions(graph, graph.normals, known, RegionsConfig(scale=0.003, min_size=0))
         for label in region.unique():
             away = points[region == label][:, [0, 2]].amax(1) > 0.05  # closer to the crease normals are in between
             assert side[region == label][away].unique().numel() <= 1
@@ -92,7 +87,7 @@ class TestSmallRegions:
         points = torch.zeros(4, 3)
         graph = graph_of(points, [[0, 1], [1, 2], [2, 3]], turned([0.0, 0.0, 90.0, 90.0]))
         known = torch.ones(4, dtype=torch.bool)
-        assert small_regions(graph, graph.normals, known, None, ALL).tolist() == [0, 0, 1, 1]
+        assert small_regions(graph, graph.normals, known, ALL).tolist() == [0, 0, 1, 1]
 
 
 class TestOneSidedPlanes:

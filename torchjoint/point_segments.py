@@ -47,7 +47,7 @@ def by_regions(
     graph: PointGraph, normals: Tensor, oriented: Tensor, r: Tensor | None, state: JointState, config: Config
 ) -> Tensor:
     """Small regions first, then the weakest border of all, again and again; then what is small must be confirmed."""
-    region = small_regions(graph, normals, oriented, r, config.regions)
+    region = small_regions(graph, normals, oriented, config.regions)
     planes = one_sided_planes(graph, region, normals)
     cost = crease_costs(graph.edge_index, planes, oriented, config.point_graph.convex_factor)
     observations = state.observations if r is not None else ()

@@ -12,16 +12,13 @@ class RegionsConfig(Stage):
     """Step 6, regions: small regions by Felzenszwalb-Huttenlocher, and the plane on each side of a crease."""
 
     scale: float = parameter(
-        0.13, "k; more gives larger regions; they must not reach across objects", unit="weight x points", low=0,
-        sensible="0.003-0.3",
+        0.0, "k; more gives larger regions; they must not reach across objects; 0: every point is a region of its own, "
+        "for noisy clouds and where images matter", unit="weight x points", low=0, sensible="0, or 0.001-0.01",
     )  # fmt: skip
     min_size: int = parameter(
-        3, "smaller regions are joined to a neighbour", unit="points", low=0, sensible="3-15, less where points are few"
-    )
-    color_weight: float = parameter(
-        0.04, "weight of the RGB distance of two points, where the cloud has colours", low=0, sensible="0-0.1"
-    )
-    image_weight: float = parameter(0.03, "weight of the images' disagreement r (eq. 6)", low=0, sensible="0-0.1")
+        15, "smaller regions are joined to a neighbour, unless every point is one", unit="points", low=0,
+        sensible="5-30",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torchjoint import ops
@@ -24,29 +25,20 @@ class Planes(NamedTuple):
     normal: Tensor  #: [N, 3] unit length, on the side of the point's own normal
 
 
-def small_regions(
-    graph: PointGraph, normals: Tensor, oriented: Tensor, disagreement: Tensor | None, config: RegionsConfig
-) -> Tensor:
-    """Groups points that nothing parts: neither shape, nor colour, nor images.
-
-    Edges weigh 1 - n_i . n_j, squared where the surface is convex, and what colours and images add.
+def small_regions(graph: PointGraph, normals: Tensor, oriented: Tensor, config: RegionsConfig) -> Tensor:
+    """Groups points of one smooth surface: Felzenszwalb-Huttenlocher with 1 - n_i . n_j, squared where it is convex.
 
     Args:
         normals: [N, 3] unit length.
         oriented: [N] bool, whether a normal's sign is known.
-        disagreement: [E], r of eq. 6; None where no image is asked.
 
     Returns:
-        [N] int64 regions 0, 1, ...
+        [N] int64 regions 0, 1, ...; with `config.scale` 0 every point is one.
     """
-    weighed = PointGraphConfig(
-        distance_weight=0, angle_weight=1, color_weight=0 if graph.colors is None else config.color_weight
-    )
-    weights = geometric_weights(
-        graph.points, graph.edge_index, normals, oriented, weighed, graph.colors, segmentator_turn
-    )
-    if disagreement is not None:
-        weights = weights + config.image_weight * disagreement
+    if config.scale == 0:
+        return torch.arange(graph.num_points)
+    turn_only = PointGraphConfig(distance_weight=0, angle_weight=1)
+    weights = geometric_weights(graph.points, graph.edge_index, normals, oriented, turn_only, turn=segmentator_turn)
     return ops.felzenszwalb(graph.edge_index, weights, graph.num_points, config.scale, config.min_size)
 
 

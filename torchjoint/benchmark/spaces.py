@@ -6,16 +6,14 @@ _REGIONS: Space = {
     "point_graph.normal_neighbors": Choice((20, 30, 45, 60)),
     "point_graph.plane_neighbors": Choice((20, 30, 45, 60)),
     "point_graph.convex_factor": Between(0.02, 0.3, or_zero=True),
-    "regions.scale": Between(0.001, 0.5),
+    "regions.scale": Between(0.001, 0.03, or_zero=True),
     "regions.min_size": Between(3, 30, whole=True),
-    "regions.color_weight": Between(0.003, 0.2, or_zero=True),
     "borders.threshold": Between(0.1, 0.5),
     "borders.min_size": Between(3, 600, whole=True),
     "bridges.min_votes": Choice((None, 4)),
 }
 _IMAGES_ON_BORDERS: Space = {
     "propagation.weight": Between(0.05, 0.8),
-    "regions.image_weight": Between(0.003, 0.2, or_zero=True),
     "borders.agreement": Between(0.1, 0.9, or_zero=True),
     "confirmation.min_size": Between(50, 600, whole=True, or_zero=True),
     "confirmation.overlap": Between(0.3, 0.8),
