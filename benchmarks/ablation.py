@@ -58,7 +58,7 @@ REGIONS = (
     Switch("confirmation by images", {"confirmation.min_size": 0}, {"confirmation.min_size": 250}),
     Switch("bridges", {"bridges.min_votes": None}, {"bridges.min_votes": 4}),
     Switch("convexity on borders", {"point_graph.convex_factor": 1}),
-    Switch("small regions (each point is one)", {"regions.scale": 0, "regions.min_size": 0}),
+    Switch("small regions (each point is one)", {"regions.scale": 0}, {"regions.scale": 0.003}),
     # Fewer neighbours than a plane needs (regions.MIN_POINTS): the normal of the point itself is taken.
     Switch("one-sided planes (plain normals)", {"point_graph.plane_neighbors": 4}),
     *IMAGE_LABELS,

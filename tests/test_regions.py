@@ -12,7 +12,7 @@ from torchjoint.region_config import RegionsConfig
 from torchjoint.regions import MIN_POINTS, one_sided_planes, small_regions
 from torchjoint.scene import Scene
 
-ALL = RegionsConfig(scale=0, min_size=0)
+ALL = RegionsConfig(scale=1e-9, min_size=0)
 
 
 def corner(side=20, spacing=0.02, noise=0.0, seed=0):
