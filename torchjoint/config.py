@@ -108,7 +108,7 @@ class PointGraphConfig(Stage):
 
     neighbors: int = parameter(16, "K, neighbours of a point in the graph", low=1, high=200, sensible="8-30")
     normal_neighbors: int = parameter(
-        30, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=3, high=500,
+        45, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=3, high=500,
         sensible="10-80",
     )  # fmt: skip
     reach: float = reach_parameter()

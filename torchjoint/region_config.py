@@ -41,11 +41,11 @@ class ConfirmationConfig(Stage):
     """Step 6, regions: a small segment stays if an image has a segment of its shape."""
 
     min_size: int = parameter(
-        250, "smaller segments need an image that confirms them, or else are joined to a neighbour; 0: none does",
+        300, "smaller segments need an image that confirms them, or else are joined to a neighbour; 0: none does",
         unit="points", low=0, sensible="0-500",
     )  # fmt: skip
     overlap: float = parameter(
-        0.6, "intersection over union, in points, of a segment with one of an image, from which on that confirms it",
+        0.65, "intersection over union, in points, of a segment with one of an image, from which on that confirms it",
         low=0, high=1, sensible="0.4-0.7",
     )  # fmt: skip
 
