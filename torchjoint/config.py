@@ -199,7 +199,7 @@ class PropagationConfig(Stage):
         sensible="1-10",
     )  # fmt: skip
     weight: float = parameter(
-        0.6, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation, in which no image has a say",
+        0.7, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation, in which no image has a say",
         low=0, high=1000, sensible="0.05-0.8",
     )  # fmt: skip
 

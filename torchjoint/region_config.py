@@ -45,8 +45,8 @@ class ConfirmationConfig(Stage):
         unit="points", low=0, sensible="0-500",
     )  # fmt: skip
     overlap: float = parameter(
-        0.65, "intersection over union, in points, of a segment with one of an image, from which on that confirms it",
-        low=0, high=1, sensible="0.4-0.7",
+        0.7, "intersection over union, in points, of a segment with one of an image, from which on that confirms it",
+        low=0, high=1, sensible="0.4-0.8",
     )  # fmt: skip
 
 
