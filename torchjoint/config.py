@@ -113,7 +113,7 @@ class PointGraphConfig(Stage):
     )  # fmt: skip
     reach: float = reach_parameter()
     plane_neighbors: int = parameter(
-        20, "regions: neighbours that a point's one-sided plane is fitted to, of which those in its own region count",
+        45, "regions: neighbours that a point's one-sided plane is fitted to, of which those in its own region count",
         low=3, high=500, sensible="20-60, more for noisy clouds",
     )  # fmt: skip
     distance_weight: float = parameter(

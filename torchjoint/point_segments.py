@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from torchjoint import ops
@@ -46,14 +47,16 @@ def by_edges(
 def by_regions(
     graph: PointGraph, normals: Tensor, oriented: Tensor, r: Tensor | None, state: JointState, config: Config
 ) -> Tensor:
-    """Small regions first, then the weakest border of all, again and again; then what is small must be confirmed."""
+    """Sharp creases first; then points merge across the weakest border of all, again and again; what is small then must
+    be confirmed.
+    """  # noqa: D205
     region = small_regions(graph, normals, oriented, config.regions)
     planes = one_sided_planes(graph, region, normals)
     cost = crease_costs(graph.edge_index, planes, oriented, config.point_graph.convex_factor)
     observations = state.observations if r is not None else ()
     if r is not None:
         cost = with_images(cost, r, config.propagation.weight, config.borders.agreement)
-    segment = merge(region, graph.edge_index, cost, config.borders)
+    segment = merge(torch.arange(graph.num_points), graph.edge_index, cost, config.borders)
     segment = bridge(segment, planes, observations, config.bridges)
     if config.confirmation.min_size == 0:
         return segment

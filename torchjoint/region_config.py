@@ -9,14 +9,14 @@ from torchjoint.parameter import Stage, parameter
 
 @dataclass(frozen=True)
 class RegionsConfig(Stage):
-    """Step 6, regions: small regions by Felzenszwalb-Huttenlocher, and the plane on each side of a crease."""
+    """Step 6, regions: small regions by Felzenszwalb-Huttenlocher, for the plane on each side of a crease."""
 
     scale: float = parameter(
-        0.0, "k; more gives larger regions; they must not reach across objects; 0: every point is a region of its own, "
-        "for noisy clouds and where images matter", unit="weight x points", low=0, sensible="0, or 0.001-0.01",
+        0.003, "k; more gives larger regions, which must not reach across creases; 0: every point is one, and has the "
+        "plane of its normal", unit="weight x points", low=0, sensible="0.001-0.01",
     )  # fmt: skip
     min_size: int = parameter(
-        15, "smaller regions are joined to a neighbour, unless every point is one", unit="points", low=0,
+        15, "smaller regions are joined to a neighbour", unit="points", low=0,
         sensible="5-30",
     )  # fmt: skip
 

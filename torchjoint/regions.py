@@ -1,4 +1,4 @@
-"""Step 6, regions: small regions that reach across no object, and the plane on which each of their points lies."""
+"""Step 6, regions: small regions of one smooth surface, and the plane in them on which each point lies."""
 
 from __future__ import annotations
 
