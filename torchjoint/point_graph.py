@@ -54,7 +54,7 @@ def build_point_graph(cloud: Scene, config: PointGraphConfig) -> PointGraph:
         cloud.normals is not None,
         spacing,
         undirected_edges(table[config.neighbors]),
-        table[config.plane_neighbors],
+        table[config.plane_neighbors].contiguous(),
     )
 
 

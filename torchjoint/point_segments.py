@@ -23,12 +23,12 @@ def segment_points(graph: PointGraph, state: JointState, config: Config) -> Tens
     Returns:
         [N] int64 labels 0, 1, ...
     """
+    if config.point_segments.method == "sweep":
+        return segment_sweep(graph.points, config.sweep)
     normals, oriented = orient_normals(graph, state.facing)
     r = None
     if state.observations and config.propagation.weight > 0:
         r = disagreement(state.views, state.overlap_sum, len(state.observations), config.propagation)
-    if config.point_segments.method == "sweep":
-        return segment_sweep(graph.points, config.sweep)
     methods = {"edges": by_edges, "regions": by_regions}
     return methods[config.point_segments.method](graph, normals, oriented, r, state, config)
 
@@ -47,18 +47,17 @@ def by_edges(
 def by_regions(
     graph: PointGraph, normals: Tensor, oriented: Tensor, r: Tensor | None, state: JointState, config: Config
 ) -> Tensor:
-    """Sharp creases first; then points merge across the weakest border of all, again and again; what is small then must
-    be confirmed.
-    """  # noqa: D205
+    """Points merge across the weakest border of all, again and again; images must then confirm what is small."""
     region = small_regions(graph, normals, oriented, config.regions)
     planes = one_sided_planes(graph, region, normals)
     cost = crease_costs(graph.edge_index, planes, oriented, config.point_graph.convex_factor)
-    observations = state.observations if r is not None else ()
     if r is not None:
         cost = with_images(cost, r, config.propagation.weight, config.borders.agreement)
     segment = merge(torch.arange(graph.num_points), graph.edge_index, cost, config.borders)
-    segment = bridge(segment, planes, observations, config.bridges)
+    if r is None:  # there is nothing to look through, and nothing to confirm by
+        return segment
+    segment = bridge(segment, planes, state.observations, config.bridges)
     if config.confirmation.min_size == 0:
         return segment
-    seen = best_overlaps(segment, observations)
-    return absorb(segment, graph.edge_index, cost, seen >= config.confirmation.overlap, config.confirmation.min_size)
+    confirmed = best_overlaps(segment, state.observations) >= config.confirmation.overlap
+    return absorb(segment, graph.edge_index, cost, confirmed, config.confirmation.min_size)

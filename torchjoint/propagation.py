@@ -71,7 +71,8 @@ def disagreement(views: Tensor, overlap_sum: Tensor, num_images: int, config: Pr
     v = views.double()
     neutral = 1 - config.overlap_threshold
     if config.normalization == "all":
-        return (neutral + (v * config.overlap_threshold - overlap_sum) / max(num_images, 1)).float()
-    trust = (v / config.saturation).clamp(max=1)
-    mean_overlap = overlap_sum / v.clamp(min=1)
-    return (neutral + trust * (config.overlap_threshold - mean_overlap)).float()
+        r = neutral + (v * config.overlap_threshold - overlap_sum) / max(num_images, 1)
+    else:
+        trust = (v / config.saturation).clamp(max=1)
+        r = neutral + trust * (config.overlap_threshold - overlap_sum / v.clamp(min=1))
+    return r.clamp(0, 1).float()  # but for rounding it is in there

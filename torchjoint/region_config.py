@@ -26,8 +26,8 @@ class BordersConfig(Stage):
     """Step 6, regions: merging of neighbours by the mean cost of what crosses their whole border."""
 
     threshold: float = parameter(
-        0.27, "tau, mean cost of a border up to which the regions merge; a concave right angle costs 1", low=0, high=2,
-        sensible="0.1-0.4",
+        0.27, "tau, mean cost of a border up to which the regions merge; a concave right angle costs 1, a flat edge that "
+        "no image sees w_r (1 - r_o), which should be less than this", low=0, high=2, sensible="0.1-0.4",
     )  # fmt: skip
     agreement: float = parameter(
         0.35, "how much of a crease's cost is taken back where images see one segment on both sides", low=0, high=1,

@@ -75,7 +75,8 @@ def foot_edges(points: Tensor, height: Tensor, config: SweepConfig) -> Tensor:
     if config.foot_distance == 0 or len(low) == 0 or len(feet) == 0:
         return torch.empty(2, 0, dtype=torch.int64)
     places = points[:, :2].double().numpy()
-    distance, nearest = cKDTree(places[low]).query(places[feet], distance_upper_bound=config.foot_distance)
+    tree = cKDTree(places[low.numpy()])
+    distance, nearest = tree.query(places[feet.numpy()], distance_upper_bound=config.foot_distance)
     near = torch.from_numpy(np.isfinite(distance))
     return torch.stack([feet[near], low[torch.from_numpy(nearest)[near]]])
 

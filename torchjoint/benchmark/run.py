@@ -26,8 +26,9 @@ def tune(suite: Suite, methods: Sequence[Method], data: Path | None, budget: Bud
     """The best setting of each method on the tuning half; the trials are kept in `folder`, and not run twice."""
     scenes = dict(list(suite.scenes("tuning", data).items())[:MOST_SCENES])
     loaded = tqdm(load_all(scenes), total=len(scenes), desc="load", unit="scene")
-    cases = [Case(scene, suite.config) for scene in loaded]
-    few = [Case(case.scene.spread_frames(JUDGED_FRAMES), suite.config) for case in cases]
+    preset = Config.from_preset(suite.preset)
+    cases = [Case(scene, suite.config, preset) for scene in loaded]
+    few = [Case(case.scene.spread_frames(JUDGED_FRAMES), suite.config, preset) for case in cases]
     found = {}
     for method in methods:
         if method.space_in(suite.name):

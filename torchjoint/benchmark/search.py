@@ -119,7 +119,7 @@ def _has_truth(case: Case) -> bool:
 def _key(method: Method, suite: str, cases: Sequence[Case], seed: int) -> str:
     """Tells searches apart: what is tried where."""
     parts = [method.name, suite, str(seed), str(method.space_in(suite))]
-    parts += [f"{case.digest()} {len(case.frames)} {case.config}" for case in cases]
+    parts += [f"{case.digest()} {len(case.frames)} {case.config} {case.preset}" for case in cases]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
