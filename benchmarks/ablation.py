@@ -50,17 +50,14 @@ IMAGE_LABELS = tuple(
     )
 )
 REGIONS = (
-    Switch("images in 3D (all small segments joined)", {"propagation.weight": 0}),
-    Switch("images in 3D (all small segments kept)", {"propagation.weight": 0, "confirmation.min_size": 0}),
+    Switch("images in 3D", {"propagation.weight": 0}),
     Switch("images on borders", {"propagation.weight": NEXT_TO_NOTHING, "borders.agreement": 0}),
     Switch("disagreement on borders", {"propagation.weight": NEXT_TO_NOTHING}),
-    Switch("agreement on borders", {"borders.agreement": 0}, {"borders.agreement": 0.6}),
-    Switch("confirmation by images", {"confirmation.min_size": 0}, {"confirmation.min_size": 250}),
+    Switch("agreement on borders", {"borders.agreement": 0}, {"borders.agreement": 0.35}),
+    Switch("confirmation by images", {"confirmation.min_size": 0}, {"confirmation.min_size": 300}),
     Switch("bridges", {"bridges.min_votes": None}, {"bridges.min_votes": 4}),
     Switch("convexity on borders", {"point_graph.convex_factor": 1}),
-    Switch("small regions (each point is one)", {"regions.scale": 0}, {"regions.scale": 0.003}),
-    # Fewer neighbours than a plane needs (regions.MIN_POINTS): the normal of the point itself is taken.
-    Switch("one-sided planes (plain normals)", {"point_graph.plane_neighbors": 4}),
+    Switch("small regions (planes are those of all neighbours)", {"regions.scale": 0}),
     *IMAGE_LABELS,
 )
 SWEEP = (

@@ -32,11 +32,11 @@ IMAGE_LABELS = {
     "refinement.unseen": (1, 10, 30, 100, 1000),
 }
 REGIONS = {
-    "propagation.weight": (0, 0.05, 0.1, 0.2, 0.42, 0.8, 1.6),
+    "propagation.weight": (0, 0.05, 0.1, 0.2, 0.4, 0.55, 0.85, 1.2),
     "propagation.overlap_threshold": (0.3, 0.5, 0.6, 0.7, 0.8, 0.9),
     "propagation.window": (1, 3, 5, 7, 11),
     "image_segments.scale": (0.5, 1, 3, 6, 12, 30),
-    "regions.scale": (0.001, 0.003, 0.01, 0.03, 0.13, 0.5),
+    "regions.scale": (0, 0.001, 0.003, 0.01, 0.03, 0.1),
     "regions.min_size": (2, 3, 5, 8, 15, 30, 60),
     "borders.threshold": (0.1, 0.15, 0.2, 0.27, 0.35, 0.5),
     "borders.agreement": (0, 0.2, 0.4, 0.6, 0.8, 1),

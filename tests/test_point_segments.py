@@ -90,7 +90,7 @@ class TestMethods:
         ]  # fmt: skip
         called.clear()
         segment_points(*indoor, tj.Config().set(["propagation.weight=0", "confirmation.min_size=0"]))
-        assert called == ["small_regions", "one_sided_planes", "crease_costs", "merge", "bridge"]
+        assert called == ["small_regions", "one_sided_planes", "crease_costs", "merge"]
 
     def test_labels_leave_no_number_out(self, case):
         config, graph, state = case

@@ -101,3 +101,11 @@ def test_disagreement_stays_in_0_1(normalization):
     views = torch.tensor([5, 5])
     r = disagreement(views, torch.tensor([0.0, 5.0], dtype=torch.float64), 5, config)
     assert r.tolist() == pytest.approx([1.0, 0.0], abs=1e-6)
+
+
+@pytest.mark.parametrize("threshold", [0.6, 0.7, 0.8, 0.9])
+@pytest.mark.parametrize("num_images", [3, 5, 6, 7])
+def test_rounding_does_not_make_it_negative(threshold, num_images):
+    views = torch.full((1,), num_images)
+    config = PropagationConfig(normalization="all", overlap_threshold=threshold)
+    assert disagreement(views, views.double(), num_images, config).item() >= 0

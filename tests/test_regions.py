@@ -67,11 +67,8 @@ class TestSmallRegions:
     def test_with_scale_0_every_point_is_one(self):
         """Even where nothing parts them."""
         graph = graph_of(torch.zeros(3, 3), [[0, 1], [1, 2]], turned([0.0] * 3))
-        assert small_regions(graph, graph.normals, torch.ones(3, dtype=torch.bool), RegionsConfig()).tolist() == [
-            0,
-            1,
-            2,
-        ]
+        known = torch.ones(3, dtype=torch.bool)
+        assert small_regions(graph, graph.normals, known, RegionsConfig(scale=0)).tolist() == [0, 1, 2]
 
     def test_none_reaches_around_a_corner(self):
         points, side = corner()

@@ -142,3 +142,13 @@ def test_bad_config():
         SweepConfig(gap=0, gap_growth=0)
     with pytest.raises(ValueError, match=r"sweep\.joining_gap: expected >= 1"):
         SweepConfig(joining_gap=0.5)
+
+
+@pytest.mark.parametrize("num_feet", [1, 2])
+@pytest.mark.parametrize("num_low", [1, 2])
+def test_few_feet(num_feet, num_low):
+    points = torch.tensor([[5.0, 0, 0]]).repeat(num_feet + num_low, 1) + torch.rand(num_feet + num_low, 3) / 100
+    height = torch.tensor([0.07] * num_feet + [0.2] * num_low, dtype=torch.float64)
+    edges = foot_edges(points, height, SweepConfig())
+    assert edges[0].tolist() == list(range(num_feet))
+    assert (edges[1] >= num_feet).all()

@@ -47,8 +47,8 @@ def with_images(crease: Tensor, disagreement: Tensor, weight: float, agreement: 
     """Costs of edges, from shape and images: c (1 - a (1 - r)) + w (1 - c) r.
 
     Images count where geometry is silent: their disagreement r adds to a flat edge in full and to a sharp crease not at
-    all. And where they see one segment on both sides, that takes back a share `a` of what a crease costs. An edge whose ends
-    no image sees together has the neutral r of eq. 6, 1 - r_o: it is dearer than one inside of what images see as one.
+    all. And where they see one segment on both sides, that takes back a share `a` of what a crease costs. An edge whose
+    ends no image sees together has the neutral r of eq. 6, 1 - r_o: dearer than one within what images see as one.
 
     Args:
         crease: [E] c in [0, 1].

@@ -55,7 +55,7 @@ def bridge(point_labels: Tensor, planes: Planes, observations: Sequence[Observat
     goes_on = torch.cat([votes_for for _, votes_for in votes])
     num_lines = torch.bincount(of_pair, minlength=len(pairs))
     num_votes = torch.bincount(of_pair[goes_on], minlength=len(pairs))
-    joined = pairs[(num_votes >= config.min_votes) & (num_votes >= config.share * num_lines)]
+    joined = pairs[(num_votes >= config.min_votes) & (num_votes >= config.share * num_lines.double())]
     graph = coo_matrix(
         (torch.ones(len(joined)), (joined // num_segments, joined % num_segments)), (num_segments, num_segments)
     )

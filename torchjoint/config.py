@@ -117,10 +117,10 @@ class PointGraphConfig(Stage):
         low=3, high=500, sensible="20-60, more for noisy clouds",
     )  # fmt: skip
     distance_weight: float = parameter(
-        0.2, "w_d, weight of the distance of two points; separates sparse from dense", unit="1/m", low=0,
+        0.2, "edges: w_d, weight of the distance of two points; separates sparse from dense", unit="1/m", low=0,
         sensible="0-10",
     )  # fmt: skip
-    angle_weight: float = parameter(1.0, "w_theta, weight of the angle of two normals", unit="1/rad", low=0)
+    angle_weight: float = parameter(1.0, "edges: w_theta, weight of the angle of two normals", unit="1/rad", low=0)
     convex_factor: float = parameter(
         0.06,
         "the angle counts only this much where the surface is convex: objects mostly are, and the borders between "
@@ -130,7 +130,7 @@ class PointGraphConfig(Stage):
         sensible="0.1-1",
     )
     color_weight: float = parameter(
-        0.0, "weight of the RGB distance of two points; needs Scene.colors", low=0, sensible="0-1"
+        0.0, "edges: weight of the RGB distance of two points; needs Scene.colors", low=0, sensible="0-1"
     )
 
 
@@ -199,7 +199,7 @@ class PropagationConfig(Stage):
         sensible="1-10",
     )  # fmt: skip
     weight: float = parameter(
-        0.7, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation, in which no image has a say",
+        0.7, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation, cameras then but turn normals",
         low=0, high=1000, sensible="0.05-0.8",
     )  # fmt: skip
 

@@ -120,7 +120,7 @@ class JointSegmenter(nn.Module):
 
         Args:
             points: [N, 3] metres, world frame.
-            colors: optional [N, 3] RGB in [0, 1], used where the config weighs colour.
+            colors: optional [N, 3] RGB in [0, 1], used where the config weighs colour (method edges).
             normals: optional [N, 3], estimated where absent; turned to the cameras that see a point, where any does.
         """
         cloud = Scene(points, colors=colors, normals=normals)

@@ -26,7 +26,7 @@ class BordersConfig(Stage):
     """Step 6, regions: merging of neighbours by the mean cost of what crosses their whole border."""
 
     threshold: float = parameter(
-        0.27, "tau, mean cost of a border up to which the regions merge; a concave right angle costs 1, a flat edge that "
+        0.27, "tau, mean cost of a border up to which regions merge; a concave right angle costs 1, a flat edge that "
         "no image sees w_r (1 - r_o), which should be less than this", low=0, high=2, sensible="0.1-0.4",
     )  # fmt: skip
     agreement: float = parameter(
@@ -41,8 +41,8 @@ class ConfirmationConfig(Stage):
     """Step 6, regions: a small segment stays if an image has a segment of its shape."""
 
     min_size: int = parameter(
-        300, "smaller segments need an image that confirms them, or else are joined to a neighbour; 0: none does",
-        unit="points", low=0, sensible="0-500",
+        300, "where there are images, smaller segments need one that confirms them, or else are joined to a neighbour; "
+        "0: none does", unit="points", low=0, sensible="0-500",
     )  # fmt: skip
     overlap: float = parameter(
         0.7, "intersection over union, in points, of a segment with one of an image, from which on that confirms it",

@@ -16,7 +16,7 @@ from torchjoint.visibility import Visible
 
 @dataclass(frozen=True)
 class Observation:
-    """One frame as it was seen; 8 bits a channel are enough for the cuts of step 7 and keep long sequences small."""
+    """One frame as it was seen; 8 bits a channel are enough for step 7 and keep long sequences small."""
 
     name: str
     labels: Tensor  #: [H, W] int32, the initial segmentation, dense, -1 = none

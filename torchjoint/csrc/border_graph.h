@@ -25,7 +25,7 @@ struct Border {
 };
 
 // Of equally weak borders the one with the lowest number comes first; borders are numbered as they come, and keep the
-// lower number when they join. Sums must be exact, so that they do not depend on the order: whole numbers below 2^53.
+// lower number when they join. Sums are exact, so that they do not depend on the order, as long as they are whole numbers below 2^53.
 class BorderGraph {
  public:
   explicit BorderGraph(int64_t num_regions) : borders_around_(num_regions) {}

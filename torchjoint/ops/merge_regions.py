@@ -17,8 +17,9 @@ def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: flo
     merge. Afterwards regions of less than ``min_size`` are merged across their cheapest borders, the cheapest of all
     first, until none is left that has a neighbour.
 
-    Costs are rounded to multiples of 2^-20, so that sums are exact. Of equally cheap borders the one with the lowest
-    number goes first; borders are numbered by their first edges, and joined ones keep the lower number.
+    Costs are rounded to multiples of 2^-20, so that sums are exact (below 2^33 a border). Of equally cheap borders the
+    one with the lowest number goes first; borders are numbered by their first edges, and joined ones keep the lower
+    number.
 
     Args:
         edge_index: ``[2, E]`` int64, region numbers; edges between a region and itself are ignored, several edges
