@@ -322,10 +322,9 @@ class TestEdges:
     def test_given_normals_are_used(self, synthetic):
         points = synthetic.scene.points
         flat = torch.tensor([0.0, 0.0, 1.0]).expand(len(points), -1)
-        bare = ["propagation.weight=0", "point_graph.distance_weight=0"]
-        config = CONFIG.set([*bare, "point_segments.min_size=0", "point_segments.scale=0"])
+        config = CONFIG.set(["propagation.weight=0", "regions.scale=0", "borders.min_size=0"])
         result = tj.JointSegmenter(config)(tj.Scene(points, normals=flat))
-        assert result.num_point_segments < 10  # all weights are 0: the segments are the graph's components
+        assert result.num_point_segments < 10  # all is flat: the segments are the graph's components
 
     def test_the_signs_of_given_normals_do_not_matter_where_cameras_look(self, synthetic):
         points = synthetic.scene.points
