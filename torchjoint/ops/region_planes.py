@@ -39,7 +39,7 @@ def region_planes(
         >>> neighbors = torch.tensor([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
         >>> up = torch.tensor([[1.0, 1, 1]]).expand(4, 3)
         >>> mean, normal = region_planes(points, neighbors, torch.tensor([0, 0, 0, 1]), up, min_points=3)
-        >>> mean[0], normal[0], normal[3]
+        >>> mean[0], normal[0] + 0.0, normal[3]
         (tensor([0.0000, 0.3333, 0.3333]), tensor([1., 0., 0.]), tensor([1., 1., 1.]))
     """
     check_array("points", points, torch.float32, (None, 3), "[N, 3]")
