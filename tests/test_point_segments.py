@@ -118,7 +118,9 @@ class TestWeight0:
     def test_the_heaviest(self, case):
         """No weight that a config may have makes costs too large for the operators."""
         config, graph, state = case
-        segment_points(graph, state, config.set(["propagation.weight=1000"]))
+        labels = segment_points(graph, state, config.set(["propagation.weight=1000"]))
+        assert labels.shape == (graph.num_points,)
+        assert labels.max() > 3
 
 
 class TestSameLabels:
