@@ -7,7 +7,6 @@ import torch
 
 from torchjoint import ops
 from torchjoint.borders import absorb, crease_costs, merge, with_images
-from torchjoint.region_config import BordersConfig
 from torchjoint.regions import Planes
 
 
@@ -105,26 +104,25 @@ class TestMerge:
         for scale in (0.1, 1.0, 10.0):
             assert ops.felzenszwalb(edges, cost, len(sheet), scale, 0).max() == 0
         quarter = sheet * 2 + (torch.arange(len(sheet)) >= len(sheet) // 2)
-        assert torch.equal(merge(quarter, edges, cost, BordersConfig(threshold=0.3)), sheet)
-        assert torch.equal(merge(sheet, edges, cost, BordersConfig(threshold=0.53)), sheet)
-        assert merge(sheet, edges, cost, BordersConfig(threshold=0.55)).max() == 0
+        assert torch.equal(merge(quarter, edges, cost, 0.3, 5), sheet)
+        assert torch.equal(merge(sheet, edges, cost, 0.53, 5), sheet)
+        assert merge(sheet, edges, cost, 0.55, 5).max() == 0
 
     def test_edges_inside_count_for_nothing(self):
         edges, cost, sheet = two_sheets(side=4, num_weak=0)
         inside = sheet[edges[0]] == sheet[edges[1]]
-        config = BordersConfig(threshold=0.5)
-        assert torch.equal(merge(sheet, edges, torch.where(inside, 1.0, cost), config), sheet)
+        assert torch.equal(merge(sheet, edges, torch.where(inside, 1.0, cost), 0.5, 5), sheet)
 
     def test_points_count_for_the_smallest_size(self):
         edges = torch.tensor([[0, 1, 2, 3, 4], [1, 2, 3, 4, 5]])
         region, cost = torch.tensor([0, 0, 0, 1, 1, 2]), torch.ones(5)
-        assert merge(region, edges, cost, BordersConfig(threshold=0, min_size=0)).tolist() == [0, 0, 0, 1, 1, 2]
-        assert merge(region, edges, cost, BordersConfig(threshold=0, min_size=2)).tolist() == [0, 0, 0, 1, 1, 1]
+        assert merge(region, edges, cost, 0, 0).tolist() == [0, 0, 0, 1, 1, 2]
+        assert merge(region, edges, cost, 0, 2).tolist() == [0, 0, 0, 1, 1, 1]
 
     def test_numbers_come_from_first_regions_not_first_points(self):
         region = torch.tensor([2, 1, 0])
         none = torch.empty(2, 0, dtype=torch.int64)
-        assert merge(region, none, torch.empty(0), BordersConfig()).tolist() == [2, 1, 0]
+        assert merge(region, none, torch.empty(0), 0.3, 5).tolist() == [2, 1, 0]
 
 
 class TestAbsorb:

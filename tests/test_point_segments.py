@@ -76,7 +76,10 @@ class TestMethods:
 
     def test_every_step_of_regions_has_its_turn(self, indoor, monkeypatch):
         called = []
-        for name in ("small_regions", "one_sided_planes", "crease_costs", "with_images", "merge", "bridge", "absorb"):
+        planes = ["small_regions", "one_sided_planes", "crease_costs"]
+        pieces = ["with_images", "merge", "piece_disagreement"]
+        segments = ["with_images", "merge", "bridge", "best_overlaps", "with_images", "absorb"]
+        for name in {*planes, *pieces, *segments}:
             original = getattr(point_segments, name)
 
             def spy(*arguments, name=name, original=original):
@@ -85,12 +88,22 @@ class TestMethods:
 
             monkeypatch.setattr(point_segments, name, spy)
         segment_points(*indoor, tj.Config())
-        assert called == [
-            "small_regions", "one_sided_planes", "crease_costs", "with_images", "merge", "bridge", "absorb"
-        ]  # fmt: skip
+        assert called == planes + pieces + segments
         called.clear()
-        segment_points(*indoor, tj.Config().set(["propagation.weight=0", "confirmation.min_size=0"]))
-        assert called == ["small_regions", "one_sided_planes", "crease_costs", "merge"]
+        segment_points(*indoor, tj.Config().set(["pieces.threshold=null"]))
+        assert called == planes + segments
+        called.clear()
+        segment_points(*indoor, tj.Config().set(["propagation.weight=0"]))
+        assert called == [*planes, "merge"]
+
+    def test_r_is_the_mean_of_that_of_edges_and_of_pieces(self, indoor, monkeypatch):
+        graph, state = indoor
+        given = []
+        monkeypatch.setattr(point_segments, "with_images", lambda crease, r, *_: given.append(r) or crease)
+        of_pieces = torch.rand(graph.edge_index.shape[1], generator=torch.Generator().manual_seed(0))
+        monkeypatch.setattr(point_segments, "piece_disagreement", lambda *_: of_pieces)
+        segment_points(graph, state, tj.Config())
+        assert torch.equal(given[1], (given[0] + of_pieces) / 2)
 
     def test_labels_leave_no_number_out(self, case):
         config, graph, state = case

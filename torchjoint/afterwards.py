@@ -16,7 +16,16 @@ AFTERWARDS = {
     "propagation": ("overlap_threshold", "normalization", "saturation", "weight"),
     **{
         stage: _all_of(stage)
-        for stage in ("point_segments", "regions", "borders", "confirmation", "bridges", "sweep", "refinement")
+        for stage in (
+            "point_segments",
+            "regions",
+            "pieces",
+            "borders",
+            "confirmation",
+            "bridges",
+            "sweep",
+            "refinement",
+        )
     },
 }
 

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.point_graph import angle_between, is_convex, map_edges, rows_of
-from torchjoint.region_config import BordersConfig
 from torchjoint.regions import Planes
 
 
@@ -59,10 +58,10 @@ def with_images(crease: Tensor, disagreement: Tensor, weight: float, agreement: 
     return crease * (1 - agreement * (1 - disagreement)) + weight * (1 - crease) * disagreement
 
 
-def merge(region: Tensor, edge_index: Tensor, cost: Tensor, config: BordersConfig) -> Tensor:
+def merge(region: Tensor, edge_index: Tensor, cost: Tensor, threshold: float, min_size: int) -> Tensor:
     """Merges regions, always those two whose border has the lowest mean cost, up to the threshold.
 
-    What is then still too small is joined to the neighbour across its cheapest border.
+    What then has fewer than `min_size` points is joined to the neighbour across its cheapest border.
 
     Args:
         region: [N] int64 of the points.
@@ -72,7 +71,7 @@ def merge(region: Tensor, edge_index: Tensor, cost: Tensor, config: BordersConfi
     Returns:
         [N] int64 segments 0, 1, ..., numbered by their first regions.
     """
-    return _merged(region, edge_index, cost, torch.bincount(region), config.threshold, config.min_size)
+    return _merged(region, edge_index, cost, torch.bincount(region), threshold, min_size)
 
 
 def absorb(segment: Tensor, edge_index: Tensor, cost: Tensor, stays: Tensor, min_size: int) -> Tensor:

@@ -21,7 +21,7 @@ from torchjoint.image_config import (
 )
 from torchjoint.parameter import Stage, parameter
 from torchjoint.presets import presets, read_assignment, read_preset, read_yaml
-from torchjoint.region_config import BordersConfig, BridgesConfig, ConfirmationConfig, RegionsConfig
+from torchjoint.region_config import BordersConfig, BridgesConfig, ConfirmationConfig, PiecesConfig, RegionsConfig
 from torchjoint.sweep_config import SweepConfig
 
 __all__ = [
@@ -35,6 +35,7 @@ __all__ = [
     "ContoursConfig",
     "ImageGraphConfig",
     "ImageSegmentsConfig",
+    "PiecesConfig",
     "PointGraphConfig",
     "PointSegmentsConfig",
     "PropagationConfig",
@@ -153,8 +154,8 @@ class PropagationConfig(Stage):
         sensible="1-10",
     )  # fmt: skip
     weight: float = parameter(
-        0.7, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation, cameras then but turn normals",
-        low=0, high=1000, sensible="0.05-0.8",
+        0.9, "w_r, weight of the images' disagreement r; 0 is plain 3D segmentation, cameras then but turn normals",
+        low=0, high=1000, sensible="0.05-1",
     )  # fmt: skip
 
 
@@ -184,6 +185,7 @@ class Config:
     propagation: PropagationConfig = field(default_factory=PropagationConfig)
     point_segments: PointSegmentsConfig = field(default_factory=PointSegmentsConfig)
     regions: RegionsConfig = field(default_factory=RegionsConfig)
+    pieces: PiecesConfig = field(default_factory=PiecesConfig)
     borders: BordersConfig = field(default_factory=BordersConfig)
     confirmation: ConfirmationConfig = field(default_factory=ConfirmationConfig)
     bridges: BridgesConfig = field(default_factory=BridgesConfig)
@@ -257,6 +259,7 @@ _STAGES: tuple[type[Stage], ...] = (
     PropagationConfig,
     PointSegmentsConfig,
     RegionsConfig,
+    PiecesConfig,
     BordersConfig,
     ConfirmationConfig,
     BridgesConfig,

@@ -10,6 +10,7 @@ from torchjoint.borders import absorb, crease_costs, merge, with_images
 from torchjoint.bridges import bridge
 from torchjoint.config import Config
 from torchjoint.confirmation import best_overlaps
+from torchjoint.pieces import piece_disagreement
 from torchjoint.point_graph import PointGraph, geometric_weights, orient_normals
 from torchjoint.propagation import disagreement
 from torchjoint.regions import one_sided_planes, small_regions
@@ -50,14 +51,19 @@ def by_regions(
     """Points merge across the weakest border of all, again and again; images must then confirm what is small."""
     region = small_regions(graph, normals, oriented, config.regions)
     planes = one_sided_planes(graph, region, normals)
-    cost = crease_costs(graph.edge_index, planes, oriented, config.point_graph.convex_factor)
-    if r is not None:
-        cost = with_images(cost, r, config.propagation.weight, config.borders.agreement)
-    segment = merge(torch.arange(graph.num_points), graph.edge_index, cost, config.borders)
+    crease = crease_costs(graph.edge_index, planes, oriented, config.point_graph.convex_factor)
+    borders, point = config.borders, torch.arange(graph.num_points)
     if r is None:  # there is nothing to look through, and nothing to confirm by
-        return segment
+        return merge(point, graph.edge_index, crease, borders.threshold, borders.min_size)
+
+    def cost(r: Tensor) -> Tensor:
+        return with_images(crease, r, config.propagation.weight, borders.agreement)
+
+    piece = point
+    if config.pieces.threshold is not None:
+        piece = merge(point, graph.edge_index, cost(r), config.pieces.threshold, config.pieces.min_size)
+        r = (r + piece_disagreement(piece, graph.edge_index, state.observations, config.propagation)) / 2
+    segment = merge(piece, graph.edge_index, cost(r), borders.threshold, borders.min_size)
     segment = bridge(segment, planes, state.observations, config.bridges)
-    if config.confirmation.min_size == 0:
-        return segment
     confirmed = best_overlaps(segment, state.observations) >= config.confirmation.overlap
-    return absorb(segment, graph.edge_index, cost, confirmed, config.confirmation.min_size)
+    return absorb(segment, graph.edge_index, cost(r), confirmed, config.confirmation.min_size)

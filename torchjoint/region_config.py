@@ -22,18 +22,29 @@ class RegionsConfig(Stage):
 
 
 @dataclass(frozen=True)
+class PiecesConfig(Stage):
+    """Step 6, regions: small pieces; an edge's r is the mean of its own and of what images say of its two pieces."""
+
+    threshold: float | None = parameter(
+        0.03, "mean cost of a border up to which points become one piece; less gives smaller pieces; null: no pieces, "
+        "r is that of the edges alone", low=0, high=2, sensible="null, or 0.01-0.1",
+    )  # fmt: skip
+    min_size: int = parameter(8, "smaller pieces are joined to a neighbour", unit="points", low=0, sensible="3-20")
+
+
+@dataclass(frozen=True)
 class BordersConfig(Stage):
     """Step 6, regions: merging of neighbours by the mean cost of what crosses their whole border."""
 
     threshold: float = parameter(
-        0.27, "tau, mean cost of a border up to which regions merge; a concave right angle costs 1, a flat edge that "
-        "no image sees w_r (1 - r_o), which should be less than this", low=0, high=2, sensible="0.1-0.4",
+        0.41, "tau, mean cost of a border up to which regions merge; a concave right angle costs 1, a flat edge that "
+        "no image sees w_r (1 - r_o), which should be less than this", low=0, high=2, sensible="0.2-0.5",
     )  # fmt: skip
     agreement: float = parameter(
-        0.35, "how much of a crease's cost is taken back where images see one segment on both sides", low=0, high=1,
+        0.45, "how much of a crease's cost is taken back where images see one segment on both sides", low=0, high=1,
         sensible="0-0.7",
     )  # fmt: skip
-    min_size: int = parameter(5, "smaller segments are joined to a neighbour", unit="points", low=0, sensible="3-500")
+    min_size: int = parameter(8, "smaller segments are joined to a neighbour", unit="points", low=0, sensible="3-500")
 
 
 @dataclass(frozen=True)
@@ -41,11 +52,11 @@ class ConfirmationConfig(Stage):
     """Step 6, regions: a small segment stays if an image has a segment of its shape."""
 
     min_size: int = parameter(
-        300, "where there are images, smaller segments need one that confirms them, or else are joined to a neighbour; "
-        "0: none does", unit="points", low=0, sensible="0-500",
+        500, "where there are images, smaller segments need one that confirms them, or else are joined to a neighbour; "
+        "0: none does", unit="points", low=0, sensible="0-1000",
     )  # fmt: skip
     overlap: float = parameter(
-        0.7, "intersection over union, in points, of a segment with one of an image, from which on that confirms it",
+        0.72, "intersection over union, in points, of a segment with one of an image, from which on that confirms it",
         low=0, high=1, sensible="0.4-0.8",
     )  # fmt: skip
 
