@@ -32,17 +32,19 @@ IMAGE_LABELS = {
     "refinement.unseen": (1, 10, 30, 100, 1000),
 }
 REGIONS = {
-    "propagation.weight": (0, 0.05, 0.1, 0.2, 0.4, 0.55, 0.85, 1.2),
+    "propagation.weight": (0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.2),
     "propagation.overlap_threshold": (0.3, 0.5, 0.6, 0.7, 0.8, 0.9),
     "propagation.window": (1, 3, 5, 7, 11),
     "image_segments.scale": (0.5, 1, 3, 6, 12, 30),
     "regions.scale": (0, 0.001, 0.003, 0.01, 0.03, 0.1),
     "regions.min_size": (2, 3, 5, 8, 15, 30, 60),
-    "borders.threshold": (0.1, 0.15, 0.2, 0.27, 0.35, 0.5),
+    "pieces.threshold": (None, 0.01, 0.02, 0.05, 0.1, 0.2),
+    "pieces.min_size": (2, 5, 15, 30, 60),
+    "borders.threshold": (0.15, 0.2, 0.3, 0.35, 0.45, 0.5, 0.6),
     "borders.agreement": (0, 0.2, 0.4, 0.6, 0.8, 1),
     "borders.min_size": (3, 5, 15, 50, 150, 300, 600),
-    "confirmation.min_size": (0, 60, 120, 250, 500, 1000),
-    "confirmation.overlap": (0.3, 0.4, 0.5, 0.55, 0.65, 0.8),
+    "confirmation.min_size": (0, 100, 250, 500, 1000),
+    "confirmation.overlap": (0.3, 0.5, 0.6, 0.7, 0.8, 0.9),
     "point_graph.neighbors": (8, 12, 16, 24, 32),
     "point_graph.normal_neighbors": (15, 20, 30, 45, 60, 80),
     "point_graph.plane_neighbors": (10, 20, 30, 45, 60, 80),
@@ -84,7 +86,7 @@ def main() -> None:
         pairs = zip(panel.values, panel.means, strict=True)
         print(
             f"{panel.name} = {panel.preset}, {panel.space} F / best IoU:",
-            ", ".join(f"{value:g}: {mean.f:.3f} / {mean.best_iou:.3f}" for value, mean in pairs),
+            ", ".join(f"{text(value)}: {mean.f:.3f} / {mean.best_iou:.3f}" for value, mean in pairs),
         )
     draw(found, suite).savefig(DOCS / f"sensitivity-{suite.name}.png", dpi=75)
 
@@ -129,7 +131,12 @@ def value_in(config: Config, name: str) -> Any:
 
 
 def with_preset(values: Sequence[Any], preset: Any) -> list[Any]:
-    return sorted({*values, preset})
+    """Ascending; null, which switches a stage off, comes first."""
+    return sorted({*values, preset}, key=lambda value: -1 if value is None else value)
+
+
+def text(value: float | None) -> str:
+    return "null" if value is None else f"{value:g}"
 
 
 def mean(scores: Sequence[Scores]) -> Scores:
@@ -162,7 +169,7 @@ def draw_panel(axis: Axes, panel: Panel, all_panels: Sequence[Panel]) -> None:
     shown = [score for p in all_panels for scores in p.means for score in (scores.f, scores.best_iou)]
     margin = 0.05 * (max(shown) - min(shown)) + 1e-3
     axis.set_ylim(min(shown) - margin, max(shown) + margin)
-    axis.set_xticks(places, [f"{value:g}" for value in panel.values], fontsize=7)
+    axis.set_xticks(places, [text(value) for value in panel.values], fontsize=7)
     axis.tick_params(axis="y", labelsize=7)
     axis.set_title(f"{panel.name} ({panel.space})", fontsize=8)
     axis.grid(alpha=0.3)

@@ -13,9 +13,10 @@ _REGIONS: Space = {
     "bridges.min_votes": Choice((None, 4)),
 }
 _IMAGES_ON_BORDERS: Space = {
-    "propagation.weight": Between(0.05, 0.8),
+    "propagation.weight": Between(0.05, 1.0),
+    "pieces.threshold": Choice((None, 0.015, 0.03, 0.06)),
     "borders.agreement": Between(0.1, 0.9, or_zero=True),
-    "confirmation.min_size": Between(50, 600, whole=True, or_zero=True),
+    "confirmation.min_size": Between(50, 1000, whole=True, or_zero=True),
     "confirmation.overlap": Between(0.3, 0.8),
 }
 _EDGES: Space = {

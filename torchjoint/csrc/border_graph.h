@@ -2,11 +2,9 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
 #include <cstdint>
 #include <functional>
 #include <queue>
-#include <unordered_map>
 #include <utility>
 #include <vector>
 
@@ -24,6 +22,44 @@ struct Border {
   double mean() const { return sum / static_cast<double>(count); }
 };
 
+// Numbers by key; a key is never 0, and none is ever taken out. Open addressing: what is looked up next is mostly nowhere
+// near what was looked up last, so that each miss of the cache counts.
+class NumberOf {
+ public:
+  // The number of a key, which is `number` if there was none before.
+  int32_t& operator()(uint64_t key, int32_t number) {
+    if (2 * count_ >= slots_.size()) grow();
+    Slot& slot = slot_of(key);
+    if (slot.key == 0) slot = {key, number}, ++count_;
+    return slot.number;
+  }
+
+ private:
+  struct Slot {
+    uint64_t key = 0;
+    int32_t number = kNone;
+  };
+
+  Slot& slot_of(uint64_t key) {
+    const size_t mask = slots_.size() - 1;
+    size_t at = key * 0x9E3779B97F4A7C15u >> shift_;
+    while (slots_[at].key != 0 && slots_[at].key != key) at = (at + 1) & mask;
+    return slots_[at];
+  }
+
+  void grow() {
+    const std::vector<Slot> before(std::exchange(slots_, std::vector<Slot>(2 * slots_.size())));
+    --shift_;
+    for (const Slot& slot : before) {
+      if (slot.key != 0) slot_of(slot.key) = slot;
+    }
+  }
+
+  int shift_ = 54;  // 64 - log2 of the number of slots
+  size_t count_ = 0;
+  std::vector<Slot> slots_{std::vector<Slot>(size_t{1} << 10)};
+};
+
 // Of equally weak borders the one with the lowest number comes first; borders are numbered as they come, and keep the
 // lower number when they join. Sums are exact, so that they do not depend on the order, as long as they are whole numbers below 2^53.
 class BorderGraph {
@@ -35,7 +71,7 @@ class BorderGraph {
 
   // Adds an edge to the border between a and b, which are two regions; returns its number.
   int32_t add(int32_t a, int32_t b, double cost) {
-    const int32_t number = number_of(key(a, b));
+    const int32_t number = number_of_(key(a, b), static_cast<int32_t>(borders_.size()));
     if (number == static_cast<int32_t>(borders_.size())) {
       borders_.push_back({{a, b}, 0, 0, number, number});
       borders_around_[a].push_back(number);
@@ -53,9 +89,11 @@ class BorderGraph {
   void merge_weakest(const MayGo& may_go, const OnMerge& on_merge) {
     is_gone_.resize(borders_.size(), false);
     next_part_.resize(borders_.size(), kNone);
+    std::vector<Waiting> all;
     for (size_t number = 0; number < borders_.size(); ++number) {
-      if (!is_gone_[number]) wait(static_cast<int32_t>(number));
+      if (!is_gone_[number]) all.emplace_back(borders_[number].mean(), static_cast<int32_t>(number));
     }
+    waiting_ = Queue(std::greater<>(), std::move(all));
     while (!waiting_.empty()) {
       const auto [mean, number] = waiting_.top();
       waiting_.pop();
@@ -73,18 +111,11 @@ class BorderGraph {
   }
 
  private:
+  using Waiting = std::pair<double, int32_t>;  // mean and number; stale where the mean is another by now
+  using Queue = std::priority_queue<Waiting, std::vector<Waiting>, std::greater<>>;
+
   static uint64_t key(int32_t a, int32_t b) {
     return static_cast<uint64_t>(std::min(a, b)) << 32 | static_cast<uint64_t>(std::max(a, b));
-  }
-
-  // Of a border, which may be new; most pairs are of one that has come shortly before.
-  int32_t number_of(uint64_t key) {
-    auto& [recent_key, number] = recent_[key * 0x9E3779B97F4A7C15u >> 54];
-    if (recent_key != key) {
-      number = border_between_.try_emplace(key, static_cast<int32_t>(borders_.size())).first->second;
-      recent_key = key;
-    }
-    return number;
   }
 
   void wait(int32_t number) { waiting_.emplace(borders_[number].mean(), number); }
@@ -97,9 +128,9 @@ class BorderGraph {
       if (is_gone_[moved]) continue;
       int32_t* const region = borders_[moved].region;
       region[region[0] == given ? 0 : 1] = kept;
-      const auto [found, is_new] = border_between_.try_emplace(key(region[0], region[1]), moved);
-      if (!is_new) found->second = join(found->second, moved);
-      if (found->second == moved) borders_around_[kept].push_back(moved);
+      int32_t& number = number_of_(key(region[0], region[1]), moved);
+      if (number != moved) number = join(number, moved);
+      if (number == moved) borders_around_[kept].push_back(moved);
     }
   }
 
@@ -117,11 +148,9 @@ class BorderGraph {
   std::vector<Border> borders_;
   std::vector<uint8_t> is_gone_;
   std::vector<int32_t> next_part_;  // of each original border
-  std::unordered_map<uint64_t, int32_t> border_between_;
-  std::array<std::pair<uint64_t, int32_t>, 1024> recent_{};  // no border has the key 0
+  NumberOf number_of_;  // a border by its two regions
   std::vector<std::vector<int32_t>> borders_around_;
-  using Waiting = std::pair<double, int32_t>;  // mean and number; stale where the mean is another by now
-  std::priority_queue<Waiting, std::vector<Waiting>, std::greater<>> waiting_;
+  Queue waiting_;
 };
 
 }  // namespace torchjoint
