@@ -74,8 +74,6 @@ class BorderGraph {
     const int32_t number = number_of_(key(a, b), static_cast<int32_t>(borders_.size()));
     if (number == static_cast<int32_t>(borders_.size())) {
       borders_.push_back({{a, b}, 0, 0, number, number});
-      borders_around_[a].push_back(number);
-      borders_around_[b].push_back(number);
     }
     borders_[number].sum += cost;
     ++borders_[number].count;
@@ -87,20 +85,24 @@ class BorderGraph {
   // Afterwards a border's `region` are the two that are left of what it once parted.
   template <typename MayGo, typename OnMerge>
   void merge_weakest(const MayGo& may_go, const OnMerge& on_merge) {
-    is_gone_.resize(borders_.size(), false);
-    next_part_.resize(borders_.size(), kNone);
-    std::vector<Waiting> all;
+    if (is_gone_.empty()) list_borders();
+    std::vector<Waiting> may;
     for (size_t number = 0; number < borders_.size(); ++number) {
-      if (!is_gone_[number]) all.emplace_back(borders_[number].mean(), static_cast<int32_t>(number));
+      if (!is_gone_[number] && may_go(borders_[number])) {
+        may.emplace_back(borders_[number].mean(), static_cast<int32_t>(number));
+      }
     }
-    waiting_ = Queue(std::greater<>(), std::move(all));
-    while (!waiting_.empty()) {
-      const auto [mean, number] = waiting_.top();
-      waiting_.pop();
+    Queue waiting(std::greater<>(), std::move(may));
+    const auto on_join = [&](int32_t number) {
+      if (may_go(borders_[number])) waiting.emplace(borders_[number].mean(), number);
+    };
+    while (!waiting.empty()) {
+      const auto [mean, number] = waiting.top();
+      waiting.pop();
       if (is_gone_[number] || mean != borders_[number].mean() || !may_go(borders_[number])) continue;
       on_merge(number);
       is_gone_[number] = true;
-      merge(borders_[number].region[0], borders_[number].region[1]);
+      merge(borders_[number].region[0], borders_[number].region[1], on_join);
     }
   }
 
@@ -118,10 +120,23 @@ class BorderGraph {
     return static_cast<uint64_t>(std::min(a, b)) << 32 | static_cast<uint64_t>(std::max(a, b));
   }
 
-  void wait(int32_t number) { waiting_.emplace(borders_[number].mean(), number); }
+  // Once all borders are there: those around each region.
+  void list_borders() {
+    is_gone_.resize(borders_.size(), false);
+    next_part_.resize(borders_.size(), kNone);
+    std::vector<int32_t> count(borders_around_.size(), 0);
+    for (const Border& border : borders_) ++count[border.region[0]], ++count[border.region[1]];
+    for (size_t region = 0; region < count.size(); ++region) borders_around_[region].reserve(count[region]);
+    for (size_t number = 0; number < borders_.size(); ++number) {
+      for (const int32_t region : borders_[number].region) {
+        borders_around_[region].push_back(static_cast<int32_t>(number));
+      }
+    }
+  }
 
   // The region with fewer borders gives them to the other one.
-  void merge(int32_t kept, int32_t given) {
+  template <typename OnJoin>
+  void merge(int32_t kept, int32_t given, const OnJoin& on_join) {
     if (borders_around_[kept].size() < borders_around_[given].size()) std::swap(kept, given);
     const std::vector<int32_t> moving = std::move(borders_around_[given]);
     for (const int32_t moved : moving) {
@@ -129,7 +144,7 @@ class BorderGraph {
       int32_t* const region = borders_[moved].region;
       region[region[0] == given ? 0 : 1] = kept;
       int32_t& number = number_of_(key(region[0], region[1]), moved);
-      if (number != moved) number = join(number, moved);
+      if (number != moved) on_join(number = join(number, moved));
       if (number == moved) borders_around_[kept].push_back(moved);
     }
   }
@@ -141,7 +156,6 @@ class BorderGraph {
     next_part_[borders_[a].last_part] = borders_[b].first_part;
     borders_[a].last_part = borders_[b].last_part;
     is_gone_[b] = true;
-    wait(a);
     return a;
   }
 
@@ -150,7 +164,6 @@ class BorderGraph {
   std::vector<int32_t> next_part_;  // of each original border
   NumberOf number_of_;  // a border by its two regions
   std::vector<std::vector<int32_t>> borders_around_;
-  Queue waiting_;
 };
 
 }  // namespace torchjoint
