@@ -54,7 +54,7 @@ REGIONS = (
     Switch("images on borders", {"propagation.weight": NEXT_TO_NOTHING, "borders.agreement": 0}),
     Switch("disagreement on borders", {"propagation.weight": NEXT_TO_NOTHING}),
     Switch("agreement on borders", {"borders.agreement": 0}),
-    Switch("pieces", {"pieces.threshold": None}),
+    Switch("pieces", {"pieces.threshold": None}, {"pieces.threshold": 0.03}),
     Switch("confirmation by images", {"confirmation.min_size": 0}, {"confirmation.min_size": 500}),
     Switch("bridges", {"bridges.min_votes": None}, {"bridges.min_votes": 4}),
     Switch("convexity on borders", {"point_graph.convex_factor": 1}),

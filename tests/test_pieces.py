@@ -71,6 +71,15 @@ def test_pixels_without_a_label_are_left_out():
     assert disagreements(view) == pytest.approx([0, 0, 0, 0.5])
 
 
+def test_many_points_of_one_label():
+    view = seen(range(700), [2] * 400 + [9] * 300)
+    pieces = [0] * 200 + [1] * 500  # of piece 1, 200 points have label 2
+    edges = torch.tensor([[0], [699]])
+    assert disagreements(view, pieces=pieces, edges=edges) == pytest.approx([0])
+    pieces = [0] * 500 + [1] * 200  # piece 0 has 400 of label 2 and 100 of 9, piece 1 all of 9
+    assert disagreements(view, pieces=pieces, edges=edges) == pytest.approx([0.5])
+
+
 def test_one_piece_and_no_edges():
     view = seen(range(13), [1] * 13)
     assert disagreements(view, pieces=[0] * 13) == [0, 0, 0, 0]

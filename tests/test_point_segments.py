@@ -7,6 +7,7 @@ import torch
 
 import torchjoint as tj
 from torchjoint import ops, point_segments
+from torchjoint.borders import merge
 from torchjoint.point_graph import PointGraph, geometric_weights, orient_normals
 from torchjoint.point_segments import segment_points
 from torchjoint.propagation import disagreement
@@ -78,7 +79,7 @@ class TestMethods:
         called = []
         planes = ["small_regions", "one_sided_planes", "crease_costs"]
         pieces = ["with_images", "merge", "piece_disagreement"]
-        segments = ["with_images", "merge", "bridge", "best_overlaps", "with_images", "absorb"]
+        segments = ["with_images", "merge", "bridge", "best_overlaps", "absorb"]
         for name in {*planes, *pieces, *segments}:
             original = getattr(point_segments, name)
 
@@ -90,11 +91,27 @@ class TestMethods:
         segment_points(*indoor, tj.Config())
         assert called == planes + pieces + segments
         called.clear()
-        segment_points(*indoor, tj.Config().set(["pieces.threshold=null"]))
-        assert called == planes + segments
+        segment_points(*indoor, tj.Config().set(["pieces.threshold=null", "confirmation.min_size=0"]))
+        assert called == planes + segments[:3]
         called.clear()
         segment_points(*indoor, tj.Config().set(["propagation.weight=0"]))
         assert called == [*planes, "merge"]
+
+    def test_pieces_come_first_and_segments_are_made_of_them(self, indoor, monkeypatch):
+        given, made = [], []
+
+        def spy(region, edge_index, cost, threshold, min_size):
+            given.append((region, threshold, min_size))
+            made.append(merge(region, edge_index, cost, threshold, min_size))
+            return made[-1]
+
+        monkeypatch.setattr(point_segments, "merge", spy)
+        names = {"pieces.threshold": 0.02, "pieces.min_size": 5, "borders.threshold": 0.33, "borders.min_size": 12}
+        segment_points(*indoor, tj.Config().set([f"{name}={value}" for name, value in names.items()]))
+        assert [how for _, *how in given] == [[0.02, 5], [0.33, 12]]
+        assert torch.equal(given[0][0], torch.arange(indoor[0].num_points))
+        assert torch.equal(given[1][0], made[0])
+        assert indoor[0].num_points > made[0].max() > made[1].max()
 
     def test_r_is_the_mean_of_that_of_edges_and_of_pieces(self, indoor, monkeypatch):
         graph, state = indoor
@@ -103,6 +120,7 @@ class TestMethods:
         of_pieces = torch.rand(graph.edge_index.shape[1], generator=torch.Generator().manual_seed(0))
         monkeypatch.setattr(point_segments, "piece_disagreement", lambda *_: of_pieces)
         segment_points(graph, state, tj.Config())
+        assert len(given) == 2
         assert torch.equal(given[1], (given[0] + of_pieces) / 2)
 
     def test_labels_leave_no_number_out(self, case):

@@ -1,4 +1,4 @@
-"""Step 6, regions: what the images say about pieces of the cloud, instead of about its edges.
+"""Step 6, regions: what the images say about small pieces of the cloud, besides what they say about its edges.
 
 The ends of an edge are often no farther apart than poses and depths are wrong, so that an image sees both on one side
 of a border. Pieces are larger than that: they are the windows of eq. 5 here, and eq. 6 stays as it is.
@@ -19,6 +19,8 @@ from torchjoint.threads import map_frames
 
 #: Points of a piece that an image must see to have a say.
 MIN_POINTS = 3
+#: Images whose overlaps are held in memory at a time.
+BATCH = 32
 
 
 def piece_disagreement(
@@ -39,18 +41,19 @@ def piece_disagreement(
     across = low < high
     pair, of_pair = torch.unique(low[across] * num_pieces + high[across], return_inverse=True)
     pairs = torch.stack([pair // num_pieces, pair % num_pieces])
-    seen = map_frames(lambda observation: _overlaps(piece, pairs, observation), observations)
     views = torch.zeros(len(pair), dtype=torch.int64)
     overlap_sum = torch.zeros(len(pair), dtype=torch.float64)
-    for index, overlap in seen:
-        views[index] += 1
-        overlap_sum[index] += overlap
+    for start in range(0, len(observations), BATCH):
+        batch = observations[start : start + BATCH]
+        for index, overlap in map_frames(lambda seen: _overlaps(piece, num_pieces, pairs, seen), batch):
+            views[index] += 1
+            overlap_sum[index] += overlap
     r = torch.zeros(edge_index.shape[1])
     r[across] = disagreement(views, overlap_sum, len(observations), config)[of_pair]
     return r
 
 
-def _overlaps(piece: Tensor, pairs: Tensor, seen: Observation) -> tuple[Tensor, Tensor]:
+def _overlaps(piece: Tensor, num_pieces: int, pairs: Tensor, seen: Observation) -> tuple[Tensor, Tensor]:
     """One image's part: which pairs of pieces it sees, [S] int64, and their overlap (eq. 5), [S] float64.
 
     Overlap is histogram intersection over the size of the smaller piece, counted in points that the image sees.
@@ -59,7 +62,6 @@ def _overlaps(piece: Tensor, pairs: Tensor, seen: Observation) -> tuple[Tensor, 
     label = seen.labels[visible.row, visible.column].long()
     has_label = label >= 0
     label, there = label[has_label], piece[visible.point[has_label]]
-    num_pieces = int(piece.max()) + 1
     shape = (num_pieces, int(label.max()) + 1 if label.numel() else 1)
     counts = csr_matrix(
         (torch.ones_like(label).numpy(), (there.numpy(), label.numpy())), shape

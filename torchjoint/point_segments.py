@@ -48,22 +48,24 @@ def by_edges(
 def by_regions(
     graph: PointGraph, normals: Tensor, oriented: Tensor, r: Tensor | None, state: JointState, config: Config
 ) -> Tensor:
-    """Points merge across the weakest border of all, again and again; images must then confirm what is small."""
+    """Points merge across the weakest border of all, again and again; images must then confirm what is small.
+
+    On the way there, when they are small pieces, images have a second look at these.
+    """
     region = small_regions(graph, normals, oriented, config.regions)
     planes = one_sided_planes(graph, region, normals)
     crease = crease_costs(graph.edge_index, planes, oriented, config.point_graph.convex_factor)
-    borders, point = config.borders, torch.arange(graph.num_points)
+    borders, piece = config.borders, torch.arange(graph.num_points)
     if r is None:  # there is nothing to look through, and nothing to confirm by
-        return merge(point, graph.edge_index, crease, borders.threshold, borders.min_size)
-
-    def cost(r: Tensor) -> Tensor:
-        return with_images(crease, r, config.propagation.weight, borders.agreement)
-
-    piece = point
+        return merge(piece, graph.edge_index, crease, borders.threshold, borders.min_size)
+    cost = with_images(crease, r, config.propagation.weight, borders.agreement)
     if config.pieces.threshold is not None:
-        piece = merge(point, graph.edge_index, cost(r), config.pieces.threshold, config.pieces.min_size)
+        piece = merge(piece, graph.edge_index, cost, config.pieces.threshold, config.pieces.min_size)
         r = (r + piece_disagreement(piece, graph.edge_index, state.observations, config.propagation)) / 2
-    segment = merge(piece, graph.edge_index, cost(r), borders.threshold, borders.min_size)
+        cost = with_images(crease, r, config.propagation.weight, borders.agreement)
+    segment = merge(piece, graph.edge_index, cost, borders.threshold, borders.min_size)
     segment = bridge(segment, planes, state.observations, config.bridges)
+    if config.confirmation.min_size == 0:
+        return segment
     confirmed = best_overlaps(segment, state.observations) >= config.confirmation.overlap
-    return absorb(segment, graph.edge_index, cost(r), confirmed, config.confirmation.min_size)
+    return absorb(segment, graph.edge_index, cost, confirmed, config.confirmation.min_size)

@@ -26,10 +26,13 @@ class PiecesConfig(Stage):
     """Step 6, regions: small pieces; an edge's r is the mean of its own and of what images say of its two pieces."""
 
     threshold: float | None = parameter(
-        0.03, "mean cost of a border up to which points become one piece; less gives smaller pieces; null: no pieces, "
-        "r is that of the edges alone", low=0, high=2, sensible="null, or 0.01-0.1",
+        0.03, "mean cost of a border up to which points become one piece, never to be parted again; well below "
+        "`borders.threshold`; less gives smaller pieces; null: no pieces, r is that of the edges alone", low=0, high=2,
+        sensible="null, or 0.01-0.1",
     )  # fmt: skip
-    min_size: int = parameter(8, "smaller pieces are joined to a neighbour", unit="points", low=0, sensible="3-20")
+    min_size: int = parameter(
+        8, "smaller pieces are joined to a neighbour, whatever the border costs", unit="points", low=0, sensible="3-20"
+    )
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,10 @@ class BordersConfig(Stage):
         0.45, "how much of a crease's cost is taken back where images see one segment on both sides", low=0, high=1,
         sensible="0-0.7",
     )  # fmt: skip
-    min_size: int = parameter(8, "smaller segments are joined to a neighbour", unit="points", low=0, sensible="3-500")
+    min_size: int = parameter(
+        8, "smaller segments are joined to a neighbour; where there are pieces, none is smaller than `pieces.min_size` "
+        "anyway", unit="points", low=0, sensible="3-500",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

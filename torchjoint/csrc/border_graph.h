@@ -42,7 +42,7 @@ class NumberOf {
 
   Slot& slot_of(uint64_t key) {
     const size_t mask = slots_.size() - 1;
-    size_t at = key * 0x9E3779B97F4A7C15u >> shift_;
+    size_t at = (key ^ key >> 32) * 0x9E3779B97F4A7C15u >> shift_;
     while (slots_[at].key != 0 && slots_[at].key != key) at = (at + 1) & mask;
     return slots_[at];
   }
@@ -57,7 +57,7 @@ class NumberOf {
 
   int shift_ = 54;  // 64 - log2 of the number of slots
   size_t count_ = 0;
-  std::vector<Slot> slots_{std::vector<Slot>(size_t{1} << 10)};
+  std::vector<Slot> slots_ = std::vector<Slot>(1 << 10);
 };
 
 // Of equally weak borders the one with the lowest number comes first; borders are numbered as they come, and keep the
@@ -69,7 +69,7 @@ class BorderGraph {
   size_t num_borders() const { return borders_.size(); }
   const Border& border(int32_t number) const { return borders_[number]; }
 
-  // Adds an edge to the border between a and b, which are two regions; returns its number.
+  // Adds an edge to the border between a and b, which are two regions; returns its number. Not once any were merged.
   int32_t add(int32_t a, int32_t b, double cost) {
     const int32_t number = number_of_(key(a, b), static_cast<int32_t>(borders_.size()));
     if (number == static_cast<int32_t>(borders_.size())) {
@@ -144,7 +144,10 @@ class BorderGraph {
       int32_t* const region = borders_[moved].region;
       region[region[0] == given ? 0 : 1] = kept;
       int32_t& number = number_of_(key(region[0], region[1]), moved);
-      if (number != moved) on_join(number = join(number, moved));
+      if (number != moved) {
+        number = join(number, moved);
+        on_join(number);
+      }
       if (number == moved) borders_around_[kept].push_back(moved);
     }
   }
