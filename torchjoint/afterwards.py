@@ -11,22 +11,12 @@ def _all_of(stage: str) -> tuple[str, ...]:
     return tuple(spec.name for spec in dataclasses.fields(STAGES[stage]))
 
 
+_STEP_6 = ("point_segments", "regions", "pieces", "borders", "confirmation", "bridges", "sweep")
+
 AFTERWARDS = {
     "point_graph": ("distance_weight", "angle_weight", "convex_factor", "color_weight"),
     "propagation": ("overlap_threshold", "normalization", "saturation", "weight"),
-    **{
-        stage: _all_of(stage)
-        for stage in (
-            "point_segments",
-            "regions",
-            "pieces",
-            "borders",
-            "confirmation",
-            "bridges",
-            "sweep",
-            "refinement",
-        )
-    },
+    **{stage: _all_of(stage) for stage in (*_STEP_6, "refinement")},
 }
 
 

@@ -34,10 +34,8 @@ def best_overlaps(point_labels: Tensor, observations: Sequence[Observation]) -> 
 
 
 def _overlaps(point_labels: Tensor, seen: Observation, num_segments: int) -> Tensor:
-    visible = seen.visible
-    in_image = seen.labels[visible.row, visible.column].long()
-    has_label = in_image >= 0
-    in_image, segment = in_image[has_label], point_labels[visible.point[has_label]]
+    point, in_image = seen.labelled_points()
+    segment = point_labels[point]
     overlap = torch.zeros(num_segments)
     if not in_image.numel():
         return overlap

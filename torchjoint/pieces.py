@@ -58,14 +58,11 @@ def _overlaps(piece: Tensor, num_pieces: int, pairs: Tensor, seen: Observation) 
 
     Overlap is histogram intersection over the size of the smaller piece, counted in points that the image sees.
     """
-    visible = seen.visible
-    label = seen.labels[visible.row, visible.column].long()
-    has_label = label >= 0
-    label, there = label[has_label], piece[visible.point[has_label]]
+    point, label = seen.labelled_points()
+    there = piece[point]
     shape = (num_pieces, int(label.max()) + 1 if label.numel() else 1)
-    counts = csr_matrix(
-        (torch.ones_like(label).numpy(), (there.numpy(), label.numpy())), shape
-    )  # adds up what is equal
+    # Equal places are added up.
+    counts = csr_matrix((torch.ones_like(label).numpy(), (there.numpy(), label.numpy())), shape)
     size = torch.bincount(there, minlength=num_pieces)
     smaller = torch.minimum(size[pairs[0]], size[pairs[1]])
     index = torch.nonzero(smaller >= MIN_POINTS).squeeze(1)

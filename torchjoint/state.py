@@ -24,6 +24,12 @@ class Observation:
     image: Tensor  #: [3, H, W] uint8
     boundary: Tensor  #: [H, W] uint8, boundary strength x 255
 
+    def labelled_points(self) -> tuple[Tensor, Tensor]:
+        """The visible points whose pixel has a label, and that label, both [L] int64."""
+        label = self.labels[self.visible.row, self.visible.column].long()
+        has_label = label >= 0
+        return self.visible.point[has_label], label[has_label]
+
     def to_dict(self) -> dict[str, Any]:
         """Plain tensors and strings, for torch.save and safe loading."""
         return vars(self) | {"visible": tuple(self.visible)}
