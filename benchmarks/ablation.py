@@ -51,22 +51,22 @@ IMAGE_LABELS = tuple(
 )
 REGIONS = (
     Switch("images in 3D", {"propagation.weight": 0}),
-    Switch("images on borders", {"propagation.weight": NEXT_TO_NOTHING, "borders.agreement": 0}),
+    Switch("images on borders", {"propagation.weight": NEXT_TO_NOTHING, "region_merging.agreement": 0}),
     Switch("disagreement on borders", {"propagation.weight": NEXT_TO_NOTHING}),
-    Switch("agreement on borders", {"borders.agreement": 0}),
+    Switch("agreement on borders", {"region_merging.agreement": 0}),
     Switch("pieces", {"pieces.threshold": None}, {"pieces.threshold": 0.03}),
-    Switch("confirmation by images", {"confirmation.min_size": 0}, {"confirmation.min_size": 500}),
-    Switch("bridges", {"bridges.min_votes": None}, {"bridges.min_votes": 4}),
+    Switch("confirmation by images", {"image_support.min_size": 0}, {"image_support.min_size": 500}),
+    Switch("bridges", {"occlusion_bridging.min_votes": None}, {"occlusion_bridging.min_votes": 4}),
     Switch("convexity on borders", {"point_graph.convex_factor": 1}),
     Switch("small regions (planes are those of all neighbours)", {"regions.scale": 0}),
     *IMAGE_LABELS,
 )
-SWEEP = (
-    Switch("feet", {"sweep.foot_distance": 0}),
-    Switch("removal of bumps from the ground", {"sweep.max_bump": 1e3}),
-    Switch("a limit to joining what is small", {"sweep.joining_gap": 1e6}),
-    Switch("joining of what is small", {"sweep.min_size": 0}),
-    Switch("growth of the gap with distance", {"sweep.gap_growth": 0}),
+SCAN = (
+    Switch("feet", {"scan.foot_distance": 0}),
+    Switch("removal of bumps from the ground", {"scan.max_bump": 1e3}),
+    Switch("a limit to joining what is small", {"scan.joining_gap": 1e6}),
+    Switch("joining of what is small", {"scan.min_size": 0}),
+    Switch("growth of the gap with distance", {"scan.gap_growth": 0}),
     *IMAGE_LABELS,
 )
 
@@ -102,7 +102,7 @@ def main() -> None:
 def variants(suite: Suite) -> tuple[list[Method], Mapping[str, Setting]]:
     """The full method and those that lack a stage, each with its setting; those that would be the same are left out."""
     preset = Config.from_preset(suite.preset)
-    switches = SWEEP if preset.point_segments.method == "sweep" else REGIONS
+    switches = SCAN if preset.point_segments.method == "scan" else REGIONS
     found = {preset: Method("joint", f"full method, preset {suite.preset}", joint)}
     for switch in switches:
         off, on = changed(preset, switch.off), changed(preset, switch.on or {})

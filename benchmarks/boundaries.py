@@ -18,11 +18,11 @@ import report
 import torch
 from torch import nn
 
-from torchjoint.boundary import make_boundary
-from torchjoint.boundary_scores import evaluate_predictions
 from torchjoint.config import BoundaryConfig, ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.datasets.bsds import BsdsImage, bsds_images
-from torchjoint.region_scores import RegionScores, RegionSetting, evaluate_regions
+from torchjoint.evaluation.boundary_scores import evaluate_predictions
+from torchjoint.evaluation.region_scores import RegionScores, RegionSetting, evaluate_regions
+from torchjoint.images.boundary import make_boundary
 
 Predictor = Callable[[BsdsImage], torch.Tensor]
 COLUMNS = ["covering", "symmetric", "F objects and parts"]

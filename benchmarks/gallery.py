@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 import torchjoint as tj
 from torchjoint.datasets.files import read_label_image
-from torchjoint.output import read_points
-from torchjoint.render import render_cloud
-from torchjoint.show import label_colors
+from torchjoint.results.folder import read_points
+from torchjoint.results.label_colors import label_colors
+from torchjoint.results.render import render_cloud
 
 MOST_IMAGES = 6
 

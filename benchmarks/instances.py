@@ -10,9 +10,9 @@ import skimage.data
 import torch
 from torch import Tensor
 
-from torchjoint.boundary import GradientBoundary
 from torchjoint.config import ImageGraphConfig
-from torchjoint.image_graph import grid_edges, pixel_weights
+from torchjoint.images.gradient_boundary import GradientBoundary
+from torchjoint.images.pixel_graph import grid_edges, pixel_weights
 
 
 class Graph(NamedTuple):

@@ -15,12 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from torchjoint.afterwards import what_is_seen
 from torchjoint.benchmark.case import Case
 from torchjoint.benchmark.methods import METHODS, changed
 from torchjoint.benchmark.search import run_scores
 from torchjoint.benchmark.suites import Suite, load_all
-from torchjoint.config import Config
+from torchjoint.config import Config, what_is_seen
 from torchjoint.evaluation.scores import Scores
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -40,29 +39,29 @@ REGIONS = {
     "regions.min_size": (2, 3, 5, 8, 15, 30, 60),
     "pieces.threshold": (None, 0.01, 0.02, 0.05, 0.1, 0.2),
     "pieces.min_size": (2, 5, 15, 30, 60),
-    "borders.threshold": (0.15, 0.2, 0.3, 0.35, 0.45, 0.5, 0.6),
-    "borders.agreement": (0, 0.2, 0.4, 0.6, 0.8, 1),
-    "borders.min_size": (3, 5, 15, 50, 150, 300, 600),
-    "confirmation.min_size": (0, 100, 250, 500, 1000),
-    "confirmation.overlap": (0.3, 0.5, 0.6, 0.7, 0.8, 0.9),
+    "region_merging.threshold": (0.15, 0.2, 0.3, 0.35, 0.45, 0.5, 0.6),
+    "region_merging.agreement": (0, 0.2, 0.4, 0.6, 0.8, 1),
+    "region_merging.min_size": (3, 5, 15, 50, 150, 300, 600),
+    "image_support.min_size": (0, 100, 250, 500, 1000),
+    "image_support.overlap": (0.3, 0.5, 0.6, 0.7, 0.8, 0.9),
     "point_graph.neighbors": (8, 12, 16, 24, 32),
     "point_graph.normal_neighbors": (15, 20, 30, 45, 60, 80),
     "point_graph.plane_neighbors": (10, 20, 30, 45, 60, 80),
     "point_graph.convex_factor": (0, 0.02, 0.05, 0.1, 0.2, 0.4, 1),
 }
-SWEEP = {
-    "sweep.azimuth_cell": (0.5, 1, 2, 3, 4, 8),
-    "sweep.elevation_cell": (0.2, 0.3, 0.4, 0.6, 1, 2),
-    "sweep.max_slope": (3, 5, 7, 10, 15, 25),
-    "sweep.max_step": (0, 0.02, 0.05, 0.1, 0.2),
-    "sweep.max_bump": (0.05, 0.1, 0.2, 0.4, 1),
-    "sweep.ground_height": (0.05, 0.07, 0.1, 0.15, 0.2, 0.3),
-    "sweep.foot_distance": (0, 0.1, 0.2, 0.3, 0.5),
-    "sweep.neighbors": (4, 8, 12, 16, 24),
-    "sweep.gap": (0.05, 0.1, 0.2, 0.3, 0.5, 0.8),
-    "sweep.gap_growth": (0, 0.01, 0.015, 0.02, 0.03, 0.05),
-    "sweep.min_size": (0, 5, 10, 15, 25, 50),
-    "sweep.joining_gap": (1, 1.5, 2, 3, 5, 10),
+SCAN = {
+    "scan.azimuth_cell": (0.5, 1, 2, 3, 4, 8),
+    "scan.elevation_cell": (0.2, 0.3, 0.4, 0.6, 1, 2),
+    "scan.max_slope": (3, 5, 7, 10, 15, 25),
+    "scan.max_step": (0, 0.02, 0.05, 0.1, 0.2),
+    "scan.max_bump": (0.05, 0.1, 0.2, 0.4, 1),
+    "scan.ground_height": (0.05, 0.07, 0.1, 0.15, 0.2, 0.3),
+    "scan.foot_distance": (0, 0.1, 0.2, 0.3, 0.5),
+    "scan.neighbors": (4, 8, 12, 16, 24),
+    "scan.gap": (0.05, 0.1, 0.2, 0.3, 0.5, 0.8),
+    "scan.gap_growth": (0, 0.01, 0.015, 0.02, 0.03, 0.05),
+    "scan.min_size": (0, 5, 10, 15, 25, 50),
+    "scan.joining_gap": (1, 1.5, 2, 3, 5, 10),
 }
 
 
@@ -94,7 +93,7 @@ def main() -> None:
 def panels(suite: Suite, data: Path | None) -> list[Panel]:
     """Every parameter's values, run on all scenes; without those of images that have no truth."""
     preset = Config.from_preset(suite.preset)
-    ranges = SWEEP if preset.point_segments.method == "sweep" else REGIONS
+    ranges = SCAN if preset.point_segments.method == "scan" else REGIONS
     spaces = dict.fromkeys(ranges, "3D") | dict.fromkeys(IMAGE_LABELS, "2D")
     values = {name: with_preset(of_name, value_in(preset, name)) for name, of_name in (ranges | IMAGE_LABELS).items()}
     runs = [(name, value, spaces[name]) for name, of_name in values.items() for value in of_name]

@@ -13,8 +13,9 @@ import torch
 
 import torchjoint as tj
 from torchjoint.config import VisibilityConfig
-from torchjoint.neighbors import nearest_neighbors
-from torchjoint.visibility import project, visible_points
+from torchjoint.points.neighbors import nearest_neighbors
+from torchjoint.views.projection import project
+from torchjoint.views.visibility import visible_points
 
 SEEDS = range(3)
 METHODS = {

@@ -8,10 +8,10 @@ import torch
 from torch import nn
 
 import torchjoint as tj
-from torchjoint.checkpoint import Checkpoint, run_key
-from torchjoint.neighbors import nearest_neighbors
-from torchjoint.point_graph import estimate_normals
-from torchjoint.pose_check import PoseWarning
+from torchjoint.points.neighbors import nearest_neighbors
+from torchjoint.points.normals import estimate_normals
+from torchjoint.results.checkpoint import Checkpoint, run_key
+from torchjoint.views.pose_check import PoseWarning
 
 CONFIG = tj.Config().set(["point_segments.min_size=20", "image_segments.min_size=20"])
 PAPER = tj.Config.from_preset("paper").set(["point_segments.min_size=20", "image_segments.min_size=20"])
@@ -322,7 +322,7 @@ class TestEdges:
     def test_given_normals_are_used(self, synthetic):
         points = synthetic.scene.points
         flat = torch.tensor([0.0, 0.0, 1.0]).expand(len(points), -1)
-        config = CONFIG.set(["propagation.weight=0", "regions.scale=0", "borders.min_size=0"])
+        config = CONFIG.set(["propagation.weight=0", "regions.scale=0", "region_merging.min_size=0"])
         result = tj.JointSegmenter(config)(tj.Scene(points, normals=flat))
         assert result.num_point_segments < 10  # all is flat: the segments are the graph's components
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 import torchjoint as tj
-from torchjoint.config import parameter_table
-from torchjoint.superpoints_config import superpoint_table
+from torchjoint.config import parameter_table, superpoint_table
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

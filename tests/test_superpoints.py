@@ -9,8 +9,8 @@ import torch
 import yaml
 
 import torchjoint as tj
-from torchjoint.segmentator import face_edges, vertex_normals
-from torchjoint.superpoints_config import SuperpointsConfig, superpoint_presets, superpoint_table
+from torchjoint.config import SuperpointsConfig, superpoint_presets, superpoint_table
+from torchjoint.points.mesh import face_edges, vertex_normals
 
 
 def random(seed):
@@ -302,7 +302,7 @@ def test_module_is_the_function():
 
 def test_presets(tmp_path):
     assert set(superpoint_presets()) == {"room", "outdoor", "segmentator"}
-    assert not set(superpoint_presets()) & set(tj.presets.presets())
+    assert not set(superpoint_presets()) & set(tj.config.presets())
     assert SuperpointsConfig.from_preset("room") == SuperpointsConfig()
     for name in superpoint_presets():
         config = SuperpointsConfig.from_preset(name)
@@ -321,11 +321,17 @@ def test_presets(tmp_path):
             tj.superpoints(POINTS, preset=str(file))
 
 
-def test_every_parameter_is_an_argument():
-    import inspect
-
-    names = {spec.name for spec in dataclasses.fields(SuperpointsConfig)}
-    assert names <= set(inspect.signature(tj.superpoints).parameters)
+def test_every_parameter_is_documented_and_an_argument():
+    """What each argument does stands in the docstring; an unknown one is refused by name."""
+    names = [spec.name for spec in dataclasses.fields(SuperpointsConfig)]
+    assert [name for name in names if f"``{name}``" not in tj.superpoints.__doc__] == []
+    points = torch.rand(30, 3)
+    for name in names:
+        value = getattr(SuperpointsConfig(), name)
+        given = {name: 0.0 if name == "color_weight" else value}
+        assert len(tj.superpoints(points, **given)) == 30
+    with pytest.raises(ValueError, match=r"superpoints\.scael: unknown parameter, expected one of neighbors"):
+        tj.superpoints(points, scael=1.0)
 
 
 def test_outdoor_joins_the_rings_of_a_lidar():

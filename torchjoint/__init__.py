@@ -10,12 +10,11 @@
 from importlib.metadata import version
 
 from torchjoint import datasets, metrics, ops, synthetic, transforms
-from torchjoint.config import Config
+from torchjoint.config import Config, SuperpointsConfig
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
 from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.superpoints import Superpoints, superpoints
-from torchjoint.superpoints_config import SuperpointsConfig
 
 __version__ = version("torchjoint")
 

@@ -13,21 +13,22 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from torchjoint.afterwards import seen_otherwise
-from torchjoint.checkpoint import Checkpoint
-from torchjoint.config import Config
-from torchjoint.image_labels import label_image
-from torchjoint.image_segmenter import ImageSegmenter
-from torchjoint.joint_labels import separate_private_ids
-from torchjoint.point_graph import PointGraph, build_point_graph, faces_camera
-from torchjoint.point_segments import segment_points
-from torchjoint.pose_check import check_poses
-from torchjoint.propagation import EdgeLists, edge_overlaps
+from torchjoint.config import Config, seen_otherwise
+from torchjoint.images.segmenter import ImageSegmenter
+from torchjoint.labels.image_labels import label_image
+from torchjoint.labels.joint_ids import separate_private_ids
+from torchjoint.points.graph import PointGraph, build_edgeless_graph, build_point_graph
+from torchjoint.points.orientation import faces_camera
+from torchjoint.points.segments import segment_points
+from torchjoint.results.checkpoint import Checkpoint
+from torchjoint.runtime.stopwatch import Stopwatch
+from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Frame, LabelImages, Scene, Segmentation
-from torchjoint.state import JointState, Observation
-from torchjoint.threads import map_frames, one_thread_per_operation
-from torchjoint.timing import Stopwatch
-from torchjoint.visibility import visible_points
+from torchjoint.views.observation import Observation
+from torchjoint.views.pose_check import check_poses, frames_to_check
+from torchjoint.views.propagation import edge_overlaps
+from torchjoint.views.state import JointState
+from torchjoint.views.visibility import visible_points
 
 
 class JointSegmenter(nn.Module):
@@ -64,9 +65,7 @@ class JointSegmenter(nn.Module):
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
         self._graph: PointGraph | None = None
-        self._edges: EdgeLists | None = None
         self._state: JointState | None = None
-        self.eval()  # a network's batch statistics must not depend on how frames are batched
 
     @classmethod
     def from_preset(cls, name: str) -> JointSegmenter:
@@ -92,7 +91,8 @@ class JointSegmenter(nn.Module):
             PoseWarning: poses or intrinsics look wrong.
         """
         self.reset(scene.points, scene.colors, scene.normals)
-        check_poses(scene, self._require_graph().spacing, self.config.visibility)
+        checked = frames_to_check(scene)
+        check_poses(scene, self._require_graph().spacing, self.config.visibility, list(checked.values()))
         num_frames = len(scene.frames)
         if checkpoint is not None:
             self.state = checkpoint.load() or self.state
@@ -100,7 +100,7 @@ class JointSegmenter(nn.Module):
         with tqdm(total=num_frames, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
             for start in range(done, num_frames, batch_size):
                 indices = range(start, min(start + batch_size, num_frames))
-                self.update(self._load_frames(scene.frames, indices))
+                self.update(self._load_frames(scene.frames, indices, checked))
                 bar.update(len(indices))
                 if checkpoint is not None:
                     checkpoint.save(self.state)
@@ -110,9 +110,10 @@ class JointSegmenter(nn.Module):
             raise ValueError(f"frames: none of the {num_frames} images sees a point; wrong poses, axes or units?")
         return self.compute(progress=progress)
 
-    def _load_frames(self, frames: Sequence[Frame], indices: range) -> list[Frame]:
+    def _load_frames(self, frames: Sequence[Frame], indices: range, loaded: dict[int, Frame]) -> list[Frame]:
+        """Frames by their places; those that are `loaded` already are taken from there, and out of it."""
         with self.stopwatch("load frames"):
-            return map_frames(frames.__getitem__, indices)
+            return parallel_map(lambda index: loaded.pop(index, None) or frames[index], indices)
 
     @torch.no_grad()
     def reset(self, points: Tensor, colors: Tensor | None = None, normals: Tensor | None = None) -> None:
@@ -126,8 +127,10 @@ class JointSegmenter(nn.Module):
         cloud = Scene(points, colors=colors, normals=normals)
         self.stopwatch = Stopwatch()
         with one_thread_per_operation(), self.stopwatch("point graph"):
-            self._graph = build_point_graph(cloud, self.config.point_graph)
-            self._edges = EdgeLists.of(self._graph.edge_index, self._graph.num_points)
+            if self.config.point_segments.method == "scan":
+                self._graph = build_edgeless_graph(cloud)
+            else:
+                self._graph = build_point_graph(cloud, self.config.point_graph)
         self._state = JointState.empty(self._graph.edge_index.shape[1], self._graph.num_points)
 
     @torch.no_grad()
@@ -140,7 +143,7 @@ class JointSegmenter(nn.Module):
         with one_thread_per_operation():
             for batch in _batches_of_one_size([frames] if isinstance(frames, Frame) else frames):
                 boundaries, labels = self.image_segmenter(batch, self.stopwatch)
-                observations = map_frames(
+                observations = parallel_map(
                     lambda item: self._observe(*item), zip(batch, boundaries, labels, strict=True)
                 )
                 for observation, facing, edges, overlaps in observations:
@@ -176,7 +179,7 @@ class JointSegmenter(nn.Module):
                 return refined
 
             with bar:
-                refined = map_frames(refine, state.observations)
+                refined = parallel_map(refine, state.observations)
         return Segmentation(
             points=point_labels,
             images=LabelImages(separate_private_ids(refined, state.observations, sizes.shape[0])),
@@ -224,8 +227,7 @@ class JointSegmenter(nn.Module):
             raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
         modules = self.image_segmenter
         other = JointSegmenter(config, boundary=modules.boundary, image_segmenter=modules.segmenter)
-        graph, other._edges = self._require_graph(), self._edges
-        other._graph = graph
+        other._graph = graph = self._require_graph()
         other._state = self.state + JointState.empty(graph.edge_index.shape[1], graph.num_points)  # a copy
         return other
 
@@ -238,8 +240,7 @@ class JointSegmenter(nn.Module):
             facing = faces_camera(graph, visible.point, frame.world_to_camera)
         with self.stopwatch("propagation"):
             labels = labels.to(torch.int32)
-            assert self._edges is not None  # made with the graph
-            edges, overlaps = edge_overlaps(self._edges, visible, labels, self.config.propagation.window)
+            edges, overlaps = edge_overlaps(graph.adjacency, visible, labels, self.config.propagation.window)
         observation = Observation(frame.name, labels, visible, _to_8_bits(frame.image), _to_8_bits(boundary))
         return observation, facing, edges, overlaps
 

@@ -6,13 +6,15 @@ import torch
 from torch import Tensor, nn
 
 from torchjoint import ops
-from torchjoint.cloud_batch import Cloud, take_apart
-from torchjoint.neighbors import neighbor_tables
-from torchjoint.point_graph import estimate_normals, geometric_weights, undirected_edges
+from torchjoint.config import SuperpointsConfig
+from torchjoint.points.edge_weights import geometric_weights, segmentator_turn
+from torchjoint.points.graph import undirected_edges
+from torchjoint.points.mesh import face_edges, vertex_normals
+from torchjoint.points.neighbors import neighbor_tables
+from torchjoint.points.normals import estimate_normals
+from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Scene
-from torchjoint.segmentator import face_edges, segmentator_turn, vertex_normals
-from torchjoint.superpoints_config import SuperpointsConfig
-from torchjoint.threads import map_frames, one_thread_per_operation
+from torchjoint.scene.cloud_batch import Cloud, take_apart
 
 
 def superpoints(
@@ -25,16 +27,7 @@ def superpoints(
     ptr: Tensor | None = None,
     viewpoint: Tensor | None = None,
     preset: str | SuperpointsConfig = "room",
-    neighbors: int | None = None,
-    normal_neighbors: int | None = None,
-    reach: float | None = None,
-    weight: str | None = None,
-    angle_weight: float | None = None,
-    convex_factor: float | None = None,
-    distance_weight: float | None = None,
-    color_weight: float | None = None,
-    scale: float | None = None,
-    min_size: int | None = None,
+    **parameters: float | str,
 ) -> Tensor:
     """Cut a cloud, or several, into superpoints.
 
@@ -56,8 +49,15 @@ def superpoints(
             is that of ScanNet's segmentator. A vertex of no triangle is a superpoint of its own.
         ptr: optional [B + 1] integers, where each of B clouds starts, and N: 0 = ptr[0] < ptr[1] < ... < ptr[B] = N.
         viewpoint: optional [3] metres, where the sensor stood; or one for each cloud [B, 3], or each point [N, 3].
-        preset: "room", "outdoor" or "segmentator", a YAML file, or a config; the other arguments, where not None,
-            replace what it says. :class:`SuperpointsConfig` and the README tell what they do, their units and ranges.
+        preset: "room", "outdoor" or "segmentator", a YAML file, or a config.
+        parameters: replace what the preset says, by name, such as ``scale=2.0``. :class:`SuperpointsConfig` declares
+            them; the README's table, and ``torchjoint parameters --superpoints``, give their units and ranges:
+
+            * ``neighbors``, ``reach``: the neighbours of a point in the graph, and how far they must reach.
+            * ``normal_neighbors``: the neighbours that a normal is fitted to.
+            * ``weight``, ``angle_weight``, ``convex_factor``: how much a turn of the surface weighs.
+            * ``distance_weight``, ``color_weight``: how much the distance and the colours of two points weigh.
+            * ``scale``, ``min_size``: how large superpoints become.
 
     Returns:
         [N] int64 labels 0, 1, 2, ... in the order of their first points. Those of a cloud follow those of the cloud
@@ -75,16 +75,10 @@ def superpoints(
         >>> labels.unique(return_counts=True)
         (tensor([0, 1]), tensor([400, 400]))
     """
-    given = {
-        "neighbors": neighbors, "normal_neighbors": normal_neighbors, "reach": reach, "weight": weight,
-        "angle_weight": angle_weight, "convex_factor": convex_factor, "distance_weight": distance_weight,
-        "color_weight": color_weight, "scale": scale, "min_size": min_size,
-    }  # fmt: skip
-    config = (preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)).replace(
-        {name: value for name, value in given.items() if value is not None}
-    )
+    config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
+    config = config.replace(parameters)
     if colors is None:
-        if color_weight:  # asked for, and not just part of a preset
+        if parameters.get("color_weight"):  # asked for, and not just part of a preset
             raise ValueError("colors: color_weight > 0 needs the colours of the points, got None")
         config = config.replace({"color_weight": 0.0})
     if edges is not None and faces is not None:
@@ -92,7 +86,7 @@ def superpoints(
     with torch.no_grad(), one_thread_per_operation():
         scene = Scene(points, colors=colors, normals=normals)
         clouds = take_apart(scene, edges, faces, ptr, viewpoint)
-        labels = map_frames(lambda cloud: _segment(cloud, config), clouds)
+        labels = parallel_map(lambda cloud: _segment(cloud, config), clouds)
         offset = 0
         for part in labels:
             part += offset
@@ -139,18 +133,18 @@ class Superpoints(nn.Module):
 
 def _segment(cloud: Cloud, config: SuperpointsConfig) -> Tensor:
     """One cloud -> [N] int64 labels."""
-    edges, normals, known = _graph(cloud, config)
+    edges, normals, oriented = _graph(cloud, config)
     turn = segmentator_turn if config.weight == "segmentator" else None
-    if not known:  # which edges are convex cannot be told, so do not ask
+    if not oriented:  # which edges are convex cannot be told, so do not ask
         config = config.replace({"convex_factor": 1.0})
-    signs = torch.full((len(cloud.points),), known)
-    weights = geometric_weights(cloud.points, edges, normals, signs, config.point_graph, cloud.colors, turn)
+    all_oriented = torch.full((len(cloud.points),), oriented)
+    weights = geometric_weights(cloud.points, edges, normals, all_oriented, config.point_graph, cloud.colors, turn)
     return ops.felzenszwalb(edges, weights, len(cloud.points), config.scale, config.min_size)
 
 
 def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, bool]:
-    """Edges [2, E], normals [N, 3], and whether their signs are known."""
-    points, normals, edges, known = cloud.points, cloud.normals, cloud.edges, True
+    """Edges [2, E], normals [N, 3], and whether the normals are oriented."""
+    points, normals, edges, oriented = cloud.points, cloud.normals, cloud.edges, True
     if cloud.faces is not None:
         edges = face_edges(cloud.faces)
         normals = vertex_normals(points, cloud.faces) if normals is None else normals
@@ -158,12 +152,12 @@ def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, boo
     for_normals = config.normal_neighbors if normals is None else 0
     table = neighbor_tables(points, (for_edges, for_normals), config.reach)[0]
     if normals is None:
-        normals, known = estimate_normals(points, table[for_normals]), False
+        normals, oriented = estimate_normals(points, table[for_normals]), False
         if cloud.viewpoint is not None:
-            normals, known = _turned_to(cloud.viewpoint, points, normals), True
+            normals, oriented = _turned_to(cloud.viewpoint, points, normals), True
     if edges is None:
         edges = undirected_edges(table[for_edges])
-    return edges, normals, known
+    return edges, normals, oriented
 
 
 def _turned_to(viewpoint: Tensor, points: Tensor, normals: Tensor) -> Tensor:

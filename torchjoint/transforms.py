@@ -16,10 +16,10 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from torchjoint.scene_checks import as_points
+from torchjoint.config import SuperpointsConfig
+from torchjoint.runtime.threads import num_threads
+from torchjoint.scene.checks import as_points
 from torchjoint.superpoints import superpoints
-from torchjoint.superpoints_config import SuperpointsConfig
-from torchjoint.threads import num_threads
 
 Sample = TypeVar("Sample")
 

@@ -1,4 +1,4 @@
-"""KITTI object: one sweep and one image, a box and a region to ignore."""
+"""KITTI object: one scan and one image, a box and a region to ignore."""
 
 import numpy as np
 

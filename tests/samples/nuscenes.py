@@ -1,4 +1,4 @@
-"""A sample of nuScenes: a sweep of five columns, two cameras, two boxes."""
+"""A sample of nuScenes: a scan of five columns, two cameras, two boxes."""
 
 import json
 
@@ -12,7 +12,7 @@ BACK = [[0, 1, 0, 0], [0, 0, -1, -0.3], [-1, 0, 0, -0.4], [0, 0, 0, 1]]
 
 def write(folder):
     x, y, z = wall().T
-    np.stack([z, -x, -y, x * 0, x * 0], axis=1).astype("<f4").tofile(folder / "sweep.pcd.bin")
+    np.stack([z, -x, -y, x * 0, x * 0], axis=1).astype("<f4").tofile(folder / "scan.pcd.bin")
     cameras = {}
     for seed, (name, pose) in enumerate({"CAM_FRONT": FORWARD, "CAM_BACK": BACK}.items()):
         write_noise(folder / f"{name}.png", seed)
@@ -23,7 +23,7 @@ def write(folder):
         }
     boxes = [[2.0, 0.2, 0.0, 1.0, 0.4, 0.6, 0.3], [-5.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0]]
     sample = {
-        "lidar": {"num_pts_feats": 5, "lidar_path": "sweep.pcd.bin"},
+        "lidar": {"num_pts_feats": 5, "lidar_path": "scan.pcd.bin"},
         "cameras": cameras,
         "instances": [{"bbox_label": 0, "bbox_3d": box, "num_lidar_pts": 0} for box in boxes],
     }

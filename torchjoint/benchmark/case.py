@@ -12,10 +12,11 @@ from torch import Tensor
 
 from torchjoint.benchmark.paint import paint
 from torchjoint.config import Config
-from torchjoint.neighbors import nearest_neighbors
+from torchjoint.points.neighbors import nearest_neighbors
+from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Scene
-from torchjoint.threads import map_frames
-from torchjoint.visibility import Visible, visible_points
+from torchjoint.scene.camera import camera_center
+from torchjoint.views.visibility import Visible, visible_points
 
 
 class Case:
@@ -31,7 +32,7 @@ class Case:
         self.scene = scene
         self.config = config
         self.preset = preset or config
-        self.frames: list[Frame] = map_frames(scene.frames.__getitem__, range(len(scene.frames)))
+        self.frames: list[Frame] = parallel_map(scene.frames.__getitem__, range(len(scene.frames)))
         self._kept: dict[str, tuple[Hashable, Any]] = {}
 
     def digest(self) -> str:
@@ -60,13 +61,13 @@ class Case:
             camera = (frame.intrinsics, frame.world_to_camera, frame.size)
             return visible_points(self.scene.points, spacing, *camera, self.config.visibility)
 
-        return map_frames(see, self.frames)
+        return parallel_map(see, self.frames)
 
     @cached_property
     def viewpoints(self) -> Tensor:
         """[N, 3] where each point was seen from: the nearest camera that sees it, else the nearest of all."""
         points = self.scene.points
-        centers = torch.stack([camera_center(frame) for frame in self.frames])
+        centers = torch.stack([camera_center(frame.world_to_camera).float() for frame in self.frames])
         nearest = torch.full((len(points),), torch.inf)
         chosen = torch.cdist(points, centers).argmin(1)
         for index, visible in enumerate(self.visible):
@@ -79,10 +80,4 @@ class Case:
     def paint(self, point_labels: Tensor) -> list[Tensor]:
         """Labels of the points [N] as label images: every pixel has that of the nearest visible point."""
         pairs = list(zip(self.visible, self.frames, strict=True))
-        return map_frames(lambda pair: paint(pair[0], point_labels, pair[1].size), pairs)
-
-
-def camera_center(frame: Frame) -> Tensor:
-    """[3] float32, metres, world frame."""
-    pose = frame.world_to_camera
-    return -(pose[:3, :3].T @ pose[:3, 3]).float()
+        return parallel_map(lambda pair: paint(pair[0], point_labels, pair[1].size), pairs)

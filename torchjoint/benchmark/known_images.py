@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from torchjoint.config import Config
-from torchjoint.image_segmenter import ImageSegmenter
+from torchjoint.images.segmenter import ImageSegmenter
+from torchjoint.runtime.stopwatch import Stopwatch
+from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame
-from torchjoint.threads import one_thread_per_operation
-from torchjoint.timing import Stopwatch
 
 #: Frames that are worked on together.
 BATCH = 8

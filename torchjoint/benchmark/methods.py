@@ -7,7 +7,6 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchjoint.afterwards import what_is_seen
 from torchjoint.benchmark import spaces
 from torchjoint.benchmark.case import Case
 from torchjoint.benchmark.known_images import KnownImages
@@ -15,12 +14,10 @@ from torchjoint.benchmark.method import Method, Result
 from torchjoint.benchmark.planes import planes_and_clusters
 from torchjoint.benchmark.space import Setting
 from torchjoint.benchmark.vote import vote
-from torchjoint.config import Config
+from torchjoint.config import Config, SuperpointsConfig, presets, what_is_seen
 from torchjoint.joint import JointSegmenter
-from torchjoint.presets import presets
+from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.superpoints import superpoints
-from torchjoint.superpoints_config import SuperpointsConfig
-from torchjoint.timing import Stopwatch
 
 
 def joint(case: Case, setting: Setting, images: bool) -> Result:

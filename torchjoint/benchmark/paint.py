@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.visibility import Visible
+from torchjoint.views.visibility import Visible
 
 
 def paint(visible: Visible, point_labels: Tensor, size: tuple[int, int]) -> Tensor:

@@ -17,7 +17,7 @@ from torchjoint.benchmark.case import Case
 from torchjoint.benchmark.method import Method, Result
 from torchjoint.benchmark.space import Setting, draw, near
 from torchjoint.evaluation.scores import Scores, score, score_images
-from torchjoint.output import write_text
+from torchjoint.runtime.files import write_text
 from torchjoint.scene import Scene, Truth
 
 

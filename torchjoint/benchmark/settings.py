@@ -11,8 +11,8 @@ import yaml
 
 from torchjoint.benchmark.methods import METHODS
 from torchjoint.benchmark.space import Setting
-from torchjoint.output import write_text
-from torchjoint.presets import read_yaml
+from torchjoint.config import read_yaml
+from torchjoint.runtime.files import write_text
 
 
 def read_settings(suite: str, file: Path | None = None) -> dict[str, Setting]:

@@ -8,16 +8,16 @@ _REGIONS: Space = {
     "point_graph.convex_factor": Between(0.02, 0.3, or_zero=True),
     "regions.scale": Between(0.001, 0.03, or_zero=True),
     "regions.min_size": Between(3, 30, whole=True),
-    "borders.threshold": Between(0.1, 0.5),
-    "borders.min_size": Between(3, 600, whole=True),
-    "bridges.min_votes": Choice((None, 4)),
+    "region_merging.threshold": Between(0.1, 0.5),
+    "region_merging.min_size": Between(3, 600, whole=True),
+    "occlusion_bridging.min_votes": Choice((None, 4)),
 }
 _IMAGES_ON_BORDERS: Space = {
     "propagation.weight": Between(0.05, 1.0),
     "pieces.threshold": Choice((None, 0.015, 0.03, 0.06)),
-    "borders.agreement": Between(0.1, 0.9, or_zero=True),
-    "confirmation.min_size": Between(50, 1000, whole=True, or_zero=True),
-    "confirmation.overlap": Between(0.3, 0.8),
+    "region_merging.agreement": Between(0.1, 0.9, or_zero=True),
+    "image_support.min_size": Between(50, 1000, whole=True, or_zero=True),
+    "image_support.overlap": Between(0.3, 0.8),
 }
 _EDGES: Space = {
     "point_graph.neighbors": Choice((10, 16, 24)),
@@ -61,20 +61,20 @@ _COLORED: Space = {
     "angle_weight": Between(0.1, 2.0),
     "scale": Between(0.3, 30.0),
 }
-_SWEEP: Space = {
-    "sweep.azimuth_cell": Choice((1.0, 2.0, 3.0, 4.0)),
-    "sweep.ground_height": Between(0.06, 0.25),
-    "sweep.max_slope": Between(5, 15),
-    "sweep.neighbors": Choice((8, 12, 16, 24)),
-    "sweep.gap": Between(0.1, 0.5),
-    "sweep.gap_growth": Between(0.01, 0.04),
-    "sweep.min_size": Between(5, 40, whole=True),
-    "sweep.joining_gap": Between(1.2, 4.0),
+_SCAN: Space = {
+    "scan.azimuth_cell": Choice((1.0, 2.0, 3.0, 4.0)),
+    "scan.ground_height": Between(0.06, 0.25),
+    "scan.max_slope": Between(5, 15),
+    "scan.neighbors": Choice((8, 12, 16, 24)),
+    "scan.gap": Between(0.1, 0.5),
+    "scan.gap_growth": Between(0.01, 0.04),
+    "scan.min_size": Between(5, 40, whole=True),
+    "scan.joining_gap": Between(1.2, 4.0),
 }
 
 #: Rooms have too many images to segment them anew for every setting: there those of the default are used.
-JOINT = {"": {**_REGIONS, **_IMAGES_ON_BORDERS}, "kitti": _SWEEP}
-GEOMETRY = {"": _REGIONS, "kitti": _SWEEP}
+JOINT = {"": {**_REGIONS, **_IMAGES_ON_BORDERS}, "kitti": _SCAN}
+GEOMETRY = {"": _REGIONS, "kitti": _SCAN}
 EDGES = {
     "": {**_EDGES, **_EVIDENCE},
     "mosd": {**_EDGES, **_EVIDENCE, **_IMAGES},

@@ -13,9 +13,9 @@ import torch
 from torchjoint.config import Config
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.scene import Scene
+from torchjoint.scene.thinning import one_point_a_voxel
 from torchjoint.synthetic import make_scene
-from torchjoint.thinning import one_point_a_voxel
-from torchjoint.visibility import in_any_view
+from torchjoint.views.projection import in_any_view
 
 #: Metres between the points of a depth camera's single view.
 SPACING = 0.005

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchjoint.visibility import Visible
+from torchjoint.views.visibility import Visible
 
 
 def vote(label_images: Sequence[Tensor], visible: Sequence[Visible], points: Tensor, share: float = 0.5) -> Tensor:

@@ -1,4 +1,4 @@
-"""Readers of data on disk, one file a format; each converts to the conventions of :mod:`torchjoint.scene`.
+"""Readers of data on disk, one file a format; each converts to the conventions of :mod:`torchjoint.scene.scene`.
 
 A format is a module with
 

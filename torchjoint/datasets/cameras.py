@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.scene import Frame
-from torchjoint.scene_checks import as_intrinsics
+from torchjoint.scene.checks import as_intrinsics
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation

@@ -31,7 +31,7 @@ def read_cloud_file(path: Path) -> CloudFile:
     * .ply, .pcd: positions, colours, normals where there are any, the triangles of a .ply mesh;
     * .npz: arrays `points` and, where there are any, `colors`, `normals`, `faces`;
     * .npy, .xyz, .txt: a row for each point, x y z first; six columns are x y z and colours (0-255, or 0-1);
-    * .bin: KITTI's sweeps, float32 x y z reflectance.
+    * .bin: KITTI's scans, float32 x y z reflectance.
 
     Raises:
         FileNotFoundError, ValueError: naming the file and what is wrong with it.
@@ -45,7 +45,7 @@ def read_cloud_file(path: Path) -> CloudFile:
         points, colors, normals = read_cloud(path)
         return CloudFile(points, colors, normals, _triangles(path) if suffix == ".ply" else None)
     if suffix == ".bin":
-        return CloudFile(read_sweep(path, 4)[:, :3])
+        return CloudFile(read_scan(path, 4)[:, :3])
     try:
         if suffix == ".npz":
             return _from_archive(path)
@@ -55,14 +55,14 @@ def read_cloud_file(path: Path) -> CloudFile:
         raise ValueError(f"{path}: not a whole {suffix} cloud: {error}") from error
 
 
-def read_sweep(path: Path, columns: int) -> Tensor:
-    """A LiDAR sweep as KITTI and nuScenes keep it, float32 rows of x, y, z and more -> [N, columns]; x, y, z finite.
+def read_scan(path: Path, columns: int) -> Tensor:
+    """A LiDAR scan as KITTI and nuScenes keep it, float32 rows of x, y, z and more -> [N, columns]; x, y, z finite.
 
     Raises:
         FileNotFoundError, ValueError: naming the file.
     """
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a LiDAR sweep")
+        raise FileNotFoundError(f"{path}: missing; expected a LiDAR scan")
     size = path.stat().st_size
     if size == 0 or size % (4 * columns):
         raise ValueError(f"{path}: expected rows of {columns} float32, {4 * columns} bytes each, got {size} bytes")

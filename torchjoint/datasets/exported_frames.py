@@ -13,7 +13,7 @@ from torchjoint.datasets.recording import invert_pose
 from torchjoint.datasets.resampling import register_depth
 from torchjoint.datasets.scannet_cameras import Cameras
 from torchjoint.scene import Frame
-from torchjoint.scene_checks import as_pose
+from torchjoint.scene.checks import as_pose
 
 _SUFFIXES = (".jpg", ".jpeg", ".png")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 import re
 import struct
 import tokenize
@@ -20,6 +19,7 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.datasets.pcd import read_pcd
+from torchjoint.runtime.files import replacing
 
 #: Larger images are refused before they are unpacked.
 MAX_PIXELS = 64_000_000
@@ -142,10 +142,9 @@ def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels
         cloud.point.colors = core.Tensor((colors.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
     if labels is not None:
         cloud.point.label = core.Tensor(labels.to(torch.int32)[:, None].numpy())
-    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-    if not t.io.write_point_cloud(str(partial), cloud):
-        raise OSError(f"{path}: could not be written")
-    os.replace(partial, path)
+    with replacing(path) as partial:
+        if not t.io.write_point_cloud(str(partial), cloud):
+            raise OSError(f"{path}: could not be written")
 
 
 _PLY_SIZES = {

@@ -22,7 +22,7 @@ from torchjoint.datasets.files import read_array, read_depth, read_image, read_l
 from torchjoint.datasets.lazy import LazySequence
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
 from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene_checks import as_labels, as_pose
+from torchjoint.scene.checks import as_labels, as_pose
 
 WHAT = "camera-intrinsics.txt and frame-NNNNNN.color.jpg (or .png) with frame-NNNNNN.pose.txt"
 _COLOR = (".color.jpg", ".color.jpeg", ".color.png")

@@ -1,4 +1,4 @@
-"""KITTI object detection (A. Geiger, P. Lenz, R. Urtasun, CVPR 2012): a sweep and a camera, one frame a scene.
+"""KITTI object detection (A. Geiger, P. Lenz, R. Urtasun, CVPR 2012): a scan and a camera, one frame a scene.
 
 training/velodyne/NNNNNN.bin   float32 x, y, z, reflectance
 training/image_2/NNNNNN.png    8-bit, rectified
@@ -21,26 +21,26 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.boxes import instances_in_boxes
-from torchjoint.datasets.clouds import read_sweep
+from torchjoint.datasets.clouds import read_scan
 from torchjoint.datasets.files import read_image
 from torchjoint.datasets.lazy import LazySequence
 from torchjoint.datasets.recording import Options
 from torchjoint.datasets.text import parse_numbers, read_lines
 from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene_checks import as_intrinsics, as_pose
+from torchjoint.scene.checks import as_intrinsics, as_pose
 
 WHAT = "KITTI object: velodyne/NNNNNN.bin (or image_2/NNNNNN.png) with calib/ beside its folder"
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it is a sweep, or an image, in KITTI's folders."""
+    """Whether it is a scan, or an image, in KITTI's folders."""
     folder = path.absolute().parent
     kinds = {("velodyne", ".bin"), ("image_2", ".png")}
     return (folder.name, path.suffix) in kinds and path.is_file() and _is_root(folder.parent)
 
 
 def scenes(path: Path) -> dict[str, Path]:
-    """The sweeps of training/, testing/, or the folder that holds training/."""
+    """The scans of training/, testing/, or the folder that holds training/."""
     root = path if _is_root(path) else path / "training"
     return {file.stem: file for file in sorted((root / "velodyne").glob("*.bin"))} if _is_root(root) else {}
 
@@ -48,7 +48,7 @@ def scenes(path: Path) -> dict[str, Path]:
 def load(path: Path, options: Options) -> Scene:
     """Loads one frame; see :func:`torchjoint.load_scene`."""
     root, name = path.absolute().parent.parent, path.stem
-    points = read_sweep(root / "velodyne" / f"{name}.bin", 4)[:, :3]
+    points = read_scan(root / "velodyne" / f"{name}.bin", 4)[:, :3]
     calibration = _read_calibration(root / "calib" / f"{name}.txt")
     projection = calibration["P2"]
     rectified_from_world = calibration["R0_rect"] @ calibration["Tr_velo_to_cam"]
@@ -57,7 +57,7 @@ def load(path: Path, options: Options) -> Scene:
     world_to_camera = camera_from_rectified @ rectified_from_world
     image = root / "image_2" / f"{name}.png"
     if not image.is_file():
-        raise FileNotFoundError(f"{image}: missing; expected the image of the sweep")
+        raise FileNotFoundError(f"{image}: missing; expected the image of the scan")
     frames = LazySequence(1, lambda _: Frame(read_image(image), projection[:3, :3], world_to_camera, name=name))
     labels = root / "label_2" / f"{name}.txt"
     truth = Truth(_instances(labels, points, rectified_from_world)) if labels.is_file() else None

@@ -26,7 +26,7 @@ from torchjoint.datasets.lazy import LazySequence
 from torchjoint.datasets.pcd import read_pcd
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
-from torchjoint.scene_checks import as_pose
+from torchjoint.scene.checks import as_pose
 
 WHAT = "pointcloud.pcd, image.png (or .jpg), camera_info.json and extrinsic.txt or initial_guess.json"
 

@@ -33,7 +33,7 @@ from torchjoint.datasets.lazy import LazySequence
 from torchjoint.datasets.paths import frame_names, path_inside
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.scene import Frame, Scene
-from torchjoint.scene_checks import as_pose
+from torchjoint.scene.checks import as_pose
 
 WHAT = "transforms.json, as of nerfstudio (or a file of that kind itself)"
 

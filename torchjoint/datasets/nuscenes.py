@@ -1,12 +1,12 @@
-"""A sample of nuScenes (H. Caesar et al., CVPR 2020), as MMDetection3D describes it: a sweep and six cameras around it.
+"""A sample of nuScenes (H. Caesar et al., CVPR 2020), as MMDetection3D describes it: a scan and six cameras around it.
 
 sample.json, of which these are read:
 
-lidar.lidar_path, lidar.num_pts_feats   sweep, rows of so many float32, x, y, z first; its frame is the world
+lidar.lidar_path, lidar.num_pts_feats   scan, rows of so many float32, x, y, z first; its frame is the world
 cameras.NAME.img_path                   image
 cameras.NAME.cam2img                    3x3 intrinsics
-cameras.NAME.lidar2cam                  4x4, the pose: the sweep's frame to the camera's
-instances[].bbox_3d                     x, y, z of the centre, length, width, height, yaw about z, in the sweep's frame
+cameras.NAME.lidar2cam                  4x4, the pose: the scan's frame to the camera's
+instances[].bbox_3d                     x, y, z of the centre, length, width, height, yaw about z, in the scan's frame
 
 Paths are relative to the folder and stay in it. The returns within a metre or so, from the car itself, are kept.
 
@@ -22,16 +22,16 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.boxes import instances_in_boxes
-from torchjoint.datasets.clouds import read_sweep
+from torchjoint.datasets.clouds import read_scan
 from torchjoint.datasets.files import read_image
 from torchjoint.datasets.json_record import Record, read_record
 from torchjoint.datasets.lazy import LazySequence
 from torchjoint.datasets.paths import path_inside
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene_checks import as_intrinsics, as_pose
+from torchjoint.scene.checks import as_intrinsics, as_pose
 
-WHAT = "a sample of nuScenes: sample.json (MMDetection3D) with its sweep and images"
+WHAT = "a sample of nuScenes: sample.json (MMDetection3D) with its scan and images"
 
 
 def recognizes(path: Path) -> bool:
@@ -46,7 +46,7 @@ def load(path: Path, options: Options) -> Scene:
     columns = lidar.number("num_pts_feats")
     if columns not in range(3, 65):
         raise ValueError(f"{lidar.name}: num_pts_feats: expected 3 to 64, got {columns:g}")
-    points = read_sweep(path_inside(path, lidar.text("lidar_path"), lidar.name), int(columns))[:, :3]
+    points = read_scan(path_inside(path, lidar.text("lidar_path"), lidar.name), int(columns))[:, :3]
     cameras = sample.record("cameras")
     names = list(cameras.values)
     shots = [_shot(path, cameras.record(name)) for name in names]

@@ -22,7 +22,7 @@ from torch import Tensor
 from torchjoint.datasets.pcd import Pcd, read_pcd, read_pcd_header
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene_checks import as_labels
+from torchjoint.scene.checks import as_labels
 
 WHAT = "an organised .pcd (HEIGHT above 1) with x, y, z and rgb or rgba"
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchjoint.datasets.files import read_cloud, write_cloud
 from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.scene import Frame, Scene
+from torchjoint.scene.camera import camera_center
 
 
 @dataclass(frozen=True)
@@ -49,5 +50,5 @@ def invert_pose(pose: Tensor) -> Tensor:
     """The inverse of a rigid transform [4, 4]; camera-to-world becomes world-to-camera."""
     inverse = torch.eye(4, dtype=pose.dtype)
     inverse[:3, :3] = pose[:3, :3].T
-    inverse[:3, 3] = -(pose[:3, :3].T @ pose[:3, 3])
+    inverse[:3, 3] = camera_center(pose)
     return inverse

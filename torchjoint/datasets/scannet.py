@@ -30,7 +30,7 @@ from torchjoint.datasets.scannet_cameras import Calibration, Cameras, find_camer
 from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
 from torchjoint.datasets.sens import SensFile
 from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene_checks import as_pose
+from torchjoint.scene.checks import as_pose
 
 WHAT = "SCAN.sens, or SCAN_vh_clean_2.ply, or color/, pose/ and intrinsic/, in a folder called SCAN (ScanNet)"
 CLOUD = "_vh_clean_2.ply"

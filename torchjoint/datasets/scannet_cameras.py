@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files import read_matrix
-from torchjoint.scene_checks import as_intrinsics
+from torchjoint.scene.checks import as_intrinsics
 
 Size = tuple[int, int]
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchjoint.datasets.binary import BinaryFile
 from torchjoint.datasets.files import MAX_PIXELS, decode_image, rgb_of
-from torchjoint.scene_checks import as_intrinsics
+from torchjoint.scene.checks import as_intrinsics
 
 VERSION = 4
 _PNG, _JPEG = 1, 2

@@ -12,10 +12,10 @@ from torch import Tensor
 
 from torchjoint.datasets.files import read_array, read_label_image
 from torchjoint.datasets.lazy import LazySequence
-from torchjoint.output import read_points
+from torchjoint.results.folder import read_points
+from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene
-from torchjoint.scene_checks import as_labels
-from torchjoint.threads import map_frames
+from torchjoint.scene.checks import as_labels
 
 #: A result's points are those of the scene if they are this near to one of them, metres.
 NEAR = 1e-3
@@ -70,7 +70,7 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
 def _frame_names(scene: Scene) -> dict[str, int]:
     """Where the frames are, by name; a frame without one is called by its number, as in a result."""
     known = getattr(scene.frames, "names", ())  # of lazy ones, which need not be read then
-    found = known or map_frames(lambda index: scene.frames[index].name, range(len(scene.frames)))
+    found = known or parallel_map(lambda index: scene.frames[index].name, range(len(scene.frames)))
     names = [name or f"{index:06d}" for index, name in enumerate(found)]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)

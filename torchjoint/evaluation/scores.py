@@ -11,7 +11,7 @@ from torch import Tensor
 from torchjoint.metrics.covering import best_iou_of, covering_of
 from torchjoint.metrics.objects_and_parts import objects_and_parts_of
 from torchjoint.metrics.overlaps import overlap_tables
-from torchjoint.threads import map_frames, one_thread_per_operation
+from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 
 
 class Scores(NamedTuple):
@@ -53,7 +53,7 @@ def score_images(pred: Sequence[Tensor], target: Sequence[Tensor]) -> Scores | N
         return score(image, truth) if int(truth.max()) >= 0 else None
 
     with one_thread_per_operation():
-        each = [scores for scores in map_frames(score_one, range(len(target))) if scores is not None]
+        each = [scores for scores in parallel_map(score_one, range(len(target))) if scores is not None]
     return mean_scores(each) if each else None
 
 

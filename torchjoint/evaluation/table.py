@@ -5,14 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import NamedTuple
 
 from torchjoint.evaluation.scores import COLUMNS, Scores, mean_scores
-from torchjoint.output import write_text
+from torchjoint.runtime.files import replacing, write_text
 
 
 class Row(NamedTuple):
@@ -147,9 +146,8 @@ def write_plot(path: Path, rows: Sequence[Row], titles: Callable[[str], str] = s
         axis.set(xlim=(0, 1), title=space)
         axis.invert_yaxis()
         axis.legend(loc="lower right")
-    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-    figure.savefig(partial, dpi=100)
-    os.replace(partial, path)
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=100)
 
 
 def _bars(rows: Sequence[Row], space: str, titles: Callable[[str], str]) -> list[tuple[str, Scores, Scores]]:

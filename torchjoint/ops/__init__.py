@@ -4,16 +4,7 @@ They work on CPU tensors, take any strides, are deterministic, release the GIL, 
 Their slow and obvious twins are in :mod:`torchjoint.ops.reference`.
 """
 
-import torch  # noqa: F401  the extension links to the libraries that torch has loaded
-
-try:
-    from torchjoint import _C  # type: ignore[attr-defined]  # noqa: F401  registers the operators
-except ImportError as error:
-    raise ImportError(
-        "the compiled extension torchjoint._C is missing or does not load: install the package with "
-        f"`pip install .` (in a checkout: `pip install -e .`), with torch >= 2.10. The cause: {error}"
-    ) from error
-
+from torchjoint.ops import _extension  # noqa: F401  first of all: it registers the operators
 from torchjoint.ops.felzenszwalb import felzenszwalb
 from torchjoint.ops.felzenszwalb_image import felzenszwalb_image
 from torchjoint.ops.fit_normals import fit_normals
@@ -23,10 +14,10 @@ from torchjoint.ops.min_cut import min_cut
 from torchjoint.ops.neighbor_edges import neighbor_edges
 from torchjoint.ops.pair_counts import pair_counts
 from torchjoint.ops.project import project
+from torchjoint.ops.propagate_labels import propagate_labels
 from torchjoint.ops.region_planes import region_planes
 from torchjoint.ops.segment_graphs import segment_graphs
 from torchjoint.ops.splat_depth import splat_depth
-from torchjoint.ops.spread_labels import spread_labels
 from torchjoint.ops.ultrametric_contours import ultrametric_contours
 from torchjoint.ops.window_overlaps import window_overlaps
 
@@ -40,10 +31,10 @@ __all__ = [
     "neighbor_edges",
     "pair_counts",
     "project",
+    "propagate_labels",
     "region_planes",
     "segment_graphs",
     "splat_depth",
-    "spread_labels",
     "ultrametric_contours",
     "window_overlaps",
 ]

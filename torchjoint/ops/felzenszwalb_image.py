@@ -21,9 +21,10 @@ def felzenszwalb_image(
 ) -> Tensor:
     """Segment images: :func:`felzenszwalb` on their 8-connected grids, edges and weights made on the fly.
 
-    The edges are those of :func:`torchjoint.image_graph.grid_edges` and the weights those of
-    :func:`torchjoint.image_graph.pixel_weights`, ``w = color_weight |c_i - c_j| + boundary_weight min(b_i, b_j)``
-    (M. Abello et al., ICRA 2021, eq. 1-2), and so the labels are, bit for bit, those of the way by an edge list. The
+    The edges are those of :func:`torchjoint.images.pixel_graph.grid_edges` and the weights those of
+    :func:`torchjoint.images.pixel_graph.pixel_weights`,
+    ``w = color_weight |c_i - c_j| + boundary_weight min(b_i, b_j)`` (M. Abello et al., ICRA 2021, eq. 1-2), and so the
+    labels are, bit for bit, those of the way by an edge list. The
     images of a batch are spread over torch's threads; the labels do not depend on how many there are. Besides the
     result, less than 40 bytes a pixel are in use.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from torchjoint.forest import LABEL_SIZE, Forest
+from torchjoint.images.forest import LABEL_SIZE, Forest
 from torchjoint.training.channels import SHRINK, Channels, image_channels, triangle_filter
 from torchjoint.training.features import Ints, feature_values, sites
 

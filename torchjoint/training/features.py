@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from torchjoint.forest import NUM_FEATURES
+from torchjoint.images.forest import NUM_FEATURES
 from torchjoint.training.channels import NUM_CHANNELS, Channels
 
 Ints = NDArray[np.int64]

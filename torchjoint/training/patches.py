@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchjoint.datasets.bsds import BsdsImage
-from torchjoint.forest import LABEL_SIZE, NUM_FEATURES
-from torchjoint.structured_forest import widened
+from torchjoint.images.forest import LABEL_SIZE, NUM_FEATURES
+from torchjoint.images.structured_forest import widened
 from torchjoint.training.channels import NUM_CHANNELS, SHRINK, Channels, image_channels
 from torchjoint.training.features import (
     NUM_REGULAR,

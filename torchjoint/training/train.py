@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -19,7 +18,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from torchjoint.datasets.bsds import BsdsImage
-from torchjoint.forest import LABEL_SIZE, NUM_FEATURES, Forest, read_forest, write_forest
+from torchjoint.images.forest import LABEL_SIZE, NUM_FEATURES, Forest, read_forest, write_forest
+from torchjoint.runtime.files import replacing
 from torchjoint.training.patches import FeatureCodes, draw_samples, segmentation_lines
 from torchjoint.training.tree import TreeOptions, grow_tree
 
@@ -129,9 +129,8 @@ def _make_tree(folder: Path, images: Sequence[BsdsImage], options: TrainingOptio
 
     with threadpool_limits(1):  # sums of matrix products depend on the number of threads
         tree = _grown(images, options, index, row)
-    partial = folder / f".{index}.npz"
-    np.savez(partial, **tree._asdict())
-    os.replace(partial, folder / _tree_name(index))
+    with replacing(folder / _tree_name(index)) as partial:
+        np.savez(partial, **tree._asdict())
 
 
 def _grown(images: Sequence[BsdsImage], options: TrainingOptions, index: int, row: int) -> GrownTree:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from torchjoint.forest import LABEL_SIZE
+from torchjoint.images.forest import LABEL_SIZE
 from torchjoint.training.patches import NUM_CODES, Samples
 
 Bits = NDArray[np.float32]

@@ -7,8 +7,8 @@ from torchjoint.ops.reference.graphs import (
 )
 from torchjoint.ops.reference.images import (
     match_pixels_reference,
+    propagate_labels_reference,
     segment_graphs_reference,
-    spread_labels_reference,
     ultrametric_contours_reference,
 )
 from torchjoint.ops.reference.points import (
@@ -33,11 +33,11 @@ __all__ = [
     "neighbor_edges_reference",
     "pair_counts_reference",
     "project_reference",
+    "propagate_labels_reference",
     "quantise_reference",
     "region_planes_reference",
     "segment_graphs_reference",
     "splat_depth_reference",
-    "spread_labels_reference",
     "ultrametric_contours_reference",
     "window_overlaps_reference",
 ]

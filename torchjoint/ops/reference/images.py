@@ -159,10 +159,10 @@ def ultrametric_contours_reference(boundary: Tensor, relief: Tensor) -> Tensor:
     return contours
 
 
-def spread_labels_reference(
+def propagate_labels_reference(
     markers: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float
 ) -> Tensor:
-    """What :func:`torchjoint.ops.spread_labels` computes; the arguments are not checked."""
+    """What :func:`torchjoint.ops.propagate_labels` computes; the arguments are not checked."""
     height, width = markers.shape
     red, green, blue = colors.numpy()
     strength = boundary.numpy()

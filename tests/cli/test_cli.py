@@ -1,0 +1,198 @@
+"""The command line, end to end: files that open in other people's tools, nothing overwritten or half written."""
+
+import shutil
+import sys
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from PIL import Image
+from test_datasets import write_folder
+
+import torchjoint as tj
+from torchjoint import cli
+from torchjoint.results.folder import output_folder, read_points
+
+SMALL = ["--set", "point_segments.min_size=20", "image_segments.min_size=20"]
+
+
+@pytest.fixture(scope="module")
+def synthetic():
+    return tj.synthetic.make_scene(seed=2, size="small")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory, synthetic):
+    return write_folder(tmp_path_factory.mktemp("cli") / "recording", synthetic)
+
+
+def run(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["torchjoint", *map(str, arguments)])
+    cli.main()
+
+
+@pytest.fixture(scope="module")
+def out(recording):
+    folder = recording.parent / "out"
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        run(monkeypatch, "segment", recording, "-o", folder, *SMALL, "propagation.weight=0.2")
+    return folder
+
+
+def test_what_segment_writes(out, recording, synthetic):
+    assert {path.name for path in out.iterdir()} == {"points.ply", "points.npz", "images", "overview.png", "run.yaml"}
+    assert {path.name for path in recording.parent.iterdir()} == {"recording", "out"}
+    config = tj.Config().set([*SMALL[1:], "propagation.weight=0.2"])
+    expected = tj.JointSegmenter(config)(tj.load_scene(recording))
+
+    result = read_points(out)
+    assert torch.equal(result.labels, expected.points)
+    assert torch.equal(result.points, synthetic.scene.points)
+    for name, labels in zip(expected.names, expected.images, strict=True):
+        image = Image.open(out / "images" / f"{name}.png")
+        assert image.mode == "I;16"
+        np.testing.assert_array_equal(np.array(image).astype(np.int64) - 1, labels.numpy())
+
+    record = yaml.safe_load((out / "run.yaml").read_text())
+    assert record["config"] == config.to_dict()
+    assert record["counts"]["points"] == len(result.points)
+    assert record["counts"]["frames"] == 6
+    assert record["counts"]["point_segments"] == expected.num_point_segments
+    assert record["versions"]["torch"] == torch.__version__
+    assert all(seconds >= 0 for seconds in record["seconds"].values())
+
+    overview = np.array(Image.open(out / "overview.png"))
+    assert overview.shape[0] > 500
+    assert len(np.unique(overview.reshape(-1, overview.shape[-1]), axis=0)) > 1000
+
+
+def test_the_cloud_opens_elsewhere_with_colours_and_labels(out):
+    from open3d import io, t
+
+    labels = read_points(out).labels.numpy()
+    cloud = io.read_point_cloud(str(out / "points.ply"))
+    colors = (np.asarray(cloud.colors) * 255).round().astype(int)
+    assert len(colors) == len(labels)
+    assert len(np.unique(colors[labels == 0], axis=0)) == 1  # one segment, one colour
+    assert t.io.read_point_cloud(str(out / "points.ply")).point.label.numpy().ravel().tolist() == labels.tolist()
+
+
+def test_an_existing_result_is_kept(out, recording, monkeypatch):
+    before = (out / "run.yaml").read_text()
+    with pytest.raises(SystemExit, match=r"out: exists already; choose another folder, or --overwrite"):
+        run(monkeypatch, "segment", recording, "-o", out)
+    assert (out / "run.yaml").read_text() == before
+
+
+def test_overwrite(recording, monkeypatch, tmp_path):
+    folder = tmp_path / "twice"
+    folder.mkdir()
+    (folder / "thesis.tex").write_text("precious")
+    with pytest.raises(SystemExit, match=r"twice: is no result of torchjoint \(it has no run\.yaml\)"):
+        run(monkeypatch, "segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
+    assert (folder / "thesis.tex").read_text() == "precious"
+    (folder / "run.yaml").write_text("an earlier result")
+    run(monkeypatch, "segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
+    assert not (folder / "thesis.tex").exists()
+    assert len(list((folder / "images").iterdir())) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["twice"]
+
+
+def test_what_fails_leaves_no_result(tmp_path):
+    def write_and_die():
+        with output_folder(tmp_path / "out", "source") as partial:
+            (partial / "half").write_text("x")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_and_die()
+    assert not (tmp_path / "out").exists()
+    with output_folder(tmp_path / "out", "source") as partial:
+        assert (partial / "half").exists()  # to be resumed
+    shutil.rmtree(tmp_path / "out")
+    with pytest.raises(KeyboardInterrupt):
+        write_and_die()
+    with output_folder(tmp_path / "out", "another source") as partial:
+        assert not (partial / "half").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("kind", ["file", "dangling link", "recording"])
+def test_outputs_that_cannot_be(recording, monkeypatch, tmp_path, kind):
+    out = tmp_path / "out"
+    if kind == "file":
+        out.write_text("precious")
+    elif kind == "dangling link":
+        out.symlink_to(tmp_path / "nowhere")
+    else:
+        out = recording
+    with pytest.raises(SystemExit, match=r"exists and is not a folder|holds, the recording itself"):
+        run(monkeypatch, "segment", recording, "-o", out, "--overwrite", *SMALL)
+    assert kind != "file" or out.read_text() == "precious"
+    assert (recording / "camera-intrinsics.txt").exists()
+
+
+def test_a_fused_cloud_is_kept_beside_the_output(synthetic, monkeypatch, tmp_path):
+    recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
+    run(monkeypatch, "segment", recording, "-o", tmp_path / "out", "--voxel-size", 0.05, *SMALL)
+    assert (tmp_path / "out" / "cloud-50mm.ply").is_file()
+    assert not (recording / "cloud.ply").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--set", "propagation.wieght=1"], r"torchjoint: error: propagation\.wieght: unknown parameter"),
+        (["--preset", "nope"], r"torchjoint: error: preset: expected one of indoor"),
+        (["--preset", "nope.yaml"], r"torchjoint: error: .*nope\.yaml"),
+        (["--max-frames", "-1"], r"torchjoint: error: --max-frames: expected >= 0, got -1"),
+    ],
+)
+def test_errors_are_one_line(recording, monkeypatch, tmp_path, arguments, message):
+    with pytest.raises(SystemExit, match=message):
+        run(monkeypatch, "segment", recording, "-o", tmp_path / "out", *arguments)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scene_that_is_not_there(monkeypatch, tmp_path):
+    with pytest.raises(SystemExit, match=r"scene: .*nowhere does not exist"):
+        run(monkeypatch, "segment", tmp_path / "nowhere", "-o", tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_in_the_way_is_left_alone(recording, monkeypatch, tmp_path):
+    mine = tmp_path / "out.partial" / "thesis.tex"
+    mine.parent.mkdir()
+    mine.write_text("precious")
+    with pytest.raises(SystemExit, match=r"out\.partial: is in the way and not of an earlier run"):
+        run(monkeypatch, "segment", recording, "-o", tmp_path / "out", *SMALL)
+    assert mine.read_text() == "precious"
+
+
+def test_show(out, monkeypatch, capsys):
+    run(monkeypatch, "show", out, "--no-open-browser")
+    page = out / "viewer.html"
+    assert str(page) in capsys.readouterr().out
+    text = page.read_text(encoding="utf-8")
+    assert "scatter3d" in text
+    assert "<script src=" not in text  # needs no network
+    page.unlink()
+
+
+def test_show_of_something_else(monkeypatch, tmp_path):
+    with pytest.raises(SystemExit, match=r"points\.npz: missing; expected a folder that `torchjoint segment` wrote"):
+        run(monkeypatch, "show", tmp_path)
+    (tmp_path / "points.npz").write_bytes(b"PK\x03\x04 broken")
+    with pytest.raises(SystemExit, match=r"points\.npz: not a whole result"):
+        run(monkeypatch, "show", tmp_path)
+
+
+def test_demo(monkeypatch, tmp_path, capsys):
+    small = tj.synthetic.make_scene
+    monkeypatch.setattr("torchjoint.synthetic.make_scene", lambda seed, size: small(seed=seed, size="small"))
+    run(monkeypatch, "demo", "-o", tmp_path / "demo", *SMALL)
+    assert (tmp_path / "demo" / "overview.png").is_file()
+    assert "against the truth, in 3D: covering 0." in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="demo: exists already"):
+        run(monkeypatch, "demo", "-o", tmp_path / "demo", *SMALL)

@@ -1,0 +1,130 @@
+import dataclasses
+
+import pytest
+import yaml
+
+from torchjoint.config import STAGES, Config, PropagationConfig, RefinementConfig, presets
+
+
+def test_presets_load_and_round_trip():
+    assert set(presets()) == {"indoor", "tabletop", "lidar", "paper"}
+    for name in presets():
+        config = Config.from_preset(name)
+        assert Config.from_dict(yaml.safe_load(yaml.safe_dump(config.to_dict()))) == config
+
+
+def test_indoor_is_the_default():
+    assert Config.from_preset("indoor") == Config()
+
+
+def test_the_paper_preset_is_the_letter():
+    paper = Config.from_preset("paper")
+    assert paper.propagation.normalization == "all"
+    assert paper.point_graph.convex_factor == 1
+    assert paper.point_graph.color_weight == 0
+    assert paper.point_segments.method == "edges"
+    assert paper.refinement.method == "cuts"
+    assert not paper.contours.closed
+    assert paper.refinement.merge_ratio is not None
+    assert paper.refinement.split_min_edges is not None
+    assert paper.visibility.method == "hidden_point_removal"
+
+
+def test_each_preset_has_its_method_of_step_6():
+    methods = {name: Config.from_preset(name).point_segments.method for name in presets()}
+    assert methods == {"indoor": "regions", "tabletop": "regions", "lidar": "scan", "paper": "edges"}
+    tabletop = Config.from_preset("tabletop")
+    assert tabletop.occlusion_bridging.min_votes is not None
+    assert tabletop.image_support.min_size == 0
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"propagashun": {}}, r"propagashun: unknown stage, expected one of boundary, "),
+        ({"propagation": {"wieght": 1}}, r"propagation\.wieght: unknown parameter, expected one of window, "),
+        ({"propagation": 3}, r"propagation: expected parameters by name, got 3"),
+        ({"propagation": {"weight": -1}}, r"propagation\.weight: expected >= 0, got -1"),
+        ({"propagation": {"weight": 1001}}, r"propagation\.weight: expected <= 1000, got 1001"),
+        ({"propagation": {"weight": "much"}}, r"propagation\.weight: expected float, got 'much'"),
+        ({"propagation": {"weight": True}}, r"propagation\.weight: expected float, got True"),
+        ({"propagation": {"weight": None}}, r"propagation\.weight: expected float, got null"),
+        ({"propagation": {"weight": float("nan")}}, r"propagation\.weight: expected a finite number, got nan"),
+        ({"propagation": {"window": 2.5}}, r"propagation\.window: expected a whole number, got 2\.5"),
+        ({"propagation": {"window": 4}}, r"propagation\.window: expected an odd number, got 4"),
+        ({"propagation": {"overlap_threshold": 1.5}}, r"propagation\.overlap_threshold: expected <= 1, got 1\.5"),
+        ({"visibility": {"method": "magic"}}, r"visibility\.method: expected one of zbuffer, hidden.*, got 'magic'"),
+        ({"visibility": {"near": 0}}, r"visibility\.near: expected > 0, got 0"),
+        ({"visibility": {"near": 3, "far": 2}}, r"visibility\.far: expected more than near \(3\.0\), got 2\.0"),
+        (
+            {"point_segments": {"method": "magic"}},
+            r"point_segments\.method: expected one of regions, edges, scan, got",
+        ),
+        ({"region_merging": {"agreement": 1.1}}, r"region_merging\.agreement: expected <= 1, got 1\.1"),
+        ({"region_merging": {"threshold": None}}, r"region_merging\.threshold: expected float, got null"),
+        ({"image_support": {"overlap": -0.1}}, r"image_support\.overlap: expected >= 0, got -0\.1"),
+        ({"occlusion_bridging": {"min_votes": 0}}, r"occlusion_bridging\.min_votes: expected >= 1, got 0"),
+        ({"occlusion_bridging": {"depth_step": 0}}, r"occlusion_bridging\.depth_step: expected > 0, got 0"),
+        ({"regions": {"min_size": 2.5}}, r"regions\.min_size: expected a whole number, got 2\.5"),
+        ({"point_graph": {"neighbors": 0}}, r"point_graph\.neighbors: expected >= 1, got 0"),
+    ],
+)
+def test_bad_values_are_refused_by_name(values, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        Config.from_dict(values)
+
+
+def test_a_stage_of_another_kind_is_refused():
+    with pytest.raises(TypeError, match="propagation: expected a PropagationConfig, got RefinementConfig"):
+        Config(propagation=RefinementConfig())  # type: ignore[arg-type]
+
+
+def test_values_are_what_they_are_declared():
+    assert isinstance(PropagationConfig(weight=1).weight, float)
+    assert isinstance(PropagationConfig(window=5.0).window, int)  # type: ignore[arg-type]
+    assert RefinementConfig(merge_ratio=None).merge_ratio is None
+
+
+def test_set_as_on_the_command_line():
+    config = Config().set(["propagation.weight=0.25", "refinement.merge_ratio=null", "visibility.method=zbuffer"])
+    assert config.propagation.weight == 0.25
+    assert config.refinement.merge_ratio is None
+    for bad in ("propagation.weight", "weight=3", "=3"):
+        with pytest.raises(ValueError, match=r"expected stage\.parameter=value"):
+            Config().set([bad])
+
+
+def test_numbers_as_people_write_them():
+    assert Config().set(["propagation.weight=1e-3"]).propagation.weight == 0.001
+    with pytest.raises(ValueError, match=r"propagation\.weight: expected a value, got '\['"):
+        Config().set(["propagation.weight=["])
+
+
+def test_yaml_errors_name_the_file(tmp_path):
+    file = tmp_path / "mine.yaml"
+    for text, message in (
+        ("propagation: {weight: -1}", r"mine\.yaml: propagation\.weight: expected >= 0"),
+        ("- 1\n- 2", r"mine\.yaml: expected stages with parameters, got a list"),
+        ("a: [", r"mine\.yaml: not valid YAML"),
+    ):
+        file.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            Config.from_yaml(file)
+    file.write_text("")
+    assert Config.from_yaml(file) == Config()
+
+
+def test_unknown_preset():
+    with pytest.raises(ValueError, match=r"preset: expected one of indoor, lidar, paper.*got 'nope'"):
+        Config.from_preset("nope")
+
+
+def test_every_parameter_is_declared_with_a_text():
+    for stage in STAGES.values():
+        for spec in dataclasses.fields(stage):
+            assert len(spec.metadata["doc"]) > 10, f"{stage.__name__}.{spec.name}"
+
+
+def test_configs_are_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Config().propagation.weight = 3  # type: ignore[misc]

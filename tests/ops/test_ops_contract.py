@@ -1,0 +1,598 @@
+"""What holds for every operator: errors, torch.compile, opcheck, the GIL; and that the package lists its folders."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from torchjoint.ops import (
+    felzenszwalb,
+    felzenszwalb_image,
+    fit_normals,
+    match_pixels,
+    merge_regions,
+    min_cut,
+    neighbor_edges,
+    pair_counts,
+    project,
+    propagate_labels,
+    region_planes,
+    segment_graphs,
+    splat_depth,
+    ultrametric_contours,
+    window_overlaps,
+)
+
+EDGES = torch.tensor([[0, 1, 2], [1, 2, 3]])
+VALUES = torch.tensor([0.1, 5.0, 0.2])
+SOURCE = torch.tensor([torch.inf, 0.0, 0.0, 0.0])
+SINK = torch.tensor([0.0, 0.0, 0.0, 2.0])
+NAN = float("nan")
+
+FELZENSZWALB = {"edge_index": EDGES, "weight": VALUES, "num_nodes": 4, "scale": 1.0, "min_size": 0}
+IMAGES = torch.arange(48.0).view(2, 3, 2, 4) / 48
+POINTS = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]])
+NEIGHBORS = torch.tensor([[1, 2], [0, 2], [0, 1], [1, 2]])
+
+EYE = torch.eye(4, dtype=torch.float64)
+PIXELS = torch.tensor([0, 1, 2])
+POSITIONS = torch.tensor([0.0, 1.0, 2.0])
+LABELS = torch.tensor([[0, 0, 1, -1], [0, 1, 1, 1], [1, 1, 0, 0]], dtype=torch.int32)
+PROJECT = {
+    "points": torch.tensor([[0.0, 0.0, 2.0], [1.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), "camera_from_world": EYE,
+    "intrinsics": EYE[:3, :3] * 4, "near": 0.1, "far": 9.0, "height": 4, "width": 6, "margin": 1.0,
+}  # fmt: skip
+SPLAT_DEPTH = {
+    "row": PIXELS, "column": PIXELS, "depth": POSITIONS, "reach": torch.tensor([0, 1, 2]), "height": 3, "width": 4,
+}  # fmt: skip
+WINDOW_OVERLAPS = {
+    "order": torch.tensor([0, 1, 2], dtype=torch.int32), "other_end": torch.tensor([1, 2, 3], dtype=torch.int32),
+    "start": torch.tensor([0, 1, 2, 3, 3], dtype=torch.int32), "point": torch.tensor([0, 1, 3]), "row": PIXELS,
+    "column": PIXELS, "labels": LABELS, "window": 3,
+}  # fmt: skip
+PAIR_COUNTS = {
+    "u": POSITIONS, "v": POSITIONS, "pixel": PIXELS, "segment": torch.tensor([0, 0, -1]),
+    "label": torch.tensor([3, 4, 3]), "radius": 2.0,
+}  # fmt: skip
+SEGMENT_GRAPHS = {
+    "labels": LABELS, "chosen": torch.tensor([False, True]), "colors": torch.rand(3, 3, 4),
+    "boundary": torch.rand(3, 4), "color_weight": 1.0, "boundary_weight": 0.5,
+}  # fmt: skip
+MATCH_PIXELS = {"pred": LABELS > 0, "target": LABELS == 0, "radius": 1.5}
+PROPAGATE_LABELS = {
+    "markers": LABELS, "colors": torch.rand(3, 3, 4), "boundary": torch.rand(3, 4), "color_weight": 9.0,
+    "boundary_weight": 2.0,
+}  # fmt: skip
+MERGE_REGIONS = {
+    "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
+}  # fmt: skip
+REGION_PLANES = {
+    "points": POINTS, "neighbors": NEIGHBORS, "region": torch.tensor([0, 0, 0, 1]), "normals": POINTS + 1,
+    "min_points": 3,
+}  # fmt: skip
+#: Every operator, with arguments that are right.
+VALID: dict[Callable[..., Any], dict[str, Any]] = {
+    felzenszwalb: FELZENSZWALB,
+    felzenszwalb_image: {"images": IMAGES, "boundaries": IMAGES[:, 0], "scale": 1.0},
+    min_cut: {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK},
+    neighbor_edges: {"neighbors": NEIGHBORS},
+    fit_normals: {"points": POINTS, "neighbors": NEIGHBORS},
+    project: PROJECT,
+    splat_depth: SPLAT_DEPTH,
+    window_overlaps: WINDOW_OVERLAPS,
+    pair_counts: PAIR_COUNTS,
+    segment_graphs: SEGMENT_GRAPHS,
+    match_pixels: MATCH_PIXELS,
+    propagate_labels: PROPAGATE_LABELS,
+    merge_regions: MERGE_REGIONS,
+    region_planes: REGION_PLANES,
+    ultrametric_contours: {"boundary": IMAGES[0, 0], "relief": IMAGES[0, 1]},
+}
+
+
+def changed(tensor: torch.Tensor, value: float, *position: int) -> torch.Tensor:
+    tensor = tensor.clone()
+    tensor[position] = value
+    return tensor
+
+
+ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = [
+    (felzenszwalb, {"edge_index": [[0], [1]]}, TypeError, "edge_index: expected a torch.Tensor, got list"),
+    (felzenszwalb, {"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
+    (felzenszwalb, {"edge_index": EDGES.t()}, ValueError, "edge_index: expected shape [2, E], got [3, 2]"),
+    (felzenszwalb, {"edge_index": EDGES[0]}, ValueError, "edge_index: expected shape [2, E], got [3]"),
+    (felzenszwalb, {"edge_index": EDGES.to("meta")}, ValueError, "edge_index: expected a CPU tensor, got one on meta"),
+    (felzenszwalb, {"edge_index": EDGES.to_sparse()}, ValueError, "edge_index: expected a dense tensor"),
+    (felzenszwalb, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
+    (felzenszwalb, {"edge_index": changed(EDGES, -1, 0, 1)}, ValueError, "numbers in [0, 4), got -1 at edge 1"),
+    (felzenszwalb, {"edge_index": changed(EDGES, 2**40, 0, 1)}, ValueError, f"got {2**40} at edge 1"),
+    (felzenszwalb, {"num_nodes": 0}, ValueError, "edge_index: expected node numbers in [0, 0), got 0 at edge 0"),
+    (felzenszwalb, {"weight": None}, TypeError, "weight: expected a torch.Tensor, got NoneType"),
+    (felzenszwalb, {"weight": VALUES.half()}, TypeError, "weight: expected dtype torch.float32 or torch.float64, got"),
+    (felzenszwalb, {"weight": VALUES[:2]}, ValueError, "weight: expected shape [E] = [3], got [2]"),
+    (felzenszwalb, {"weight": VALUES[None]}, ValueError, "weight: expected shape [E], got [1, 3]"),
+    (felzenszwalb, {"weight": VALUES.to("meta")}, ValueError, "weight: expected a CPU tensor, got one on meta"),
+    (felzenszwalb, {"weight": changed(VALUES, NAN, 1)}, ValueError, "weight: expected no NaN, got NaN at edge 1"),
+    (felzenszwalb, {"num_nodes": -1}, ValueError, "num_nodes: expected a number >= 0, got -1"),
+    (felzenszwalb, {"num_nodes": 4.0}, TypeError, "num_nodes: expected int, got float"),
+    (felzenszwalb, {"num_nodes": True}, TypeError, "num_nodes: expected int, got bool"),
+    (felzenszwalb, {"num_nodes": 2**31}, ValueError, "num_nodes: expected less than 2^31, got 2147483648"),
+    (felzenszwalb, {"scale": -0.5}, ValueError, "scale: expected a number >= 0, got -0.5"),
+    (felzenszwalb, {"scale": NAN}, ValueError, "scale: expected a number >= 0, got nan"),
+    (felzenszwalb, {"scale": "1"}, TypeError, "scale: expected int or float, got str"),
+    (felzenszwalb, {"min_size": -1}, ValueError, "min_size: expected a number >= 0, got -1"),
+    (felzenszwalb, {"min_size": 1.5}, TypeError, "min_size: expected int, got float"),
+    (felzenszwalb_image, {"images": IMAGES.numpy()}, TypeError, "images: expected a torch.Tensor, got ndarray"),
+    (felzenszwalb_image, {"images": IMAGES.double()}, TypeError, "images: expected dtype torch.float32, got"),
+    (felzenszwalb_image, {"images": IMAGES.byte()}, TypeError, "images: expected dtype torch.float32, got torch.uint8"),
+    (felzenszwalb_image, {"images": IMAGES[0]}, ValueError, "images: expected shape [B, C, H, W], got [3, 2, 4]"),
+    (felzenszwalb_image, {"images": changed(IMAGES, NAN, 1, 2)}, ValueError, "images: expected numbers between"),
+    (felzenszwalb_image, {"images": changed(IMAGES, torch.inf, 0)}, ValueError, "images: expected numbers between"),
+    (felzenszwalb_image, {"boundaries": IMAGES}, ValueError, "boundaries: expected shape [B, H, W] = [2, 2, 4], got"),
+    (felzenszwalb_image, {"boundaries": IMAGES[:1, 0]}, ValueError, "boundaries: expected shape [B, H, W] = [2, 2, 4]"),
+    (felzenszwalb_image, {"boundaries": -IMAGES[:, 0] / 0}, ValueError, "boundaries: expected numbers between"),
+    (felzenszwalb_image, {"boundaries": 3}, TypeError, "boundaries: expected a torch.Tensor, got int"),
+    (felzenszwalb_image, {"scale": -1.0}, ValueError, "scale: expected a number >= 0, got -1.0"),
+    (felzenszwalb_image, {"min_size": 1.5}, TypeError, "min_size: expected int, got float"),
+    (felzenszwalb_image, {"color_weight": NAN}, ValueError, "color_weight: expected a number >= 0, got nan"),
+    (felzenszwalb_image, {"boundary_weight": -2}, ValueError, "boundary_weight: expected a number >= 0, got -2"),
+    (min_cut, {"edge_index": EDGES.float()}, TypeError, "edge_index: expected dtype torch.int64, got torch.float32"),
+    (min_cut, {"edge_index": EDGES.t()}, ValueError, "edge_index: expected shape [2, E], got [3, 2]"),
+    (min_cut, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
+    (min_cut, {"edge_index": changed(EDGES, -7, 1, 0)}, ValueError, "numbers in [0, 4), got -7 at edge 0"),
+    (min_cut, {"capacity": VALUES.long()}, TypeError, "capacity: expected dtype torch.float32 or torch.float64, got"),
+    (min_cut, {"capacity": VALUES[1:]}, ValueError, "capacity: expected shape [E] = [3], got [2]"),
+    (min_cut, {"capacity": -VALUES}, ValueError, "capacity: expected finite numbers >= 0, got -0.1 at edge 0"),
+    (min_cut, {"capacity": changed(VALUES, NAN, 2)}, ValueError, "capacity: expected finite numbers >= 0, got nan"),
+    (min_cut, {"capacity": changed(VALUES, torch.inf, 2)}, ValueError, "numbers >= 0, got inf at edge 2"),
+    (min_cut, {"source_capacity": SOURCE[None]}, ValueError, "source_capacity: expected shape [N], got [1, 4]"),
+    (min_cut, {"source_capacity": SOURCE - 1}, ValueError, "source_capacity: expected numbers >= 0, got -1 at node 1"),
+    (min_cut, {"source_capacity": SOURCE.bool()}, TypeError, "source_capacity: expected dtype torch.float32 or"),
+    (min_cut, {"sink_capacity": SINK[:3]}, ValueError, "sink_capacity: expected shape [N] = [4], got [3]"),
+    (min_cut, {"sink_capacity": changed(SINK, NAN, 1)}, ValueError, "sink_capacity: expected numbers >= 0, got nan"),
+    (min_cut, {"sink_capacity": SOURCE}, ValueError, "source_capacity and sink_capacity: both are infinite at node 0"),
+    (neighbor_edges, {"neighbors": [[1], [0]]}, TypeError, "neighbors: expected a torch.Tensor, got list"),
+    (neighbor_edges, {"neighbors": NEIGHBORS.float()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
+    (neighbor_edges, {"neighbors": NEIGHBORS[0]}, ValueError, "neighbors: expected shape [N, K], got [2]"),
+    (neighbor_edges, {"neighbors": NEIGHBORS.to("meta")}, ValueError, "neighbors: expected a CPU tensor, got one on"),
+    (neighbor_edges, {"neighbors": changed(NEIGHBORS, 4, 2, 1)}, ValueError, "numbers in [0, 4), got 4 in row 2"),
+    (neighbor_edges, {"neighbors": changed(NEIGHBORS, -1, 0, 0).int()}, ValueError, "in [0, 4), got -1 in row 0"),
+    (neighbor_edges, {"neighbors": changed(NEIGHBORS, 2**40, 3, 0)}, ValueError, f"got {2**40} in row 3"),
+    (fit_normals, {"points": POINTS.long()}, TypeError, "points: expected dtype torch.float32 or torch.float64, got"),
+    (fit_normals, {"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [4, 2]"),
+    (fit_normals, {"points": POINTS[:3]}, ValueError, "neighbors: expected shape [N, K] = [3, K], got [4, 2]"),
+    (fit_normals, {"neighbors": NEIGHBORS.short()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
+    (fit_normals, {"neighbors": changed(NEIGHBORS, 4, 1, 0)}, ValueError, "numbers in [0, 4), got 4 in row 1"),
+    (project, {"points": [[0, 0, 1]]}, TypeError, "points: expected a torch.Tensor, got list"),
+    (project, {"points": EYE}, TypeError, "points: expected dtype torch.float32, got torch.float64"),
+    (project, {"points": POSITIONS}, ValueError, "points: expected shape [N, 3], got [3]"),
+    (project, {"camera_from_world": EYE[:3]}, ValueError, "camera_from_world: expected shape [4, 4], got [3, 4]"),
+    (project, {"intrinsics": EYE.float()}, TypeError, "intrinsics: expected dtype torch.float64, got torch.float32"),
+    (project, {"near": 0.0}, ValueError, "near: expected a number > 0, got 0"),
+    (project, {"far": NAN}, ValueError, "far: expected a number >= 0, got nan"),
+    (project, {"height": 4.5}, TypeError, "height: expected int, got float"),
+    (project, {"width": -1}, ValueError, "width: expected a number >= 0, got -1"),
+    (project, {"margin": -1}, ValueError, "margin: expected a number >= 0, got -1"),
+    (splat_depth, {"row": PIXELS[None]}, ValueError, "row: expected shape [M], got [1, 3]"),
+    (splat_depth, {"row": PIXELS + 1}, ValueError, "row: expected numbers in [0, 3), got 3 at 2"),
+    (splat_depth, {"column": PIXELS - 1}, ValueError, "column: expected numbers in [0, 4), got -1 at 0"),
+    (splat_depth, {"column": PIXELS[:2]}, ValueError, "column: expected shape [M] = [3], got [2]"),
+    (splat_depth, {"depth": PIXELS}, TypeError, "depth: expected dtype torch.float32, got torch.int64"),
+    (splat_depth, {"depth": changed(POSITIONS, NAN, 1)}, ValueError, "depth: expected no NaN, got NaN at 1"),
+    (splat_depth, {"reach": PIXELS - 1}, ValueError, "reach: expected numbers in [0, 2147483647), got -1 at 0"),
+    (splat_depth, {"height": -1}, ValueError, "height: expected a number >= 0, got -1"),
+    (splat_depth, {"height": 2**20, "width": 2**20}, ValueError, "expected an image of at most 2^31 - 1 pixels"),
+    (window_overlaps, {"order": PIXELS}, TypeError, "order: expected dtype torch.int32, got torch.int64"),
+    (window_overlaps, {"other_end": PIXELS[:2].int()}, ValueError, "other_end: expected shape [E] = [3], got [2]"),
+    (
+        window_overlaps,
+        {"other_end": PIXELS.int() - 1},
+        ValueError,
+        "other_end: expected numbers in [0, 4), got -1 at 0",
+    ),
+    (window_overlaps, {"start": PIXELS[:0].int()}, ValueError, "start: expected shape [N + 1], got [0]"),
+    (
+        window_overlaps,
+        {"start": torch.tensor([0, 9, 9, 9, 9]).int()},
+        ValueError,
+        "start: expected ascending numbers in [0, E]",
+    ),
+    (window_overlaps, {"point": torch.tensor([0, 1, 4])}, ValueError, "point: expected numbers in [0, 4), got 4 at 2"),
+    (window_overlaps, {"point": torch.tensor([0, 1, 0])}, ValueError, "point: expected every point once, got 0 again"),
+    (window_overlaps, {"row": PIXELS + 1}, ValueError, "row: expected numbers in [0, 3), got 3 at 2"),
+    (window_overlaps, {"column": PIXELS - 1}, ValueError, "column: expected numbers in [0, 4), got -1 at 0"),
+    (window_overlaps, {"labels": LABELS.long()}, TypeError, "labels: expected dtype torch.int32, got torch.int64"),
+    (window_overlaps, {"window": 2}, ValueError, "window: expected an odd number below 32768, got 2"),
+    (pair_counts, {"u": PIXELS}, TypeError, "u: expected dtype torch.float32, got torch.int64"),
+    (pair_counts, {"u": changed(POSITIONS, NAN, 1)}, ValueError, "u: expected finite numbers, got nan at 1"),
+    (pair_counts, {"v": changed(POSITIONS, torch.inf, 1)}, ValueError, "v: expected finite numbers, got inf at 1"),
+    (pair_counts, {"v": POSITIONS[:2]}, ValueError, "v: expected shape [M] = [3], got [2]"),
+    (pair_counts, {"pixel": PIXELS - 1}, ValueError, "pixel: expected numbers in [0, 2147483647), got -1 at 0"),
+    (pair_counts, {"segment": PIXELS - 2}, ValueError, "segment: expected numbers in [0, 2147483647), got -2 at 0"),
+    (pair_counts, {"label": PIXELS + 2**40}, ValueError, f"label: expected numbers in [0, 2147483647), got {2**40}"),
+    (pair_counts, {"radius": 0}, ValueError, "radius: expected a finite number > 0, got 0"),
+    (pair_counts, {"radius": "1"}, TypeError, "radius: expected int or float, got str"),
+    (segment_graphs, {"labels": LABELS[0]}, ValueError, "labels: expected shape [H, W], got [4]"),
+    (segment_graphs, {"labels": LABELS + 1}, ValueError, "labels: expected numbers in [0, 2), got 2 at 2"),
+    (segment_graphs, {"labels": LABELS - 1}, ValueError, "labels: expected numbers in [0, 2), got -2 at 3"),
+    (segment_graphs, {"chosen": PIXELS}, TypeError, "chosen: expected dtype torch.bool, got torch.int64"),
+    (segment_graphs, {"colors": torch.rand(3, 4, 3)}, ValueError, "colors: expected shape [3, H, W] = [3, 3, 4], got"),
+    (segment_graphs, {"boundary": torch.rand(3)}, ValueError, "boundary: expected shape [H, W] = [3, 4], got [3]"),
+    (segment_graphs, {"color_weight": -1}, ValueError, "color_weight: expected a number >= 0, got -1"),
+    (segment_graphs, {"boundary_weight": NAN}, ValueError, "boundary_weight: expected a number >= 0, got nan"),
+    (match_pixels, {"pred": LABELS}, TypeError, "pred: expected dtype torch.bool, got torch.int32"),
+    (match_pixels, {"pred": LABELS[0] > 0}, ValueError, "pred: expected shape [H, W], got [4]"),
+    (match_pixels, {"target": LABELS.T > 0}, ValueError, "target: expected shape [H, W] = [3, 4], got [4, 3]"),
+    (match_pixels, {"radius": -1}, ValueError, "radius: expected a number >= 0, got -1"),
+    (match_pixels, {"radius": torch.inf}, ValueError, "radius: expected a finite number >= 0, got inf"),
+    (match_pixels, {"radius": "1"}, TypeError, "radius: expected int or float, got str"),
+    (propagate_labels, {"markers": LABELS.long()}, TypeError, "markers: expected dtype torch.int32, got torch.int64"),
+    (
+        propagate_labels,
+        {"colors": torch.rand(1, 3, 4)},
+        ValueError,
+        "colors: expected shape [3, H, W] = [3, 3, 4], got",
+    ),
+    (
+        propagate_labels,
+        {"colors": torch.full((3, 3, 4), NAN)},
+        ValueError,
+        "colors: expected numbers in [0, 1], got nan",
+    ),
+    (propagate_labels, {"boundary": torch.ones(3)}, ValueError, "boundary: expected shape [H, W] = [3, 4], got [3]"),
+    (
+        propagate_labels,
+        {"boundary": torch.full((3, 4), 1.5)},
+        ValueError,
+        "boundary: expected numbers in [0, 1], got 1.5",
+    ),
+    (propagate_labels, {"color_weight": -1.0}, ValueError, "color_weight: expected a number >= 0, got -1.0"),
+    (propagate_labels, {"boundary_weight": 1001.0}, ValueError, "boundary_weight: expected 0 to 1000, got 1001"),
+    (merge_regions, {"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
+    (merge_regions, {"edge_index": EDGES.t()}, ValueError, "edge_index: expected shape [2, E], got [3, 2]"),
+    (merge_regions, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
+    (merge_regions, {"edge_index": changed(EDGES, -1, 0, 1)}, ValueError, "numbers in [0, 4), got -1 at edge 1"),
+    (merge_regions, {"cost": VALUES.double()}, TypeError, "cost: expected dtype torch.float32, got torch.float64"),
+    (merge_regions, {"cost": VALUES[:2]}, ValueError, "cost: expected shape [E] = [3], got [2]"),
+    (merge_regions, {"cost": changed(VALUES, NAN, 1)}, ValueError, "cost: expected numbers in [0, 1024], got nan at"),
+    (merge_regions, {"cost": -VALUES}, ValueError, "cost: expected numbers in [0, 1024], got -0.1 at edge 0"),
+    (merge_regions, {"cost": VALUES + 1024}, ValueError, "cost: expected numbers in [0, 1024], got 1024.1 at edge 0"),
+    (merge_regions, {"size": torch.ones(4)}, TypeError, "size: expected dtype torch.int64, got torch.float32"),
+    (merge_regions, {"size": PIXELS[None]}, ValueError, "size: expected shape [R], got [1, 3]"),
+    (merge_regions, {"size": torch.tensor([9, 1, -2, 3])}, ValueError, "size: expected numbers >= 0, got -2 at 2"),
+    (merge_regions, {"threshold": -0.1}, ValueError, "threshold: expected a number >= 0, got -0.1"),
+    (merge_regions, {"threshold": NAN}, ValueError, "threshold: expected a number >= 0, got nan"),
+    (merge_regions, {"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
+    (merge_regions, {"min_size": 1.5}, TypeError, "min_size: expected int, got float"),
+    (merge_regions, {"min_size": -1}, ValueError, "min_size: expected a number >= 0, got -1"),
+    (region_planes, {"points": EYE[:, :3]}, TypeError, "points: expected dtype torch.float32, got torch.float64"),
+    (region_planes, {"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [4, 2]"),
+    (region_planes, {"neighbors": NEIGHBORS.short()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
+    (region_planes, {"neighbors": NEIGHBORS[:3]}, ValueError, "neighbors: expected shape [N, K] = [4, K], got [3, 2]"),
+    (region_planes, {"neighbors": changed(NEIGHBORS, 4, 1, 0)}, ValueError, "numbers in [0, 4), got 4 in row 1"),
+    (region_planes, {"neighbors": changed(NEIGHBORS, -1, 3, 0).int()}, ValueError, "in [0, 4), got -1 in row 3"),
+    (region_planes, {"region": PIXELS}, ValueError, "region: expected shape [N] = [4], got [3]"),
+    (region_planes, {"region": SOURCE}, TypeError, "region: expected dtype torch.int64, got torch.float32"),
+    (region_planes, {"normals": POINTS[:3]}, ValueError, "normals: expected shape [N, 3] = [4, 3], got [3, 3]"),
+    (region_planes, {"min_points": 2}, ValueError, "min_points: expected at least 3, got 2"),
+    (region_planes, {"min_points": -3}, ValueError, "min_points: expected a number >= 0, got -3"),
+    (region_planes, {"min_points": 3.0}, TypeError, "min_points: expected int, got float"),
+    (ultrametric_contours, {"boundary": IMAGES[0]}, ValueError, "boundary: expected shape [H, W], got [3, 2, 4]"),
+    (ultrametric_contours, {"boundary": LABELS}, TypeError, "boundary: expected dtype torch.float32, got torch.int32"),
+    (
+        ultrametric_contours,
+        {"boundary": IMAGES[0, 0] + 0.9},
+        ValueError,
+        "boundary: expected numbers in [0, 1], got 1.",
+    ),
+    (ultrametric_contours, {"boundary": IMAGES[0, 0] * NAN}, ValueError, "numbers in [0, 1], got nan at 0"),
+    (
+        ultrametric_contours,
+        {"relief": IMAGES[0, 0].T},
+        ValueError,
+        "relief: expected shape [H, W] = [2, 4], got [4, 2]",
+    ),
+    (ultrametric_contours, {"relief": changed(IMAGES[0, 0], NAN, 1, 1)}, ValueError, "expected no NaN, got NaN at 5"),
+]
+
+
+@pytest.mark.parametrize(("op", "change", "error", "message"), ERRORS)
+def test_errors_name_the_argument(
+    op: Callable[..., Any], change: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=re.escape(message)) as caught:
+        op(**VALID[op] | change)
+    assert ".cpp" not in str(caught.value)
+
+
+def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
+    fh, mc = torch.ops.torchjoint.felzenszwalb.default, torch.ops.torchjoint.min_cut.default
+    image = torch.ops.torchjoint.felzenszwalb_image.default
+    ne, fn = torch.ops.torchjoint.neighbor_edges.default, torch.ops.torchjoint.fit_normals.default
+    named = {op: getattr(torch.ops.torchjoint, op.__name__).default for op in VALID}
+    for op, change in (
+        (project, {"points": EYE}),
+        (project, {"points": POSITIONS}),
+        (project, {"camera_from_world": EYE[:3]}),
+        (project, {"intrinsics": EYE}),
+        (project, {"width": 2**40}),
+        (project, {"margin": NAN}),
+        (splat_depth, {"row": torch.tensor(0)}),
+        (splat_depth, {"column": PIXELS[:2]}),
+        (splat_depth, {"reach": PIXELS.int()}),
+        (splat_depth, {"height": -1}),
+        (window_overlaps, {"order": PIXELS[:2].int()}),
+        (window_overlaps, {"row": PIXELS[:2]}),
+        (window_overlaps, {"labels": LABELS[0]}),
+        (window_overlaps, {"window": -1}),
+        (pair_counts, {"segment": PIXELS[:2]}),
+        (pair_counts, {"radius": NAN}),
+        (segment_graphs, {"colors": torch.rand(3, 4, 3)}),
+        (segment_graphs, {"boundary": torch.rand(3)}),
+        (segment_graphs, {"chosen": PIXELS}),
+        (segment_graphs, {"color_weight": NAN}),
+        (propagate_labels, {"markers": LABELS.long()}),
+        (propagate_labels, {"colors": torch.rand(3, 4, 3)}),
+        (propagate_labels, {"boundary": torch.rand(3)}),
+        (propagate_labels, {"boundary_weight": NAN}),
+        (merge_regions, {"edge_index": EDGES.int()}),
+        (merge_regions, {"cost": VALUES[:2]}),
+        (merge_regions, {"cost": VALUES.double()}),
+        (merge_regions, {"size": PIXELS[None]}),
+        (merge_regions, {"threshold": NAN}),
+        (merge_regions, {"min_size": -1}),
+        (region_planes, {"points": POINTS[:, :2]}),
+        (region_planes, {"neighbors": NEIGHBORS[:3]}),
+        (region_planes, {"neighbors": NEIGHBORS.float()}),
+        (region_planes, {"region": PIXELS}),
+        (region_planes, {"normals": EYE[:, :3]}),
+        (region_planes, {"min_points": 2}),
+        (match_pixels, {"pred": LABELS}),
+        (match_pixels, {"target": LABELS.T > 0}),
+        (match_pixels, {"radius": NAN}),
+        (ultrametric_contours, {"boundary": IMAGES[0]}),
+        (ultrametric_contours, {"relief": IMAGES[0, 0].T}),
+        (ultrametric_contours, {"relief": IMAGES[0, 0].double()}),
+    ):
+        with pytest.raises(ValueError, match="expected"):
+            named[op](**(VALID[op] | change))
+    for call in (
+        lambda: fh(EDGES.int(), VALUES, 4, 1.0),
+        lambda: fh(EDGES.t(), VALUES, 4, 1.0),
+        lambda: fh(EDGES, VALUES.half(), 4, 1.0),
+        lambda: fh(EDGES, VALUES[:2], 4, 1.0),
+        lambda: fh(EDGES, VALUES, -1, 1.0),
+        lambda: fh(EDGES, VALUES, 2**31, 1.0),
+        lambda: fh(EDGES, VALUES, 4, NAN),
+        lambda: fh(EDGES, VALUES, 4, 1.0, -1),
+        lambda: image(IMAGES[0], None, 1.0),
+        lambda: image(IMAGES.double(), None, 1.0),
+        lambda: image(IMAGES, IMAGES[:, 0, :1], 1.0),
+        lambda: image(IMAGES, None, NAN),
+        lambda: image(IMAGES, None, 1.0, -1),
+        lambda: image(IMAGES, None, 1.0, 1, NAN),
+        lambda: image(IMAGES, None, 1.0, 1, 1.0, -1.0),
+        lambda: mc(EDGES, VALUES[:2], SOURCE, SINK),
+        lambda: mc(EDGES, VALUES, SOURCE, SINK[:2]),
+        lambda: mc(EDGES, VALUES, SOURCE[None], SINK),
+        lambda: ne(NEIGHBORS.float()),
+        lambda: ne(NEIGHBORS[0]),
+        lambda: fn(POINTS.half(), NEIGHBORS),
+        lambda: fn(POINTS[:, :2], NEIGHBORS),
+        lambda: fn(POINTS[:3], NEIGHBORS),
+    ):
+        with pytest.raises(ValueError, match="expected"):
+            call()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_opcheck(dtype: torch.dtype) -> None:
+    values, source, sink = VALUES.to(dtype), SOURCE.to(dtype), SINK.to(dtype)
+    for operator, arguments in (
+        (torch.ops.torchjoint.felzenszwalb.default, (EDGES, values, 4, 1.0, 2)),
+        (torch.ops.torchjoint.felzenszwalb_image.default, (IMAGES, IMAGES[:, 0], 1.0, 2)),
+        (torch.ops.torchjoint.felzenszwalb_image.default, (IMAGES, None, 1.0)),
+        (torch.ops.torchjoint.min_cut.default, (EDGES, values, source, sink)),
+        (torch.ops.torchjoint.neighbor_edges.default, (NEIGHBORS,)),
+        (torch.ops.torchjoint.fit_normals.default, (POINTS.to(dtype), NEIGHBORS.int())),
+    ):
+        results = torch.library.opcheck(operator, arguments)
+        assert results
+        assert set(results.values()) == {"SUCCESS"}
+
+
+@pytest.mark.parametrize("op", VALID)
+def test_opcheck_of_every_operator(op: Callable[..., Any]) -> None:
+    results = torch.library.opcheck(getattr(torch.ops.torchjoint, op.__name__).default, tuple(VALID[op].values()))
+    assert results
+    assert set(results.values()) == {"SUCCESS"}
+
+
+def test_no_gradient_flows() -> None:
+    weight = VALUES.clone().requires_grad_()
+    assert not felzenszwalb(EDGES, weight, 4, 1.0).requires_grad
+    assert not felzenszwalb_image(IMAGES.clone().requires_grad_(), scale=1.0).requires_grad
+    assert not any(result.requires_grad for result in min_cut(EDGES, weight, SOURCE, SINK))
+    assert not fit_normals(POINTS.clone().requires_grad_(), NEIGHBORS).requires_grad
+    assert not merge_regions(**MERGE_REGIONS | {"cost": weight}).requires_grad
+    with_grad = {name: REGION_PLANES[name].clone().requires_grad_() for name in ("points", "normals")}
+    assert not any(result.requires_grad for result in region_planes(**REGION_PLANES | with_grad))
+    assert not propagate_labels(**PROPAGATE_LABELS | {"boundary": torch.rand(3, 4).requires_grad_()}).requires_grad
+
+
+@pytest.mark.filterwarnings("ignore")  # the compiler's own
+def test_compile_without_graph_breaks() -> None:
+    @torch.compile(fullgraph=True, dynamic=True)
+    def compiled(
+        edge_index: torch.Tensor, weight: torch.Tensor, source: torch.Tensor, sink: torch.Tensor, scale: float
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        labels = felzenszwalb(edge_index, weight * 2, source.shape[0], scale, 1)
+        side, flow = min_cut(edge_index, weight + 1, source, sink)
+        return labels + 1, ~side, flow * 2
+
+    for num_nodes, scale in ((4, 1.0), (9, 0.5), (30, 2.0)):
+        generator = torch.Generator().manual_seed(num_nodes)
+        edges = torch.randint(num_nodes, (2, 3 * num_nodes), generator=generator)
+        weight, source = torch.rand(2, 3 * num_nodes, generator=generator)
+        source, sink = source[:num_nodes] * 9, source[-num_nodes:] * 9
+        labels, other_side, flow = compiled(edges, weight, source, sink, scale)
+        side, expected_flow = min_cut(edges, weight + 1, source, sink)
+        assert torch.equal(labels, felzenszwalb(edges, weight * 2, num_nodes, scale, 1) + 1)
+        assert torch.equal(other_side, ~side)
+        assert torch.equal(flow, expected_flow * 2)
+
+    with pytest.raises(ValueError, match=re.escape("expected node numbers in [0, 30), got 99 at edge 0")):
+        compiled(changed(edges, 99, 0, 0), weight, source, sink, scale)
+    with pytest.raises(ValueError, match="capacity: expected finite numbers >= 0, got nan at edge 0"):
+        compiled(edges, changed(weight, NAN, 0), source, sink, scale)
+
+
+@pytest.mark.filterwarnings("ignore")  # the compiler's own
+def test_neighbours_compile_without_graph_breaks() -> None:
+    def weigh(points: torch.Tensor, neighbors: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        edges = neighbor_edges(neighbors)  # their number depends on the values
+        normals = fit_normals(points * 2, neighbors)
+        return edges + 1, (normals[edges[0]] * normals[edges[1]]).sum(dim=1)
+
+    with torch._dynamo.config.patch(capture_dynamic_output_shape_ops=True):
+        compiled = torch.compile(weigh, fullgraph=True, dynamic=True)
+        for num_points in (5, 12, 40):
+            generator = torch.Generator().manual_seed(num_points)
+            points = torch.rand(num_points, 3, generator=generator)
+            neighbors = torch.randint(num_points, (num_points, 4), generator=generator)
+            torch.testing.assert_close(compiled(points, neighbors), weigh(points, neighbors))
+
+
+def large_graph(num_edges: int) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    return torch.randint(num_edges, (2, num_edges), generator=generator), torch.rand(num_edges, generator=generator)
+
+
+LONG_OPERATORS = (
+    felzenszwalb,
+    felzenszwalb_image,
+    min_cut,
+    neighbor_edges,
+    fit_normals,
+    merge_regions,
+    region_planes,
+    propagate_labels,
+)
+
+
+def long_call(op: Callable[..., Any]) -> Callable[[], Any]:
+    """A call of the operator that takes some tenths of a second."""
+    if op is felzenszwalb_image:
+        images = torch.rand(1, 3, 1500, 1500, generator=torch.Generator().manual_seed(0))
+        return lambda: felzenszwalb_image(images, scale=1.0)
+    if op is propagate_labels:
+        generator = torch.Generator().manual_seed(0)
+        image = torch.rand(4, 1000, 1000, generator=generator)
+        markers = torch.where(image[0] < 0.01, torch.arange(1000), -1).int()
+        return lambda: propagate_labels(markers, image[:3], image[3], 9.0, 2.0)
+    if op in (neighbor_edges, fit_normals, region_planes):
+        generator = torch.Generator().manual_seed(0)
+        points = torch.rand(500_000, 3, generator=generator)
+        neighbors = torch.randint(len(points), (len(points), 16), generator=generator)
+        if op is region_planes:
+            region = torch.arange(len(points)) % 2
+            return lambda: region_planes(points, neighbors, region, points)
+        return lambda: op(**{"points": points} if op is fit_normals else {}, neighbors=neighbors)
+    if op is merge_regions:
+        edges, cost = large_graph(100_000)
+        return lambda: merge_regions(edges, cost, torch.ones(len(cost), dtype=torch.int64), 0.4, 2)
+    edges, weight = large_graph(3_000_000 if op is felzenszwalb else 1_000_000)
+    if op is felzenszwalb:
+        return lambda: felzenszwalb(edges, weight, len(weight), 1.0)
+    return lambda: min_cut(edges, weight, 9 * weight, 9 * weight.flip(0))
+
+
+@pytest.mark.parametrize("op", LONG_OPERATORS)
+def test_gil_is_released(op: Callable[..., Any]) -> None:
+    """While one thread is inside the operator, another one runs Python, and so may be inside it, too."""
+    call = long_call(op)
+    inside: list[float] = []
+
+    def timed() -> None:
+        start = time.perf_counter()
+        call()
+        inside.extend((start, time.perf_counter()))
+
+    thread = threading.Thread(target=timed)
+    ticks = []
+    thread.start()
+    while thread.is_alive():
+        ticks.append(time.perf_counter())
+        time.sleep(0.001)
+    start, end = inside
+    # With the GIL held no tick falls into the call, except perhaps at its very ends.
+    margin = (end - start) / 4
+    assert sum(start + margin < tick < end - margin for tick in ticks) >= 3
+
+
+@pytest.mark.parametrize("op", LONG_OPERATORS)
+def test_two_threads_at_once_give_the_same_results(op: Callable[..., Any]) -> None:
+    call = long_call(op)
+    expected = call()
+    with ThreadPoolExecutor(2) as pool:
+        for result in pool.map(lambda _: call(), range(4)):
+            torch.testing.assert_close(result, expected, rtol=0, atol=0)
+
+
+def test_memory_does_not_grow() -> None:
+    """1000 calls of each operator leave no more behind than their first hundred did."""
+    code = """
+import gc, sys, torch
+sys.path.insert(0, "tests")
+from test_ops_contract import VALID, resident_memory
+torch.set_num_threads(1)
+def calls(times):
+    for _ in range(times):
+        for op, arguments in VALID.items():
+            op(**arguments | large.get(op, {}))
+            try:
+                op(**arguments | {next(iter(arguments)): None})
+            except TypeError:
+                pass
+    gc.collect()
+    return resident_memory()
+edges, weight = torch.randint(900, (2, 4000)), torch.rand(4000)
+large = {op: {"edge_index": edges, "weight": weight, "num_nodes": 900} for op in VALID if "weight" in VALID[op]}
+before = calls(100)
+print(calls(1000) - before)
+"""
+    root = Path(__file__).parents[2]
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
+    assert int(result.stdout) < 2**20  # a leak of one of the graphs would be 50 MB
+
+
+def resident_memory() -> int:
+    """Bytes of this process in memory."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def test_missing_binary_is_explained() -> None:
+    code = "import sys; sys.modules['torchjoint._C'] = None\nimport torchjoint.ops"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.returncode != 0
+    assert "ImportError: the compiled extension torchjoint._C is missing or does not load" in result.stderr
+
+
+def test_every_folder_is_packaged() -> None:
+    root = Path(__file__).parents[2]
+    listed = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    found = {".".join(path.parent.relative_to(root).parts) for path in (root / "torchjoint").rglob("__init__.py")}
+    assert found | {"torchjoint.configs"} == set(listed)

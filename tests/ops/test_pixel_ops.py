@@ -1,0 +1,218 @@
+"""The compiled loops over points and pixels against their slow twins, exactly."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.config import ImageGraphConfig
+from torchjoint.images.pixel_graph import grid_edges, pixel_weights
+from torchjoint.images.smoothing import smooth
+from torchjoint.ops import reference
+from torchjoint.views.csr_adjacency import CsrAdjacency
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def assert_same(got: tuple[Tensor, ...], expected: tuple[Tensor, ...]) -> None:
+    for one, other in zip(got, expected, strict=True):
+        assert one.dtype == other.dtype
+        assert torch.equal(one, other)
+
+
+def integers(generator: torch.Generator, low: int, high: int, *shape: int) -> Tensor:
+    return torch.randint(low, high, shape, generator=generator)
+
+
+@settings(deadline=None)
+@given(seed=SEEDS, count=st.integers(0, 60), margin=st.sampled_from([0.0, 2.0, 6.4]))
+def test_project(seed: int, count: int, margin: float) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    points = torch.randn(count, 3, generator=generator) * torch.tensor([1.0, 1.0, 3.0])
+    points[::7] = torch.nan
+    rotation, _ = torch.linalg.qr(torch.randn(3, 3, generator=generator, dtype=torch.float64))
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3], pose[:3, 3] = rotation, torch.randn(3, generator=generator, dtype=torch.float64)
+    intrinsics = torch.tensor([[50.3, 0, 31.5], [0, 48.7, 23.5], [0, 0, 1]], dtype=torch.float64)
+    arguments = (points, pose, intrinsics, 0.1, 4.0, 48, 64, margin)
+    assert_same(ops.project(*arguments), reference.project_reference(*arguments))
+
+
+@settings(deadline=None)
+@given(seed=SEEDS, count=st.integers(0, 30), height=st.integers(1, 12), width=st.integers(1, 12))
+def test_splat_depth(seed: int, count: int, height: int, width: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    row, column = integers(generator, 0, height, count), integers(generator, 0, width, count)
+    depth, reach = torch.rand(count, generator=generator), integers(generator, 0, 5, count)
+    reach[:1] = 2**31 - 2
+    arguments = (row, column, depth, reach, height, width)
+    assert_same((ops.splat_depth(*arguments),), (reference.splat_depth_reference(*arguments),))
+
+
+@settings(deadline=None)
+@given(seed=SEEDS, num_nodes=st.integers(1, 25), window=st.sampled_from([1, 3, 5, 31]), num_labels=st.integers(1, 9))
+def test_window_overlaps(seed: int, num_nodes: int, window: int, num_labels: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    height, width = integers(generator, 1, 12, 2).tolist()
+    edges = CsrAdjacency.of(integers(generator, 0, num_nodes, 2, 4 * num_nodes), num_nodes)
+    point = torch.randperm(num_nodes, generator=generator)[: int(integers(generator, 0, num_nodes + 1, 1))]
+    row, column = integers(generator, 0, height, len(point)), integers(generator, 0, width, len(point))
+    labels = integers(generator, -1, num_labels, height, width).int()
+    arguments = (*edges, point, row, column, labels, window)
+    assert_same(ops.window_overlaps(*arguments), reference.window_overlaps_reference(*arguments))
+
+
+@settings(deadline=None, max_examples=300)
+@given(
+    seed=SEEDS,
+    count=st.integers(0, 50),
+    num_labels=st.integers(1, 5),
+    spread=st.sampled_from([0.0, 1.0, 6.0, 300.0, 1e30]),
+    radius=st.sampled_from([1e-9, 0.5, 2.0, 3.0, 100.0]),
+    on_grid=st.booleans(),
+)
+def test_pair_counts(seed: int, count: int, num_labels: int, spread: float, radius: float, on_grid: bool) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    position = (torch.rand(2, count, generator=generator) - 0.3) * spread
+    u, v = position.round() if on_grid else position  # on a grid, distances of exactly the radius occur
+    pixel, segment = integers(generator, 0, 40, count), integers(generator, -1, num_labels, count)
+    arguments = (u, v, pixel, segment, integers(generator, 0, num_labels, count), radius)
+    assert_same(ops.pair_counts(*arguments), reference.pair_counts_reference(*arguments))
+
+
+def test_pair_counts_in_a_crowd() -> None:
+    """Millions of close pairs, which a list of pairs would need hundreds of megabytes for."""
+    count = 40_000
+    u = torch.rand(count, generator=torch.Generator().manual_seed(0)) * 20
+    label = (u > 10).long()
+    group, number = ops.pair_counts(u, torch.zeros(count), torch.arange(count), torch.zeros(count).long(), label, 1.0)
+    ordered = u.double().sort().values
+    left, right = ordered[ordered <= 10], ordered[ordered > 10]
+    expected = (torch.searchsorted(right, left + 1, right=True)).sum()
+    assert group.T.tolist() == [[0, 0, 0, 1]]
+    assert number.item() == pytest.approx(expected.item(), rel=1e-5)
+
+
+@st.composite
+def images(draw: st.DrawFn) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(draw(SEEDS))
+    height, width, num_labels = draw(st.integers(1, 8)), draw(st.integers(1, 8)), draw(st.integers(1, 4))
+    labels = integers(generator, -1, num_labels, height, width).int()
+    chosen = integers(generator, 0, 2, num_labels).bool()
+    colors = torch.rand(3, height, width, generator=generator) * draw(st.sampled_from([0.0, 1.0]))
+    return labels, chosen, colors, torch.rand(height, width, generator=generator)
+
+
+@settings(deadline=None)
+@given(image=images(), boundary_weight=st.sampled_from([0.0, 0.3]))
+def test_segment_graphs(image: tuple[Tensor, Tensor, Tensor, Tensor], boundary_weight: float) -> None:
+    arguments = (*image, 0.9, boundary_weight)
+    assert_same(ops.segment_graphs(*arguments), reference.segment_graphs_reference(*arguments))
+
+
+def test_a_whole_image_is_one_segment_graph() -> None:
+    """The edges and, but for the rounding of torch's square root, the weights are those of the image graph."""
+    generator = torch.Generator().manual_seed(0)
+    colors, boundary = torch.rand(3, 9, 13, generator=generator), torch.rand(9, 13, generator=generator)
+    labels, chosen = torch.zeros(9, 13, dtype=torch.int32), torch.tensor([True])
+    pixel, node_ptr, edge_index, edge_ptr, relative = ops.segment_graphs(labels, chosen, colors, boundary, 0.8, 0.3)
+    weights = pixel_weights(colors, boundary, ImageGraphConfig(0.0, 0.8, 0.3)).double()
+    assert torch.equal(pixel, torch.arange(9 * 13))
+    assert torch.equal(edge_index, grid_edges(9, 13))
+    assert node_ptr.tolist() == [0, 9 * 13]
+    assert edge_ptr.tolist() == [0, edge_index.shape[1]]
+    torch.testing.assert_close(relative, weights / weights.mean(), rtol=1e-6, atol=0)
+
+
+def test_any_strides() -> None:
+    generator = torch.Generator().manual_seed(0)
+    u, v = torch.rand(30, 2, generator=generator).T * 9
+    pixel, segment, label = integers(generator, 0, 3, 30, 3).T
+    assert not u.is_contiguous()
+    dense = (tensor.contiguous() for tensor in (u, v, pixel, segment, label))
+    assert_same(ops.pair_counts(u, v, pixel, segment, label, 2.0), ops.pair_counts(*dense, 2.0))
+    labels, colors = integers(generator, 0, 2, 8, 5).int().T, torch.rand(5, 8, 3, generator=generator).permute(2, 0, 1)
+    chosen, boundary = torch.tensor([True, True]), torch.rand(8, 5, generator=generator).T
+    dense = (tensor.contiguous() for tensor in (labels, chosen, colors, boundary))
+    assert_same(ops.segment_graphs(labels, chosen, colors, boundary, 1.0, 0.5), ops.segment_graphs(*dense, 1.0, 0.5))
+
+
+@settings(deadline=None, max_examples=200)
+@given(seed=SEEDS, height=st.integers(0, 12), width=st.integers(0, 12), levels=st.sampled_from([1, 2, 5, 1000]))
+def test_ultrametric_contours(seed: int, height: int, width: int, levels: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    boundary, relief = torch.randint(0, levels + 1, (2, height, width), generator=generator) / levels
+    arguments = (boundary, relief)
+    assert_same((ops.ultrametric_contours(*arguments),), (reference.ultrametric_contours_reference(*arguments),))
+
+
+def test_ultrametric_contours_by_hand() -> None:
+    """A weak line within a region vanishes before the strong one around it, however strong a part of it is."""
+    boundary = torch.zeros(1, 9)
+    boundary[0, [2, 5]] = torch.tensor([0.25, 0.75])
+    contours = ops.ultrametric_contours(boundary, boundary)
+    # A top's lower neighbours are equal: it goes with the left one, and the line lies to its right.
+    assert contours[0].tolist() == pytest.approx([0, 0, 0.25, 0.25, 0, 0.75, 0.75, 0, 0], abs=1e-5)
+    gap = torch.zeros(5, 6)
+    gap[:, 2] = 1.0
+    gap[2, 2] = 0.5  # where one could step through: the weakest pixel is no more than a share of the line
+    contours = ops.ultrametric_contours(gap, gap)
+    # 5 pairs across, 4 + 4 aslant; the gap's pixel has one of each.
+    assert contours.unique().tolist() == pytest.approx([0, (10 + 3 * 0.5) / 13], abs=1e-5)
+    assert (contours > 0).sum() == 10
+
+
+def test_gaps_are_closed() -> None:
+    """A square's outline with gaps: steps over no boundary lead out of it, and over no closed contour do they."""
+    outline = torch.zeros(40, 50)
+    outline[8:32, [10, 36]] = 1.0
+    outline[[8, 31], 10:37] = 1.0
+    outline[18:21, 10] = outline[31, 20:23] = 0.0
+    relief = smooth(outline[None, None], 2.0)[0, 0]
+    closed = ops.ultrametric_contours(outline, relief)
+    inside, outside = (20, 25), (3, 3)
+    for boundary, leaks in ((outline, True), (closed, False)):
+        passable = (boundary < 0.5).float()
+        labels = ops.felzenszwalb_image(passable.expand(1, 3, -1, -1), scale=1e-9)[0]
+        assert (labels[inside] == labels[outside]) == leaks
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    seed=SEEDS,
+    height=st.integers(0, 12),
+    width=st.integers(0, 12),
+    levels=st.sampled_from([1, 3, 1000]),
+    weights=st.sampled_from([(0.0, 0.0), (3.0, 0.0), (0.0, 2.5), (100.0, 50.0), (1000.0, 1000.0)]),
+)
+def test_spread_labels(seed: int, height: int, width: int, levels: int, weights: tuple[float, float]) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    markers = integers(generator, -20, 4, height, width).clamp(min=-1).int()
+    image = torch.randint(0, levels + 1, (4, height, width), generator=generator) / levels
+    arguments = (markers, image[:3], image[3], *weights)
+    assert_same((ops.propagate_labels(*arguments),), (reference.propagate_labels_reference(*arguments),))
+
+
+def test_spread_labels_by_hand() -> None:
+    """Half way without an edge, the lower label in the middle; at the edge, with one; around it, if that is cheaper."""
+    markers = torch.full((1, 7), -1, dtype=torch.int32)
+    markers[0, 0], markers[0, 6] = 9, 4
+    plain, edge = torch.zeros(3, 1, 7), torch.zeros(3, 1, 7)
+    edge[:, 0, 5:] = 1.0
+    assert ops.propagate_labels(markers, plain, plain[0], 5.0, 5.0).tolist() == [[9, 9, 9, 4, 4, 4, 4]]
+    assert ops.propagate_labels(markers, edge, plain[0], 5.0, 5.0).tolist() == [[9, 9, 9, 9, 9, 4, 4]]
+    wall = torch.zeros(3, 5)
+    wall[:2, 1:3] = 1.0  # two pixels wide, and open below
+    markers = torch.full((3, 5), -1, dtype=torch.int32)
+    markers[0, 0], markers[0, 4] = 1, 2
+    labels = ops.propagate_labels(markers, torch.zeros(3, 3, 5), wall, 0.0, 100.0)
+    assert labels.tolist() == [[1, 1, 2, 2, 2], [1, 1, 2, 2, 2], [1, 1, 1, 2, 2]]
+
+
+def test_spread_labels_of_nothing() -> None:
+    markers = torch.full((3, 4), -1, dtype=torch.int32)
+    assert torch.equal(ops.propagate_labels(markers, torch.rand(3, 3, 4), torch.rand(3, 4), 1.0, 1.0), markers)

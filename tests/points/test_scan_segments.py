@@ -1,0 +1,154 @@
+"""A scan's segments."""
+
+import pytest
+import torch
+from lidar_scans import HEIGHT, scan
+
+from torchjoint.config import ScanConfig
+from torchjoint.metrics import mean_best_iou
+from torchjoint.points.lidar.ground import ground
+from torchjoint.points.lidar.scan_segments import foot_edges, gap_weights, segment_scan
+
+BOXES = (
+    ((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1)),
+    ((6.0, 4.0, -HEIGHT), (6.6, 4.6, 0.1)),
+    ((-16.0, -2.0, -HEIGHT), (-12.0, 0.5, 0.0)),  # across the seam
+    ((0.0, -9.0, -HEIGHT), (4.0, -7.5, -0.3)),
+)
+
+
+def test_weights_by_hand():
+    points = torch.tensor([[10.0, 0, 0], [10, 0, 0.4], [40, 0, 0], [40, 3, 0]])
+    edges = torch.tensor([[0, 2, 0], [1, 3, 2]])
+    weights = gap_weights(points, edges, ScanConfig(gap=0.2, gap_growth=0.02))
+    # .4 / (.2 + .2); 3 / (.2 + .8); 30 / (.2 + .2), by the nearer end
+    assert weights.tolist() == pytest.approx([1, 3, 75])
+    sensor = torch.tensor([10.0, 0, 0])  # the ranges are 0, .4, 30 and more
+    moved = gap_weights(points, edges, ScanConfig(gap=0.2, gap_growth=0.02), sensor)
+    assert moved.tolist() == pytest.approx([0.4 / 0.2, 3 / 0.8, 30 / 0.2], rel=1e-3)
+
+
+def test_boxes_on_the_ground():
+    points, what = scan(*BOXES)
+    labels = segment_scan(points)
+    stands = ~ground(points)
+    assert len(labels[what == 0].unique()) == 1
+    assert len(labels.unique()) == 1 + len(BOXES)
+    assert mean_best_iou(labels[stands], what[stands]) == 1
+    assert mean_best_iou(labels, what) > 0.9
+
+
+def test_feet_by_hand():
+    config = ScanConfig(ground_height=0.1, foot_distance=0.2)
+    height = torch.tensor([0.0, 0.06, 0.07, 0.04, 0.2, 0.5, 0.15]).double()
+    points = torch.tensor([[0.0, 0], [0.1, 0], [0.31, 0], [0.1, 0], [0.1, 0.1], [0.1, 0.01], [0.1, 0.05]])
+    points = torch.cat([points, height[:, None].float()], 1)
+    # Of 0 and 3 the height, of 2 the distance is another's; 5 is nearest to 1 but too high.
+    assert foot_edges(points, height, config).tolist() == [[1], [6]]
+    assert foot_edges(points, height, ScanConfig(ground_height=0.1, foot_distance=0.3)).tolist() == [[1, 2], [6, 6]]
+    assert foot_edges(points, height, ScanConfig(foot_distance=0)).shape == (2, 0)
+    assert foot_edges(points, height * 0, config).shape == (2, 0)
+
+
+def test_feet_belong_to_what_they_carry():
+    points, what = scan(*BOXES)
+    labels, cut = segment_scan(points), segment_scan(points, ScanConfig(foot_distance=0))
+    assert mean_best_iou(labels, what) > mean_best_iou(cut, what)
+    assert (labels[what == 0] == labels[0]).all()
+
+
+def test_labels_are_numbered_by_first_points():
+    points, _ = scan(*BOXES)
+    labels = segment_scan(points)
+    first = [int((labels == label).nonzero()[0]) for label in range(int(labels.max()) + 1)]
+    assert first == sorted(first)
+    assert labels.dtype == torch.int64
+
+
+def test_the_gap_parts_and_joins():
+    def two(apart):
+        boxes = [((10.0, -1.0, -HEIGHT), (11.0, -apart / 2, 0)), ((10.0, apart / 2, -HEIGHT), (11.0, 1.0, 0))]
+        points, what = scan(*boxes)
+        labels = segment_scan(points)
+        return labels[what == 1].mode().values == labels[what == 2].mode().values
+
+    assert two(0.2)  # .2 + .02 * 10 = .4
+    assert not two(0.7)
+
+
+def test_beams_are_joined_where_points_of_a_beam_are_all_neighbours():
+    # A pole-like box: five points a beam, beams .15 m apart at 12 m, neighbours fewer than a beam has.
+    points, what = scan(((12.0, -0.25, -HEIGHT), (12.3, 0.25, 1.5)))
+    labels = segment_scan(points, ScanConfig(neighbors=4))
+    assert len(labels[(what == 1) & ~ground(points)].unique()) == 1
+
+
+def test_bits_join_what_is_near_and_only_that():
+    points, what = scan(BOXES[0])
+    near, far = torch.tensor([[7.4, 0.0, -0.5]]), torch.tensor([[20.0, 10.0, 0.5]])
+    labels = segment_scan(torch.cat([points, near, far]))
+    car = labels[: len(points)][what == 1].mode().values
+    assert labels[-2] == car  # .6 m away: 1.7 gaps
+    assert (labels == labels[-1]).sum() == 1
+    assert segment_scan(torch.cat([points, near, far]), ScanConfig(joining_gap=1))[-2] != car
+    assert (segment_scan(torch.cat([points, near, far]), ScanConfig(joining_gap=1e3)) == car).sum() > 2
+
+
+def test_nothing_but_ground():
+    points, _ = scan()
+    assert segment_scan(points).unique().tolist() == [0]
+    assert segment_scan(torch.tensor([[3.0, 4.0, -1.0]])).tolist() == [0]
+    assert segment_scan(torch.zeros(5, 3)).tolist() == [0] * 5
+
+
+def test_one_point_over_the_ground():
+    points, _ = scan()
+    labels = segment_scan(torch.cat([points, torch.tensor([[10.0, 0, 1]])]))
+    assert labels[-1] == 1
+    assert (labels[:-1] == 0).all()
+
+
+def test_the_sensor_may_stand_anywhere():
+    points, _ = scan(*BOXES)
+    sensor = torch.tensor([120.0, -30.0, 15.0])
+    here, there = segment_scan(points), segment_scan(points + sensor, sensor=sensor)
+    assert here.max() == there.max()
+    assert mean_best_iou(there, here) > 0.99  # coordinates are rounded otherwise there
+
+
+def test_threads_change_nothing():
+    points, _ = scan(*BOXES)
+    points = points + 0.02 * torch.randn(points.shape, generator=torch.Generator().manual_seed(1))
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2, 4):
+            torch.set_num_threads(threads)
+            found.append(segment_scan(points))
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    assert torch.equal(found[0], found[1])
+    assert torch.equal(found[0], found[2])
+
+
+@pytest.mark.parametrize("points", [torch.zeros(0, 3), torch.rand(3, 4), torch.full((2, 3), torch.inf)])
+def test_bad_points(points):
+    with pytest.raises(ValueError, match="points: expected"):
+        segment_scan(points)
+
+
+def test_bad_config():
+    with pytest.raises(ValueError, match=r"scan\.gap: expected > 0 where gap_growth is 0"):
+        ScanConfig(gap=0, gap_growth=0)
+    with pytest.raises(ValueError, match=r"scan\.joining_gap: expected >= 1"):
+        ScanConfig(joining_gap=0.5)
+
+
+@pytest.mark.parametrize("num_feet", [1, 2])
+@pytest.mark.parametrize("num_low", [1, 2])
+def test_few_feet(num_feet, num_low):
+    points = torch.tensor([[5.0, 0, 0]]).repeat(num_feet + num_low, 1) + torch.rand(num_feet + num_low, 3) / 100
+    height = torch.tensor([0.07] * num_feet + [0.2] * num_low, dtype=torch.float64)
+    edges = foot_edges(points, height, ScanConfig())
+    assert edges[0].tolist() == list(range(num_feet))
+    assert (edges[1] >= num_feet).all()

@@ -1,0 +1,156 @@
+"""torchjoint benchmark: methods side by side on labelled scenes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from torchjoint.benchmark.method import Method
+from torchjoint.benchmark.methods import METHODS
+from torchjoint.benchmark.run import compare, tune
+from torchjoint.benchmark.search import Budget
+from torchjoint.benchmark.settings import read_settings, write_settings
+from torchjoint.benchmark.space import Setting
+from torchjoint.benchmark.suites import SUITES, Suite
+from torchjoint.cli.arguments import check_output
+from torchjoint.evaluation.table import (
+    Row,
+    method_table,
+    paired_difference,
+    summarize,
+    summary_table,
+    write_csv,
+    write_plot,
+)
+from torchjoint.runtime.files import write_text
+
+TABLE, SCORES, PICTURE, SETTINGS = "table.md", "scores.csv", "scores.png", "settings.yaml"
+
+
+def benchmark(
+    suite: Annotated[Literal["synthetic", "sparse", "mosd", "kitti", "scannet"], tyro.conf.Positional],
+    data: Path | None = None,
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    methods: tuple[str, ...] = (),
+    settings: Path | None = None,
+    tuning: tuple[int, int] | None = None,
+    half: Literal["checking", "tuning"] = "checking",
+    page: Path | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Compares methods, each at one setting for all scenes: ours, its parts, and what one could do without it.
+
+    Args:
+        suite: the kind of scenes.
+        data: folder of the data; synthetic scenes need none.
+        out: folder for table.md, scores.csv, scores.png, settings.yaml; default: benchmark-SUITE.
+        methods: only these; default: all.
+        settings: YAML file of methods' settings; default: those that come with the package.
+        tuning: search each method's setting on the suite's tuning half first, by so many draws and so many steps
+            from the best, such as 60 40; can be interrupted and resumed.
+        half: which half of the scenes the table shows.
+        page: a Markdown file whose part between `<!-- benchmark SUITE -->` marks gets the table of all methods.
+        overwrite: replace files in OUT.
+    """
+    kind, chosen = SUITES[suite], _chosen(methods)
+    out = out or Path(f"benchmark-{suite}")
+    # What is wrong is to be told before hours of work.
+    check_output(out, (TABLE, SCORES, PICTURE, SETTINGS), overwrite)
+    _check_page(page, suite, len(chosen) == len(METHODS) and half == "checking")
+    if tuning is not None and (tuning[0] < 1 or tuning[1] < 0):
+        raise ValueError(f"--tuning: expected draws >= 1 and steps >= 0, got {tuning[0]} {tuning[1]}")
+    if tuning is not None and kind.tuned_as:
+        raise ValueError(f"--tuning: suite {suite} uses the settings of suite {kind.tuned_as}; tune that")
+    kind.scenes(half, data)
+    used = read_settings(kind.tuned_as or suite, settings)
+    out.mkdir(parents=True, exist_ok=True)
+    if tuning is not None:
+        used |= _tuned(kind, chosen, data, Budget(*tuning), out)
+    _tell_untuned(kind, chosen, used)
+    rows: list[Row] = []
+    for of_scene in compare(kind, chosen, used, data, half):
+        rows += of_scene
+        write_csv(out / SCORES, rows)
+    if not rows:
+        raise ValueError(f"--data: none of the {half} scenes has a truth to compare with")
+    text = report(rows, kind, half)
+    write_plot(out / PICTURE, rows, _title)
+    names = dict.fromkeys(method.like or method.name for method in chosen)
+    write_settings(out / SETTINGS, {name: used[name] for name in names if name in used}, f"suite {suite}")
+    by_scene = "\n\n".join(method_table(rows, space, _title) for space in dict.fromkeys(row.space for row in rows))
+    write_text(out / TABLE, f"{text}\n\n{by_scene}\n")
+    print(f"\n{by_scene}\n\n{text}\n\nwritten to {out}: {TABLE}, {SCORES}, {PICTURE}, {SETTINGS}")
+    if page is not None:
+        _fill(page, f"benchmark {suite}", text)
+        print(f"and to {page}")
+
+
+def report(rows: Sequence[Row], suite: Suite, half: str) -> str:
+    """The tables, and how joint compares with the others, scene by scene."""
+    scenes = len({row.scene for row in rows})
+    parts = [f"{scenes} {half} scenes: {suite.what}. Means over the scenes, each method at one setting."]
+    for space in ("3D", "2D"):
+        if any(row.space == space for row in rows):
+            parts += [summary_table(rows, space, _title), *_compared(rows, space)]
+    return "\n\n".join(parts)
+
+
+def _compared(rows: Sequence[Row], space: str) -> list[str]:
+    others = [s.method for s in summarize(rows, space) if s.method != "joint"]
+    if not others or not any(row.method == "joint" for row in rows):
+        return []
+    lines = []
+    for other in others:
+        gain = paired_difference(rows, space, "joint", other)
+        columns = ", ".join(f"{c} {gain[c].mean:+.3f} ± {gain[c].error:.3f}" for c in ("F", "best IoU"))
+        lines.append(f"- {columns} over {_title(other)}")
+    return ["joint (final), paired by scene, with the standard error of the difference:", "\n".join(lines)]
+
+
+def _tuned(
+    suite: Suite, methods: Sequence[Method], data: Path | None, budget: Budget, out: Path
+) -> Mapping[str, Setting]:
+    logs = out / "search"
+    logs.mkdir(exist_ok=True)
+    found = tune(suite, methods, data, budget, logs)
+    for name, trial in found.items():
+        print(f"{name}: (F + best IoU) / 2 = {trial.score:.3f} on the tuning half, at {trial.setting}")
+    return {name: trial.setting for name, trial in found.items()}
+
+
+def _chosen(names: Sequence[str]) -> list[Method]:
+    unknown = [name for name in names if name not in METHODS]
+    if unknown:
+        raise ValueError(f"--methods: expected some of {', '.join(METHODS)}, got {unknown[0]!r}")
+    return [method for name, method in METHODS.items() if not names or name in names]
+
+
+def _title(name: str) -> str:
+    return METHODS[name].title
+
+
+def _tell_untuned(suite: Suite, methods: Sequence[Method], used: Mapping[str, Setting]) -> None:
+    untuned = [
+        method.title for method in methods if method.space_in(suite.tuned_as or suite.name) and method.name not in used
+    ]
+    if untuned:
+        print(f"at their defaults, not tuned for {suite.name} (--tuning does that): {'; '.join(untuned)}")
+
+
+def _check_page(page: Path | None, suite: str, is_whole: bool) -> None:
+    if page is None:
+        return
+    if not page.is_file() or f"<!-- benchmark {suite} -->" not in page.read_text(encoding="utf-8"):
+        raise ValueError(f"--page: {page} has no part <!-- benchmark {suite} --> ... <!-- end benchmark {suite} -->")
+    if not is_whole:
+        raise ValueError("--page: is for the table of all methods on the checking half")
+
+
+def _fill(page: Path, part: str, text: str) -> None:
+    """Puts a text between a page's marks of that part."""
+    pattern = re.compile(rf"(<!-- {part} -->\n).*?(<!-- end {part} -->)", flags=re.DOTALL)
+    write_text(page, pattern.sub(lambda m: f"{m[1]}{text}\n{m[2]}", page.read_text(encoding="utf-8")))

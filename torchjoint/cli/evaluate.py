@@ -1,0 +1,100 @@
+"""torchjoint evaluate: results against truth."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tqdm import tqdm
+
+from torchjoint.cli.arguments import check_output
+from torchjoint.datasets import list_scenes, load_scene
+from torchjoint.evaluation.evaluate import evaluate as evaluate_prediction
+from torchjoint.evaluation.evaluate import left_out
+from torchjoint.evaluation.predictions import Prediction, is_result, read_prediction
+from torchjoint.evaluation.table import Row, scene_table, write_csv, write_plot
+from torchjoint.scene import Scene
+
+TABLE, PICTURE = "scores.csv", "scores.png"
+
+
+def evaluate(
+    pred: tyro.conf.Positional[Path],
+    scene: tyro.conf.Positional[Path],
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    voxel_size: float = 0.02,
+    overwrite: bool = False,
+) -> None:
+    """Scores results against the truth of one scene, or of a data set's scenes.
+
+    Args:
+        pred: a folder that `torchjoint segment` wrote; or labels of the points, .npy or .txt; or, for a data set, a
+            folder of these, named as its scenes.
+        scene: a scene with truth, or a data set of such; see the README for the layouts that are known.
+        out: folder for scores.csv and scores.png.
+        voxel_size: metres, of a cloud that is fused from depth; used where PRED does not keep the cloud itself.
+        overwrite: replace files in OUT.
+    """
+    if out is not None:
+        check_output(out, (TABLE, PICTURE), overwrite)
+    scenes = list_scenes(scene)
+    scored = _Scored()
+    try:
+        for name, path in tqdm(scenes.items(), desc="scenes", unit="scene", disable=len(scenes) == 1):
+            found = pred if is_result(pred) and len(scenes) == 1 else _of_scene(pred, name)
+            loaded = load_scene(path, cloud=_kept_cloud(found, voxel_size), voxel_size=voxel_size)
+            if loaded.truth is None and len(scenes) > 1:
+                scored.notes.append(f"{name}: has no truth and is left out")
+            else:
+                scored.add(name, loaded, read_prediction(found, loaded))
+    finally:  # what was scored before an error is not lost
+        scored.report(out)
+
+
+class _Scored:
+    """What was scored so far."""
+
+    def __init__(self) -> None:
+        from torchjoint.metrics import ScannetAveragePrecisionMetric  # torchmetrics takes a second to import
+
+        self.rows: list[Row] = []
+        self.notes: list[str] = []
+        self.instances = ScannetAveragePrecisionMetric()
+
+    def add(self, name: str, scene: Scene, prediction: Prediction) -> None:
+        self.rows += evaluate_prediction(prediction, scene, name)
+        if partial := left_out(prediction, scene):
+            self.notes.append(f"{name}: only {partial} are there to be scored")
+        truth = scene.truth.points if scene.truth is not None else None
+        if prediction.points is not None and truth is not None:
+            self.instances.update(prediction.points, truth[prediction.of_points])
+
+    def report(self, out: Path | None) -> None:
+        if not self.rows:
+            return
+        print(scene_table(self.rows))
+        average = self.instances.compute() if self.instances.update_called else None
+        if average is not None and not math.isnan(average.ap):
+            ap, ap50, ap25 = average
+            print(f"ScanNet's class-agnostic AP {ap:.3f}, AP50 {ap50:.3f}, AP25 {ap25:.3f}: 3D, all scenes together")
+        for note in self.notes:
+            print(note)
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            write_csv(out / TABLE, self.rows)
+            write_plot(out / PICTURE, self.rows)
+            print(f"written to {out}: {TABLE}, {PICTURE}")
+
+
+def _of_scene(pred: Path, name: str) -> Path:
+    for candidate in (pred / name, pred / f"{name}.npy", pred / f"{name}.txt"):
+        if candidate.exists():
+            return candidate
+    raise FileNotFoundError(f"{pred / name}: missing; expected a result (or {name}.npy, {name}.txt) for each scene")
+
+
+def _kept_cloud(result: Path, voxel_size: float) -> Path | None:
+    kept = result / f"cloud-{voxel_size * 1000:g}mm.ply"
+    return kept if kept.is_file() else None

@@ -1,0 +1,65 @@
+"""torchjoint segment: a recording in, a folder with the result out."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import tyro
+
+from torchjoint.cli._summary import summarize
+from torchjoint.cli.arguments import DEFAULTS, Flat, Out, check_max_frames
+from torchjoint.datasets import load_scene
+from torchjoint.datasets.files import fingerprint
+from torchjoint.joint import JointSegmenter
+from torchjoint.results.checkpoint import Checkpoint, run_key
+from torchjoint.results.folder import output_folder, write_result
+from torchjoint.scene.thinning import one_point_a_voxel
+from torchjoint.views.projection import in_any_view
+
+
+def segment(
+    scene: tyro.conf.Positional[Path],
+    out: Out,
+    parameters: Flat = DEFAULTS,
+    overwrite: bool = False,
+    voxel_size: float = 0.02,
+    max_frames: int | None = None,
+    in_view: bool = False,
+    thin: float | None = None,
+) -> None:
+    """Segments a recording: a folder of posed frames, with or without a cloud.
+
+    A run that was interrupted goes on where it was when it is started again with the same arguments.
+
+    Args:
+        scene: folder of frames; see the README for the layouts that are known.
+        out: folder for the result: points.ply, points.npz, images/, overview.png, run.yaml.
+        parameters: what the method is told.
+        overwrite: replace OUT if it is an earlier result.
+        voxel_size: metres, where the cloud must be fused from depth.
+        max_frames: use this many frames, evenly spread over the recording.
+        thin: keep one point in each voxel of this many metres; for clouds denser than their noise, or too large.
+        in_view: leave out the points that are in no frame's view (a LiDAR sees all around, a camera does not).
+    """
+    config = parameters.config()
+    check_max_frames(max_frames)
+    if thin is not None and not thin > 0:
+        raise ValueError(f"--thin: expected more than 0 metres, got {thin}")
+    if out.resolve() in (scene.resolve(), *scene.resolve().parents):
+        raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
+    source = f"{fingerprint(scene)} {voxel_size}"
+    with output_folder(out, source, overwrite=overwrite) as partial:
+        fused = partial / f"cloud-{voxel_size * 1000:g}mm.ply"  # kept there, where the recording brings no cloud
+        loaded = load_scene(scene, cloud=fused, voxel_size=voxel_size, progress=True)
+        if max_frames is not None:
+            loaded = loaded.spread_frames(max_frames)
+        if in_view:
+            loaded = loaded.select_points(in_any_view(loaded.points, loaded.frames, config.visibility))
+        if thin is not None:
+            loaded = loaded.select_points(one_point_a_voxel(loaded.points, thin))
+        checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view} {thin}", config))
+        result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
+        write_result(partial, loaded, result, config, str(scene))
+        shutil.rmtree(partial / "state")
+    summarize(result, out)

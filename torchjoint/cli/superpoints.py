@@ -1,0 +1,95 @@
+"""torchjoint superpoints: a cloud's file in, labels and a picture out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import torch
+import tyro
+from torch import Tensor
+
+from torchjoint.config import SuperpointsConfig
+from torchjoint.datasets.clouds import read_cloud_file
+from torchjoint.datasets.files import write_cloud
+from torchjoint.runtime.files import replacing
+from torchjoint.scene import Scene
+from torchjoint.superpoints import superpoints as segment
+
+
+def superpoints(
+    cloud: tyro.conf.Positional[Path],
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    preset: str = "room",
+    set: tuple[str, ...] = (),
+    viewpoint: tuple[float, float, float] | None = None,
+    picture: bool = True,
+    overwrite: bool = False,
+) -> None:
+    """Cuts a cloud into superpoints.
+
+    Args:
+        cloud: .ply, .pcd, .npy, .npz, .bin (KITTI) or .xyz file. Of a .ply mesh the triangles are used by preset
+            segmentator.
+        out: file for the result, by default CLOUD-superpoints.ply here. A .ply has the points, a colour for each
+            superpoint and a property `label`; a .npy the labels, int64; a .npz arrays points, labels and colors.
+        preset: room, outdoor or segmentator, or a YAML file of your own.
+        set: single parameters: --set scale=2 color_weight=0.5; `torchjoint parameters --superpoints` lists them.
+        viewpoint: x y z of the sensor, metres: tells the outside of surfaces, and so convex from concave.
+        picture: write a picture of the cloud and its superpoints beside OUT.
+        overwrite: replace files that exist.
+    """
+    out = out or Path(f"{cloud.stem}-superpoints.ply")
+    png = out.with_suffix(".png")
+    _check_output(out, png if picture else None, overwrite)
+    config = SuperpointsConfig.from_preset(preset).set(set)
+    read = read_cloud_file(cloud)
+    mesh = read.faces if config.weight == "segmentator" else None
+    scene = Scene(read.points, colors=read.colors, normals=read.normals)
+    labels = segment(
+        scene.points,
+        scene.colors,
+        scene.normals if mesh is None else None,
+        faces=mesh,
+        viewpoint=None if viewpoint is None else torch.tensor(viewpoint),
+        preset=config,
+    )
+    _write(out, scene, labels)
+    print(f"{len(labels)} points in {int(labels.max()) + 1} superpoints: {out}")
+    if picture:
+        _write_picture(png, scene, labels)
+        print(png)
+
+
+def _check_output(out: Path, png: Path | None, overwrite: bool) -> None:
+    if out.suffix not in (".ply", ".npy", ".npz"):
+        raise ValueError(f"-o: expected a file that ends in .ply, .npy or .npz, got {out}")
+    if not out.parent.is_dir():
+        raise FileNotFoundError(f"-o: {out.parent} is no folder")
+    for file in (out, png):
+        if file is not None and (file.is_dir() or (file.exists() and not overwrite)):
+            raise FileExistsError(f"{file}: exists already; choose another name with -o, or --overwrite")
+
+
+def _write(out: Path, scene: Scene, labels: Tensor) -> None:
+    from torchjoint.results.label_colors import label_colors
+
+    if out.suffix == ".ply":
+        write_cloud(out, scene.points, label_colors(labels), labels)
+        return
+    arrays = {"points": scene.points.numpy(), "labels": labels.numpy()}
+    if scene.colors is not None:
+        arrays["colors"] = scene.colors.numpy()
+    with replacing(out) as partial:
+        if out.suffix == ".npy":
+            np.save(partial, labels.numpy())
+        else:
+            np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]
+
+
+def _write_picture(png: Path, scene: Scene, labels: Tensor) -> None:
+    from torchjoint.results.figures import cloud_figure
+
+    with replacing(png) as partial:
+        cloud_figure(scene, labels).savefig(partial, dpi=100)

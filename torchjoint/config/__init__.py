@@ -1,0 +1,54 @@
+"""Parameters of the method: one frozen dataclass a stage, presets in YAML, and tables of all parameters.
+
+Each parameter is declared once (:mod:`torchjoint.config.parameter`); the checks and the README's tables read that
+declaration. Unknown names and bad values get an error that names the parameter.
+"""
+
+from torchjoint.config.afterwards import seen_otherwise, what_is_seen
+from torchjoint.config.config import STAGES, Config
+from torchjoint.config.images import DETECTORS, BoundaryConfig, ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
+from torchjoint.config.labels import RefinementConfig
+from torchjoint.config.points import PointGraphConfig, PointSegmentsConfig
+from torchjoint.config.presets import presets, read_assignment, read_preset, read_yaml
+from torchjoint.config.regions import (
+    ImageSupportConfig,
+    OcclusionBridgingConfig,
+    PiecesConfig,
+    RegionMergingConfig,
+    RegionsConfig,
+)
+from torchjoint.config.scan import ScanConfig
+from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
+from torchjoint.config.tables import parameter_table, superpoint_table
+from torchjoint.config.views import PropagationConfig, VisibilityConfig
+
+__all__ = [
+    "DETECTORS",
+    "STAGES",
+    "BoundaryConfig",
+    "Config",
+    "ContoursConfig",
+    "ImageGraphConfig",
+    "ImageSegmentsConfig",
+    "ImageSupportConfig",
+    "OcclusionBridgingConfig",
+    "PiecesConfig",
+    "PointGraphConfig",
+    "PointSegmentsConfig",
+    "PropagationConfig",
+    "RefinementConfig",
+    "RegionMergingConfig",
+    "RegionsConfig",
+    "ScanConfig",
+    "SuperpointsConfig",
+    "VisibilityConfig",
+    "parameter_table",
+    "presets",
+    "read_assignment",
+    "read_preset",
+    "read_yaml",
+    "seen_otherwise",
+    "superpoint_presets",
+    "superpoint_table",
+    "what_is_seen",
+]

@@ -1,0 +1,124 @@
+"""How a parameter is declared and checked: once, with its unit, range and effect."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import NoneType, UnionType
+from typing import Any, Self, get_args, get_type_hints
+
+
+def parameter(
+    default: Any,
+    doc: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    above: float | None = None,
+    sensible: str = "",
+    choices: Sequence[str] = (),
+    renamed: Mapping[str, str] | None = None,
+) -> Any:
+    """Declares a parameter.
+
+    Args:
+        default: its value where nothing else is said.
+        doc: what it does, and what more and less of it do.
+        unit: of a number.
+        low, high: smallest and largest value that is allowed.
+        above: values must be greater than this.
+        sensible: the range in which most users will find their value.
+        choices: the texts that are allowed; none: any text.
+        renamed: old names of choices -> new ones, for an error that names the new one.
+    """
+    return field(
+        default=default,
+        metadata={
+            "doc": doc,
+            "unit": unit,
+            "low": low,
+            "high": high,
+            "above": above,
+            "sensible": sensible,
+            "choices": tuple(choices),
+            "renamed": dict(renamed or {}),
+        },
+    )
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Base of the stages: checks every parameter against its declaration when the object is made."""
+
+    def __post_init__(self) -> None:
+        kinds = get_type_hints(type(self))  # as types, whether or not annotations are kept as text
+        for spec in dataclasses.fields(self):
+            value = _check(f"{self.key()}.{spec.name}", getattr(self, spec.name), kinds[spec.name], spec.metadata)
+            object.__setattr__(self, spec.name, value)
+
+    @classmethod
+    def key(cls) -> str:
+        """The stage's name in a config: `image_graph` for ImageGraphConfig."""
+        return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__.removesuffix("Config")).lower()
+
+    def replace(self, values: Mapping[str, Any]) -> Self:
+        """A copy with some parameters replaced, by name. Raises ValueError for a name that does not exist."""
+        names = [spec.name for spec in dataclasses.fields(self)]
+        for name in values:
+            if name not in names:
+                raise ValueError(f"{self.key()}.{name}: unknown parameter, expected one of {', '.join(names)}")
+        return dataclasses.replace(self, **values)
+
+
+def _check(name: str, value: Any, annotation: Any, declared: Mapping[str, Any]) -> Any:
+    """Checks one value against its declaration; whole floats pass for ints, ints for floats."""
+    kinds = get_args(annotation) if isinstance(annotation, UnionType) else (annotation,)
+    kind = next(kind for kind in kinds if kind is not NoneType)
+    expected = " | ".join("null" if one is NoneType else one.__name__ for one in kinds)
+    if value is None:
+        if NoneType in kinds:
+            return None
+        raise TypeError(f"{name}: expected {expected}, got null")
+    if kind is str:
+        return _check_text(name, value, declared)
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise TypeError(f"{name}: expected true or false, got {value!r}")
+        return value
+    return _check_number(name, value, kind, expected, declared)
+
+
+def _check_number(name: str, value: Any, kind: type, expected: str, declared: Mapping[str, Any]) -> int | float:
+    if isinstance(value, str):  # YAML 1.1 takes 1e-3 for a string
+        try:
+            value = float(value)
+        except ValueError:
+            raise TypeError(f"{name}: expected {expected}, got {value!r}") from None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{name}: expected {expected}, got {value!r}")
+    if not math.isfinite(value):
+        raise ValueError(f"{name}: expected a finite number, got {value}")
+    if kind is int and value != int(value):
+        raise TypeError(f"{name}: expected a whole number, got {value}")
+    low, high, above = (declared[key] for key in ("low", "high", "above"))
+    if (low is not None and value < low) or (above is not None and value <= above):
+        raise ValueError(f"{name}: expected {f'>= {low}' if low is not None else f'> {above}'}, got {value}")
+    if high is not None and value > high:
+        raise ValueError(f"{name}: expected <= {high}, got {value}")
+    return int(value) if kind is int else float(value)
+
+
+def _check_text(name: str, value: Any, declared: Mapping[str, Any]) -> str:
+    """A text without choices is free; what it means is checked where it is used."""
+    if not isinstance(value, str):
+        raise TypeError(f"{name}: expected a text, got {value!r}")
+    if value in declared["renamed"]:
+        raise ValueError(f"{name}: {value!r} is now called {declared['renamed'][value]!r}")
+    choices = declared["choices"]
+    if choices and value not in choices:
+        raise ValueError(f"{name}: expected one of {', '.join(choices)}, got {value!r}")
+    return value

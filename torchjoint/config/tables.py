@@ -1,0 +1,38 @@
+"""The parameters as Markdown tables: what the README shows."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from torchjoint.config.config import STAGES
+from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
+
+
+def parameter_table() -> str:
+    """All parameters as Markdown tables, a stage each: what the README shows."""
+    parts = []
+    for name, stage in STAGES.items():
+        rows = []
+        for spec in dataclasses.fields(stage):
+            meta = spec.metadata
+            default = "null" if spec.default is None else f"{spec.default}"
+            doc = meta["doc"] + (f" (one of: {', '.join(meta['choices'])})" if meta["choices"] else "")
+            rows.append(f"| `{spec.name}` | {default} | {meta['unit']} | {meta['sensible']} | {doc} |")
+        title = (stage.__doc__ or "").split("\n")[0].rstrip(".")
+        head = "| parameter | default | unit | sensible | what it does |\n|---|---:|---|---|---|"
+        parts.append(f"**`{name}`**: {title}.\n\n{head}\n" + "\n".join(rows))
+    return "\n\n".join(parts)
+
+
+def superpoint_table() -> str:
+    """All parameters and their values in each preset as a Markdown table: what the README shows."""
+    configs = {name: SuperpointsConfig.from_preset(name) for name in superpoint_presets()}
+    lines = [
+        f"| parameter | {' | '.join(f'`{name}`' for name in configs)} | unit | sensible | what it does |",
+        f"|---|{'---:|' * len(configs)}---|---|---|",
+    ]
+    for spec in dataclasses.fields(SuperpointsConfig):
+        meta = spec.metadata
+        values = " | ".join(f"{getattr(config, spec.name)}" for config in configs.values())
+        lines.append(f"| `{spec.name}` | {values} | {meta['unit']} | {meta['sensible']} | {meta['doc']} |")
+    return "\n".join(lines)

@@ -1,0 +1,39 @@
+"""Step 1: boundary detectors, modules from images [B, 3, H, W] to boundary strength [B, H, W] in [0, 1].
+
+Any :class:`torch.nn.Module` of that signature can take a detector's place: ``JointSegmenter(boundary=module)``.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from torch import nn
+
+from torchjoint.config import BoundaryConfig
+from torchjoint.images.gradient_boundary import GradientBoundary
+from torchjoint.images.structured_forest import MULTI_SCALE, StructuredForestBoundary
+
+
+def make_boundary(config: BoundaryConfig) -> nn.Module:
+    """The detector that a config names.
+
+    Raises:
+        ValueError: a module of one's own that cannot be imported, or is no :class:`torch.nn.Module` made of nothing.
+    """
+    if config.detector == "gradient":
+        return GradientBoundary(config.smoothing, config.contrast)
+    if config.detector == "structured_forest":
+        scales = MULTI_SCALE if config.multi_scale else (1.0,)
+        return StructuredForestBoundary(config.model, scales)
+    return _make_own(config.detector)
+
+
+def _make_own(name: str) -> nn.Module:
+    module, _, attribute = name.partition(":")
+    try:
+        detector = getattr(import_module(module), attribute)()
+    except (ImportError, AttributeError, TypeError) as error:
+        raise ValueError(f"boundary.detector: {name} cannot be made: {error}") from error
+    if not isinstance(detector, nn.Module):
+        raise ValueError(f"boundary.detector: expected {name}() to be a torch.nn.Module, got {type(detector).__name__}")
+    return detector

@@ -1,0 +1,185 @@
+"""A structured forest: its arrays, and the file that OpenCV reads it from."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import re
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchjoint.runtime.files import replacing
+
+#: Side of the patch whose boundaries a leaf holds, pixels.
+LABEL_SIZE = 16
+#: Features that OpenCV's detector computes of a patch.
+NUM_FEATURES = 7228
+
+#: What a file says of its forest's shape; OpenCV computes the features accordingly.
+_OPTIONS = {
+    "numberOfTrees": 8,
+    "numberOfTreesToEvaluate": 4,
+    "selfsimilarityGridSize": 5,
+    "stride": 2,
+    "shrinkNumber": 2,
+    "patchSize": 32,
+    "patchInnerSize": LABEL_SIZE,
+    "numberOfGradientOrientations": 4,
+    "gradientSmoothingRadius": 0,
+    "regFeatureSmoothingRadius": 2,
+    "ssFeatureSmoothingRadius": 8,
+    "gradientNormalizationRadius": 4,
+}
+_LISTS = ("childs", "featureIds", "thresholds", "edgeBoundaries", "edgeBins")
+
+
+@dataclass(frozen=True)
+class Forest:
+    """Structured trees, all padded to one number of nodes.
+
+    Attributes:
+        children: [T, N] int32, 0 at a leaf, else 1 + the left child's place in its tree; the right one follows.
+        features: [T, N] int32, the feature that an inner node asks for.
+        thresholds: [T, N] float32, patches whose feature is less go left.
+        boundary_counts: [T, N] int32, how many of `boundary_pixels` are a leaf's.
+        boundary_pixels: [P] uint8, column * 16 + row of each pixel in a leaf's patch, leaves in order of trees, nodes.
+        trees_at_a_site: how many of the trees look at one site; neighbouring sites take turns.
+    """
+
+    children: NDArray[np.int32]
+    features: NDArray[np.int32]
+    thresholds: NDArray[np.float32]
+    boundary_counts: NDArray[np.int32]
+    boundary_pixels: NDArray[np.uint8]
+    trees_at_a_site: int = 4
+
+    def __post_init__(self) -> None:
+        trees, nodes = self.children.shape
+        if trees == 0 or nodes == 0 or not 1 <= self.trees_at_a_site <= trees:
+            raise ValueError(f"trees_at_a_site: {self.trees_at_a_site} of {trees} trees with {nodes} nodes")
+        for name in ("features", "thresholds", "boundary_counts"):
+            if getattr(self, name).shape != (trees, nodes):
+                raise ValueError(f"{name}: expected shape {[trees, nodes]}, got {list(getattr(self, name).shape)}")
+        is_inner = self.children != 0
+        # Children that follow their parent cannot lead in a circle.
+        if (is_inner & ((self.children <= np.arange(1, nodes + 1)) | (self.children >= nodes))).any():
+            raise ValueError("children: expected places after the parent's, and inside the tree")
+        if ((self.features < 0) | (self.features >= NUM_FEATURES)).any():
+            raise ValueError(f"features: expected numbers in [0, {NUM_FEATURES})")
+        if not np.isfinite(self.thresholds).all():
+            raise ValueError("thresholds: expected finite numbers")
+        if (self.boundary_counts < 0).any() or self.boundary_counts.sum(dtype=np.int64) != len(self.boundary_pixels):
+            raise ValueError(f"boundary_counts: expected counts of {len(self.boundary_pixels)} pixels in all")
+
+
+def write_forest(path: Path, forest: Forest) -> None:
+    """Writes a file (``.yml.gz``) for ``cv2.ximgproc.createStructuredEdgeDetection``, beside and then renamed."""
+    options = _OPTIONS | {
+        "numberOfTrees": len(forest.children),
+        "numberOfTreesToEvaluate": forest.trees_at_a_site,
+    }
+    ends = np.cumsum(forest.boundary_counts.ravel(), dtype=np.int64)
+    values: tuple[np.ndarray, ...] = (
+        forest.children.ravel(),
+        forest.features.ravel(),
+        forest.thresholds.ravel(),
+        np.concatenate([[0], ends]),
+        forest.boundary_pixels,
+    )
+    # Without a time in its header the same forest makes the same file.
+    with (
+        replacing(path) as partial,
+        partial.open("wb") as raw,
+        gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0) as file,
+    ):
+        file.write(b"%YAML:1.0\n---\noptions:\n")
+        file.writelines(f"   {name}: {value}\n".encode() for name, value in options.items())
+        for name, array in zip(_LISTS, values, strict=True):
+            file.write(f"{name}:\n".encode())
+            file.writelines(_rows(array))
+
+
+def read_forest(path: Path) -> Forest:
+    """Reads and checks such a file, so that OpenCV, which trusts it, can be given it.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: not a whole file of a structured forest, or one whose shape differs from what is used here.
+    """
+    text = read_text(path)
+    try:
+        return _parse(text)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{path}: not a structured forest as OpenCV reads it: {error}") from error
+
+
+def read_text(path: Path) -> bytes:
+    """What is in a file, unpacked and checked to be whole; errors are those of :func:`read_forest`."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a structured forest, NAME.yml.gz")
+    try:
+        raw = path.read_bytes()
+        return gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw
+    except (OSError, EOFError, zlib.error) as error:
+        raise ValueError(f"{path}: not a whole .gz file: {error}") from error
+
+
+def _rows(values: NDArray[np.generic], length: int = 1000) -> Iterator[bytes]:
+    """Flow lists; few and long, since OpenCV takes longer for many."""
+    for start in range(0, len(values), length):
+        part = values[start : start + length].tolist()
+        numbers = (f"{value:.9g}" for value in part) if values.dtype.kind == "f" else map(str, part)
+        yield f"   - [ {', '.join(numbers)} ]\n".encode()
+
+
+def _parse(text: bytes) -> Forest:
+    if not text.startswith(b"%YAML"):
+        raise ValueError("expected %YAML:1.0 at its beginning")
+    places = [text.find(b"\n%s:" % name.encode()) for name in ("options", *_LISTS)]
+    if min(places) < 0 or places != sorted(places):
+        raise ValueError(f"expected the entries options, {', '.join(_LISTS)}, in this order")
+    ends = [*places[1:], len(text)]
+    options = dict(re.findall(rb"(\w+):\s*(\d+)\s*$", text[places[0] : ends[0]], re.MULTILINE))
+    for name, expected in _OPTIONS.items():
+        value = options.get(name.encode())
+        if value is None or (not name.startswith("numberOfTrees") and int(value) != expected):
+            raise ValueError(f"options.{name}: expected {expected}, got {'nothing' if value is None else int(value)}")
+    children, features, thresholds, boundaries, pixels = (
+        _numbers(name, text[start + len(name) + 2 : end])
+        for name, start, end in zip(_LISTS, places[1:], ends[1:], strict=True)
+    )
+    trees = int(options[b"numberOfTrees"])
+    if trees == 0 or len(children) % trees or not len(children) == len(features) == len(thresholds):
+        raise ValueError(f"expected one number of nodes in each of {trees} trees")
+    if len(boundaries) != len(children) + 1 or boundaries[0] != 0:
+        raise ValueError(f"edgeBoundaries: expected {len(children) + 1} numbers from 0, got {len(boundaries)}")
+    if len(pixels) and not 0 <= pixels.min() <= pixels.max() < LABEL_SIZE**2:
+        raise ValueError(f"edgeBins: expected numbers in [0, {LABEL_SIZE**2})")
+    shape = (trees, -1)
+    return Forest(
+        children.astype(np.int32).reshape(shape),
+        features.astype(np.int32).reshape(shape),
+        thresholds.astype(np.float32).reshape(shape),
+        np.diff(boundaries).astype(np.int32).reshape(shape),
+        pixels.astype(np.uint8),
+        int(options[b"numberOfTreesToEvaluate"]),
+    )
+
+
+def _numbers(name: str, text: bytes) -> NDArray[np.float64]:
+    """Of `- [ 1, 2 ]`, `- [ 3 ]`: 1, 2, 3."""
+    flat = re.sub(rb"\]\s*-\s*\[", b",", text.strip())
+    flat = re.sub(rb"^-\s*\[", b"[", flat, count=1)
+    # OpenCV writes floats that are whole as `1.`, which no other reader takes.
+    values = json.loads(re.sub(rb"\.(?=[^0-9])", b".0", flat) if b"." in flat else flat)
+    if not isinstance(values, list):
+        raise ValueError(f"{name}: expected lists of numbers")
+    try:
+        return np.array(values, np.float64)
+    except TypeError as error:
+        raise ValueError(f"{name}: expected numbers: {error}") from error

@@ -1,0 +1,14 @@
+"""Gaussian blur of images."""
+
+from __future__ import annotations
+
+import kornia
+from torch import Tensor
+
+
+def smooth(images: Tensor, sigma: float) -> Tensor:
+    """Gaussian blur of [B, C, H, W] with borders replicated; `sigma` in pixels, 0 for none."""
+    if sigma == 0:
+        return images
+    size = 2 * max(1, round(3 * sigma)) + 1
+    return kornia.filters.gaussian_blur2d(images, (size, size), (sigma, sigma), border_type="replicate")

@@ -1,0 +1,103 @@
+"""Steps 7 and 8 by geodesic label propagation: the labels of the points spread over the image."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.config import Config
+from torchjoint.images.smoothing import smooth
+from torchjoint.labels._tables import by_first_appearance, look_up
+from torchjoint.views.nearest_points import nearest_in_cells
+from torchjoint.views.observation import Observation
+from torchjoint.views.visibility import Visible
+
+
+def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config: Config) -> tuple[Tensor, int]:
+    """Steps 7 and 8 in one: the points' labels spread over the image, and its edges decide where they meet.
+
+    Each pixel gets the label of the point to which the cheapest path leads.
+
+    Paths are cheap within a region and dear across edges (:func:`torchjoint.ops.propagate_labels`). Initial segments
+    that are large, and in which there is no point all the same, keep ids of their own, numbered from `num_segments` on.
+
+    Args:
+        seen: the frame.
+        point_labels: [M] int64, 3D label of each visible point.
+        num_segments: of the 3D segments.
+
+    Returns:
+        ([H, W] int32, the next free id); pixels that are -1 in the initial labels stay so.
+    """
+    height, width = seen.labels.shape
+    markers = nearest_labels(seen.visible, point_labels, (height, width))
+    colors = smooth(seen.image[None].float() / 255, config.image_graph.smoothing)[0].clamp_(0, 1)
+    weights = config.refinement.color_weight, config.refinement.boundary_weight
+    image = colors, seen.boundary.float() / 255, *weights
+    labels = ops.propagate_labels(markers, *image)
+    if config.refinement.min_points > 1:
+        labels = ops.propagate_labels(_without_specks(labels, markers >= 0, config.refinement.min_points), *image)
+    return _keep_unseen(labels, markers >= 0, seen.labels, config.refinement.unseen, num_segments)
+
+
+def nearest_labels(visible: Visible, point_labels: Tensor, size: tuple[int, int]) -> Tensor:
+    """The labels of the pixels that points fall in: of several points, that of the nearest to the camera.
+
+    Of equally near ones it is that of the first.
+
+    Args:
+        point_labels: [M] int64, of the visible points.
+        size: (H, W) of the image.
+
+    Returns:
+        [H, W] int32, -1 where there is no point.
+    """
+    pixel = visible.row * size[1] + visible.column
+    nearest = nearest_in_cells(pixel, visible.z)
+    labels = torch.full((size[0] * size[1],), -1, dtype=torch.int32)
+    labels[pixel[nearest]] = point_labels[nearest].to(torch.int32)
+    return labels.view(size)
+
+
+def _without_specks(labels: Tensor, hit: Tensor, least: int) -> Tensor:
+    """The labels [H, W], but -1 in connected parts of one label that fewer than `least` points are in.
+
+    They are mostly points of the background, seen through gaps between those in front of it.
+
+    Args:
+        labels: [H, W] int32.
+        hit: [H, W] bool, where points are; those that share a pixel count as one.
+    """
+    part = ops.felzenszwalb_image(labels.float()[None, None], scale=1e-9)[0]  # joins what does not differ at all
+    num_points = torch.bincount(part[hit], minlength=int(part.max()) + 1 if part.numel() else 0)
+    stays = num_points >= least
+    return labels if not stays.any() else torch.where(stays[part], labels, -1)
+
+
+def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, least: float, first_free: int) -> tuple[Tensor, int]:
+    """Gives initial segments without a point ids of their own if `least` points were to be expected in them.
+
+    Where the whole image is without points, all do.
+
+    Args:
+        labels: [H, W] int32.
+        hit: [H, W] bool, where points are.
+        initial: [H, W] int32, -1 = none.
+        least: number of points, at the image's mean density.
+        first_free: the first id.
+
+    Returns:
+        ([H, W] int32, the next free id).
+    """
+    num_initial = int(initial.max()) + 1 if initial.numel() else 0
+    segment = initial.reshape(-1).long() + 1
+    area = torch.bincount(segment, minlength=num_initial + 1)[1:]
+    num_hit = torch.bincount(segment[hit.view(-1)], minlength=num_initial + 1)[1:]
+    num_points = int(hit.sum())  # those that share a pixel count as one
+    unseen = (num_hit == 0) & ((area * num_points >= least * hit.numel()) | (num_points == 0))
+    kept = by_first_appearance(initial, unseen)
+    names = torch.full((num_initial,), -1, dtype=torch.int32)
+    names[kept] = first_free + torch.arange(len(kept), dtype=torch.int32)
+    own = look_up(names, initial, -1)
+    return torch.where((own >= 0) | (initial < 0), own, labels), first_free + len(kept)

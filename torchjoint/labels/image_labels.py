@@ -1,0 +1,28 @@
+"""Steps 7 and 8: the final labels of an image, from the 3D labels of the points that it sees."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from torchjoint.config import Config
+from torchjoint.labels.geodesic import propagate
+from torchjoint.labels.segment_refinement import cut
+from torchjoint.views.observation import Observation
+
+
+def label_image(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, config: Config) -> tuple[Tensor, int]:
+    """The final labels of one image, by the method that the config names.
+
+    Args:
+        seen: the frame.
+        point_labels: [N] int64, 3D labels of all points.
+        segment_sizes: [S] int64, number of points of each 3D segment.
+
+    Returns:
+        ([H, W] int32, the next free id): labels below S are 3D segments, from S on those of this image alone; pixels
+        that are -1 in the initial labels stay so.
+    """
+    labels_there = point_labels[seen.visible.point]
+    if config.refinement.method == "geodesic":
+        return propagate(seen, labels_there, segment_sizes.shape[0], config)
+    return cut(seen, labels_there, segment_sizes, config)

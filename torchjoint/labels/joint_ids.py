@@ -1,0 +1,79 @@
+"""Step 8: one id space for points and pixels."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchjoint.labels._tables import by_first_appearance, look_up
+from torchjoint.runtime.sorted_groups import starts_group
+from torchjoint.views.observation import Observation
+from torchjoint.views.visibility import Visible
+
+
+def joint_labels(
+    labels: Tensor, visible: Visible, point_labels: Tensor, segment_sizes: Tensor, first_free: int
+) -> tuple[Tensor, int]:
+    """Names each image segment by the 3D segment most of its points are of (step 8).
+
+    Ties go to the larger 3D segment, then to the lower id. Segments that no point falls in keep ids of their own,
+    numbered from `first_free` by first appearance.
+
+    Args:
+        labels: [H, W] int32, -1 = none (stays so).
+        point_labels: [M] int64, 3D label of each visible point.
+        segment_sizes: [S] int64, number of points of each 3D segment.
+
+    Returns:
+        ([H, W] int32, the next free id).
+    """
+    names = torch.full((int(labels.max()) + 1 if labels.numel() else 0,), -1)
+    segment, winner = _most_votes(labels[visible.row, visible.column].long(), point_labels, segment_sizes)
+    names[segment] = winner
+    unnamed = by_first_appearance(labels, names < 0)
+    names[unnamed] = first_free + torch.arange(unnamed.shape[0])
+    return look_up(names.to(torch.int32), labels, -1), first_free + unnamed.shape[0]
+
+
+def _most_votes(segment: Tensor, point_labels: Tensor, segment_sizes: Tensor) -> tuple[Tensor, Tensor]:
+    """The image segments that points fall in, and the 3D segment that most of each one's points are of."""
+    inside = segment >= 0
+    num_segments = segment_sizes.shape[0]
+    key, votes = torch.unique(segment[inside] * num_segments + point_labels[inside], return_counts=True)
+    segment, winner = key // num_segments, key % num_segments
+    # By segment, then votes, then size, then the lower id: stable sorts by the last criterion first (ids ascend).
+    order = torch.arange(key.shape[0])
+    for criterion in (-segment_sizes[winner], -votes, segment):
+        order = order[torch.argsort(criterion[order], stable=True)]
+    best = order[starts_group(segment[order])]
+    return segment[best], winner[best]
+
+
+def separate_private_ids(
+    refined: Sequence[tuple[Tensor, int]], observations: Sequence[Observation], num_segments: int
+) -> list[Tensor]:
+    """Makes ids >= num_segments unique over all images, counting in the order of the frames' names.
+
+    The names' order (and among equal names that of the content), and not that in which frames came, so that the
+    latter does not change labels.
+    """
+    times_named = Counter(seen.name for seen in observations)
+
+    def key(index: int) -> tuple[str, bytes]:
+        seen = observations[index]
+        if times_named[seen.name] == 1:
+            return seen.name, b""
+        return seen.name, hashlib.sha256(seen.labels.numpy().tobytes() + seen.image.numpy().tobytes()).digest()
+
+    images = [labels for labels, _ in refined]
+    offset = 0
+    for index in sorted(range(len(refined)), key=key):
+        labels, next_free = refined[index]
+        if offset and next_free > num_segments:
+            images[index] = torch.where(labels >= num_segments, labels + offset, labels)
+        offset += next_free - num_segments
+    return images

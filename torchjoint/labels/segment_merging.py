@@ -1,0 +1,45 @@
+"""Step 7: the 3D labels merge segments of an image (eq. 10-12)."""
+
+from __future__ import annotations
+
+import torch
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from torchjoint.config import RefinementConfig
+from torchjoint.labels._tables import look_up
+from torchjoint.labels.pixel_pairs import pixel_pairs
+from torchjoint.views.visibility import Visible
+
+
+def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, config: RefinementConfig) -> Tensor:
+    """Merges image segments that the 3D labels hold together (eq. 10-12).
+
+    Over the point pairs whose ends fall in two different segments (unordered), n_R counts all and n_int the internal
+    ones; the two merge when n_R > 0 and n_int / n_R >= r_m. One shot, on the segments as they come.
+
+    Args:
+        labels: [H, W] int32, -1 = none (never merged).
+        point_labels: [M] int64, 3D label of each visible point.
+
+    Returns:
+        [H, W] int32; a merged segment has the lowest of its labels.
+    """
+    if config.merge_ratio is None:
+        return labels
+    segment = labels[visible.row, visible.column].long()
+    pairs = pixel_pairs(visible, segment, point_labels, labels.shape[1], config.radius)
+    pairs = pairs.select(pairs.low_segment != pairs.high_segment)
+    if not pairs.num_pairs.numel():
+        return labels
+    num_labels = int(labels.max()) + 1
+    keys, of_key = torch.unique(pairs.low_segment * num_labels + pairs.high_segment, return_inverse=True)
+    internal = pairs.num_pairs * (pairs.low_label == pairs.high_label)
+    n_all, n_internal = (torch.zeros_like(keys).index_add(0, of_key, counts) for counts in (pairs.num_pairs, internal))
+    merging = keys[n_internal / n_all >= config.merge_ratio]
+    graph = coo_matrix((torch.ones(len(merging)), (merging // num_labels, merging % num_labels)), (num_labels,) * 2)
+    _, component = connected_components(graph, directed=False)
+    component = torch.from_numpy(component).long()
+    lowest = torch.full((num_labels,), num_labels).scatter_reduce(0, component, torch.arange(num_labels), "amin")
+    return look_up(lowest[component].to(labels.dtype), labels, -1)

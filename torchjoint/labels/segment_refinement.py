@@ -1,0 +1,21 @@
+"""Steps 7 and 8 as in the paper: 3D labels merge, cut and name the segments of an image."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from torchjoint.config import Config
+from torchjoint.images.smoothing import smooth
+from torchjoint.labels.joint_ids import joint_labels
+from torchjoint.labels.segment_cuts import split_segments
+from torchjoint.labels.segment_merging import merge_segments
+from torchjoint.views.observation import Observation
+
+
+def cut(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, config: Config) -> tuple[Tensor, int]:
+    """As in the paper: 3D labels merge and split the image's segments (step 7), and name them (step 8)."""
+    labels = merge_segments(seen.labels, seen.visible, point_labels, config.refinement)
+    image, boundary = seen.image.float() / 255, seen.boundary.float() / 255
+    colors = smooth(image[None], config.image_graph.smoothing)[0]
+    labels = split_segments(labels, colors, boundary, seen.visible, point_labels, config.refinement, config.image_graph)
+    return joint_labels(labels, seen.visible, point_labels, segment_sizes, segment_sizes.shape[0])

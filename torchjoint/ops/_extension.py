@@ -1,0 +1,29 @@
+"""Loads the compiled extension, and says what to do where there is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch  # noqa: F401  the extension links to the libraries that torch has loaded
+
+
+def _missing_extension(error: ImportError) -> str:
+    """What to do where torchjoint._C does not load."""
+    package = Path(__file__).parents[1]
+    checkout = package.parent
+    if (checkout / "pyproject.toml").is_file() and not list(package.glob("_C*")):
+        return (
+            f"this is the source folder of torchjoint, {package}, and it holds no compiled extension. Python finds it "
+            "before an installed torchjoint because you are in its checkout. Leave the checkout (cd ..) to use the "
+            f"installed one, or compile here: pip install -e {checkout}"
+        )
+    return (
+        "the compiled extension torchjoint._C is missing or does not load: install the package again with "
+        f"`pip install torchjoint`, with torch >= 2.10. The cause: {error}"
+    )
+
+
+try:
+    from torchjoint import _C  # type: ignore[attr-defined]  # noqa: F401
+except ImportError as error:
+    raise ImportError(_missing_extension(error)) from error

@@ -1,0 +1,59 @@
+"""Labels of some pixels spread over all others, along the cheapest paths in the image."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from torchjoint.ops._checks import check_array, check_number
+
+
+def propagate_labels(
+    markers: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float
+) -> Tensor:
+    """Give each pixel the label of the marker from which the cheapest path leads to it.
+
+    A path steps from pixel to pixel over the eight neighbours. A step costs its length (1, or the square root of 2) +
+    color_weight x RGB distance + boundary_weight x the weaker boundary of the two pixels, rounded to an eighth: a
+    pixel's width is the unit. With weights of 0 labels meet half way, as in a Voronoi diagram; the larger the weights,
+    the more they meet where the image has an edge. Of equally cheap paths, the one from the lower label counts
+    (image foresting transform with additive costs: A. Falcão, J. Stolfi, R. Lotufo, PAMI 2004).
+
+    Args:
+        markers: ``[H, W]`` int32, labels; negative where there is no marker. Markers keep their labels.
+        colors: ``[3, H, W]`` float32 RGB in [0, 1].
+        boundary: ``[H, W]`` float32 in [0, 1], boundary strength.
+        color_weight: pixels for the distance 1; 0 to 1000.
+        boundary_weight: pixels for the strength 1; 0 to 1000.
+
+    Returns:
+        ``[H, W]`` int32; as `markers` where there are none at all. No gradient flows through it.
+
+    Raises:
+        TypeError: an argument of the wrong type or dtype.
+        ValueError: a wrong shape or device, a weight or value out of range, a side of 2^16 pixels or more.
+
+    Example:
+        >>> import torch
+        >>> markers = torch.tensor([[3, -1, -1, -1, -1, 5]], dtype=torch.int32)
+        >>> image = torch.tensor([0.0, 0.9, 0.9, 0.9, 0.9, 0.9]).expand(3, 1, 6)
+        >>> propagate_labels(markers, image, torch.zeros(1, 6), 0.0, 0.0)
+        tensor([[3, 3, 3, 5, 5, 5]], dtype=torch.int32)
+        >>> propagate_labels(markers, image, torch.zeros(1, 6), 10.0, 0.0)
+        tensor([[3, 5, 5, 5, 5, 5]], dtype=torch.int32)
+    """
+    check_array("markers", markers, torch.int32, (None, None), "[H, W]")
+    height, width = markers.shape
+    check_array("colors", colors, torch.float32, (3, height, width), f"[3, H, W] = [3, {height}, {width}]")
+    check_array("boundary", boundary, torch.float32, (height, width), f"[H, W] = [{height}, {width}]")
+    check_number("color_weight", color_weight, (int, float))
+    check_number("boundary_weight", boundary_weight, (int, float))
+    arguments = (markers, colors.detach(), boundary.detach(), float(color_weight), float(boundary_weight))
+    return cast(Tensor, torch.ops.torchjoint.propagate_labels.default(*arguments))
+
+
+@torch.library.register_fake("torchjoint::propagate_labels")
+def _fake(markers: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float) -> Tensor:
+    return markers.new_empty(markers.shape)

@@ -1,0 +1,1 @@
+"""Steps 3 and 6: the graph of the points, and their segments."""

@@ -1,0 +1,111 @@
+"""Step 6, regions: joins segments of one surface that something in front cuts in two.
+
+Along a row or a column of an image: where something nearer parts two segments, and the surface of the one goes on on
+the other's side, that is a vote for their being one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from torchjoint.config import OcclusionBridgingConfig
+from torchjoint.points._vectors import dot, length, rows_of
+from torchjoint.points.regions import Planes
+from torchjoint.runtime.sorted_groups import starts_group
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.views.nearest_points import nearest_in_cells
+from torchjoint.views.observation import Observation
+from torchjoint.views.visibility import Visible
+
+#: Cosine of the angle that the normals on the two sides may differ by at the most: 26 degrees.
+SAME_DIRECTION = 0.9
+#: Squares that a run must be long to count.
+MIN_RUN = 2
+
+
+class Runs(NamedTuple):
+    """Stretches of one segment along the rows of an image."""
+
+    row: Tensor  #: [R] int64
+    segment: Tensor  #: [R] int64
+    first: Tensor  #: [R] int64, the visible point at its beginning
+    last: Tensor  #: [R] int64, and at its end
+    length: Tensor  #: [R] int64, squares
+
+
+def bridge(
+    point_labels: Tensor, planes: Planes, observations: Sequence[Observation], config: OcclusionBridgingConfig
+) -> Tensor:
+    """Joins segments between which enough lines of sight say that one surface goes on behind something.
+
+    Args:
+        point_labels: [N] int64, 0 ... S - 1.
+
+    Returns:
+        [N] int64 segments 0, 1, ..., numbered by the lowest of those that were joined.
+    """
+    if config.min_votes is None or not observations:
+        return point_labels
+    num_segments = int(point_labels.max()) + 1
+    votes = parallel_map(lambda seen: _votes(point_labels, planes, seen.visible, num_segments, config), observations)
+    pairs, of_pair = torch.unique(torch.cat([pair for pair, _ in votes]), return_inverse=True)
+    goes_on = torch.cat([votes_for for _, votes_for in votes])
+    num_lines = torch.bincount(of_pair, minlength=len(pairs))
+    num_votes = torch.bincount(of_pair[goes_on], minlength=len(pairs))
+    joined = pairs[(num_votes >= config.min_votes) & (num_votes >= config.share * num_lines.double())]
+    graph = coo_matrix(
+        (torch.ones(len(joined)), (joined // num_segments, joined % num_segments)), (num_segments, num_segments)
+    )
+    _, component = connected_components(graph, directed=False)
+    return torch.from_numpy(component).long()[point_labels]
+
+
+def _votes(
+    point_labels: Tensor, planes: Planes, visible: Visible, num_segments: int, config: OcclusionBridgingConfig
+) -> tuple[Tensor, Tensor]:
+    """Of all lines across something nearer: the two segments, low x S + high, and whether the surface goes on."""
+    pairs, goes_on = [], []
+    for across, along in ((visible.row, visible.column), (visible.column, visible.row)):
+        run = _runs(across // config.cell, along // config.cell, visible.z, point_labels[visible.point])
+        left, front, right = (slice(None, -2), slice(1, -1), slice(2, None))
+        z_first, z_last = visible.z[run.first], visible.z[run.last]
+        long_enough = run.length >= MIN_RUN
+        found = (
+            (run.row[left] == run.row[right])
+            & (run.segment[left] != run.segment[right])
+            & (z_first[front] < z_last[left] - config.depth_step)
+            & (z_last[front] < z_first[right] - config.depth_step)
+            & (long_enough[left] & long_enough[front] & long_enough[right])
+        )
+        low = torch.minimum(run.segment[left], run.segment[right])[found]
+        high = torch.maximum(run.segment[left], run.segment[right])[found]
+        pairs.append(low * num_segments + high)
+        ends = visible.point[run.last[left][found]], visible.point[run.first[right][found]]
+        goes_on.append(_goes_on(planes, *ends, config))
+    return torch.cat(pairs), torch.cat(goes_on)
+
+
+def _runs(row: Tensor, column: Tensor, z: Tensor, segment: Tensor) -> Runs:
+    """Runs along the rows of a grid of squares, of each of which the nearest point counts; empty ones are skipped."""
+    square = row * (int(column.max()) + 1 if column.numel() else 1) + column
+    nearest = nearest_in_cells(square, z)
+    row, segment = row[nearest], segment[nearest]
+    start = torch.nonzero(starts_group(row) | starts_group(segment)).squeeze(1)
+    end = torch.cat([start[1:], torch.tensor([len(nearest)])])[: len(start)]
+    return Runs(row[start], segment[start], nearest[start], nearest[end - 1], end - start)
+
+
+def _goes_on(planes: Planes, first: Tensor, second: Tensor, config: OcclusionBridgingConfig) -> Tensor:
+    """[V] bool: whether each of two points lies in the other's plane, and both show the same way."""
+    step = rows_of(planes.mean, second) - rows_of(planes.mean, first)
+    distance = length(step)
+    off = config.flatness + distance / 20
+    one, other = rows_of(planes.normal, first), rows_of(planes.normal, second)
+    in_plane = (dot(one, step).abs() <= off) & (dot(other, step).abs() <= off)
+    return in_plane & (dot(one, other) >= SAME_DIRECTION) & (distance <= config.max_gap)

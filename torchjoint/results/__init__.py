@@ -1,0 +1,1 @@
+"""Results: the folder that a run writes, checkpoints, figures."""

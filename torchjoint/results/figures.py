@@ -1,0 +1,72 @@
+"""Figures, a viewer for the browser, and one colour for one object everywhere."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchjoint.results.label_colors import label_colors
+from torchjoint.results.render import render_cloud
+from torchjoint.scene import Scene, Segmentation
+from torchjoint.scene.subset import spread_indices
+
+
+def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
+    """A matplotlib figure: for some frames the input, the initial and the final segmentation; and the cloud.
+
+    In the final images and in the cloud one colour is one object; pale regions have no point of the cloud. The
+    initial segmentations have ids, and so colours, of their own in every frame.
+    """
+    from matplotlib.figure import Figure
+
+    count = min(num_frames, len(result.images))
+    width = 3.2 * max(count, 3)
+    shape = max((image.shape[0] / image.shape[1] for image in result.initial_images), default=0)
+    frames_height = 3 * (width / max(count, 1) * shape + 0.15) + 0.2 if count else 0.0
+    figure = Figure(figsize=(width, frames_height + 0.38 * width), layout="constrained")
+    if not count:
+        _draw_cloud(figure, scene, result)
+        return figure
+    parts: Any = figure.subfigures(2, 1, height_ratios=[frames_height, 0.38 * width])
+    top, bottom = parts
+    _draw_frames(top, scene, result, spread_indices(len(result.images), num_frames))
+    _draw_cloud(bottom, scene, result)
+    return figure
+
+
+def cloud_figure(scene: Scene, labels: Tensor) -> Any:
+    """A matplotlib figure: the cloud in its colours, and beside it in those of its labels.
+
+    Args:
+        scene: the cloud; its frames, where there are any, tell which way is up.
+        labels: [N] int64, -1 = none.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 4.9), layout="constrained")
+    _draw_cloud(figure, scene, Segmentation(labels, ()))
+    return figure
+
+
+def _draw_frames(figure: Any, scene: Scene, result: Segmentation, chosen: list[int]) -> None:
+    axes = figure.subplots(3, len(chosen), squeeze=False)
+    for column, index in enumerate(chosen):
+        pictures = {
+            "input": scene.frames[index].image.permute(1, 2, 0),
+            "initial": label_colors(result.initial_images[index]),
+            "final": label_colors(result.images[index], result.num_point_segments),
+        }
+        for axis, (name, picture) in zip(axes[:, column], pictures.items(), strict=True):
+            axis.imshow(picture.numpy())
+            axis.set(xticks=[], yticks=[], ylabel=name if column == 0 else "")
+        axes[0, column].set_title(result.names[index], fontsize=8)
+
+
+def _draw_cloud(figure: Any, scene: Scene, result: Segmentation) -> None:
+    colors = scene.colors if scene.colors is not None else torch.full_like(scene.points, 0.7)
+    clouds = {"cloud": colors, f"cloud, {result.num_point_segments} segments": label_colors(result.points)}
+    for axis, (title, paint) in zip(figure.subplots(1, 2), clouds.items(), strict=True):
+        axis.imshow(render_cloud(scene, paint).numpy())
+        axis.set(xticks=[], yticks=[], title=title)

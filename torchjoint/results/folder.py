@@ -1,0 +1,159 @@
+"""A result on disk: the folder that `torchjoint segment` writes and `torchjoint show` opens."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+from zipfile import BadZipFile
+
+import numpy as np
+import torch
+import yaml
+from PIL import Image
+from torch import Tensor
+
+from torchjoint.config import Config, read_yaml
+from torchjoint.datasets.files import write_cloud
+from torchjoint.results.figures import overview
+from torchjoint.results.label_colors import label_colors
+from torchjoint.scene import Scene, Segmentation
+
+#: 16-bit label images hold label + 1, 0 = none.
+MAX_LABEL = 2**16 - 2
+
+
+class PointResult(NamedTuple):
+    """The arrays of `points.npz`."""
+
+    points: Tensor  #: [N, 3] float32 metres
+    labels: Tensor  #: [N] int64
+    colors: Tensor | None  #: [N, 3] float32
+
+
+@contextmanager
+def output_folder(out: Path, source: str, *, overwrite: bool = False) -> Iterator[Path]:
+    """A folder to write into that becomes `out` when all went well; else it stays beside, to be resumed.
+
+    Args:
+        out: the result's folder.
+        source: what the result is made of; the remains of a run from another source are thrown away.
+        overwrite: replace an earlier result, and nothing but a result (a folder with a run.yaml).
+
+    Raises:
+        FileExistsError: `out` exists, and not `overwrite`, or it is not a result; or the place for the partial
+            result beside it is taken by something else.
+    """
+    out = Path(os.path.abspath(out))
+    _check_replaceable(out, overwrite)
+    partial = out.with_name(out.name + ".partial")
+    source_file = partial / "source.txt"
+    if partial.exists() and not source_file.is_file():
+        raise FileExistsError(f"{partial}: is in the way and not of an earlier run; move it, or choose another output")
+    if partial.exists() and source_file.read_text(encoding="utf-8") != source:
+        shutil.rmtree(partial)
+    partial.mkdir(parents=True, exist_ok=True)
+    source_file.write_text(source, encoding="utf-8")
+    try:
+        yield partial
+    except BaseException:
+        if list(partial.iterdir()) == [source_file]:  # nothing to resume: leave nothing behind
+            shutil.rmtree(partial)
+        raise
+    source_file.unlink()
+    trash = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
+    if out.exists():
+        os.replace(out, trash / "old")
+    os.replace(partial, out)
+    shutil.rmtree(trash)
+
+
+def _check_replaceable(out: Path, overwrite: bool) -> None:
+    if out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise FileExistsError(f"{out}: exists and is not a folder; choose another name for the output")
+    if not out.exists():
+        return
+    if not overwrite:
+        raise FileExistsError(f"{out}: exists already; choose another folder, or --overwrite")
+    if any(out.iterdir()) and not (out / "run.yaml").is_file():
+        raise FileExistsError(f"{out}: is no result of torchjoint (it has no run.yaml) and will not be overwritten")
+
+
+def write_result(folder: Path, scene: Scene, result: Segmentation, config: Config, source: str) -> None:
+    """Writes points.ply, points.npz, images/NAME.png, overview.png and run.yaml into a folder.
+
+    Raises:
+        ValueError: more labels than 16-bit images can hold, or two frames of one name.
+    """
+    write_cloud(folder / "points.ply", scene.points, label_colors(result.points), result.points)
+    arrays = {"points": scene.points, "labels": result.points} | (
+        {} if scene.colors is None else {"colors": scene.colors}
+    )
+    np.savez_compressed(folder / "points.npz", **{key: value.numpy() for key, value in arrays.items()})  # type: ignore[arg-type]
+    _write_label_images(folder / "images", result)
+    overview(scene, result).savefig(folder / "overview.png", dpi=100)
+    (folder / "run.yaml").write_text(yaml.safe_dump(_run_record(scene, result, config, source), sort_keys=False))
+
+
+def read_points(folder: Path) -> PointResult:
+    """Reads `points.npz` of a result; errors name the file."""
+    file = folder / "points.npz"
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
+            values = {key: torch.from_numpy(arrays[key]) for key in arrays.files}
+        return PointResult(values["points"], values["labels"], values.get("colors"))
+    except (ValueError, KeyError, OSError, EOFError, BadZipFile) as error:
+        raise ValueError(f"{file}: not a whole result: {error!r}") from error
+
+
+def read_config(folder: Path) -> Config:
+    """The parameters that a result was made with."""
+    file = folder / "run.yaml"
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
+    return read_yaml(file, lambda record: Config.from_dict(record.get("config")), "a record of a run")
+
+
+def _write_label_images(folder: Path, result: Segmentation) -> None:
+    names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"frames: two have the name {twice!r}, and so would their label images")
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for name, labels in zip(names, result.images, strict=True):
+        if int(labels.max()) > MAX_LABEL:
+            raise ValueError(
+                f"image segments: ids up to {int(labels.max())} do not fit 16-bit images (at most {MAX_LABEL}); "
+                "raise image_segments.min_size or point_segments.min_size"
+            )
+        Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{name}.png")
+
+
+def _run_record(scene: Scene, result: Segmentation, config: Config, source: str) -> dict[str, Any]:
+    packages = ("torchjoint", "torch", "kornia", "numpy", "scipy", "open3d", "opencv-contrib-python-headless")
+    return {
+        "scene": source,
+        "counts": {
+            "points": len(scene.points),
+            "frames": len(result.images),
+            "point_segments": result.num_point_segments,
+            "image_segments_without_points": _count_private(result),
+        },
+        "seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
+        "versions": {"python": platform.python_version()} | {name: version(name) for name in packages},
+        "config": config.to_dict(),
+    }
+
+
+def _count_private(result: Segmentation) -> int:
+    last = max((int(labels.max()) for labels in result.images), default=-1)
+    return max(0, last + 1 - result.num_point_segments)

@@ -1,0 +1,79 @@
+"""Pictures of a cloud, drawn with the package's own z-buffer: no window, no graphics card."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchjoint.config import VisibilityConfig
+from torchjoint.points.neighbors import nearest_neighbors
+from torchjoint.scene import Scene
+from torchjoint.views.visibility import visible_points
+
+#: Field of view of the pictures: focal length in image widths.
+FOCAL = 1.15
+
+
+def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640)) -> Tensor:
+    """Draws the cloud from behind and above the cameras (or from a corner, where there are none).
+
+    Args:
+        colors: [N, 3] RGB in [0, 1].
+        size: (H, W) of the picture.
+
+    Returns:
+        [H, W, 3] RGB in [0, 1], white where there is no point.
+    """
+    height, width = size
+    focal = FOCAL * width
+    intrinsics = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
+    spacing = nearest_neighbors(scene.points, 4).spacing.clamp(min=1e-6)
+    config = VisibilityConfig(near=1e-3, far=1e9, footprint=1.0, depth_tolerance=2 * float(spacing.median()))
+    seen = visible_points(scene.points, spacing, intrinsics, _bird_view(scene), size, config)
+    # A point is drawn as a square of its own spacing, the nearest last.
+    far_first = torch.argsort(seen.z, descending=True, stable=True)
+    radius = (0.6 * spacing[seen.point] * focal / seen.z).round().clamp(0, 4).long()[far_first]
+    row, column, paint = seen.row[far_first], seen.column[far_first], colors[seen.point[far_first]]
+    picture, depth = torch.ones(height * width, 3), torch.full((height * width,), -1)
+    order = torch.arange(len(far_first))
+    for down in range(-4, 5):
+        for right in range(-4, 5):
+            here = (radius >= max(abs(down), abs(right))) & _inside(row + down, column + right, size)
+            depth.scatter_reduce_(0, ((row + down) * width + column + right)[here], order[here], "amax")
+    drawn = depth >= 0
+    picture[drawn] = paint[depth[drawn]]
+    return picture.view(height, width, 3)
+
+
+def _inside(row: Tensor, column: Tensor, size: tuple[int, int]) -> Tensor:
+    return (row >= 0) & (row < size[0]) & (column >= 0) & (column < size[1])
+
+
+def _bird_view(scene: Scene) -> Tensor:
+    """World-to-camera pose [4, 4] of a camera that looks down on the middle of the cloud."""
+    points = scene.points[:: max(1, len(scene.points) // 100_000)].double()
+    center = points.median(dim=0).values
+    radius = (points - center).norm(dim=1).quantile(0.9).clamp(min=1e-6)
+    up, forward = _up_and_forward(scene)
+    forward = torch.nn.functional.normalize(forward - 0.9 * up, dim=0)  # down at about 40 degrees
+    right = torch.nn.functional.normalize(torch.linalg.cross(forward, up), dim=0)
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = torch.stack([right, torch.linalg.cross(forward, right), forward])
+    pose[:3, 3] = -(pose[:3, :3] @ (center - 2.6 * radius * forward))
+    return pose
+
+
+def _up_and_forward(scene: Scene) -> tuple[Tensor, Tensor]:
+    """Hand-held and mounted cameras are upright: the mean of their -y is up, the mean of their z where they look."""
+    count = min(16, len(scene.frames))
+    chosen = torch.linspace(0, max(len(scene.frames) - 1, 0), count).long().tolist()
+    rotations = [scene.frames[i].world_to_camera[:3, :3] for i in chosen]
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    forward = torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)
+    if rotations:
+        mean = torch.stack(rotations).mean(0)
+        up = torch.nn.functional.normalize(-mean[1], dim=0)
+        forward = mean[2] - up * (up @ mean[2])
+    if float(forward.norm()) < 1e-3:  # cameras that look straight down, or in all directions
+        forward = torch.linalg.cross(up, up.roll(1))
+    return up, torch.nn.functional.normalize(forward, dim=0)

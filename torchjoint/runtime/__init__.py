@@ -1,0 +1,1 @@
+"""What everything else runs on: threads, the stopwatch, files that are always whole."""

@@ -1,0 +1,145 @@
+"""How work is spread over processors, so that results never depend on how many there are.
+
+A torch operation splits its tensor over threads. Vectorised code handles the middle of each part and scalar code its
+end, and the two may round differently: `atan2` of one element can change with the number of threads. So inside this
+package one operation always runs on one thread. Parallelism comes from whole items (frames, clouds, blocks of edges):
+each is worked on by one Python thread, and several at once, because torch releases the GIL.
+
+The limit of one thread holds for the calling thread alone. ``torch.set_num_threads`` would not do: it also changes what
+every *other* Python thread gets at its first torch operation. Instead the limit goes to OpenMP and MKL directly, which
+keep it thread by thread. So callers may overlap in any way, and what other threads have, or will get, never changes.
+Where torch does not run on OpenMP the limit falls back to ``torch.set_num_threads`` while any caller is inside.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import lru_cache
+from pathlib import Path
+from threading import Lock
+from typing import Any, TypeVar
+
+import torch
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_workers: ContextVar[int | None] = ContextVar("torchjoint_workers", default=None)
+
+
+@contextmanager
+def one_thread_per_operation() -> Iterator[None]:
+    """Within: a torch operation runs on one thread, and :func:`parallel_map` on as many as torch had before."""
+    token = _workers.set(num_threads())
+    try:
+        with _thread_limit(1):
+            yield
+    finally:
+        _workers.reset(token)
+
+
+@contextmanager
+def all_threads() -> Iterator[None]:
+    """Within: compiled operators use all threads again. For those only whose result does not depend on how many."""
+    with _thread_limit(num_threads()):
+        yield
+
+
+def num_threads() -> int:
+    """How many threads the package may use here: as many as torch may; one inside :func:`parallel_map`."""
+    return _workers.get() or torch.get_num_threads()
+
+
+def parallel_map(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
+    """``[function(item) for item in items]`` on several Python threads, in the order of the items."""
+    items = list(items)
+    workers = min(num_threads(), len(items))
+    if workers <= 1:
+        with one_thread_per_operation():
+            return [function(item) for item in items]
+
+    def on_one_thread(item: T) -> R:
+        _workers.set(1)  # nested calls must not spread any further
+        with _thread_limit(1), torch.no_grad():  # gradient mode, too, is a setting of each thread
+            return function(item)
+
+    with one_thread_per_operation(), ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(on_one_thread, items))
+
+
+@contextmanager
+def _thread_limit(count: int) -> Iterator[None]:
+    """Within: a torch operation of the calling thread runs on `count` threads; no other thread sees a difference."""
+    before = torch.get_num_threads()  # also makes a fresh thread take over torch's setting, which would come later
+    set_limit = _openmp_limit()
+    if set_limit is None:
+        with _GLOBAL_LIMIT(count):
+            yield
+        return
+    mkl_before = set_limit(count, count)
+    try:
+        yield
+    finally:
+        set_limit(before, mkl_before)
+
+
+@lru_cache(maxsize=1)
+def _openmp_limit() -> Callable[[int, int], int] | None:
+    """Sets the calling thread's limits (OpenMP's, MKL's; 0 = none of its own) and returns MKL's earlier one.
+
+    None where torch has no OpenMP. A library's handle finds the symbols of what it links to as well, and so the very
+    OpenMP that torch runs on: a process may hold several.
+    """
+    library = _torch_library()
+    openmp = getattr(library, "omp_set_num_threads", None)
+    if openmp is None:
+        return None
+    openmp.argtypes, openmp.restype = [ctypes.c_int], None
+    mkl = getattr(library, "MKL_Set_Num_Threads_Local", None)  # there on x86 alone
+    if mkl is not None:
+        mkl.argtypes, mkl.restype = [ctypes.c_int], ctypes.c_int
+
+    def set_limit(openmp_count: int, mkl_count: int) -> int:
+        openmp(openmp_count)
+        return int(mkl(mkl_count)) if mkl is not None else 0
+
+    return set_limit
+
+
+def _torch_library() -> Any:
+    name = "libtorch_cpu.dylib" if sys.platform == "darwin" else "libtorch_cpu.so"
+    file = Path(torch.__file__).parent / "lib" / name
+    return ctypes.CDLL(str(file)) if file.is_file() else None
+
+
+class _GlobalLimit:
+    """Torch's own setting, changed by the first caller who enters and restored by the last who leaves."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._inside = 0
+        self._before = 1
+
+    @contextmanager
+    def __call__(self, count: int) -> Iterator[None]:
+        """Within: torch's setting is `count`, whoever else is inside."""
+        with self._lock:
+            if self._inside == 0:
+                self._before = torch.get_num_threads()
+            self._inside += 1
+            own_before = torch.get_num_threads()
+            torch.set_num_threads(count)
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._inside -= 1
+                torch.set_num_threads(own_before if self._inside else self._before)
+
+
+_GLOBAL_LIMIT = _GlobalLimit()

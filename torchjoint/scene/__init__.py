@@ -1,0 +1,24 @@
+"""The data of the method: a :class:`Scene` of points and posed :class:`Frame` s, and its :class:`Segmentation`.
+
+Conventions, everywhere in this package (other conventions are converted once, in :mod:`torchjoint.datasets`):
+
+========================  =====================  ==========================================================
+name                      shape, dtype           meaning
+========================  =====================  ==========================================================
+``points``                [N, 3] float32         metres, world frame
+``colors``                [N, 3] float32         RGB in [0, 1]
+``normals``               [N, 3] float32         unit length, world frame
+``image``                 [3, H, W] float32      RGB in [0, 1]
+``intrinsics``            [3, 3] float64         pixels; pixel *centres* have integer coordinates
+``world_to_camera``       [4, 4] float64         rigid; OpenCV axes (x right, y down, z forward)
+``depth``                 [H, W] float32         metres along z; 0 = unknown
+``labels``                int64                  -1 = none
+========================  =====================  ==========================================================
+"""
+
+from torchjoint.scene.frame import Frame
+from torchjoint.scene.scene import Scene
+from torchjoint.scene.segmentation import LabelImages, Segmentation
+from torchjoint.scene.truth import Truth
+
+__all__ = ["Frame", "LabelImages", "Scene", "Segmentation", "Truth"]

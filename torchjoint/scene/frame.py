@@ -1,0 +1,63 @@
+"""One posed image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchjoint.scene.checks import (
+    as_float,
+    as_image,
+    as_intrinsics,
+    as_labels,
+    as_pose,
+    check_shape,
+)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One posed image.
+
+    Args:
+        image: [3, H, W] RGB in [0, 1]; uint8 images are divided by 255, grey ones ([H, W] or [1, H, W]) repeated.
+        intrinsics: [3, 3] camera matrix in pixels of *this* image, pixel centres at integer coordinates.
+        world_to_camera: [4, 4] rigid transform, OpenCV axes. If your poses are camera-to-world, invert them.
+        depth: optional [H, W], metres along the camera's z; 0 = unknown. Never used by the method itself, only to
+            check poses and to fuse a cloud where there is none.
+        labels: optional [H, W] integers, a segmentation of the image to start from (a network's, SAM masks, ...);
+            -1 = none. It replaces steps 1-2 of the method for this frame.
+        name: used for file names and messages.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+    """
+
+    image: Tensor
+    intrinsics: Tensor
+    world_to_camera: Tensor
+    depth: Tensor | None = None
+    labels: Tensor | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        set_ = lambda key, value: object.__setattr__(self, key, value)  # noqa: E731 (frozen: set once, here)
+        set_("image", as_image(self.image, self._called("image")))
+        set_("intrinsics", as_intrinsics(self.intrinsics, self._called("intrinsics")))
+        set_("world_to_camera", as_pose(self.world_to_camera, self._called("world_to_camera")))
+        if self.depth is not None:
+            depth = as_float(self.depth, self._called("depth"), torch.float32)
+            check_shape(depth, self.size, self._called("depth"))
+            set_("depth", depth)
+        if self.labels is not None:
+            set_("labels", as_labels(self.labels, self.size, self._called("labels")))
+
+    def _called(self, argument: str) -> str:
+        return f"{argument} of frame {self.name!r}" if self.name else argument
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W) of the image, pixels."""
+        return self.image.shape[1], self.image.shape[2]

@@ -1,0 +1,87 @@
+"""One point cloud and the frames that were taken of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from torchjoint.scene.checks import (
+    as_float,
+    as_labels,
+    as_points,
+    as_unit_range,
+    check_shape,
+)
+from torchjoint.scene.frame import Frame
+from torchjoint.scene.subset import spread_indices, subset
+from torchjoint.scene.truth import Truth
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One point cloud and the frames that were taken of it.
+
+    Args:
+        points: [N, 3] metres, world frame; N >= 1, finite.
+        frames: a sequence of :class:`Frame`; may be lazy (read at access) and may be empty (plain 3D segmentation).
+        colors: optional [N, 3] RGB in [0, 1].
+        normals: optional [N, 3], showing out of the surface; estimated where absent.
+        name: used in messages.
+        truth: optional, what is known to be right about it; the method never looks at it.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+    """
+
+    points: Tensor
+    frames: Sequence[Frame] = field(default_factory=tuple)
+    colors: Tensor | None = None
+    normals: Tensor | None = None
+    name: str = ""
+    truth: Truth | None = None
+
+    def __post_init__(self) -> None:
+        points = as_points(self.points)
+        object.__setattr__(self, "points", points)
+        if not (hasattr(self.frames, "__len__") and hasattr(self.frames, "__getitem__")):
+            raise TypeError(f"frames: expected a sequence of Frame, got {type(self.frames).__name__}")
+        if self.colors is not None:
+            colors = as_unit_range(self.colors, "colors")
+            check_shape(colors, tuple(points.shape), "colors")
+            object.__setattr__(self, "colors", colors)
+        if self.normals is not None:
+            normals = as_float(self.normals, "normals", torch.float32)
+            check_shape(normals, tuple(points.shape), "normals")
+            length = normals.norm(dim=1, keepdim=True)
+            if float(length.min()) < 1e-3:
+                raise ValueError(f"normals: expected unit vectors, got {int((length < 1e-3).sum())} of length 0")
+            object.__setattr__(self, "normals", normals / length)
+        if self.truth is not None and self.truth.points is not None:
+            as_labels(self.truth.points, (len(points),), "truth.points")
+
+    def select_points(self, keep: Tensor) -> Scene:
+        """The scene with some of its points, in the order of `keep` (a mask [N], or places)."""
+        return replace(
+            self,
+            points=self.points[keep],
+            colors=None if self.colors is None else self.colors[keep],
+            normals=None if self.normals is None else self.normals[keep],
+            truth=None if self.truth is None else self.truth.select_points(keep),
+        )
+
+    def spread_frames(self, most: int) -> Scene:
+        """The scene with at most so many of its frames, evenly spread from the first to the last; they stay lazy."""
+        if most >= len(self.frames):
+            return self
+        return self.select_frames(spread_indices(len(self.frames), most))
+
+    def select_frames(self, indices: Sequence[int]) -> Scene:
+        """The scene with some of its frames, in the order of `indices`; they stay lazy."""
+        return replace(
+            self,
+            frames=subset(self.frames, indices),
+            truth=None if self.truth is None else self.truth.select_frames(indices),
+        )

@@ -1,0 +1,73 @@
+"""Step 4: which points an image sees, and in which pixels."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.config import VisibilityConfig
+from torchjoint.scene.camera import camera_center
+from torchjoint.views.hidden_point_removal import hidden_point_removal
+from torchjoint.views.projection import Projection, _inside, _nearest_pixel, project
+
+
+class Visible(NamedTuple):
+    """The points one image sees, and where: sparse (point, pixel) pairs, one a point."""
+
+    point: Tensor  #: [M] int64, ascending
+    row: Tensor  #: [M] int64, of the pixel the point falls in
+    column: Tensor  #: [M] int64
+    u: Tensor  #: [M] float32, exact column
+    v: Tensor  #: [M] float32, exact row
+    z: Tensor  #: [M] float32, metres along the optical axis
+
+
+def visible_points(
+    points: Tensor,
+    spacing: Tensor,
+    intrinsics: Tensor,
+    world_to_camera: Tensor,
+    size: tuple[int, int],
+    config: VisibilityConfig,
+) -> Visible:
+    """The points that one camera sees: in front of it, inside the frame, and not hidden by other points.
+
+    Args:
+        points: [N, 3] float32, world frame.
+        spacing: [N] metres, distance of a point to its neighbours (z-buffer only).
+        intrinsics: [3, 3].
+        world_to_camera: [4, 4].
+        size: (H, W) pixels.
+    """
+    margin = config.margin if config.method == "hidden_point_removal" else 0.0
+    projected = project(points, intrinsics, world_to_camera, size, config, margin)
+    if config.method == "hidden_point_removal":
+        center = camera_center(world_to_camera)
+        projected = projected.select(hidden_point_removal(points[projected.point], center, config.radius_factor))
+        projected = projected.select(_inside(projected.u, projected.v, size))
+    else:
+        projected = projected.select(zbuffer_visible(projected, spacing, float(intrinsics[0, 0]), size, config))
+    row, column = (_nearest_pixel(values) for values in (projected.v, projected.u))
+    return Visible(projected.point, row, column, projected.u, projected.v, projected.z)
+
+
+def zbuffer_visible(
+    projected: Projection, spacing: Tensor, focal: float, size: tuple[int, int], config: VisibilityConfig
+) -> Tensor:
+    """Visibility by a z-buffer in which every point is a square as wide as its own spacing.
+
+    One width for all points would see through the sparse parts of a cloud, or fatten the dense ones.
+
+    Returns:
+        [M] bool.
+    """
+    width = spacing[projected.point]
+    reach = (config.footprint * width * focal / projected.z).round().clamp(max=config.max_footprint).to(torch.int64)
+    row, column = _nearest_pixel(projected.v), _nearest_pixel(projected.u)
+    nearest = ops.splat_depth(row, column, projected.z, reach, *size)
+    # On a slanted surface the splat of a neighbour may lie in front of a point by as much as their distance.
+    tolerance = config.depth_tolerance + config.slant_tolerance * width
+    return projected.z <= nearest[row, column] + tolerance
