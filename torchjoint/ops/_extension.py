@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 
 import torch  # noqa: F401  the extension links to the libraries that torch has loaded
@@ -24,6 +25,6 @@ def _missing_extension(error: ImportError) -> str:
 
 
 try:
-    from torchjoint import _C  # type: ignore[attr-defined]  # noqa: F401
+    import_module("torchjoint._C")
 except ImportError as error:
     raise ImportError(_missing_extension(error)) from error
