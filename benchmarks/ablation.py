@@ -1,7 +1,7 @@
-"""What each stage buys: `python benchmarks/ablation.py SUITE [--data FOLDER]`.
+"""Ablation study: `python benchmarks/ablation.py SUITE [--data FOLDER]`.
 
-The package's preset for the suite, and the same with one stage switched off, switched on or replaced by something
-simpler; scene by scene, so that differences have standard errors.
+Runs the package's preset for the suite, then the same with one stage switched off, switched on or replaced by a simpler
+stage. Differences are paired by scene, so that they have standard errors.
 """
 
 import argparse
@@ -25,12 +25,12 @@ from torchjoint.benchmark.suites import Suite
 from torchjoint.config import Config
 from torchjoint.evaluation.table import Row, markdown, standard_error, write_csv
 
-#: A weight that decides nothing but switches no image off: agreement and confirmation stay as they are.
+#: A weight without effect on decisions, but not 0, which would switch off the images: agreement and image support stay.
 NEXT_TO_NOTHING = 1e-9
 
 
 class Switch(NamedTuple):
-    """A stage: off where the preset has it, on where the preset has not."""
+    """An ablation of one stage: off if the preset has the stage, on if the preset does not."""
 
     title: str
     off: Setting
@@ -41,36 +41,36 @@ class Switch(NamedTuple):
 IMAGE_LABELS = tuple(
     Switch(title, {f"refinement.{name}": value for name, value in off.items()}, changes_points=False)
     for title, off in (
-        ("spreading (cuts, as in the paper)", {"method": "cuts"}),
-        ("colours and boundaries in spreading (nearest point)", {"color_weight": 0, "boundary_weight": 0}),
-        ("colours in spreading", {"color_weight": 0}),
-        ("boundaries in spreading", {"boundary_weight": 0}),
+        ("geodesic label propagation (cuts, as in the paper)", {"method": "cuts"}),
+        ("colours and boundaries in label propagation (nearest point)", {"color_weight": 0, "boundary_weight": 0}),
+        ("colours in label propagation", {"color_weight": 0}),
+        ("boundaries in label propagation", {"boundary_weight": 0}),
         ("removal of specks in images", {"min_points": 1}),
-        ("ids of their own for unseen image segments", {"unseen": 1e9}),
+        ("separate ids for unseen image segments", {"unseen": 1e9}),
     )
 )
 REGIONS = (
     Switch("images in 3D", {"propagation.weight": 0}),
-    Switch("images on borders", {"propagation.weight": NEXT_TO_NOTHING, "region_merging.agreement": 0}),
-    Switch("disagreement on borders", {"propagation.weight": NEXT_TO_NOTHING}),
-    Switch("agreement on borders", {"region_merging.agreement": 0}),
+    Switch("images in region merging", {"propagation.weight": NEXT_TO_NOTHING, "region_merging.agreement": 0}),
+    Switch("disagreement of images in region merging", {"propagation.weight": NEXT_TO_NOTHING}),
+    Switch("agreement of images in region merging", {"region_merging.agreement": 0}),
     Switch("pieces", {"pieces.threshold": None}, {"pieces.threshold": 0.03}),
-    Switch("confirmation by images", {"image_support.min_size": 0}, {"image_support.min_size": 500}),
-    Switch("bridges", {"occlusion_bridging.min_votes": None}, {"occlusion_bridging.min_votes": 4}),
-    Switch("convexity on borders", {"point_graph.convex_factor": 1}),
+    Switch("image support", {"image_support.min_size": 0}, {"image_support.min_size": 500}),
+    Switch("occlusion bridging", {"occlusion_bridging.min_votes": None}, {"occlusion_bridging.min_votes": 4}),
+    Switch("convexity in region merging", {"point_graph.convex_factor": 1}),
     Switch("small regions (planes are those of all neighbours)", {"regions.scale": 0}),
     *IMAGE_LABELS,
 )
 SCAN = (
     Switch("feet", {"scan.foot_distance": 0}),
     Switch("removal of bumps from the ground", {"scan.max_bump": 1e3}),
-    Switch("a limit to joining what is small", {"scan.joining_gap": 1e6}),
-    Switch("joining of what is small", {"scan.min_size": 0}),
+    Switch("the distance limit for joining small segments", {"scan.joining_gap": 1e6}),
+    Switch("joining of small segments", {"scan.min_size": 0}),
     Switch("growth of the gap with distance", {"scan.gap_growth": 0}),
     *IMAGE_LABELS,
 )
 
-#: Columns of the table: space, and what is measured there.
+#: Columns of the table: space and score.
 COLUMNS = tuple(("3D", name) for name in ("F", "best IoU", "flat IoU")) + tuple(
     ("2D", name) for name in ("F", "best IoU")
 )
@@ -86,7 +86,7 @@ def main() -> None:
     suite = suite_arguments.suite_of(arguments)
     part = f"ablation {suite.name}"
     if arguments.page:
-        report.check_part(part, arguments.page)  # before hours of work
+        report.check_part(part, arguments.page)  # an error must come before hours of work
     methods, settings = variants(suite)
     rows: list[Row] = []
     for of_scene in compare(suite, methods, settings, arguments.data, arguments.half):
@@ -100,7 +100,7 @@ def main() -> None:
 
 
 def variants(suite: Suite) -> tuple[list[Method], Mapping[str, Setting]]:
-    """The full method and those that lack a stage, each with its setting; those that would be the same are left out."""
+    """Returns the full method and its ablations, each with its setting; ablations without any effect are left out."""
     preset = Config.from_preset(suite.preset)
     switches = SCAN if preset.point_segments.method == "scan" else REGIONS
     found = {preset: Method("joint", f"full method, preset {suite.preset}", joint)}
@@ -110,7 +110,7 @@ def variants(suite: Suite) -> tuple[list[Method], Mapping[str, Setting]]:
         if config not in found:
             like = None if switch.changes_points else "joint"
             found[config] = Method(switch.title, f"{word} {switch.title}", partial(_run, setting), like=like)
-    # The rest sees the scene otherwise; what was seen is kept for the last config only, and so this comes at the end.
+    # The rest sees the scene differently. Only the views of the last config are cached, so the rest comes at the end.
     tuned = read_settings(suite.tuned_as or suite.name).get("edges", {})
     title = f"without {preset.point_segments.method} (edges, as in the paper, at their best setting)"
     return [*found.values(), replace(METHODS["edges"], title=title)], {"edges": tuned}
@@ -121,7 +121,7 @@ def _run(setting: Setting, case: Case, _: Setting, images: bool) -> Result:
 
 
 def table(rows: Sequence[Row], methods: Sequence[Method], suite: Suite, half: str) -> str:
-    """The full method's scores, and what each of the others is better or worse by."""
+    """Returns a table of the full method's scores, and of the other methods' differences to them."""
     scenes = len({row.scene for row in rows})
     values = {(row.method, row.space, name, row.scene): v for row in rows for name, v in measured(row).items()}
     columns = [column for column in COLUMNS if any(key[1:3] == column for key in values)]
@@ -138,13 +138,13 @@ def table(rows: Sequence[Row], methods: Sequence[Method], suite: Suite, half: st
 
 
 def measured(row: Row) -> dict[str, float]:
-    """The values of a row that the table shows."""
+    """Returns the values of a row that the table shows."""
     flat = {"flat IoU": row.kinds["flat"]} if "flat" in row.kinds else {}
     return {"F": row.scores.f, "best IoU": row.scores.best_iou, **flat}
 
 
 def cell(values: Mapping[tuple[str, str, str, str], float], method: str, space: str, name: str) -> str:
-    """A mean of the full method; of another the mean of its differences to that."""
+    """Returns the mean of the full method; for another method, the mean difference to the full method."""
     of_method = {key[3]: value for key, value in values.items() if key[:3] == (method, space, name)}
     if not of_method:
         return ""
@@ -152,7 +152,7 @@ def cell(values: Mapping[tuple[str, str, str, str], float], method: str, space: 
         return f"{fmean(of_method.values()):.3f}"
     differences = [v - values["joint", space, name, scene] for scene, v in of_method.items()]
     mean, error = fmean(differences), standard_error(differences)
-    text = f"{round(mean, 3) + 0:+.3f}"  # + 0: no minus before a zero
+    text = f"{round(mean, 3) + 0:+.3f}"  # + 0: no minus sign before a zero
     if len(differences) == 1:
         return text
     text = f"{text} ± {error:.3f}"

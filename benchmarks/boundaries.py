@@ -1,10 +1,10 @@
 """Boundary detectors on BSDS500: `python benchmarks/boundaries.py BSDS_DIR FOREST`.
 
-FOREST is one that has not seen val: `torchjoint train-boundaries BSDS_DIR --splits train -o FOREST`.
+FOREST must not be trained on val: `torchjoint train-boundaries BSDS_DIR --splits train -o FOREST`.
 
-Boundaries: ODS, OIS and AP on val. Regions: the image segmentation by colours alone and with each detector's
-boundaries, as they are and closed, at the one of `--settings` random settings that is best on one half of val;
-scored on the other half, and the other way round. (Not chosen on train, which the forest knows by heart.)
+Boundaries: ODS, OIS and AP on val. Regions: the image segmentation by colour alone, and with each detector's
+boundaries, raw and closed. The best of `--settings` random settings is chosen on one half of val and scored on the
+other half, and vice versa. (Settings are not chosen on train, since the forest is trained on it.)
 """
 
 import argparse
@@ -29,7 +29,7 @@ COLUMNS = ["covering", "symmetric", "F objects and parts"]
 
 
 class Kept:
-    """A detector's boundaries, each made once."""
+    """A detector that caches its boundaries by image."""
 
     def __init__(self, detector: nn.Module) -> None:
         self.detector = detector
@@ -78,7 +78,7 @@ def write(part: str, table: str) -> None:
 def boundary_table(detectors: dict[str, Kept], val: Sequence[BsdsImage], thresholds: int) -> str:
     rows = []
     for name, detector in detectors.items():
-        for record in val:  # one after the other, for the sake of the time
+        for record in val:  # one after the other, to measure the time
             detector(record)
         scores = evaluate_predictions(detector, val, thresholds, progress=True)
         milliseconds = detector.seconds / len(val) * 1000
@@ -123,7 +123,7 @@ def compared(each: Sequence[RegionScores], first: Sequence[RegionScores]) -> lis
 
 
 def draw(count: int, way: str, seed: int = 0) -> list[RegionSetting]:
-    """Parameters at random, most of them evenly on a logarithmic scale, in ranges found by wider searches before."""
+    """Draws random settings, most parameters uniform on a logarithmic scale, in ranges from earlier, wider searches."""
     random = np.random.default_rng(seed)
 
     def between(low: float, high: float) -> float:

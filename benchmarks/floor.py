@@ -1,4 +1,4 @@
-"""The floor under a graph segmentation with edges given: floor.cpp, compiled with the system's C++ compiler."""
+"""A lower bound for the time of graph segmentation with given edges: floor.cpp, compiled with the system's compiler."""
 
 import ctypes
 import subprocess
@@ -12,7 +12,7 @@ from torch import Tensor
 
 
 def argsort_floor(weight: Tensor) -> Callable[[], None]:
-    """A function that argsorts float32 weights [E] by a bare radix sort, in memory that it has ready."""
+    """Returns a function that argsorts float32 weights [E] by a plain radix sort, in preallocated memory."""
     first, second = torch.ones(2, len(weight), 2, dtype=torch.int32)
 
     def run() -> None:

@@ -1,8 +1,8 @@
-"""What joint segmentation of a frame costs, against structured edges: `python benchmarks/frame.py [FOLDER]`.
+"""Time of joint segmentation per frame, relative to structured edges: `python benchmarks/frame.py [FOLDER]`.
 
-FOLDER is a recording in the style of 7-Scenes, and may be left out; the other scene is synthetic. The yardstick is
-OpenCV's structured-edge detector by itself, with the package's forest, on the same frames and with as many threads.
-Both are run in turn, several times over; every figure is the median of the rounds.
+FOLDER is a recording in the style of 7-Scenes (optional); the other scene is synthetic. The reference is OpenCV's
+structured-edge detector alone, with the package's forest, on the same frames and with the same number of threads.
+Both run in turn, for several rounds; each figure is the median of the rounds.
 """
 
 import argparse
@@ -21,13 +21,13 @@ from torch import nn
 
 import torchjoint as tj
 
-#: Stages of the stopwatch that are a frame's own, in the order of the method.
+#: Stages of the stopwatch that run per frame, in the order of the method.
 STAGES = ("boundaries", "image segments", "visibility", "propagation", "image labels")
 BATCH = 8
 
 
 class Given(nn.Module):
-    """Hands out boundaries that were made before, batch by batch."""
+    """A detector that returns precomputed boundaries, batch by batch."""
 
     def __init__(self, boundaries: Sequence[torch.Tensor]) -> None:
         super().__init__()
@@ -45,7 +45,7 @@ def milliseconds(function: Callable[[], object], num_frames: int) -> float:
 
 
 def measure(scene: tj.Scene, rounds: int) -> dict[str, float]:
-    """Medians over rounds, milliseconds a frame."""
+    """Returns medians over the rounds, milliseconds per frame."""
     frames = list(scene.frames)
     boundaries = tj.JointSegmenter().image_segmenter.boundary(torch.stack([frame.image for frame in frames]))
     images = [np.ascontiguousarray(frame.image.permute(1, 2, 0).numpy()) for frame in frames]

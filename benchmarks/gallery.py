@@ -1,7 +1,7 @@
-"""Results on real data for the README: `python benchmarks/gallery.py OUT.png TITLE=RESULT ...`.
+"""Draws results on real data for the README: `python benchmarks/gallery.py OUT.png TITLE=RESULT ...`.
 
-Each RESULT is a folder that `torchjoint segment` wrote. Only what was computed is drawn, no photograph: the final
-images and the cloud, where one colour is one object.
+Each RESULT is a folder that `torchjoint segment` wrote. The figure shows only computed results, no photographs: the
+final label images and the cloud; one colour is one object.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""What the operators are timed on: real photographs, rooms full of points, and cuts easy and hard."""
+"""Inputs for timing the operators: real photographs, rooms of points, and easy and hard minimum cuts."""
 
 import math
 from functools import lru_cache
@@ -26,19 +26,19 @@ class Cut(NamedTuple):
     capacity: Tensor
     source: Tensor
     sink: Tensor
-    grid: tuple[int, int] | None = None  # size, if it is one
+    grid: tuple[int, int] | None = None  # size, if the graph is a grid
 
 
 @lru_cache(maxsize=4)
 def photograph(height: int, width: int) -> Tensor:
-    """[3, H, W] in [0, 1], with a little noise, so that no two weights are equal."""
+    """Returns an image [3, H, W] in [0, 1] with little noise, so that no two weights are equal."""
     photo = cv2.resize(skimage.data.coffee(), (width, height), interpolation=cv2.INTER_CUBIC)
     noise = torch.rand(3, height, width, generator=torch.Generator().manual_seed(0))
     return (torch.from_numpy(photo).permute(2, 0, 1).contiguous() + noise) / 256
 
 
 def image_graph(image: Tensor) -> Graph:
-    """The edge list of an image, boundaries included."""
+    """Returns the edge list of an image, with weights from colours and boundaries."""
     height, width = image.shape[1:]
     config = ImageGraphConfig(smoothing=0.0, color_weight=1.0, boundary_weight=0.3)
     weight = pixel_weights(image, GradientBoundary()(image[None])[0], config)
@@ -46,7 +46,7 @@ def image_graph(image: Tensor) -> Graph:
 
 
 def room(num_points: int, noise: float = 0.003) -> Tensor:
-    """[N, 3] points on the six sides of a room of 6 x 5 x 3 m and on boxes in it, in no order."""
+    """Returns [N, 3] points on the six sides of a room of 6 x 5 x 3 m and on boxes in it, metres, in random order."""
     rng = np.random.default_rng(0)
     sizes = [(np.zeros(3), np.array([6.0, 5.0, 3.0]))]
     for _ in range(30):
@@ -63,9 +63,9 @@ def room(num_points: int, noise: float = 0.003) -> Tensor:
 
 
 def image_cut(size: int, seeds: int = 40, soft: bool = False, number: int = 0) -> Cut:
-    """A photograph's pixel graph as refinement cuts it: exp(-w / mean w), seeds left and right (or soft terminals).
+    """Returns a photograph's pixel graph as in refinement: exp(-w / mean w), seeds left and right (or soft terminals).
 
-    `number`: which part of the photograph, and which seeds.
+    `number`: selects the part of the photograph and the seeds.
     """
     top, left = 50 + 37 * number % 200, 100 + 71 * number % 300
     image = photograph(480, 640)[:, top : top + size, left : left + size].contiguous()
@@ -88,7 +88,7 @@ def equal_capacities(size: int) -> Cut:
 
 
 def chain(length: int, terminals_every: int) -> Cut:
-    """A long thin chain with random capacities and random terminals here and there."""
+    """Returns a chain with random capacities, and random terminals at one of `terminals_every` nodes on average."""
     generator = torch.Generator().manual_seed(0)
     nodes = torch.arange(length)
     source, sink = torch.rand(2, length, generator=generator, dtype=torch.float64)
@@ -102,7 +102,7 @@ def chain(length: int, terminals_every: int) -> Cut:
 
 
 def bottleneck(size: int) -> Cut:
-    """Two grids with strong edges, joined by one weak one."""
+    """Returns two grids with strong edges, connected by one weak edge."""
     grid = grid_edges(size, size)
     count = size * size
     generator = torch.Generator().manual_seed(0)
@@ -116,7 +116,7 @@ def bottleneck(size: int) -> Cut:
 
 
 def sparse(num_nodes: int) -> Cut:
-    """A random graph of mean degree 6, with terminals everywhere."""
+    """Returns a random graph of mean degree 6 with terminals at all nodes."""
     generator = torch.Generator().manual_seed(0)
     edges = torch.randint(num_nodes, (2, 3 * num_nodes), generator=generator)
     capacity = torch.rand(3 * num_nodes, generator=generator, dtype=torch.float64)
@@ -125,5 +125,5 @@ def sparse(num_nodes: int) -> Cut:
 
 
 def square_of(num_edges: float) -> int:
-    """Side of the square image with about so many edges."""
+    """Returns the side of a square image with about `num_edges` edges."""
     return round(math.sqrt(num_edges / 4))

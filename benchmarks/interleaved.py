@@ -1,4 +1,4 @@
-"""Times of rival functions: taken turn by turn, so that whatever else the machine does falls on all of them alike."""
+"""Times several functions in turn, so that other load on the machine affects all of them equally."""
 
 import gc
 import statistics
@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 
 def medians(functions: dict[str, Callable[[], object]], seconds: float = 3.0, least: int = 3) -> dict[str, float]:
-    """Median milliseconds of each function: one call of each in turn, for about so many seconds."""
+    """Returns median milliseconds of each function: one call of each in turn, for about `seconds` seconds."""
     times: dict[str, list[float]] = {name: [] for name in functions}
-    for function in functions.values():  # the first call pays for what is set up once
+    for function in functions.values():  # the first call includes one-time setup
         function()
     gc.collect()
     gc.disable()

@@ -1,4 +1,4 @@
-"""Seconds by stage on a real recording: `python benchmarks/kitchen.py FOLDER`, a folder in the style of 7-Scenes."""
+"""Seconds per stage on a real recording: `python benchmarks/kitchen.py FOLDER`, a folder in the style of 7-Scenes."""
 
 import argparse
 import time

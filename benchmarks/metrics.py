@@ -1,7 +1,7 @@
-"""What measures cost on a million points: `python benchmarks/metrics.py` (half a minute).
+"""Time of the metrics on a million points: `python benchmarks/metrics.py` (half a minute).
 
-Points of a square, in no order; regions are the cells of random seeds, a tenth of the true ones void. Medians of five
-calls, on one thread, of processor time.
+Points of a square in random order; regions are the Voronoi cells of random seeds; a tenth of the true regions is void.
+Medians of five calls, on one thread, in processor time.
 """
 
 import statistics

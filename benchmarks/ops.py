@@ -1,7 +1,7 @@
-"""The graph operators against everything else that is installed: `python benchmarks/ops.py [--largest EDGES]`.
+"""Times the graph operators and the other installed libraries: `python benchmarks/ops.py [--largest EDGES]`.
 
-Times are medians of calls taken turn by turn, on one thread. What is compared, on what, stands in peers.py and
-instances.py. PyMaxflow (GPL) and OR-tools take part where somebody has installed them; nothing here needs them.
+Times are medians of calls in turn, on one thread. peers.py has the other libraries, instances.py the inputs. PyMaxflow
+(GPL) and OR-tools are included if they are installed; nothing here requires them.
 """
 
 import argparse
@@ -68,7 +68,7 @@ def main() -> None:
 
 
 def edge_lists() -> str:
-    """felzenszwalb against the floor."""
+    """Table: felzenszwalb and its lower bound (floor.py)."""
     rows = []
     graphs = {f"8-connected {name}": image_graph(photograph(*size)) for name, size in SIZES.items()}
     graphs["kNN-16 of 150,000 points"] = point_graph(150_000)
@@ -94,7 +94,7 @@ def point_graph(num_points: int) -> Graph:
 
 
 def images() -> str:
-    """From pixels to labels."""
+    """Table: image segmentation, from pixels to labels."""
     names, rows = [], []
     for name, size in SIZES.items():
         image = photograph(*size)
@@ -142,7 +142,7 @@ def cuts() -> str:
 
 
 def threads() -> str:
-    """Two calls by two Python threads at once, against one alone."""
+    """Table: two simultaneous calls in two Python threads, and a single call."""
     graph, image, cut = image_graph(photograph(480, 640)), photograph(480, 640), image_cut(200)
     functions = {
         "felzenszwalb, 640x480": lambda: tj.ops.felzenszwalb(*graph, SCALE, MIN_SIZE),
@@ -159,7 +159,7 @@ def threads() -> str:
 
 
 def growth(edges: np.ndarray) -> None:
-    """A plot of time against size."""
+    """Plots time over size."""
     curves: dict[str, dict[float, float]] = {}
     for count in edges:
         side = square_of(count)

@@ -1,4 +1,4 @@
-"""Other people's implementations of what torchjoint does, as far as they are installed."""
+"""Implementations of the same operators in other libraries, if these are installed."""
 
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -27,7 +27,7 @@ def image_segmenters(image: Tensor, scale: float, min_size: int) -> dict[str, Ca
 
 
 def cutters(cut: Cut) -> dict[str, Callable[[], object]]:
-    """Minimum cuts from the same tensors: build, solve, labels."""
+    """Minimum cuts from the same tensors; each function builds the graph, solves it, and returns labels."""
     found = {"SciPy": _scipy_cut(cut)}
     if find_spec("maxflow") is not None:
         found |= {f"PyMaxflow {name}": run for name, run in _pymaxflow_cuts(cut).items()}
@@ -37,20 +37,20 @@ def cutters(cut: Cut) -> dict[str, Callable[[], object]]:
 
 
 def best_of_each(times: dict[str, float]) -> dict[str, float]:
-    """The fastest of PyMaxflow's ways stands for PyMaxflow."""
+    """Keeps only the fastest of PyMaxflow's variants."""
     ways = [taken for name, taken in times.items() if name.startswith("PyMaxflow")]
     rest = {name: taken for name, taken in times.items() if not name.startswith("PyMaxflow")}
     return rest | ({"PyMaxflow, its fastest way": min(ways)} if ways else {})
 
 
 def _finite(cut: Cut) -> tuple[np.ndarray, np.ndarray]:
-    """Terminal capacities with infinity replaced by more than all edges together."""
+    """Terminal capacities; infinity is replaced by more than the sum of all edges."""
     enough = float(cut.capacity.sum()) + 1
     return tuple(terminal.clamp(max=enough).numpy() for terminal in (cut.source, cut.sink))
 
 
 def _pymaxflow_cuts(cut: Cut) -> dict[str, Callable[[], np.ndarray]]:
-    """The ways there are: integers (of 30 bits) or floats, edges as lists or, of a grid, as layers."""
+    """PyMaxflow's variants: integers (of 30 bits) or floats; edges as lists or, for a grid, as layers."""
     import maxflow
 
     unit = 2**30 / float(cut.capacity.max())
@@ -101,7 +101,7 @@ def _by_layers(
 
 
 def _grid_layers(cut: Cut) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Edge weights of a grid as PyMaxflow wants them: an array [H, W] and a 3 x 3 structure for each direction."""
+    """Edge weights of a grid in PyMaxflow's format: per direction an array [H, W] and a 3 x 3 structure."""
     height, width = cut.grid
     first, second = cut.edge_index.numpy()
     layers = []
@@ -116,7 +116,7 @@ def _grid_layers(cut: Cut) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _scipy_cut(cut: Cut) -> Callable[[], object]:
-    """With capacities rounded to 20 bits: SciPy takes 32-bit integers only."""
+    """SciPy's minimum cut, with capacities rounded to 20 bits: SciPy supports only 32-bit integers."""
     unit = 2**20 / float(cut.capacity.max())
     count = len(cut.source)
     first, second = cut.edge_index.numpy()
@@ -157,7 +157,7 @@ def _ortools_cut(cut: Cut) -> Callable[[], object]:
 
 
 def check_cuts_agree(cut: Cut, ours: Tensor) -> None:
-    """Raises unless PyMaxflow, where it is installed, finds a cut of the same value."""
+    """Raises AssertionError if PyMaxflow is installed and finds a cut of another value."""
     if find_spec("maxflow") is None:
         return
     source, sink = (torch.from_numpy(terminal) for terminal in _finite(cut))

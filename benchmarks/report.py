@@ -1,4 +1,4 @@
-"""Tables of benchmarks/README.md: each benchmark rewrites its own part, between two marks."""
+"""Writes the tables of benchmarks/README.md: each benchmark rewrites its own part, between two marks."""
 
 import platform
 import re
@@ -10,13 +10,13 @@ README = Path(__file__).parent / "README.md"
 
 
 def check_part(name: str, page: Path = README) -> None:
-    """Raises ValueError if the page has no such part."""
+    """Raises ValueError if the page does not have this part."""
     if not page.is_file() or not _part(name).search(page.read_text(encoding="utf-8")):
         raise ValueError(f"{page}: no part <!-- {name} --> ... <!-- end {name} -->")
 
 
 def write_part(name: str, text: str, page: Path = README) -> None:
-    """Replaces what stands between `<!-- name -->` and `<!-- end name -->`."""
+    """Replaces the text between `<!-- name -->` and `<!-- end name -->`."""
     check_part(name, page)
     before = page.read_text(encoding="utf-8")
     page.write_text(_part(name).sub(lambda match: f"{match[1]}{text.rstrip()}\n{match[2]}", before), encoding="utf-8")
@@ -27,13 +27,13 @@ def _part(name: str) -> re.Pattern[str]:
 
 
 def table(columns: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table, numbers to the right."""
+    """Returns a Markdown table with numbers aligned to the right."""
     lines = [f"| {' | '.join(columns)} |", f"|{'|'.join(['---', *['---:'] * (len(columns) - 1)])}|"]
     return "\n".join(lines + [f"| {' | '.join(row)} |" for row in rows])
 
 
 def machine() -> str:
-    """One line on where the numbers come from."""
+    """Returns one line about the machine that measured the numbers."""
     model = next(
         (line.split(":")[1].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")),
         platform.processor(),

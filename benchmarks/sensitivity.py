@@ -1,7 +1,6 @@
-"""How much the parameters matter: `python benchmarks/sensitivity.py SUITE [--data FOLDER] [--scenes COUNT]`.
+"""Parameter sensitivity: `python benchmarks/sensitivity.py SUITE [--data FOLDER] [--scenes COUNT]`.
 
-One parameter at a time takes values around that of the suite's preset, on the suite's tuning half. Draws
-docs/sensitivity-SUITE.png.
+Varies one parameter at a time around the suite's preset, on the suite's tuning half. Draws docs/sensitivity-SUITE.png.
 """
 
 import argparse
@@ -19,7 +18,7 @@ from torchjoint.benchmark.case import Case
 from torchjoint.benchmark.methods import METHODS, changed
 from torchjoint.benchmark.search import run_scores
 from torchjoint.benchmark.suites import Suite, load_all
-from torchjoint.config import Config, what_is_seen
+from torchjoint.config import Config, evidence_config
 from torchjoint.evaluation.scores import Scores
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -66,13 +65,13 @@ SCAN = {
 
 
 class Panel(NamedTuple):
-    """One parameter, and what comes of its values."""
+    """One parameter, its values and their scores."""
 
     name: str
     preset: Any
-    values: list[Any]  #: ascending, that of the preset among them
+    values: list[Any]  #: ascending, with the preset's value
     space: str  #: "3D" or "2D"
-    means: list[Scores]  #: over the scenes, by value
+    means: list[Scores]  #: over the scenes, one per value
 
 
 def main() -> None:
@@ -91,7 +90,7 @@ def main() -> None:
 
 
 def panels(suite: Suite, data: Path | None) -> list[Panel]:
-    """Every parameter's values, run on all scenes; without those of images that have no truth."""
+    """Runs every parameter's values on all scenes; leaves out image parameters if no image has ground truth."""
     preset = Config.from_preset(suite.preset)
     ranges = SCAN if preset.point_segments.method == "scan" else REGIONS
     spaces = dict.fromkeys(ranges, "3D") | dict.fromkeys(IMAGE_LABELS, "2D")
@@ -118,19 +117,19 @@ def panels(suite: Suite, data: Path | None) -> list[Panel]:
 
 
 def by_what_is_seen(preset: Config, runs: Sequence[tuple[str, Any, str]]) -> list[tuple[str, Any, str]]:
-    """First the runs for which a scene is seen as by the preset: only what was seen last is kept."""
-    seen = what_is_seen(preset)
-    return sorted(runs, key=lambda run: what_is_seen(changed(preset, {run[0]: run[1]})) != seen)
+    """Sorts the runs: first those that see a scene as the preset does, since only the last views are cached."""
+    seen = evidence_config(preset)
+    return sorted(runs, key=lambda run: evidence_config(changed(preset, {run[0]: run[1]})) != seen)
 
 
 def value_in(config: Config, name: str) -> Any:
-    """Of stage.parameter."""
+    """Returns the value of stage.parameter."""
     stage, _, parameter = name.partition(".")
     return getattr(getattr(config, stage), parameter)
 
 
 def with_preset(values: Sequence[Any], preset: Any) -> list[Any]:
-    """Ascending; null, which switches a stage off, comes first."""
+    """Returns the values with the preset's, ascending; None, which switches a stage off, comes first."""
     return sorted({*values, preset}, key=lambda value: -1 if value is None else value)
 
 
@@ -143,7 +142,7 @@ def mean(scores: Sequence[Scores]) -> Scores:
 
 
 def draw(found: Sequence[Panel], suite: Suite, columns: int = 4) -> Figure:
-    """A small plot for each parameter, all of one scale."""
+    """Draws a small plot per parameter, all with the same scale."""
     rows = -(-len(found) // columns)
     figure = Figure(figsize=(3.1 * columns, 1.8 * rows + 0.5), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).flat
@@ -160,7 +159,7 @@ def draw(found: Sequence[Panel], suite: Suite, columns: int = 4) -> Figure:
 
 
 def draw_panel(axis: Axes, panel: Panel, all_panels: Sequence[Panel]) -> None:
-    """Values stand evenly spaced, whatever they are: most are steps of a factor, and some are 0."""
+    """Draws one plot with evenly spaced values: most values are multiplicative steps, and some are 0."""
     places = range(len(panel.values))
     axis.plot(places, [scores.f for scores in panel.means], marker=".")
     axis.plot(places, [scores.best_iou for scores in panel.means], marker=".")

@@ -1,4 +1,4 @@
-"""All measurements of speed, one after the other: `python benchmarks/speed.py [FOLDER]`, a recording for frame.py."""
+"""Runs all speed measurements: `python benchmarks/speed.py [FOLDER]`; FOLDER is a recording for frame.py."""
 
 import subprocess
 import sys

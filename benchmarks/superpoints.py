@@ -1,7 +1,7 @@
-"""Superpoints in one call against the same work done by hand: `python benchmarks/superpoints.py [--large POINTS]`.
+"""Times superpoints in one call and the same work by hand: `python benchmarks/superpoints.py [--large POINTS]`.
 
-By hand means the best public parts: Open3D's neighbours, its normals or torch's eigenvectors, edges made unique as
-packed keys, weights in torch, and a packed graph segmentation, for which our own operator stands in.
+"By hand" combines the best public parts: Open3D's neighbours, normals from Open3D or from torch's eigenvectors, unique
+edges by packed keys, weights in torch, and a graph segmentation, for which our own operator is used.
 """
 
 import argparse

@@ -1,9 +1,9 @@
-"""Which visibility is the default: `python benchmarks/visibility.py`.
+"""Compares visibility methods, to choose the default: `python benchmarks/visibility.py`.
 
-On synthetic scenes the exact depth of every pixel is known. A point of the cloud counts as truly visible where it lies
-at most 3 cm behind the surface that its pixel shows; pixels within 2 px of a depth edge, where a pixel's truth is a
-matter of sub-pixels, are left out. False-hidden: share of the truly visible points that are called hidden;
-false-visible: share of the truly hidden ones that are called visible.
+Synthetic scenes have the exact depth of every pixel. A point of the cloud is truly visible if it lies at most 3 cm
+behind the surface at its pixel. Pixels within 2 px of a depth edge are left out, since their ground truth depends on
+sub-pixel positions. False-hidden: share of the truly visible points that a method calls hidden; false-visible: share of
+the truly hidden points that a method calls visible.
 """
 
 import time

@@ -1,9 +1,24 @@
 """What the tests share."""
 
+import functools
 import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import torch
+from hypothesis import HealthCheck, settings
+
+from torchjoint.cli.main import main
+from torchjoint.synthetic import SyntheticScene, make_scene
+from torchjoint.views.observation import Observation
+from torchjoint.views.visibility import Visible
+
+# How fast a machine is says nothing about the code: no test fails because an example takes long to make or to run.
+settings.register_profile("torchjoint", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("torchjoint")
 
 
 @pytest.fixture(scope="session")
@@ -13,3 +28,46 @@ def shared() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no shared data at {folder}: set TORCHJOINT_SHARED to the folder that holds metrics/ and data/")
     return folder
+
+
+@pytest.fixture(scope="session")
+def scene_of() -> Callable[..., SyntheticScene]:
+    """`make_scene`, each scene made once. Tests leave what they get as it is."""
+    return functools.cache(make_scene)
+
+
+@pytest.fixture(scope="session")
+def run() -> Callable[..., None]:
+    """The command line: `run("segment", folder, "-o", out)`."""
+
+    def command(*arguments: object) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "argv", ["torchjoint", *map(str, arguments)])
+            patch.setattr(warnings, "formatwarning", warnings.formatwarning)  # `main` sets its own
+            main()
+
+    return command
+
+
+@pytest.fixture
+def set_threads() -> Iterator[Callable[[int], None]]:
+    """`torch.set_num_threads`; after the test torch has as many threads as before."""
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="session")
+def seen() -> Callable[..., Observation]:
+    """An observation of a strip of pixels, one for each of the points; the labels are those of the image there."""
+
+    def observation(points: list[int], image_labels: list[int]) -> Observation:
+        point = torch.tensor(points, dtype=torch.int64)
+        column = torch.arange(len(point))
+        labels = torch.full((1, max(len(point), 1)), -1, dtype=torch.int32)  # an image has at least one pixel
+        labels[0, : len(point)] = torch.tensor(image_labels, dtype=torch.int32)
+        row, depth = torch.zeros_like(column), column + 1.0
+        visible = Visible(point, row, column, column.float(), row.float(), depth)
+        return Observation("", labels, visible, torch.zeros(3, *labels.shape).byte(), torch.zeros(labels.shape).byte())
+
+    return observation

@@ -186,19 +186,15 @@ def clouds_of_several_kinds():
 
 @pytest.mark.parametrize("preset", ["room", "outdoor"])
 @pytest.mark.parametrize("threads", [1, 2, 3])
-def test_a_cloud_in_a_batch_is_the_cloud_alone(threads, preset):
+def test_a_cloud_in_a_batch_is_the_cloud_alone(threads, preset, set_threads):
     clouds = clouds_of_several_kinds()
     viewpoints = torch.rand(len(clouds), 3, generator=random(2))
     ptr = torch.tensor([0, *np.cumsum([len(cloud) for cloud in clouds])])
     alone = [tj.superpoints(cloud, preset=preset, viewpoint=v) for cloud, v in zip(clouds, viewpoints, strict=True)]
-    before = torch.get_num_threads()
-    torch.set_num_threads(threads)
-    try:
-        together = tj.superpoints(torch.cat(clouds), ptr=ptr, viewpoint=viewpoints, preset=preset)
-        again = tj.superpoints(clouds[0], preset=preset, viewpoint=viewpoints[0])
-        assert torch.get_num_threads() == threads
-    finally:
-        torch.set_num_threads(before)
+    set_threads(threads)
+    together = tj.superpoints(torch.cat(clouds), ptr=ptr, viewpoint=viewpoints, preset=preset)
+    again = tj.superpoints(clouds[0], preset=preset, viewpoint=viewpoints[0])
+    assert torch.get_num_threads() == threads
     assert torch.equal(again, alone[0])
     offset = 0
     for labels, part in zip(alone, together.split([len(cloud) for cloud in clouds]), strict=True):

@@ -60,7 +60,7 @@ def test_an_object_gets_labels_and_is_not_changed():
 
 
 def test_torch_geometric_s_own_data():
-    data_module = pytest.importorskip("torch_geometric.data")
+    data_module = pytest.importorskip("torch_geometric.data", reason="not installed; `Data` above stands for it")
     data = data_module.Data(pos=cloud(0))
     result = AddSuperpoints(points="pos")(data)
     assert "superpoints" not in data
@@ -75,13 +75,13 @@ def test_a_batch_keeps_its_clouds_apart():
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-@pytest.mark.parametrize("start", ["fork", "spawn"])
+@pytest.mark.parametrize("start", ["fork", pytest.param("spawn", marks=pytest.mark.slow)])
 def test_workers_of_a_loader(start):
     transform = AddSuperpoints()
     # Here first: a fork must not mind that torch has started threads.
     expected = [transform({"points": cloud(index)})["superpoints"] for index in range(5)]
     loader = DataLoader(
-        Clouds(transform), batch_size=None, num_workers=2, multiprocessing_context=start, timeout=60
+        Clouds(transform), batch_size=None, num_workers=2, multiprocessing_context=start, timeout=600
     )  # fmt: skip
     for sample in loader:
         assert torch.equal(sample["superpoints"], expected[sample["index"]])

@@ -1,4 +1,4 @@
-"""The joint segmentation of a point cloud and its images: Algorithm 1 of the paper in reading order.
+"""The joint segmentation of a point cloud and its images, steps 1-8: Algorithm 1 of the paper in reading order.
 
 M. Abello, J. Mangelson, M. Kaess, "A Graph-Based Method for Joint Instance Segmentation of Point Clouds and Image
 Sequences", ICRA 2021.
@@ -13,12 +13,12 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from torchjoint.config import Config, seen_otherwise
+from torchjoint.config import Config, evidence_differences
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.labels.image_labels import label_image
 from torchjoint.labels.joint_ids import separate_private_ids
 from torchjoint.points.graph import PointGraph, build_edgeless_graph, build_point_graph
-from torchjoint.points.orientation import faces_camera
+from torchjoint.points.orientation import orientation_votes
 from torchjoint.points.segments import segment_points
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.stopwatch import Stopwatch
@@ -34,16 +34,17 @@ from torchjoint.views.visibility import visible_points
 class JointSegmenter(nn.Module):
     """Segments one point cloud and a sequence of posed images together.
 
-    Either in one go, ``segmenter(scene)``, or frame by frame: :meth:`reset` with the cloud, :meth:`update` with frames
-    in any order, :meth:`compute` at any time. Both give the same labels, whatever the order of the frames and the
-    number of threads; segmenters that saw different frames of one cloud can be merged (:meth:`merge`).
+    Call ``segmenter(scene)`` for a whole scene. Or work frame by frame: :meth:`reset` with the cloud, :meth:`update`
+    with frames in any order, :meth:`compute` at any time. Both ways give the same labels; the labels depend neither on
+    the order of the frames nor on the number of threads. Segmenters that saw different frames of one cloud can be
+    merged (:meth:`merge`).
 
     Args:
         config: parameters; default ``Config()``.
-        boundary: a boundary detector, [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1], to take the place of the
-            one that the config names (step 1).
-        image_segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none, to take the place of the
-            graph segmentation of images (steps 1-2). Labels that a frame brings with it come before either.
+        boundary: a boundary detector, [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1]; it replaces the detector
+            that the config names (step 1).
+        image_segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none; it replaces the graph
+            segmentation of images (step 2). If a frame has labels, they are used instead of both.
 
     Example:
         >>> import torchjoint as tj
@@ -69,26 +70,33 @@ class JointSegmenter(nn.Module):
 
     @classmethod
     def from_preset(cls, name: str) -> JointSegmenter:
-        """A segmenter with one of the package's presets, e.g. ``"indoor"`` or ``"paper"``."""
+        """A segmenter with one of the package's presets, e.g. ``"indoor"`` or ``"paper"``, or a YAML file.
+
+        Raises:
+            ValueError, TypeError: an unknown preset, or a bad file; the message names it.
+        """
         return cls(Config.from_preset(name))
 
     @torch.no_grad()
     def forward(
         self, scene: Scene, *, progress: bool = False, batch_size: int = 8, checkpoint: Checkpoint | None = None
     ) -> Segmentation:
-        """Segments a whole scene.
+        """Segments a whole scene (steps 1-8).
 
         Args:
-            scene: the cloud and its frames; with no frames this is plain 3D segmentation.
+            scene: the cloud and its frames; without frames this is plain 3D segmentation.
             progress: show progress bars.
-            batch_size: frames held in memory at a time.
-            checkpoint: where the state is saved now and then, and the run resumed from.
+            batch_size: number of frames held in memory at a time.
+            checkpoint: saves the state from time to time; an interrupted run resumes from it.
+
+        Returns:
+            labels of the points [N] and of the frames [H, W]; see :class:`~torchjoint.scene.Segmentation`.
 
         Raises:
-            ValueError: there are frames, and none of them sees a point.
+            ValueError: the scene has frames, but none of them sees a point.
 
         Warns:
-            PoseWarning: poses or intrinsics look wrong.
+            PoseWarning: the poses or intrinsics look wrong.
         """
         self.reset(scene.points, scene.colors, scene.normals)
         checked = frames_to_check(scene)
@@ -111,18 +119,21 @@ class JointSegmenter(nn.Module):
         return self.compute(progress=progress)
 
     def _load_frames(self, frames: Sequence[Frame], indices: range, loaded: dict[int, Frame]) -> list[Frame]:
-        """Frames by their places; those that are `loaded` already are taken from there, and out of it."""
+        """The frames at `indices`. Frames that are already in `loaded` are moved out of it instead of read again."""
         with self.stopwatch("load frames"):
             return parallel_map(lambda index: loaded.pop(index, None) or frames[index], indices)
 
     @torch.no_grad()
     def reset(self, points: Tensor, colors: Tensor | None = None, normals: Tensor | None = None) -> None:
-        """Forgets all frames and starts on a cloud (step 3).
+        """Forgets all frames and builds the graph of a cloud (step 3).
 
         Args:
             points: [N, 3] metres, world frame.
-            colors: optional [N, 3] RGB in [0, 1], used where the config weighs colour (method edges).
-            normals: optional [N, 3], estimated where absent; turned to the cameras that see a point, where any does.
+            colors: optional [N, 3] RGB in [0, 1], used only by method edges with a color_weight > 0.
+            normals: optional [N, 3], estimated if absent; a normal is turned to the cameras that see its point.
+
+        Raises:
+            ValueError, TypeError: naming the argument, what was expected and what came.
         """
         cloud = Scene(points, colors=colors, normals=normals)
         self.stopwatch = Stopwatch()
@@ -135,9 +146,13 @@ class JointSegmenter(nn.Module):
 
     @torch.no_grad()
     def update(self, frames: Frame | Sequence[Frame]) -> None:
-        """Sees one frame or several (steps 1, 2, 4, 5).
+        """Adds the evidence of one or several frames (steps 1, 2, 4, 5).
 
-        Consecutive frames of one size go through the image modules as a batch.
+        Consecutive frames of the same size go through the image modules as one batch.
+
+        Raises:
+            RuntimeError: :meth:`reset` was not called before.
+            ValueError: a boundary detector or an image segmenter returns a wrong shape or bad values.
         """
         state = self.state
         with one_thread_per_operation():
@@ -154,14 +169,17 @@ class JointSegmenter(nn.Module):
 
     @torch.no_grad()
     def compute(self, *, images: bool = True, progress: bool = False) -> Segmentation:
-        """The segmentation from all frames seen so far (steps 6-8); more frames may follow.
+        """Computes the segmentation from all frames seen so far (steps 6-8); more frames may follow.
 
         Args:
-            images: False leaves the images alone (steps 7-8), which takes most of the time: the result has none.
+            images: False skips the label images (steps 7-8), which take most of the time; the result then has none.
             progress: show a progress bar.
 
         Returns:
-            labels of the points, and of the frames in the order in which they came.
+            labels of the points [N] and of the frames [H, W], frames in the order in which they were added.
+
+        Raises:
+            RuntimeError: :meth:`reset` was not called before.
         """
         state = self.state
         with one_thread_per_operation():
@@ -190,7 +208,12 @@ class JointSegmenter(nn.Module):
 
     @property
     def state(self) -> JointState:
-        """What was seen since :meth:`reset`; may be set to resume. Raises RuntimeError before a reset."""
+        """The evidence collected since :meth:`reset`; set it to resume a run.
+
+        Raises:
+            RuntimeError: :meth:`reset` was not called before.
+            ValueError: (when set) the state belongs to another cloud.
+        """
         if self._state is None:
             raise RuntimeError("JointSegmenter: call reset(points) before update, compute or state")
         return self._state
@@ -207,7 +230,11 @@ class JointSegmenter(nn.Module):
         return self._graph
 
     def merge(self, other: JointSegmenter) -> None:
-        """Adds what another segmenter saw: other frames of the same cloud, with the same config."""
+        """Adds the evidence of another segmenter, which saw other frames of the same cloud with the same config.
+
+        Raises:
+            ValueError: another config or cloud, or both segmenters saw a frame of the same name.
+        """
         if other.config != self.config:
             raise ValueError("other: expected a segmenter with the same config")
         if self._graph is None or other._graph is None or not self._graph.is_same(other._graph):
@@ -218,12 +245,12 @@ class JointSegmenter(nn.Module):
         self.state = self.state + other.state
 
     def with_config(self, config: Config) -> JointSegmenter:
-        """A segmenter that has seen the same, with other parameters of what comes afterwards: to try them out quickly.
+        """A segmenter with the same evidence and other parameters: tries out parameters without seeing frames again.
 
         Raises:
-            ValueError: a parameter differs on which depends what was seen.
+            ValueError: the stored evidence depends on a parameter that differs; the message names the parameter.
         """
-        if different := seen_otherwise(self.config, config):
+        if different := evidence_differences(self.config, config):
             raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
         modules = self.image_segmenter
         other = JointSegmenter(config, boundary=modules.boundary, image_segmenter=modules.segmenter)
@@ -232,12 +259,12 @@ class JointSegmenter(nn.Module):
         return other
 
     def _observe(self, frame: Frame, boundary: Tensor, labels: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor]:
-        """Steps 4 and 5 for one frame: the observation, votes for normals' signs, edges and their overlaps."""
+        """Steps 4 and 5 for one frame: the observation, votes for the normals' signs, edges and their overlaps."""
         graph = self._require_graph()
         with self.stopwatch("visibility"):
             camera = (frame.intrinsics, frame.world_to_camera, frame.size)
             visible = visible_points(graph.points, graph.spacing, *camera, self.config.visibility)
-            facing = faces_camera(graph, visible.point, frame.world_to_camera)
+            facing = orientation_votes(graph, visible.point, frame.world_to_camera)
         with self.stopwatch("propagation"):
             labels = labels.to(torch.int32)
             edges, overlaps = edge_overlaps(graph.adjacency, visible, labels, self.config.propagation.window)

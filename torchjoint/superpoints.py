@@ -1,4 +1,7 @@
-"""Superpoints: an over-segmentation of a point cloud into small pieces that do not cross the borders of objects."""
+"""Superpoints: an over-segmentation of a point cloud into small pieces that do not cross object boundaries.
+
+They use the graph of step 3, and need no images.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from torchjoint.points.neighbors import neighbor_tables
 from torchjoint.points.normals import estimate_normals
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Scene
-from torchjoint.scene.cloud_batch import Cloud, take_apart
+from torchjoint.scene.cloud_batch import Cloud, split_batch
 
 
 def superpoints(
@@ -29,40 +32,40 @@ def superpoints(
     preset: str | SuperpointsConfig = "room",
     **parameters: float | str,
 ) -> Tensor:
-    """Cut a cloud, or several, into superpoints.
+    """Cut one or several clouds into superpoints.
 
-    A graph of nearest neighbours (or the edges of a mesh, or your own) is weighted by how much the surface turns along
-    each edge, and segmented as Felzenszwalb and Huttenlocher do (:func:`torchjoint.ops.felzenszwalb`). Points are all
-    that is needed; what else is given is used.
+    Builds a graph of nearest neighbours (or takes the edges of a mesh, or your own edges), weights each edge by how
+    much the surface turns along it, and segments the graph with the algorithm of Felzenszwalb and Huttenlocher
+    (:func:`torchjoint.ops.felzenszwalb`). Only `points` is required; all other inputs are optional.
 
-    The signs of fitted normals are arbitrary, so angles count without sign, and convex edges like concave ones, unless
-    `normals`, `faces` or a `viewpoint` tell inside from outside.
+    Fitted normals have an arbitrary sign. Angles between them are therefore taken without sign, and convex edges cost
+    the same as concave edges. `normals`, `faces` or a `viewpoint` give oriented normals, which tell the two apart.
 
     Args:
         points: [N, 3] metres, finite, N >= 1.
-        colors: optional [N, 3] RGB in [0, 1], or uint8; needed if a `color_weight` is given. That of a preset counts
-            where there are colours.
-        normals: optional [N, 3], of meaningful sign, any length but 0; fitted to the points where absent.
-        edges: optional [2, E] integers, a graph to use instead of that of nearest neighbours.
-        faces: optional [F, 3] integers, triangles of a mesh whose vertices are the points: their edges are the graph,
-            and their normals, where none are given, the normals. With preset "segmentator" and no normals the result
-            is that of ScanNet's segmentator. A vertex of no triangle is a superpoint of its own.
-        ptr: optional [B + 1] integers, where each of B clouds starts, and N: 0 = ptr[0] < ptr[1] < ... < ptr[B] = N.
-        viewpoint: optional [3] metres, where the sensor stood; or one for each cloud [B, 3], or each point [N, 3].
+        colors: optional [N, 3] RGB in [0, 1], or uint8; required if you pass a `color_weight` > 0. The `color_weight`
+            of a preset is ignored for clouds without colours.
+        normals: optional [N, 3], oriented, any length except 0; fitted to the points if absent.
+        edges: optional [2, E] integers, a graph that replaces the graph of nearest neighbours.
+        faces: optional [F, 3] integers, triangles of a mesh whose vertices are the points. Their edges are the graph;
+            if `normals` is absent, the triangles also give the normals. With preset "segmentator" and no normals the
+            result equals that of ScanNet's segmentator. A vertex without a triangle is its own superpoint.
+        ptr: optional [B + 1] integers, the start of each of B clouds, and N: 0 = ptr[0] < ptr[1] < ... < ptr[B] = N.
+        viewpoint: optional [3] metres, the position of the sensor; or one per cloud [B, 3], or per point [N, 3].
         preset: "room", "outdoor" or "segmentator", a YAML file, or a config.
-        parameters: replace what the preset says, by name, such as ``scale=2.0``. :class:`SuperpointsConfig` declares
-            them; the README's table, and ``torchjoint parameters --superpoints``, give their units and ranges:
+        parameters: replace parameters of the preset by name, such as ``scale=2.0``. :class:`SuperpointsConfig` declares
+            them; the README's table and ``torchjoint parameters --superpoints`` give their units and ranges:
 
             * ``neighbors``, ``reach``: the neighbours of a point in the graph, and how far they must reach.
-            * ``normal_neighbors``: the neighbours that a normal is fitted to.
+            * ``normal_neighbors``: the neighbours to which a normal is fitted.
             * ``weight``, ``angle_weight``, ``convex_factor``: how much a turn of the surface weighs.
             * ``distance_weight``, ``color_weight``: how much the distance and the colours of two points weigh.
             * ``scale``, ``min_size``: how large superpoints become.
 
     Returns:
-        [N] int64 labels 0, 1, 2, ... in the order of their first points. Those of a cloud follow those of the cloud
-        before it, and are, but for that offset, the same as if it had come alone. The same input has the same labels,
-        whatever the number of threads.
+        [N] int64 labels 0, 1, 2, ... in the order of their first points. The labels of a cloud continue after those of
+        the cloud before it. Apart from this offset a cloud gets the same labels as if it were segmented alone. The
+        labels do not depend on the number of threads.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -85,7 +88,7 @@ def superpoints(
         raise ValueError("edges: expected edges or faces, got both")
     with torch.no_grad(), one_thread_per_operation():
         scene = Scene(points, colors=colors, normals=normals)
-        clouds = take_apart(scene, edges, faces, ptr, viewpoint)
+        clouds = split_batch(scene, edges, faces, ptr, viewpoint)
         labels = parallel_map(lambda cloud: _segment(cloud, config), clouds)
         offset = 0
         for part in labels:
@@ -95,14 +98,14 @@ def superpoints(
 
 
 class Superpoints(nn.Module):
-    """:func:`superpoints` as a module, for a chain of modules and to keep parameters together.
+    """:func:`superpoints` as a module that stores its parameters.
 
     Args:
-        preset: as of :func:`superpoints`.
-        parameters: replace what the preset says, by name: ``Superpoints("outdoor", scale=2.0)``.
+        preset: as in :func:`superpoints`.
+        parameters: replace parameters of the preset by name: ``Superpoints("outdoor", scale=2.0)``.
 
     Raises:
-        ValueError, TypeError: an unknown parameter, or a bad value, by name.
+        ValueError, TypeError: an unknown parameter or a bad value, by name.
 
     Example:
         >>> import torch, torchjoint as tj
@@ -123,19 +126,19 @@ class Superpoints(nn.Module):
         normals: Tensor | None = None,
         ptr: Tensor | None = None,
     ) -> Tensor:
-        """Labels [N] int64 of points [N, 3]; see :func:`superpoints`."""
+        """Labels [N] int64 of points [N, 3]; arguments and errors as in :func:`superpoints`."""
         return superpoints(points, colors, normals, ptr=ptr, preset=self.preset, **self.parameters_given)  # type: ignore[arg-type]
 
     def extra_repr(self) -> str:
-        """The parameters, shown when the module is printed."""
+        """The parameters, printed as part of the module."""
         return repr(self.config)
 
 
 def _segment(cloud: Cloud, config: SuperpointsConfig) -> Tensor:
-    """One cloud -> [N] int64 labels."""
+    """The labels [N] int64 of one cloud."""
     edges, normals, oriented = _graph(cloud, config)
     turn = segmentator_turn if config.weight == "segmentator" else None
-    if not oriented:  # which edges are convex cannot be told, so do not ask
+    if not oriented:  # convex and concave edges cannot be told apart, so do not test
         config = config.replace({"convex_factor": 1.0})
     all_oriented = torch.full((len(cloud.points),), oriented)
     weights = geometric_weights(cloud.points, edges, normals, all_oriented, config.point_graph, cloud.colors, turn)
@@ -161,6 +164,6 @@ def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, boo
 
 
 def _turned_to(viewpoint: Tensor, points: Tensor, normals: Tensor) -> Tensor:
-    """A surface is seen from outside: its normals show towards the sensor."""
+    """Turns normals towards the sensor: a surface is seen from outside."""
     x, y, z = (normals * (viewpoint - points)).unbind(1)
     return torch.where(((x + y) + z < 0)[:, None], -normals, normals)

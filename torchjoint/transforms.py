@@ -1,7 +1,8 @@
-"""Superpoints in a data set's pipeline: labels added to samples, and carried to clouds that were sampled.
+"""Superpoints in a data pipeline: adds labels to samples, and transfers labels to resampled clouds.
 
-A transform takes a sample and returns a new one; it keeps no state, so it runs in the workers of a
-:class:`torch.utils.data.DataLoader`, forked or spawned, where it uses the one thread that torch gives a worker.
+This is no step of the joint method. A transform takes a sample and returns a new one. It keeps no state, so it can run
+in the workers of a :class:`torch.utils.data.DataLoader`, forked or spawned. There it uses the one thread that torch
+gives each worker.
 """
 
 from __future__ import annotations
@@ -21,27 +22,29 @@ from torchjoint.runtime.threads import num_threads
 from torchjoint.scene.checks import as_points
 from torchjoint.superpoints import superpoints
 
+__all__ = ["AddSuperpoints", "transfer_labels"]
+
 Sample = TypeVar("Sample")
 
 
 class AddSuperpoints:
-    """Adds the superpoints of a sample's cloud to the sample, as [N] int64.
+    """Adds the superpoint labels of a sample's cloud to the sample, as [N] int64.
 
     A sample is a mapping of names to tensors, or an object with attributes, such as torch_geometric's ``Data``:
-    ``AddSuperpoints(points="pos", colors="rgb", normals="normal")``. Of the names only that of the points has to be in
-    the sample; the others are used where they are there, and not None.
+    ``AddSuperpoints(points="pos", colors="rgb", normals="normal")``. The sample must have the points. The other
+    entries are used if the sample has them and they are not None.
 
     Args:
-        points, colors, normals, faces, edges, ptr, viewpoint: where the sample keeps what
-            :func:`torchjoint.superpoints` takes; None = never use it. Faces of an object (not a mapping) may be
-            [3, F], as torch_geometric has them.
-        to: where the labels go.
-        preset: as of :func:`torchjoint.superpoints`.
-        parameters: replace what the preset says, by name.
+        points, colors, normals, faces, edges, ptr, viewpoint: names under which the sample stores the arguments of
+            :func:`torchjoint.superpoints`; None = never use this argument. The faces of an object (not of a mapping)
+            may be [3, F], as in torch_geometric.
+        to: name under which the labels are stored.
+        preset: as in :func:`torchjoint.superpoints`.
+        parameters: replace parameters of the preset by name.
 
     Raises:
-        KeyError: (at a call) the sample has no points, or has the labels already.
-        ValueError, TypeError: as :func:`torchjoint.superpoints`.
+        KeyError: (at a call) the sample has no points, or already has an entry named `to`.
+        ValueError, TypeError: as in :func:`torchjoint.superpoints`.
 
     Example:
         >>> import torch, torchjoint as tj
@@ -75,7 +78,7 @@ class AddSuperpoints:
         self.parameters = parameters
 
     def __call__(self, sample: Sample) -> Sample:
-        """A copy of the sample (its tensors are shared) with the labels."""
+        """A shallow copy of the sample with the labels; the copy shares the sample's tensors."""
         points = _get(sample, self.points)
         if points is None:
             raise KeyError(f"{self.points}: expected the sample to have its points there, got {_names(sample)}")
@@ -99,15 +102,16 @@ class AddSuperpoints:
 def transfer_labels(
     labels: Tensor, from_points: Tensor, to_points: Tensor, max_distance: float | None = None
 ) -> Tensor:
-    """Labels for other points of the same scene: each takes that of the nearest labelled one, ties the lowest index.
+    """Transfers labels to other points of the same scene: each point takes the label of the nearest labelled point.
 
-    For clouds that were subsampled, voxelised or cropped, in either direction.
+    Of equally near points the one with the lowest index counts. Use it for clouds that were subsampled, voxelised or
+    cropped, in either direction.
 
     Args:
-        labels: [N] or [N, ...], of any dtype; of the labelled points.
-        from_points: [N, 3] metres, N >= 1.
+        labels: [N] or [N, ...], any dtype, labels of `from_points`.
+        from_points: [N, 3] metres, the labelled points, N >= 1.
         to_points: [M, 3] metres.
-        max_distance: metres; points without a labelled one as near as this get -1. None: no limit.
+        max_distance: metres; a point farther than this from all labelled points gets -1. None: no limit.
 
     Returns:
         [M] or [M, ...], of the dtype of `labels`.
@@ -139,12 +143,12 @@ def transfer_labels(
 
 
 def _nearest(source: Any, target: Any) -> tuple[Any, Any]:
-    """Index of and distance to the nearest source of each target; of equally near ones the lowest index."""
+    """Index of the nearest source of each target, and the distance to it; of equally near ones the lowest index."""
     tree = cKDTree(source, balanced_tree=False, compact_nodes=False)
     nearest, distance = np.empty(len(target), dtype=np.int64), np.empty(len(target))
     open_, count = np.arange(len(target)), min(2, len(source))
     while len(open_):
-        # If even the last of those found is as near as the first there may be more: ask again, for more.
+        # If the last neighbour found is as near as the first, there may be more ties: query again for more neighbours.
         found, index = tree.query(target[open_], k=np.arange(1, count + 1), workers=num_threads())
         tied = found == found[:, :1]
         nearest[open_] = np.where(tied, index, len(source)).min(axis=1)

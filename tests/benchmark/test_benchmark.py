@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from test_cli import run
-from test_datasets import write_folder
-from test_evaluation import write_truth
+from folder_files import write_folder, write_truth
 
 import torchjoint as tj
 from torchjoint.benchmark import suites
@@ -32,8 +30,8 @@ from torchjoint.views.visibility import Visible
 
 
 @pytest.fixture(scope="module")
-def scene():
-    return tj.synthetic.make_scene(seed=2, size="small").scene
+def scene(scene_of):
+    return scene_of(2).scene
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +39,8 @@ def case(scene):
     return Case(scene, tj.Config())
 
 
-def seen(point, row, column, z=None):
+def pixels_of(point, row, column, z=None):
+    """Points in pixels of a view."""
     point, row, column = (torch.tensor(values) for values in (point, row, column))
     z = torch.ones(len(point)) if z is None else torch.tensor(z)
     return Visible(point, row, column, column.float(), row.float(), z)
@@ -49,19 +48,19 @@ def seen(point, row, column, z=None):
 
 class TestPaint:
     def test_every_pixel_has_the_nearest_point(self):
-        labels = paint(seen([0, 2], [0, 0], [0, 4]), torch.tensor([7, 8, 9]), (2, 5))
+        labels = paint(pixels_of([0, 2], [0, 0], [0, 4]), torch.tensor([7, 8, 9]), (2, 5))
         assert labels[0].tolist()[:2] == [7, 7]
         assert labels[0].tolist()[3:] == [9, 9]
         assert labels[1, 0] == 7
 
     def test_in_one_pixel_the_nearer_one_counts(self):
-        far_first = paint(seen([0, 1], [0, 0], [0, 0], [2.0, 1.0]), torch.tensor([5, 6]), (1, 1))
-        near_first = paint(seen([0, 1], [0, 0], [0, 0], [1.0, 2.0]), torch.tensor([5, 6]), (1, 1))
-        tie = paint(seen([0, 1], [0, 0], [0, 0], [1.0, 1.0]), torch.tensor([5, 6]), (1, 1))
+        far_first = paint(pixels_of([0, 1], [0, 0], [0, 0], [2.0, 1.0]), torch.tensor([5, 6]), (1, 1))
+        near_first = paint(pixels_of([0, 1], [0, 0], [0, 0], [1.0, 2.0]), torch.tensor([5, 6]), (1, 1))
+        tie = paint(pixels_of([0, 1], [0, 0], [0, 0], [1.0, 1.0]), torch.tensor([5, 6]), (1, 1))
         assert (int(far_first), int(near_first), int(tie)) == (6, 5, 5)
 
     def test_no_point(self):
-        assert (paint(seen([], [], []), torch.tensor([1]), (2, 2)) == -1).all()
+        assert (paint(pixels_of([], [], []), torch.tensor([1]), (2, 2)) == -1).all()
 
 
 class TestVote:
@@ -69,18 +68,18 @@ class TestVote:
 
     def test_one_view(self):
         image = torch.tensor([[5, 5, 9, -1]])
-        labels = vote([image], [seen([0, 1, 2, 3], [0] * 4, [0, 1, 2, 3])], self.POINTS)
+        labels = vote([image], [pixels_of([0, 1, 2, 3], [0] * 4, [0, 1, 2, 3])], self.POINTS)
         assert labels.tolist() == [0, 0, 1, 1, 1]  # the last two take that of the nearest labelled one
 
     def test_a_segment_goes_on_in_the_next_view(self):
         first, second = torch.tensor([[0, 0, 1]]), torch.tensor([[3, 3, 3]])
-        views = [seen([0, 1, 2], [0] * 3, [0, 1, 2]), seen([1, 2, 3], [0] * 3, [0, 1, 2])]
+        views = [pixels_of([0, 1, 2], [0] * 3, [0, 1, 2]), pixels_of([1, 2, 3], [0] * 3, [0, 1, 2])]
         # Half of the second view's known points are 0, half are 1: the lower goes on.
         assert vote([first, second], views, self.POINTS).tolist()[:4] == [0, 0, 1, 0]
 
     def test_a_segment_without_a_majority_is_new(self):
         first, second = torch.tensor([[0, 1, 2]]), torch.tensor([[0, 0, 0, 0]])
-        views = [seen([0, 1, 2], [0] * 3, [0, 1, 2]), seen([0, 1, 2, 3], [0] * 4, [0, 1, 2, 3])]
+        views = [pixels_of([0, 1, 2], [0] * 3, [0, 1, 2]), pixels_of([0, 1, 2, 3], [0] * 4, [0, 1, 2, 3])]
         assert vote([first, second], views, self.POINTS).tolist()[:4] == [0, 1, 2, 3]
 
     def test_no_view(self):
@@ -163,9 +162,20 @@ class TestMethods:
         assert torch.equal(METHODS[name].run(case, setting, False).points, result.points)
         assert set(run_scores(METHODS[name], setting, case, True)) == {"3D", "2D"}
 
-    def test_joint_is_the_segmenter(self, case, scene):
+    #: Two in a row, and three among the slow tests.
+    @pytest.mark.parametrize(
+        "settings",
+        [
+            [{"propagation.weight": 0.3}, {"image_segments.scale": 10.0}],
+            pytest.param(
+                [{"propagation.weight": 0.3}, {"propagation.window": 3}, {"image_segments.scale": 10.0}],
+                marks=pytest.mark.slow,
+            ),
+        ],
+    )
+    def test_joint_is_the_segmenter(self, case, scene, settings):
         """Whatever is kept from setting to setting, the labels are those of a run from scratch."""
-        for setting in ({"propagation.weight": 0.3}, {"propagation.window": 1}, {"image_segments.scale": 10.0}):
+        for setting in settings:
             result = METHODS["joint"].run(case, setting, True)
             values = [f"{name}={value}" for name, value in setting.items()]
             expected = tj.JointSegmenter(tj.Config().set(values))(scene)
@@ -309,10 +319,10 @@ class TestSettings:
 
 class TestSuites:
     @pytest.fixture
-    def data(self, tmp_path):
+    def data(self, tmp_path, scene_of):
         for index in (1, 2, 10):
             write_truth(
-                write_folder(tmp_path / f"scene{index}", synthetic := tj.synthetic.make_scene(index, num_views=2)),
+                write_folder(tmp_path / f"scene{index}", synthetic := scene_of(index, num_views=2)),
                 synthetic,
             )
         return tmp_path
@@ -329,10 +339,10 @@ class TestSuites:
         assert tuning == ["scene0000_00", "scene0000_01", "scene0002_00", "scene0002_01"]
         assert checking == ["scene0001_00", "scene0003_00"]
 
-    def test_folders_that_do_not_do(self, tmp_path):
+    def test_folders_that_do_not_do(self, tmp_path, scene_of):
         with pytest.raises(ValueError, match="suite mosd needs the folder of its data"):
             SUITES["mosd"].scenes("tuning", None)
-        write_truth(write_folder(tmp_path / "one", synthetic := tj.synthetic.make_scene(0, num_views=2)), synthetic)
+        write_truth(write_folder(tmp_path / "one", synthetic := scene_of(0, num_views=2)), synthetic)
         with pytest.raises(ValueError, match="holds too few scenes: none is left for checking"):
             SUITES["mosd"].scenes("checking", tmp_path)
         (tmp_path / "empty").mkdir()
@@ -360,7 +370,7 @@ class TestSuites:
             assert len(scenes["3"]().points) == num_points
             assert made == {3: {"num_views": 24, "num_points": 120_000, "depth_ripple": 0.002, "hard": True}}
 
-    def test_sparse_is_set_as_synthetic(self, monkeypatch, tmp_path, capsys):
+    def test_sparse_is_set_as_synthetic(self, monkeypatch, tmp_path, capsys, run):
         small = tj.synthetic.make_scene
         monkeypatch.setattr(suites, "make_scene", lambda seed, size, **_: small(seed, num_views=2, num_points=3000))
         monkeypatch.setitem(
@@ -369,7 +379,7 @@ class TestSuites:
             replace(SUITES["sparse"], checking=lambda _: dict([*SUITES["synthetic"].checking(None).items()][:2])),
         )
         out = tmp_path / "out"
-        run(monkeypatch, "benchmark", "sparse", "-o", out, "--methods", "normals")
+        run("benchmark", "sparse", "-o", out, "--methods", "normals")
         used = yaml.safe_load((out / "settings.yaml").read_text())
         assert used == {"normals": read_settings("synthetic")["normals"]}
         table = (out / "table.md").read_text()
@@ -378,16 +388,25 @@ class TestSuites:
         assert "flat_iou" in (out / "scores.csv").read_text().splitlines()[0]
         assert "not tuned" not in capsys.readouterr().out
         with pytest.raises(SystemExit, match="--tuning: suite sparse uses the settings of suite synthetic; tune that"):
-            run(monkeypatch, "benchmark", "sparse", "-o", tmp_path / "other", "--tuning", 1, 1)
+            run("benchmark", "sparse", "-o", tmp_path / "other", "--tuning", 1, 1)
 
-    def test_the_command(self, data, monkeypatch, tmp_path, capsys):
+    #: Two of them in every run, all of them among the slow tests.
+    @pytest.mark.parametrize("methods", [("joint", "ransac_dbscan"), pytest.param(METHODS, marks=pytest.mark.slow)])
+    def test_the_command(self, methods, data, run, tmp_path, capsys):
         page = tmp_path / "page.md"
         page.write_text("# Page\n\n<!-- benchmark scannet -->\nold\n<!-- end benchmark scannet -->\nrest\n")
         common = ["--data", data, "-o", tmp_path / "out"]
-        tuning = ["--tuning", 2, 1]
-        run(monkeypatch, "benchmark", "scannet", *common, *tuning, "--methods", "joint_painted", "ransac_dbscan")
+        chosen = [] if methods is METHODS else ["--methods", *methods]
+        draws, steps = (1, 1) if chosen else (2, 1)
+        tuning = ["--tuning", draws, steps]
+        run("benchmark", "scannet", *common, *tuning, "--methods", "joint_painted", "ransac_dbscan")
         assert set(yaml.safe_load((tmp_path / "out" / "settings.yaml").read_text())) == {"ransac_dbscan"}
-        run(monkeypatch, "benchmark", "scannet", *common, *tuning, "--page", page, "--overwrite")
+        if chosen:
+            with pytest.raises(SystemExit, match="--page: is for the table of all methods"):
+                run("benchmark", "scannet", *common, *tuning, *chosen, "--page", page, "--overwrite")
+        else:
+            tuning += ["--page", page]
+        run("benchmark", "scannet", *common, *tuning, *chosen, "--overwrite")
         printed = capsys.readouterr().out
         out = tmp_path / "out"
         names = {"table.md", "scores.csv", "scores.png", "settings.yaml", "search"}
@@ -399,27 +418,30 @@ class TestSuites:
         head, _, tail = page.read_text().partition("<!-- benchmark scannet -->\n")
         filled, _, rest = tail.partition("<!-- end benchmark scannet -->")
         assert (head, rest) == ("# Page\n\n", "\nrest\n")
-        assert filled.strip() in printed
-        assert table.startswith(filled)
-        assert len((out / "search" / "joint.jsonl").read_text().splitlines()) == 1 + 3
+        if chosen:
+            assert filled == "old\n"
+        else:
+            assert filled.strip() in printed
+            assert table.startswith(filled)
+        assert len((out / "search" / "joint.jsonl").read_text().splitlines()) == 1 + draws + steps
         found = yaml.safe_load((out / "settings.yaml").read_text())
-        assert set(found) == {name for name, method in METHODS.items() if method.space}
+        assert set(found) == {name for name in methods if METHODS[name].space}
         before = (out / "scores.csv").read_text()
-        run(monkeypatch, "benchmark", "scannet", *common, "--settings", out / "settings.yaml", "--overwrite")
+        run("benchmark", "scannet", *common, *chosen, "--settings", out / "settings.yaml", "--overwrite")
         assert (out / "scores.csv").read_text() == before
         with pytest.raises(SystemExit, match="exists already; choose another folder with -o, or --overwrite"):
-            run(monkeypatch, "benchmark", "scannet", *common)
+            run("benchmark", "scannet", *common)
 
-    def test_mistakes_on_the_command_line(self, monkeypatch, tmp_path):
+    def test_mistakes_on_the_command_line(self, run, tmp_path):
         out = ["-o", tmp_path / "out"]
         with pytest.raises(SystemExit, match="--methods: expected some of joint"):
-            run(monkeypatch, "benchmark", "synthetic", *out, "--methods", "jiont")
+            run("benchmark", "synthetic", *out, "--methods", "jiont")
         with pytest.raises(SystemExit, match="--data: suite mosd needs the folder"):
-            run(monkeypatch, "benchmark", "mosd", *out)
+            run("benchmark", "mosd", *out)
         with pytest.raises(SystemExit, match=r"--settings: .*nope\.yaml does not exist"):
-            run(monkeypatch, "benchmark", "synthetic", *out, "--settings", Path("nope.yaml"))
+            run("benchmark", "synthetic", *out, "--settings", Path("nope.yaml"))
         with pytest.raises(SystemExit, match="--tuning: expected draws >= 1 and steps >= 0, got 0 0"):
-            run(monkeypatch, "benchmark", "synthetic", *out, "--tuning", 0, 0)
+            run("benchmark", "synthetic", *out, "--tuning", 0, 0)
         with pytest.raises(SystemExit, match=r"--page: .*nope\.md has no part"):
-            run(monkeypatch, "benchmark", "synthetic", *out, "--page", "nope.md")
+            run("benchmark", "synthetic", *out, "--page", "nope.md")
         assert list(tmp_path.iterdir()) == []

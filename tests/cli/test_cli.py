@@ -1,25 +1,23 @@
 """The command line, end to end: files that open in other people's tools, nothing overwritten or half written."""
 
 import shutil
-import sys
 
 import numpy as np
 import pytest
 import torch
 import yaml
+from folder_files import write_folder
 from PIL import Image
-from test_datasets import write_folder
 
 import torchjoint as tj
-from torchjoint import cli
 from torchjoint.results.folder import output_folder, read_points
 
 SMALL = ["--set", "point_segments.min_size=20", "image_segments.min_size=20"]
 
 
 @pytest.fixture(scope="module")
-def synthetic():
-    return tj.synthetic.make_scene(seed=2, size="small")
+def synthetic(scene_of):
+    return scene_of(2)
 
 
 @pytest.fixture(scope="module")
@@ -27,16 +25,10 @@ def recording(tmp_path_factory, synthetic):
     return write_folder(tmp_path_factory.mktemp("cli") / "recording", synthetic)
 
 
-def run(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["torchjoint", *map(str, arguments)])
-    cli.main()
-
-
 @pytest.fixture(scope="module")
-def out(recording):
+def out(recording, run):
     folder = recording.parent / "out"
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        run(monkeypatch, "segment", recording, "-o", folder, *SMALL, "propagation.weight=0.2")
+    run("segment", recording, "-o", folder, *SMALL, "propagation.weight=0.2")
     return folder
 
 
@@ -78,22 +70,22 @@ def test_the_cloud_opens_elsewhere_with_colours_and_labels(out):
     assert t.io.read_point_cloud(str(out / "points.ply")).point.label.numpy().ravel().tolist() == labels.tolist()
 
 
-def test_an_existing_result_is_kept(out, recording, monkeypatch):
+def test_an_existing_result_is_kept(out, recording, run):
     before = (out / "run.yaml").read_text()
     with pytest.raises(SystemExit, match=r"out: exists already; choose another folder, or --overwrite"):
-        run(monkeypatch, "segment", recording, "-o", out)
+        run("segment", recording, "-o", out)
     assert (out / "run.yaml").read_text() == before
 
 
-def test_overwrite(recording, monkeypatch, tmp_path):
+def test_overwrite(recording, run, tmp_path):
     folder = tmp_path / "twice"
     folder.mkdir()
     (folder / "thesis.tex").write_text("precious")
     with pytest.raises(SystemExit, match=r"twice: is no result of torchjoint \(it has no run\.yaml\)"):
-        run(monkeypatch, "segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
+        run("segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
     assert (folder / "thesis.tex").read_text() == "precious"
     (folder / "run.yaml").write_text("an earlier result")
-    run(monkeypatch, "segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
+    run("segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
     assert not (folder / "thesis.tex").exists()
     assert len(list((folder / "images").iterdir())) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["twice"]
@@ -119,7 +111,7 @@ def test_what_fails_leaves_no_result(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["file", "dangling link", "recording"])
-def test_outputs_that_cannot_be(recording, monkeypatch, tmp_path, kind):
+def test_outputs_that_cannot_be(recording, run, tmp_path, kind):
     out = tmp_path / "out"
     if kind == "file":
         out.write_text("precious")
@@ -128,14 +120,14 @@ def test_outputs_that_cannot_be(recording, monkeypatch, tmp_path, kind):
     else:
         out = recording
     with pytest.raises(SystemExit, match=r"exists and is not a folder|holds, the recording itself"):
-        run(monkeypatch, "segment", recording, "-o", out, "--overwrite", *SMALL)
+        run("segment", recording, "-o", out, "--overwrite", *SMALL)
     assert kind != "file" or out.read_text() == "precious"
     assert (recording / "camera-intrinsics.txt").exists()
 
 
-def test_a_fused_cloud_is_kept_beside_the_output(synthetic, monkeypatch, tmp_path):
+def test_a_fused_cloud_is_kept_beside_the_output(synthetic, run, tmp_path):
     recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
-    run(monkeypatch, "segment", recording, "-o", tmp_path / "out", "--voxel-size", 0.05, *SMALL)
+    run("segment", recording, "-o", tmp_path / "out", "--voxel-size", 0.05, *SMALL)
     assert (tmp_path / "out" / "cloud-50mm.ply").is_file()
     assert not (recording / "cloud.ply").exists()
 
@@ -149,29 +141,29 @@ def test_a_fused_cloud_is_kept_beside_the_output(synthetic, monkeypatch, tmp_pat
         (["--max-frames", "-1"], r"torchjoint: error: --max-frames: expected >= 0, got -1"),
     ],
 )
-def test_errors_are_one_line(recording, monkeypatch, tmp_path, arguments, message):
+def test_errors_are_one_line(recording, run, tmp_path, arguments, message):
     with pytest.raises(SystemExit, match=message):
-        run(monkeypatch, "segment", recording, "-o", tmp_path / "out", *arguments)
+        run("segment", recording, "-o", tmp_path / "out", *arguments)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_scene_that_is_not_there(monkeypatch, tmp_path):
+def test_a_scene_that_is_not_there(run, tmp_path):
     with pytest.raises(SystemExit, match=r"scene: .*nowhere does not exist"):
-        run(monkeypatch, "segment", tmp_path / "nowhere", "-o", tmp_path / "out")
+        run("segment", tmp_path / "nowhere", "-o", tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_in_the_way_is_left_alone(recording, monkeypatch, tmp_path):
+def test_a_folder_in_the_way_is_left_alone(recording, run, tmp_path):
     mine = tmp_path / "out.partial" / "thesis.tex"
     mine.parent.mkdir()
     mine.write_text("precious")
     with pytest.raises(SystemExit, match=r"out\.partial: is in the way and not of an earlier run"):
-        run(monkeypatch, "segment", recording, "-o", tmp_path / "out", *SMALL)
+        run("segment", recording, "-o", tmp_path / "out", *SMALL)
     assert mine.read_text() == "precious"
 
 
-def test_show(out, monkeypatch, capsys):
-    run(monkeypatch, "show", out, "--no-open-browser")
+def test_show(out, run, capsys):
+    run("show", out, "--no-open-browser")
     page = out / "viewer.html"
     assert str(page) in capsys.readouterr().out
     text = page.read_text(encoding="utf-8")
@@ -180,19 +172,19 @@ def test_show(out, monkeypatch, capsys):
     page.unlink()
 
 
-def test_show_of_something_else(monkeypatch, tmp_path):
+def test_show_of_something_else(run, tmp_path):
     with pytest.raises(SystemExit, match=r"points\.npz: missing; expected a folder that `torchjoint segment` wrote"):
-        run(monkeypatch, "show", tmp_path)
+        run("show", tmp_path)
     (tmp_path / "points.npz").write_bytes(b"PK\x03\x04 broken")
     with pytest.raises(SystemExit, match=r"points\.npz: not a whole result"):
-        run(monkeypatch, "show", tmp_path)
+        run("show", tmp_path)
 
 
-def test_demo(monkeypatch, tmp_path, capsys):
+def test_demo(monkeypatch, tmp_path, capsys, run):
     small = tj.synthetic.make_scene
     monkeypatch.setattr("torchjoint.synthetic.make_scene", lambda seed, size: small(seed=seed, size="small"))
-    run(monkeypatch, "demo", "-o", tmp_path / "demo", *SMALL)
+    run("demo", "-o", tmp_path / "demo", *SMALL)
     assert (tmp_path / "demo" / "overview.png").is_file()
     assert "against the truth, in 3D: covering 0." in capsys.readouterr().out
     with pytest.raises(SystemExit, match="demo: exists already"):
-        run(monkeypatch, "demo", "-o", tmp_path / "demo", *SMALL)
+        run("demo", "-o", tmp_path / "demo", *SMALL)

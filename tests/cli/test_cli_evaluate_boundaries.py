@@ -1,14 +1,11 @@
 """torchjoint evaluate-boundaries: a detector or a folder of predictions in, scores, a curve and a picture out."""
 
 import csv
-import sys
 
 import numpy as np
 import pytest
 from bsds_files import borders, write_bsds
 from PIL import Image
-
-from torchjoint import cli
 
 HALVES = (np.arange(60) >= 30).repeat(40).reshape(60, 40).T.astype(int) + 1
 EDGE = borders(HALVES)
@@ -29,14 +26,9 @@ def predictions(tmp_path):
     return folder
 
 
-def run(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["torchjoint", "evaluate-boundaries", *map(str, arguments)])
-    cli.main()
-
-
-def test_a_detector(bsds, tmp_path, monkeypatch, capsys):
+def test_a_detector(bsds, tmp_path, run, capsys):
     out = tmp_path / "scores"
-    run(monkeypatch, "gradient", bsds, "-o", out, "--thresholds", 9)
+    run("evaluate-boundaries", "gradient", bsds, "-o", out, "--thresholds", 9)
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].split() == ["boundaries", "ODS", "at", "precision", "recall", "OIS", "AP"]
     assert printed[1].split()[0] == "1.000"
@@ -48,8 +40,18 @@ def test_a_detector(bsds, tmp_path, monkeypatch, capsys):
     assert max(float(row["f"]) for row in rows) == 1
 
 
-def test_a_folder_of_predictions(bsds, predictions, tmp_path, monkeypatch, capsys):
-    run(monkeypatch, predictions, bsds, "-o", tmp_path / "scores", "--thresholds", 9, "--no-regions", "--no-nms")
+def test_a_folder_of_predictions(bsds, predictions, tmp_path, run, capsys):
+    run(
+        "evaluate-boundaries",
+        predictions,
+        bsds,
+        "-o",
+        tmp_path / "scores",
+        "--thresholds",
+        9,
+        "--no-regions",
+        "--no-nms",
+    )
     assert "regions" not in capsys.readouterr().out
     rows = list(csv.DictReader((tmp_path / "scores" / "boundaries.csv").read_text().splitlines()))
     # 200 / 255, 50000 / 65535 and 0.5: the last is gone above 0.5, all above 0.8; b's line counts for two annotators.
@@ -57,13 +59,13 @@ def test_a_folder_of_predictions(bsds, predictions, tmp_path, monkeypatch, capsy
     assert [float(row["precision"]) for row in rows] == [1] * 7 + [0] * 2
 
 
-def test_nothing_is_overwritten(bsds, tmp_path, monkeypatch):
+def test_nothing_is_overwritten(bsds, tmp_path, run):
     out = tmp_path / "scores"
     out.mkdir()
     (out / "boundaries.csv").write_text("precious")
     with pytest.raises(SystemExit, match=r"boundaries\.csv: exists already; choose another folder with -o"):
-        run(monkeypatch, "gradient", bsds, "-o", out)
-    run(monkeypatch, "gradient", bsds, "-o", out, "--overwrite", "--thresholds", 1, "--no-regions")
+        run("evaluate-boundaries", "gradient", bsds, "-o", out)
+    run("evaluate-boundaries", "gradient", bsds, "-o", out, "--overwrite", "--thresholds", 1, "--no-regions")
     assert (out / "boundaries.csv").read_text() != "precious"
 
 
@@ -99,30 +101,30 @@ def truncate(file):
         (lambda file: file.with_suffix(".png").touch(), r"holds both c\.png and c\.npy; remove one"),
     ],
 )
-def test_wrong_predictions(bsds, predictions, tmp_path, monkeypatch, damage, message):
+def test_wrong_predictions(bsds, predictions, tmp_path, run, damage, message):
     damage(predictions / "c.npy")
     with pytest.raises(SystemExit, match="torchjoint: error: .*" + message):
-        run(monkeypatch, predictions, bsds, "-o", tmp_path / "scores", "--thresholds", 1)
+        run("evaluate-boundaries", predictions, bsds, "-o", tmp_path / "scores", "--thresholds", 1)
     assert not (tmp_path / "scores").exists()
 
 
-def test_wrong_arguments(bsds, predictions, tmp_path, monkeypatch):
+def test_wrong_arguments(bsds, predictions, tmp_path, monkeypatch, run):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(
         SystemExit, match=r"nothing: neither a folder of predictions, nor a forest, nor a detector: .*gradient"
     ):
-        run(monkeypatch, "nothing", bsds)
+        run("evaluate-boundaries", "nothing", bsds)
     with pytest.raises(SystemExit, match=r"nothing\.yml\.gz: missing; expected a structured forest"):
-        run(monkeypatch, "nothing.yml.gz", bsds)
+        run("evaluate-boundaries", "nothing.yml.gz", bsds)
     with pytest.raises(SystemExit, match="--multi-scale: only for structured forests, got gradient"):
-        run(monkeypatch, "gradient", bsds, "--multi-scale")
+        run("evaluate-boundaries", "gradient", bsds, "--multi-scale")
     with pytest.raises(SystemExit, match="no such folder; expected the BSDS500 data set"):
-        run(monkeypatch, "gradient", tmp_path / "nowhere")
+        run("evaluate-boundaries", "gradient", tmp_path / "nowhere")
     with pytest.raises(SystemExit, match="thresholds: expected a whole number >= 1, got 0"):
-        run(monkeypatch, "gradient", bsds, "--thresholds", 0)
+        run("evaluate-boundaries", "gradient", bsds, "--thresholds", 0)
     with pytest.raises(SystemExit, match="test: missing; expected the folder of the split 'test'"):
-        run(monkeypatch, "gradient", bsds, "--split", "test")
+        run("evaluate-boundaries", "gradient", bsds, "--split", "test")
     Image.new("RGB", (60, 40)).save(predictions / "a.png")
     with pytest.raises(SystemExit, match=r"a\.png: expected a grey image of 8 or 16 bits, got mode RGB"):
-        run(monkeypatch, predictions, bsds)
+        run("evaluate-boundaries", predictions, bsds)
     assert not (tmp_path / "boundary-scores").exists()

@@ -1,24 +1,16 @@
 """torchjoint superpoints: clouds in every format, results that open elsewhere, nothing overwritten."""
 
-import sys
-
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
 import torchjoint as tj
-from torchjoint import cli
 from torchjoint.datasets.clouds import read_cloud_file
 from torchjoint.datasets.files import write_cloud
 
 POINTS = torch.rand(400, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 1.0, 0.01])
 COLORS = torch.rand(400, 3, generator=torch.Generator().manual_seed(1))
-
-
-def run(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["torchjoint", "superpoints", *map(str, arguments)])
-    cli.main()
 
 
 def write(path, points=POINTS, colors=COLORS):
@@ -46,18 +38,18 @@ def test_formats(tmp_path, suffix):
         assert cloud.colors is None
 
 
-def test_what_it_writes(tmp_path, monkeypatch, capsys):
+def test_what_it_writes(tmp_path, run, capsys):
     from open3d import t
 
     cloud = write(tmp_path / "cloud.npz")
-    run(monkeypatch, cloud, "-o", tmp_path / "a.ply", "--set", "scale=0.3", "min_size=5")
+    run("superpoints", cloud, "-o", tmp_path / "a.ply", "--set", "scale=0.3", "min_size=5")
     expected = tj.superpoints(POINTS, COLORS, scale=0.3, min_size=5)
     assert f"400 points in {int(expected.max()) + 1} superpoints" in capsys.readouterr().out
     assert t.io.read_point_cloud(str(tmp_path / "a.ply")).point.label.numpy().ravel().tolist() == expected.tolist()
     assert np.array(Image.open(tmp_path / "a.png")).shape[1] > 1000
-    run(monkeypatch, cloud, "-o", tmp_path / "b.npy", "--no-picture", "--preset", "outdoor")
+    run("superpoints", cloud, "-o", tmp_path / "b.npy", "--no-picture", "--preset", "outdoor")
     assert np.load(tmp_path / "b.npy").tolist() == tj.superpoints(POINTS, COLORS, preset="outdoor").tolist()
-    run(monkeypatch, cloud, "-o", tmp_path / "c.npz", "--no-picture", "--viewpoint", 0, 0, 5)
+    run("superpoints", cloud, "-o", tmp_path / "c.npz", "--no-picture", "--viewpoint", 0, 0, 5)
     assert (
         np.load(tmp_path / "c.npz")["labels"].tolist()
         == tj.superpoints(POINTS, COLORS, viewpoint=torch.tensor([0.0, 0, 5])).tolist()
@@ -65,27 +57,27 @@ def test_what_it_writes(tmp_path, monkeypatch, capsys):
     assert {file.name for file in tmp_path.iterdir()} == {"cloud.npz", "a.ply", "a.png", "b.npy", "c.npz"}
 
 
-def test_a_mesh(tmp_path, monkeypatch):
+def test_a_mesh(tmp_path, run):
     import open3d
 
     mesh = open3d.geometry.TriangleMesh.create_sphere(1.0, 20)
     open3d.io.write_triangle_mesh(str(tmp_path / "mesh.ply"), mesh)
-    run(monkeypatch, tmp_path / "mesh.ply", "-o", tmp_path / "out.npy", "--preset", "segmentator", "--no-picture")
+    run("superpoints", tmp_path / "mesh.ply", "-o", tmp_path / "out.npy", "--preset", "segmentator", "--no-picture")
     read = read_cloud_file(tmp_path / "mesh.ply")
     assert read.faces.tolist() == np.asarray(mesh.triangles).tolist()
     expected = tj.superpoints(read.points, faces=read.faces, preset="segmentator")
     assert np.load(tmp_path / "out.npy").tolist() == expected.tolist()
 
 
-def test_nothing_is_overwritten(tmp_path, monkeypatch):
+def test_nothing_is_overwritten(tmp_path, run):
     cloud = write(tmp_path / "cloud.npz")
     (tmp_path / "out.png").write_text("precious")
     with pytest.raises(SystemExit, match=r"out\.png: exists already; choose another name with -o, or --overwrite"):
-        run(monkeypatch, cloud, "-o", tmp_path / "out.ply")
+        run("superpoints", cloud, "-o", tmp_path / "out.ply")
     assert {file.name for file in tmp_path.iterdir()} == {"cloud.npz", "out.png"}
-    run(monkeypatch, cloud, "-o", tmp_path / "out.ply", "--overwrite")
+    run("superpoints", cloud, "-o", tmp_path / "out.ply", "--overwrite")
     with pytest.raises(SystemExit, match=r"out\.ply: exists already"):
-        run(monkeypatch, cloud, "-o", tmp_path / "out.ply")
+        run("superpoints", cloud, "-o", tmp_path / "out.ply")
 
 
 @pytest.mark.parametrize(
@@ -105,7 +97,7 @@ def test_nothing_is_overwritten(tmp_path, monkeypatch):
         (["odd.xyz"], r"odd\.xyz: not a whole \.xyz cloud"),
     ],
 )
-def test_errors_are_one_line(tmp_path, monkeypatch, arguments, message):
+def test_errors_are_one_line(tmp_path, monkeypatch, arguments, message, run):
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "cloud.npz")
     (tmp_path / "odd.bin").write_bytes(b"123456")
@@ -114,5 +106,5 @@ def test_errors_are_one_line(tmp_path, monkeypatch, arguments, message):
     (tmp_path / "odd.xyz").write_text("one two three")
     before = set(tmp_path.iterdir())
     with pytest.raises(SystemExit, match="torchjoint: error: " + message):
-        run(monkeypatch, *arguments)
+        run("superpoints", *arguments)
     assert set(tmp_path.iterdir()) == before

@@ -1,14 +1,12 @@
 """torchjoint train-boundaries: annotated images in, a forest out that the detector and the evaluation take."""
 
 import csv
-import sys
 
 import numpy as np
 import pytest
 import torch
 from bsds_files import write_bsds
 
-from torchjoint import cli
 from torchjoint.images.structured_forest import StructuredForestBoundary
 
 ROWS, COLUMNS = np.mgrid[:64, :96]
@@ -24,15 +22,10 @@ def bsds(tmp_path_factory):
     return write_bsds(tmp_path_factory.mktemp("bsds"), TRUTHS, "train")
 
 
-def run(monkeypatch, command, *arguments):
-    monkeypatch.setattr(sys, "argv", ["torchjoint", command, *map(str, arguments)])
-    cli.main()
-
-
-def test_from_images_to_scores(bsds, tmp_path, monkeypatch, capsys):
+def test_from_images_to_scores(bsds, tmp_path, run, capsys):
     forest = tmp_path / "small.yml.gz"
     quick = ["--splits", "train", "--trees", 2, "--samples", 1000]
-    run(monkeypatch, "train-boundaries", bsds, "-o", forest, *quick)
+    run("train-boundaries", bsds, "-o", forest, *quick)
     assert capsys.readouterr().out.startswith("2 trees of up to ")
     assert list(tmp_path.iterdir()) == [forest]
     left = torch.zeros(1, 3, 50, 70)
@@ -40,12 +33,12 @@ def test_from_images_to_scores(bsds, tmp_path, monkeypatch, capsys):
     strength = StructuredForestBoundary(forest)(left)[0, 25]
     assert abs(int(strength.argmax()) - 29.5) < 2
     assert strength[:20].max() < strength.max() / 2
-    run(monkeypatch, "evaluate-boundaries", forest, bsds, "-o", tmp_path / "scores", "--split", "train", "--no-regions")
+    run("evaluate-boundaries", forest, bsds, "-o", tmp_path / "scores", "--split", "train", "--no-regions")
     rows = list(csv.DictReader((tmp_path / "scores" / "boundaries.csv").read_text().splitlines()))
     assert max(float(row["f"]) for row in rows) > 0.6
     before = forest.read_bytes()
     with pytest.raises(SystemExit, match=r"small\.yml\.gz: exists already; choose another name"):
-        run(monkeypatch, "train-boundaries", bsds, "-o", forest, *quick, "--seed", 1)
+        run("train-boundaries", bsds, "-o", forest, *quick, "--seed", 1)
     assert forest.read_bytes() == before
 
 
@@ -61,9 +54,9 @@ def test_from_images_to_scores(bsds, tmp_path, monkeypatch, capsys):
         (["BSDS", "--splits", "train", "--samples", "10"], "samples: expected a whole number >= 1000, got 10"),
     ],
 )
-def test_errors_are_one_line(bsds, tmp_path, monkeypatch, arguments, message):
+def test_errors_are_one_line(bsds, tmp_path, monkeypatch, arguments, message, run):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit, match=message) as error:
-        run(monkeypatch, "train-boundaries", *(bsds if part == "BSDS" else part for part in arguments))
+        run("train-boundaries", *(bsds if part == "BSDS" else part for part in arguments))
     assert "\n" not in str(error.value)
     assert not list(tmp_path.iterdir())

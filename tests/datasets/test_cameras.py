@@ -8,7 +8,7 @@ from torchjoint.datasets.cameras import (
     Camera,
     pinhole_matrix,
     resize_depth,
-    rotations_of,
+    rotations_from_quaternions,
     scale_intrinsics,
     undistort,
 )
@@ -33,13 +33,13 @@ class TestQuaternions:
         ],
     )
     def test_by_hand(self, quaternion, matrix):
-        got = rotations_of(np.array([quaternion], dtype=np.float64), "it").as_matrix()[0]
+        got = rotations_from_quaternions(np.array([quaternion], dtype=np.float64), "it").as_matrix()[0]
         np.testing.assert_allclose(got, matrix, atol=1e-12)
 
     @pytest.mark.parametrize("wrong", [[0, 0, 0, 0], [0, 0, 0, 1.1], [np.nan, 0, 0, 1], [1e200, 0, 0, 0]])
     def test_others_are_refused(self, wrong):
         with pytest.raises(ValueError, match=r"poses\.txt: expected unit quaternions, got 1 others, such as"):
-            rotations_of(np.array([[0, 0, 0, 1], wrong], dtype=np.float64), "poses.txt")
+            rotations_from_quaternions(np.array([[0, 0, 0, 1], wrong], dtype=np.float64), "poses.txt")
 
 
 class TestImagesOfAnotherSize:

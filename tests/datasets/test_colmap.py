@@ -14,8 +14,8 @@ NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "
 
 
 @pytest.fixture(scope="module")
-def synthetic():
-    return tj.synthetic.make_scene(seed=0)
+def synthetic(scene_of):
+    return scene_of(0)
 
 
 def pinhole_of(frame):

@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 import torch
+from folder_files import write_folder
 from PIL import Image
 
 import torchjoint as tj
@@ -13,27 +14,8 @@ from torchjoint.datasets.recording import invert_pose
 
 
 @pytest.fixture(scope="module")
-def synthetic():
-    return tj.synthetic.make_scene(seed=1, size="small")
-
-
-def write_folder(folder, synthetic, *, cloud=True, depth=True):
-    """A plain folder, written with nothing of the reader's code."""
-    folder.mkdir()
-    frames = synthetic.scene.frames
-    np.savetxt(folder / "camera-intrinsics.txt", frames[0].intrinsics.numpy())
-    for index, frame in enumerate(frames):
-        stem = f"frame-{index * 5:06d}"
-        pixels = (frame.image * 255).round().byte().permute(1, 2, 0).numpy()
-        Image.fromarray(pixels).save(folder / f"{stem}.color.png")
-        np.savetxt(folder / f"{stem}.pose.txt", np.linalg.inv(frame.world_to_camera.numpy()))
-        if depth:
-            millimetres = (frame.depth * 1000).round().numpy().astype(np.uint16)
-            millimetres[0, 0] = 65535
-            Image.fromarray(millimetres).save(folder / f"{stem}.depth.png")
-    if cloud:
-        write_cloud(folder / "cloud.ply", synthetic.scene.points, synthetic.scene.colors)
-    return folder
+def synthetic(scene_of):
+    return scene_of(1)
 
 
 @pytest.fixture
@@ -243,8 +225,8 @@ def test_clouds_keep_labels_for_other_tools(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["out.ply"]
 
 
-def test_inverting_a_pose():
-    frame = tj.synthetic.make_scene(seed=0).scene.frames[0].world_to_camera
+def test_inverting_a_pose(scene_of):
+    frame = scene_of(0).scene.frames[0].world_to_camera
     torch.testing.assert_close(invert_pose(frame), torch.linalg.inv(frame))
 
 

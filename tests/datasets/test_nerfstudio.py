@@ -17,8 +17,8 @@ APPLIED = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [-0.0, -1.0, -0.0, -0.0]]
 
 
 @pytest.fixture(scope="module")
-def synthetic():
-    return tj.synthetic.make_scene(seed=0)
+def synthetic(scene_of):
+    return scene_of(0)
 
 
 def intrinsics_of(frame):

@@ -2,6 +2,7 @@
 
 import struct
 import time
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -56,10 +57,13 @@ class TestLzf:
 
     def test_a_bomb_ends_where_it_is_known_to_be_one(self):
         bomb = b"\x00a" + b"\xe0\xff\x00" * 1_000_000  # 260 MB
-        start = time.perf_counter()
-        with pytest.raises(ValueError, match="expected 100 bytes"):
-            decompress(bomb, 100)
-        assert time.perf_counter() - start < 0.1
+        tracemalloc.start()
+        try:
+            with pytest.raises(ValueError, match="expected 100 bytes"):
+                decompress(bomb, 100)
+            assert tracemalloc.get_traced_memory()[1] < 10_000_000  # a copy of `bomb`, at the most
+        finally:
+            tracemalloc.stop()
 
 
 class TestFields:
@@ -211,6 +215,6 @@ class TestErrors:
 def test_a_real_file_is_read_quickly(shared):
     start = time.perf_counter()
     cloud = read_pcd(shared / "data" / "mosd" / "learn10.pcd")
-    assert time.perf_counter() - start < 5  # 0.3 s where nothing else runs
+    assert time.perf_counter() - start < 60  # 0.3 s where nothing else runs; one value at a time takes minutes
     assert list(cloud.fields) == ["label", "x", "y", "z", "rgba"]
     assert (cloud.width, cloud.height) == (640, 480)

@@ -31,8 +31,8 @@ SCAN = "scene0011_00"
 
 
 @pytest.fixture(scope="module")
-def synthetic():
-    return tj.synthetic.make_scene(seed=3, num_views=4)
+def synthetic(scene_of):
+    return scene_of(3, num_views=4)
 
 
 @pytest.fixture

@@ -29,8 +29,8 @@ SCAN = "scene0144_00"
 
 
 @pytest.fixture(scope="module")
-def synthetic():
-    return tj.synthetic.make_scene(seed=4, num_views=2)
+def synthetic(scene_of):
+    return scene_of(4, num_views=2)
 
 
 @pytest.fixture

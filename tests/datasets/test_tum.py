@@ -15,8 +15,8 @@ START = 1305031102.0
 
 
 @pytest.fixture(scope="module")
-def synthetic():
-    return tj.synthetic.make_scene(seed=0)
+def synthetic(scene_of):
+    return scene_of(0)
 
 
 def write(folder, synthetic, *, cloud=True):

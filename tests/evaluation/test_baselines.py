@@ -8,11 +8,10 @@ import zlib
 import numpy as np
 import pytest
 import torch
+from damage import CLEAR, damages
 from scannet_files import VOXEL, boxes_of, world_to_grid, write_detections
 from scipy.io import savemat
-from test_fuzz import CLEAR, damages
 
-import torchjoint as tj
 from torchjoint.datasets.vertex_numbers import read_vertex_instances
 from torchjoint.datasets.voxels import read_world_to_scene
 from torchjoint.evaluation.baselines.mat_files import read_matrices
@@ -58,8 +57,8 @@ class TestDetections:
         assert labels_at(tmp_path / "a", [[5, 7, 8], [5, 6, 7], [6, 7, 8]]) == [0, -1, -1]
         assert labels_at(tmp_path / "a", [[5.4, 7.4, 7.6], [5.6, 7, 8]]) == [0, -1]
 
-    def test_a_scene_s_objects_are_found_again(self, tmp_path):
-        synthetic = tj.synthetic.make_scene(seed=4, num_views=2)
+    def test_a_scene_s_objects_are_found_again(self, tmp_path, scene_of):
+        synthetic = scene_of(4, num_views=2)
         points, labels = synthetic.scene.points, synthetic.point_labels
         objects = labels.bincount().argsort(descending=True)[:6].tolist()
         boxes, masks = boxes_of(points, labels, objects)

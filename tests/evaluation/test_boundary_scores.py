@@ -190,18 +190,14 @@ def test_a_tiny_data_set(tmp_path):
         evaluate_predictions(lambda record: torch.zeros(3, 3), records, 3)
 
 
-def test_the_number_of_threads_does_not_matter(tmp_path):
+def test_the_number_of_threads_does_not_matter(tmp_path, set_threads):
     generator = torch.Generator().manual_seed(0)
     regions = {name: [torch.randint(1, 3, (30, 40), generator=generator).numpy()] for name in "abc"}
     records = bsds_images(write_bsds(tmp_path, regions), "val")
-    threads = torch.get_num_threads()
-    try:
-        results = []
-        for number in (1, 2):
-            torch.set_num_threads(number)
-            results.append(evaluate_boundaries(GradientBoundary(), records, 9))
-    finally:
-        torch.set_num_threads(threads)
+    results = []
+    for number in (1, 2):
+        set_threads(number)
+        results.append(evaluate_boundaries(GradientBoundary(), records, 9))
     assert results[0][:6] == results[1][:6]
     assert all(torch.equal(a, b) for a, b in zip(results[0].curve, results[1].curve, strict=True))
 

@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pytest
 import torch
+from folder_files import write_folder, write_truth
 from PIL import Image
-from test_cli import run
-from test_datasets import write_folder
 
 import torchjoint as tj
 from torchjoint.evaluation.evaluate import evaluate
@@ -167,14 +166,8 @@ class TestTable:
 
 
 @pytest.fixture(scope="module")
-def synthetic():
-    return tj.synthetic.make_scene(seed=2, size="small")
-
-
-def write_truth(folder, synthetic):
-    np.save(folder / "cloud.truth.npy", synthetic.point_labels.numpy())
-    for index, labels in enumerate(synthetic.image_labels):
-        Image.fromarray((labels.numpy() + 1).astype(np.uint16)).save(folder / f"frame-{index * 5:06d}.truth.png")
+def synthetic(scene_of):
+    return scene_of(2)
 
 
 @pytest.fixture(scope="module")
@@ -251,9 +244,9 @@ class TestPredictions:
 
 
 class TestCommand:
-    def test_a_result(self, recording, synthetic, monkeypatch, tmp_path, capsys):
-        run(monkeypatch, "segment", recording, "-o", tmp_path / "result", "--set", "point_segments.min_size=20")
-        run(monkeypatch, "evaluate", tmp_path / "result", recording, "-o", tmp_path / "scores")
+    def test_a_result(self, recording, synthetic, run, tmp_path, capsys):
+        run("segment", recording, "-o", tmp_path / "result", "--set", "point_segments.min_size=20")
+        run("evaluate", tmp_path / "result", recording, "-o", tmp_path / "scores")
         printed = capsys.readouterr().out
         with (tmp_path / "scores" / "scores.csv").open() as file:
             in_3d, in_2d = csv.DictReader(file)
@@ -266,37 +259,37 @@ class TestCommand:
         assert float(in_2d["f"]) == pytest.approx(score_images(result.images, synthetic.image_labels).f, abs=1e-6)
         assert (tmp_path / "scores" / "scores.png").is_file()
 
-    def test_a_fused_cloud_is_found_in_the_result(self, synthetic, monkeypatch, tmp_path, capsys):
+    def test_a_fused_cloud_is_found_in_the_result(self, synthetic, run, tmp_path, capsys):
         recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
         for index, labels in enumerate(synthetic.image_labels):
             Image.fromarray((labels.numpy() + 1).astype(np.uint16)).save(recording / f"frame-{index * 5:06d}.truth.png")
         small = ["--set", "point_segments.min_size=20"]
-        run(monkeypatch, "segment", recording, "-o", tmp_path / "result", "--voxel-size", 0.05, *small)
-        run(monkeypatch, "evaluate", tmp_path / "result", recording, "--voxel-size", 0.05)
+        run("segment", recording, "-o", tmp_path / "result", "--voxel-size", 0.05, *small)
+        run("evaluate", tmp_path / "result", recording, "--voxel-size", 0.05)
         assert "2D" in capsys.readouterr().out
 
-    def test_a_data_set(self, recording, synthetic, monkeypatch, tmp_path, capsys):
+    def test_a_data_set(self, recording, synthetic, run, tmp_path, capsys):
         data, results = tmp_path / "data", tmp_path / "results"
         data.mkdir()
         results.mkdir()
         for name in ("first", "second"):
             (data / name).symlink_to(recording)
             np.save(results / f"{name}.npy", synthetic.point_labels.numpy())
-        run(monkeypatch, "evaluate", results, data)
+        run("evaluate", results, data)
         lines = capsys.readouterr().out.splitlines()
         assert [line.split("|")[1].strip() for line in lines[2:5]] == ["first", "second", "mean"]
         (results / "second.npy").unlink()
         with pytest.raises(SystemExit, match=r"second: missing; expected a result"):
-            run(monkeypatch, "evaluate", results, data)
+            run("evaluate", results, data)
 
-    def test_what_is_left_out_is_told(self, recording, synthetic, monkeypatch, tmp_path, capsys):
+    def test_what_is_left_out_is_told(self, recording, synthetic, run, tmp_path, capsys):
         keep = synthetic.scene.points[:, 0] > synthetic.scene.points[:, 0].median()
         points, labels = synthetic.scene.points[keep], synthetic.point_labels[keep]
         np.savez(tmp_path / "points.npz", points=points.numpy(), labels=labels.numpy())
-        run(monkeypatch, "evaluate", tmp_path, recording)
+        run("evaluate", tmp_path, recording)
         assert f"recording: only {len(points)} of 6000 points are there to be scored" in capsys.readouterr().out
 
-    def test_scenes_before_a_bad_one_are_not_lost(self, recording, synthetic, monkeypatch, tmp_path, capsys):
+    def test_scenes_before_a_bad_one_are_not_lost(self, recording, synthetic, run, tmp_path, capsys):
         data, results = tmp_path / "data", tmp_path / "results"
         data.mkdir()
         results.mkdir()
@@ -305,21 +298,21 @@ class TestCommand:
             np.save(results / f"{name}.npy", synthetic.point_labels.numpy())
         (data / "without").unlink()
         write_folder(data / "without", synthetic)
-        run(monkeypatch, "evaluate", results, data, "-o", tmp_path / "scores")
+        run("evaluate", results, data, "-o", tmp_path / "scores")
         printed = capsys.readouterr().out
         assert "without: has no truth and is left out" in printed
         np.save(results / "second.npy", np.zeros(3, int))
         with pytest.raises(SystemExit, match="exists already"):
-            run(monkeypatch, "evaluate", results, data, "-o", tmp_path / "scores")
+            run("evaluate", results, data, "-o", tmp_path / "scores")
         with pytest.raises(SystemExit, match=r"second\.npy: expected shape \[6000\]"):
-            run(monkeypatch, "evaluate", results, data, "-o", tmp_path / "scores", "--overwrite")
+            run("evaluate", results, data, "-o", tmp_path / "scores", "--overwrite")
         assert "| first" in capsys.readouterr().out
         assert len((tmp_path / "scores" / "scores.csv").read_text().splitlines()) == 2
 
-    def test_only_points_in_view(self, synthetic, monkeypatch, tmp_path):
+    def test_only_points_in_view(self, synthetic, run, tmp_path):
         recording = write_folder(tmp_path / "recording", synthetic)
         small = ["--set", "point_segments.min_size=20", "--max-frames", "1", "--in-view"]
-        run(monkeypatch, "segment", recording, "-o", tmp_path / "result", *small)
+        run("segment", recording, "-o", tmp_path / "result", *small)
         with np.load(tmp_path / "result" / "points.npz") as arrays:
             kept = torch.from_numpy(arrays["points"])
         frame = synthetic.scene.frames[0]

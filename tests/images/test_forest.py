@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from torchjoint.datasets.bsds import BsdsImage, bsds_images
 from torchjoint.images.forest import NUM_FEATURES, Forest, read_forest, write_forest
-from torchjoint.images.structured_forest import widened
+from torchjoint.images.structured_forest import padded
 from torchjoint.training import TrainingOptions, TreeOptions, train_boundaries
 from torchjoint.training.channels import image_channels, rgb_to_luv, triangle_filter
 from torchjoint.training.detect import detect
@@ -38,7 +38,7 @@ from torchjoint.training.patches import (
 from torchjoint.training.tree import grow_tree
 
 SMALL = TrainingOptions(
-    trees=3, trees_at_a_site=2, samples=3000, feature_share=0.05, tree=TreeOptions(features_tried=20, node_samples=500)
+    trees=3, trees_per_site=2, samples=3000, feature_share=0.05, tree=TreeOptions(features_tried=20, node_samples=500)
 )
 
 
@@ -194,7 +194,7 @@ class TestForestFile:
             read_forest(tmp_path / "foreign.yml")
         assert message in str(error.value)
 
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=60)
     @given(st.data())
     def test_flipped_bytes(self, trained, tmp_path_factory, data):
         """Never a crash, and never another forest taken for whole without a trace."""
@@ -234,7 +234,7 @@ class TestPatches:
     def test_codes_tell_on_which_side_of_a_threshold_a_value_is(self, data):
         rng = np.random.default_rng(0)
         codes = FeatureCodes.of_images(data, rng)
-        channels = image_channels(widened(random_image(60, 70)))
+        channels = image_channels(padded(random_image(60, 70)))
         rows, columns = sites(channels)
         features = np.sort(rng.choice(NUM_FEATURES, 200, replace=False))
         found = codes.of_sites(channels, rows, columns, features)
@@ -288,6 +288,7 @@ class TestTraining:
         near = cv2.dilate(segmentation_lines(disc).astype(np.uint8), np.ones((3, 3))) > 0
         assert strength[near].mean() > 5 * strength[cv2.dilate(near.astype(np.uint8), np.ones((9, 9))) == 0].mean()
 
+    @pytest.mark.slow
     def test_same_seed_same_file_and_a_stopped_training_goes_on(self, data, trained, tmp_path, monkeypatch):
         import torchjoint.training.train as module
 
@@ -330,7 +331,7 @@ class TestTraining:
         (tmp_path / "b.yml.gz.trees").mkdir()
         with pytest.raises(FileExistsError, match=r"b\.yml\.gz\.trees: is in the way"):
             train_boundaries(data, tmp_path / "b.yml.gz")
-        for options in ({"trees": 0}, {"trees_at_a_site": 9}, {"samples": 1.5}, {"feature_share": 0}, {"seed": -1}):
+        for options in ({"trees": 0}, {"trees_per_site": 9}, {"samples": 1.5}, {"feature_share": 0}, {"seed": -1}):
             with pytest.raises(ValueError, match=f"{next(iter(options))}: expected"):
                 TrainingOptions(**options)
 

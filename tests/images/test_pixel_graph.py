@@ -102,15 +102,12 @@ class TestGradientBoundary:
         together = GradientBoundary()(images)
         assert torch.equal(together, torch.stack([GradientBoundary()(image[None])[0] for image in images]))
 
-    def test_one_image_does_not_depend_on_threads(self):
+    def test_one_image_does_not_depend_on_threads(self, set_threads):
         image = torch.rand(1, 3, 333, 471, generator=torch.Generator().manual_seed(2))
-        threads, results = torch.get_num_threads(), []
-        try:
-            for count in (1, 2, 3):
-                torch.set_num_threads(count)
-                results.append(GradientBoundary()(image))
-        finally:
-            torch.set_num_threads(threads)
+        results = []
+        for count in (1, 2, 3):
+            set_threads(count)
+            results.append(GradientBoundary()(image))
         assert torch.equal(results[0], results[1])
         assert torch.equal(results[0], results[2])
 

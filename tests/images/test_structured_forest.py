@@ -5,8 +5,6 @@ from __future__ import annotations
 import copy
 import pickle
 import shutil
-import subprocess
-import sys
 from importlib.resources import files
 from pathlib import Path
 
@@ -90,17 +88,15 @@ class TestStructuredForestBoundary:
         assert relative.max() > 1.5
         assert not structured_forest.relative_gradient(np.full_like(ramp, 0.3)).any()
 
-    def test_images_are_independent_of_batch_and_threads(self):
+    def test_images_are_independent_of_batch_and_threads(self, set_threads):
         torch.manual_seed(0)
         images = torch.rand(3, 3, 50, 61)
         detector = StructuredForestBoundary()
         together = detector(images)
         assert torch.equal(together, torch.stack([detector(image[None])[0] for image in images]))
-        before = torch.get_num_threads()
         for threads in (1, 2, 5):
-            torch.set_num_threads(threads)
+            set_threads(threads)
             assert torch.equal(detector(images), together)
-        torch.set_num_threads(before)
 
     def test_options_do_what_they_say(self):
         image = torch.zeros(1, 3, 80, 80)
@@ -166,10 +162,6 @@ class TestModel:
         with pytest.raises(ValueError, match=r"mine\.yml\.gz: not a whole"):
             StructuredForestBoundary(file)
 
-    def test_importing_does_not_load_it(self):
-        code = "import sys, torchjoint; print('cv2' in sys.modules)"
-        assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "False"
-
     def test_it_finds_peoples_boundaries(self, shared):
         """On a few images, which it has seen: far better than gradients. Scores on unseen ones are the model card's."""
         images = bsds_images(shared / "data" / "bsds500", "val")[::33]
@@ -192,10 +184,10 @@ class TestMakeBoundary:
         detector = make_boundary(BoundaryConfig(detector="gradient", smoothing=2, contrast=3))
         assert (detector.smoothing, detector.contrast) == (2.0, 3.0)
 
-    def test_a_module_of_ones_own(self):
+    def test_a_module_of_ones_own(self, scene_of):
         config = Config().set([f"boundary.detector={__name__}:Vertical"])
         assert isinstance(make_boundary(config.boundary), Vertical)
-        scene = tj.synthetic.make_scene(seed=0).scene
+        scene = scene_of(0).scene
         assert len(tj.JointSegmenter(config)(scene).images) == len(scene.frames)
 
     @pytest.mark.parametrize(

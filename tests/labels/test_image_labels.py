@@ -91,8 +91,8 @@ def test_better_than_painting_with_the_true_labels() -> None:
     assert true_share(ours, made.image_labels) > true_share(painted, made.image_labels) + 0.005
 
 
-def test_the_method_is_chosen_by_the_config() -> None:
-    scene: Scene = make_scene(0).scene
+def test_the_method_is_chosen_by_the_config(scene_of) -> None:
+    scene: Scene = scene_of(0).scene
     segmenter = JointSegmenter(Config().set(["boundary.detector=gradient"]))
     geodesic = segmenter(scene)
     cuts = segmenter.with_config(segmenter.config.set(["refinement.method=cuts"])).compute()

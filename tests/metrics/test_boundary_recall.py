@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from torchjoint.metrics import boundary_recall
@@ -36,7 +36,6 @@ def cases(draw):
     return draw(labels), targets, draw(st.lists(st.tuples(points, points), min_size=1, max_size=20))
 
 
-@settings(deadline=None)
 @given(cases(), st.integers(0, 3))
 def test_it_is_the_loop(case, tolerance):
     pred, targets, edges = case
@@ -47,7 +46,6 @@ def test_it_is_the_loop(case, tolerance):
     assert found == pytest.approx(expected, abs=1e-12)
 
 
-@settings(deadline=None)
 @given(cases(), st.permutations(range(4)))
 def test_numbers_and_directions_do_not_matter(case, order):
     pred, (target, *_), edges = torch.tensor(case[0]), [torch.tensor(one) for one in case[1]], torch.tensor(case[2]).T

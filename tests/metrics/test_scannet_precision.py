@@ -7,7 +7,7 @@ from statistics import fmean
 
 import pytest
 import torch
-from hypothesis import given, settings
+from examples import few_and_many
 from hypothesis import strategies as st
 
 from torchjoint.metrics import ScannetAveragePrecisionMetric, scannet_average_precision
@@ -103,8 +103,7 @@ def same(found, expected):
     return found == pytest.approx(expected, abs=1e-12, nan_ok=True)
 
 
-@settings(deadline=None)
-@given(scenes(), st.integers(1, 4))
+@few_and_many(40, 100, scene=scenes(), min_size=st.integers(1, 4))
 def test_masks_are_as_sets(scene, min_size):
     masks, scores, target = scene
     arguments = torch.tensor(target), torch.tensor(scores, dtype=torch.float64)
@@ -113,8 +112,7 @@ def test_masks_are_as_sets(scene, min_size):
     assert same(scannet_average_precision(as_points(masks), *arguments, min_size=min_size), expected)
 
 
-@settings(deadline=None)
-@given(targets(), st.data(), st.integers(1, 4))
+@few_and_many(40, 100, target=targets(), data=st.data(), min_size=st.integers(1, 4))
 def test_labels_are_as_sets(target, data, min_size):
     size = len(target)
     mixed = st.tuples(st.integers(-1, 8), st.booleans())
@@ -134,8 +132,7 @@ def test_labels_are_as_sets(target, data, min_size):
     assert same(scannet_average_precision(*tensors, min_size=min_size), alike)
 
 
-@settings(deadline=None)
-@given(st.lists(scenes(), min_size=1, max_size=4), st.integers(1, 3))
+@few_and_many(40, 100, several=st.lists(scenes(), min_size=1, max_size=4), min_size=st.integers(1, 3))
 def test_scenes_make_one_curve(several, min_size):
     metric = ScannetAveragePrecisionMetric(min_size)
     for masks, scores, target in several:
@@ -143,8 +140,7 @@ def test_scenes_make_one_curve(several, min_size):
     assert same(metric.compute(), slow_precision(several, min_size))
 
 
-@settings(deadline=None)
-@given(scenes(), st.randoms(use_true_random=False))
+@few_and_many(40, 100, scene=scenes(), random=st.randoms(use_true_random=False))
 def test_order_and_numbers_do_not_matter_from_50_up(scene, random):
     masks, scores, target = scene
     before = scannet_average_precision(as_points(masks), torch.tensor(target), torch.tensor(scores), min_size=1)

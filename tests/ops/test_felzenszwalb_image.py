@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from hypothesis import given, settings
+from examples import few_and_many
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -36,8 +36,9 @@ def random_image(seed: int, height: int, width: int, levels: int) -> tuple[Tenso
     return image, boundary[0]
 
 
-@settings(max_examples=300, deadline=None)
-@given(
+@few_and_many(
+    60,
+    300,
     seed=st.integers(0, 2**32 - 1),
     size=st.tuples(st.integers(1, 40), st.integers(1, 40)),
     levels=st.sampled_from([0, 1, 5]),
@@ -95,23 +96,19 @@ def test_no_pixels(shape: tuple[int, int, int, int]) -> None:
     assert felzenszwalb_image(torch.zeros(shape), scale=1.0).shape == (shape[0], *shape[2:])
 
 
-def test_batches_strides_and_threads_change_nothing() -> None:
+def test_batches_strides_and_threads_change_nothing(set_threads) -> None:
     images = torch.stack([random_image(seed, 90, 120, 9)[0] for seed in range(7)])
     expected = [felzenszwalb_image(image[None], scale=2.0, min_size=5)[0] for image in images]
     channels_last = images.permute(0, 2, 3, 1).contiguous().permute(0, 3, 1, 2)
     assert not channels_last.is_contiguous()
-    before = torch.get_num_threads()
-    try:
-        for threads in (1, 2, 5):
-            torch.set_num_threads(threads)
-            for batch in (images, channels_last):
-                assert torch.equal(felzenszwalb_image(batch, scale=2.0, min_size=5), torch.stack(expected))
-    finally:
-        torch.set_num_threads(before)
+    for threads in (1, 2, 5):
+        set_threads(threads)
+        for batch in (images, channels_last):
+            assert torch.equal(felzenszwalb_image(batch, scale=2.0, min_size=5), torch.stack(expected))
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="memory is read from /proc")
-@pytest.mark.parametrize("scale", [1.0, 0.0])
+@pytest.mark.parametrize("scale", [1.0, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_memory(scale: float) -> None:
     """Below 40 bytes a pixel besides the result, also where nothing is joined in the first pass."""
     code = f"""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from examples import few_and_many
 from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
@@ -74,8 +74,9 @@ def test_tiny_maps(shape: tuple[int, int]) -> None:
         assert torch.equal(result, ~full)
 
 
-@settings(deadline=None, max_examples=300)
-@given(
+@few_and_many(
+    60,
+    300,
     seed=st.integers(0, 2**32 - 1),
     height=st.integers(1, 14),
     width=st.integers(1, 14),

@@ -6,6 +6,7 @@ import math
 
 import pytest
 import torch
+from examples import few_and_many
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
@@ -33,8 +34,9 @@ def random_regions(seed: int, num_regions: int, num_edges: int) -> tuple[Tensor,
     return edges, torch.randint(6, (num_regions,), generator=generator)
 
 
-@settings(deadline=None, max_examples=600)
-@given(
+@few_and_many(
+    100,
+    600,
     seed=st.integers(0, 2**32 - 1),
     num_regions=st.integers(1, 30),
     num_edges=st.integers(0, 60),
@@ -59,7 +61,7 @@ def test_the_twin_with_more_borders_than_there_is_room_for_at_first(levels, thre
     assert 1 < got.max() < 299
 
 
-@settings(deadline=None, max_examples=100, derandomize=True)  # costs hardly ever tie, but they may
+@settings(max_examples=100, derandomize=True)  # costs hardly ever tie, but they may
 @given(seed=st.integers(0, 2**32 - 1), num_regions=st.integers(1, 60), threshold=st.sampled_from([0.1, 0.3, 0.6]))
 def test_without_ties_the_order_and_direction_of_edges_change_nothing(
     seed: int, num_regions: int, threshold: float

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 import torch
+from examples import few_and_many
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import coo_array
@@ -56,8 +57,7 @@ def cost(problem: Problem, side: np.ndarray) -> float:
     return float(capacity[side[edge_index[0]] != side[edge_index[1]]].sum() + sink[side].sum() + source[~side].sum())
 
 
-@settings(max_examples=1500, deadline=None)
-@given(problem=problems())
+@few_and_many(150, 1500, problem=problems())
 def test_equals_twin(problem: Problem) -> None:
     side, flow = min_cut(*problem)
     expected_side, expected_flow = min_cut_reference(*problem)
@@ -82,8 +82,7 @@ def test_equals_twin_on_grids() -> None:
         assert torch.equal(flow, expected_flow)
 
 
-@settings(max_examples=200, deadline=None)
-@given(problem=problems(max_nodes=6))
+@few_and_many(50, 200, problem=problems(max_nodes=6))
 def test_smallest_of_all_minimum_cuts(problem: Problem) -> None:
     """By trying every side. Integers only, so that equal costs are equal."""
     problem = (problem[0], *(values.clamp(max=50).round() for values in problem[1:]))
@@ -184,8 +183,9 @@ def test_same_value_and_side_as_scipy(seed: int) -> None:
     assert_same_as_scipy(grid_problem(15 + seed, 20, seed))
 
 
-@settings(max_examples=400, deadline=None)
-@given(
+@few_and_many(
+    60,
+    400,
     shape=st.sampled_from(SHAPES),
     size=st.integers(4, 400),
     seed=st.integers(0, 2**32 - 1),
@@ -198,7 +198,7 @@ def test_shapes(shape: str, size: int, seed: int, largest: int, terminals: float
     assert_same_as_scipy(shaped_problem(shape, size, seed, largest, terminals, seeds))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     shapes=st.lists(st.sampled_from(SHAPES), min_size=2, max_size=40),
     seed=st.integers(0, 2**16),
@@ -303,7 +303,7 @@ def test_long_thin_chains_take_no_quadratic_time(width: int, kind: str) -> None:
         sink, source[0], source[-1] = weak, torch.inf, torch.inf
     start = time.perf_counter()
     side, flow = min_cut(edge_index, capacity, source, sink)
-    assert time.perf_counter() - start < 5  # a quadratic solver needs minutes
+    assert time.perf_counter() - start < 60  # it takes a tenth of a second, and a quadratic solver minutes
     assert flow.item() == pytest.approx(cost((edge_index, capacity, source, sink), side.numpy()))
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
+import shutil
 import subprocess
 import sys
 import threading
@@ -16,6 +16,24 @@ from typing import Any
 
 import pytest
 import torch
+from operator_arguments import (
+    EDGES,
+    EYE,
+    IMAGES,
+    LABELS,
+    MERGE_REGIONS,
+    NAN,
+    NEIGHBORS,
+    PIXELS,
+    POINTS,
+    POSITIONS,
+    PROPAGATE_LABELS,
+    REGION_PLANES,
+    SINK,
+    SOURCE,
+    VALID,
+    VALUES,
+)
 
 from torchjoint.ops import (
     felzenszwalb,
@@ -34,72 +52,6 @@ from torchjoint.ops import (
     ultrametric_contours,
     window_overlaps,
 )
-
-EDGES = torch.tensor([[0, 1, 2], [1, 2, 3]])
-VALUES = torch.tensor([0.1, 5.0, 0.2])
-SOURCE = torch.tensor([torch.inf, 0.0, 0.0, 0.0])
-SINK = torch.tensor([0.0, 0.0, 0.0, 2.0])
-NAN = float("nan")
-
-FELZENSZWALB = {"edge_index": EDGES, "weight": VALUES, "num_nodes": 4, "scale": 1.0, "min_size": 0}
-IMAGES = torch.arange(48.0).view(2, 3, 2, 4) / 48
-POINTS = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]])
-NEIGHBORS = torch.tensor([[1, 2], [0, 2], [0, 1], [1, 2]])
-
-EYE = torch.eye(4, dtype=torch.float64)
-PIXELS = torch.tensor([0, 1, 2])
-POSITIONS = torch.tensor([0.0, 1.0, 2.0])
-LABELS = torch.tensor([[0, 0, 1, -1], [0, 1, 1, 1], [1, 1, 0, 0]], dtype=torch.int32)
-PROJECT = {
-    "points": torch.tensor([[0.0, 0.0, 2.0], [1.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), "camera_from_world": EYE,
-    "intrinsics": EYE[:3, :3] * 4, "near": 0.1, "far": 9.0, "height": 4, "width": 6, "margin": 1.0,
-}  # fmt: skip
-SPLAT_DEPTH = {
-    "row": PIXELS, "column": PIXELS, "depth": POSITIONS, "reach": torch.tensor([0, 1, 2]), "height": 3, "width": 4,
-}  # fmt: skip
-WINDOW_OVERLAPS = {
-    "order": torch.tensor([0, 1, 2], dtype=torch.int32), "other_end": torch.tensor([1, 2, 3], dtype=torch.int32),
-    "start": torch.tensor([0, 1, 2, 3, 3], dtype=torch.int32), "point": torch.tensor([0, 1, 3]), "row": PIXELS,
-    "column": PIXELS, "labels": LABELS, "window": 3,
-}  # fmt: skip
-PAIR_COUNTS = {
-    "u": POSITIONS, "v": POSITIONS, "pixel": PIXELS, "segment": torch.tensor([0, 0, -1]),
-    "label": torch.tensor([3, 4, 3]), "radius": 2.0,
-}  # fmt: skip
-SEGMENT_GRAPHS = {
-    "labels": LABELS, "chosen": torch.tensor([False, True]), "colors": torch.rand(3, 3, 4),
-    "boundary": torch.rand(3, 4), "color_weight": 1.0, "boundary_weight": 0.5,
-}  # fmt: skip
-MATCH_PIXELS = {"pred": LABELS > 0, "target": LABELS == 0, "radius": 1.5}
-PROPAGATE_LABELS = {
-    "markers": LABELS, "colors": torch.rand(3, 3, 4), "boundary": torch.rand(3, 4), "color_weight": 9.0,
-    "boundary_weight": 2.0,
-}  # fmt: skip
-MERGE_REGIONS = {
-    "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
-}  # fmt: skip
-REGION_PLANES = {
-    "points": POINTS, "neighbors": NEIGHBORS, "region": torch.tensor([0, 0, 0, 1]), "normals": POINTS + 1,
-    "min_points": 3,
-}  # fmt: skip
-#: Every operator, with arguments that are right.
-VALID: dict[Callable[..., Any], dict[str, Any]] = {
-    felzenszwalb: FELZENSZWALB,
-    felzenszwalb_image: {"images": IMAGES, "boundaries": IMAGES[:, 0], "scale": 1.0},
-    min_cut: {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK},
-    neighbor_edges: {"neighbors": NEIGHBORS},
-    fit_normals: {"points": POINTS, "neighbors": NEIGHBORS},
-    project: PROJECT,
-    splat_depth: SPLAT_DEPTH,
-    window_overlaps: WINDOW_OVERLAPS,
-    pair_counts: PAIR_COUNTS,
-    segment_graphs: SEGMENT_GRAPHS,
-    match_pixels: MATCH_PIXELS,
-    propagate_labels: PROPAGATE_LABELS,
-    merge_regions: MERGE_REGIONS,
-    region_planes: REGION_PLANES,
-    ultrametric_contours: {"boundary": IMAGES[0, 0], "relief": IMAGES[0, 1]},
-}
 
 
 def changed(tensor: torch.Tensor, value: float, *position: int) -> torch.Tensor:
@@ -432,9 +384,14 @@ def test_no_gradient_flows() -> None:
     assert not propagate_labels(**PROPAGATE_LABELS | {"boundary": torch.rand(3, 4).requires_grad_()}).requires_grad
 
 
+#: The first traces as the other does and writes no C++.
+BACKENDS = ["aot_eager", pytest.param("inductor", marks=pytest.mark.slow)]
+
+
 @pytest.mark.filterwarnings("ignore")  # the compiler's own
-def test_compile_without_graph_breaks() -> None:
-    @torch.compile(fullgraph=True, dynamic=True)
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_compile_without_graph_breaks(backend: str) -> None:
+    @torch.compile(fullgraph=True, dynamic=True, backend=backend)
     def compiled(
         edge_index: torch.Tensor, weight: torch.Tensor, source: torch.Tensor, sink: torch.Tensor, scale: float
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -455,19 +412,21 @@ def test_compile_without_graph_breaks() -> None:
 
     with pytest.raises(ValueError, match=re.escape("expected node numbers in [0, 30), got 99 at edge 0")):
         compiled(changed(edges, 99, 0, 0), weight, source, sink, scale)
-    with pytest.raises(ValueError, match="capacity: expected finite numbers >= 0, got nan at edge 0"):
+    first = r"capacity: expected finite numbers >= 0, got nan at edge 0|weight: expected no NaN, got NaN at edge 0"
+    with pytest.raises(ValueError, match=first):  # whichever operator the backend runs first
         compiled(edges, changed(weight, NAN, 0), source, sink, scale)
 
 
 @pytest.mark.filterwarnings("ignore")  # the compiler's own
-def test_neighbours_compile_without_graph_breaks() -> None:
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_neighbours_compile_without_graph_breaks(backend: str) -> None:
     def weigh(points: torch.Tensor, neighbors: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         edges = neighbor_edges(neighbors)  # their number depends on the values
         normals = fit_normals(points * 2, neighbors)
         return edges + 1, (normals[edges[0]] * normals[edges[1]]).sum(dim=1)
 
     with torch._dynamo.config.patch(capture_dynamic_output_shape_ops=True):
-        compiled = torch.compile(weigh, fullgraph=True, dynamic=True)
+        compiled = torch.compile(weigh, fullgraph=True, dynamic=True, backend=backend)
         for num_points in (5, 12, 40):
             generator = torch.Generator().manual_seed(num_points)
             points = torch.rand(num_points, 3, generator=generator)
@@ -492,28 +451,29 @@ LONG_OPERATORS = (
 )
 
 
-def long_call(op: Callable[..., Any]) -> Callable[[], Any]:
-    """A call of the operator that takes some tenths of a second."""
+def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
+    """A call of the operator that takes some tenths of a second, or about such a share of that."""
+    side = share**0.5
     if op is felzenszwalb_image:
-        images = torch.rand(1, 3, 1500, 1500, generator=torch.Generator().manual_seed(0))
+        images = torch.rand(1, 3, int(1500 * side), int(1500 * side), generator=torch.Generator().manual_seed(0))
         return lambda: felzenszwalb_image(images, scale=1.0)
     if op is propagate_labels:
         generator = torch.Generator().manual_seed(0)
-        image = torch.rand(4, 1000, 1000, generator=generator)
-        markers = torch.where(image[0] < 0.01, torch.arange(1000), -1).int()
+        image = torch.rand(4, int(1000 * side), int(1000 * side), generator=generator)
+        markers = torch.where(image[0] < 0.01, torch.arange(image.shape[2]), -1).int()
         return lambda: propagate_labels(markers, image[:3], image[3], 9.0, 2.0)
     if op in (neighbor_edges, fit_normals, region_planes):
         generator = torch.Generator().manual_seed(0)
-        points = torch.rand(500_000, 3, generator=generator)
+        points = torch.rand(int(500_000 * share), 3, generator=generator)
         neighbors = torch.randint(len(points), (len(points), 16), generator=generator)
         if op is region_planes:
             region = torch.arange(len(points)) % 2
             return lambda: region_planes(points, neighbors, region, points)
         return lambda: op(**{"points": points} if op is fit_normals else {}, neighbors=neighbors)
     if op is merge_regions:
-        edges, cost = large_graph(100_000)
+        edges, cost = large_graph(int(100_000 * share))
         return lambda: merge_regions(edges, cost, torch.ones(len(cost), dtype=torch.int64), 0.4, 2)
-    edges, weight = large_graph(3_000_000 if op is felzenszwalb else 1_000_000)
+    edges, weight = large_graph(int((3_000_000 if op is felzenszwalb else 1_000_000) * share))
     if op is felzenszwalb:
         return lambda: felzenszwalb(edges, weight, len(weight), 1.0)
     return lambda: min_cut(edges, weight, 9 * weight, 9 * weight.flip(0))
@@ -523,65 +483,84 @@ def long_call(op: Callable[..., Any]) -> Callable[[], Any]:
 def test_gil_is_released(op: Callable[..., Any]) -> None:
     """While one thread is inside the operator, another one runs Python, and so may be inside it, too."""
     call = long_call(op)
-    inside: list[float] = []
 
-    def timed() -> None:
-        start = time.perf_counter()
-        call()
-        inside.extend((start, time.perf_counter()))
+    def ticks_inside() -> int:
+        inside: list[float] = []
 
-    thread = threading.Thread(target=timed)
-    ticks = []
-    thread.start()
-    while thread.is_alive():
-        ticks.append(time.perf_counter())
-        time.sleep(0.001)
-    start, end = inside
-    # With the GIL held no tick falls into the call, except perhaps at its very ends.
-    margin = (end - start) / 4
-    assert sum(start + margin < tick < end - margin for tick in ticks) >= 3
+        def timed() -> None:
+            start = time.perf_counter()
+            call()
+            inside.extend((start, time.perf_counter()))
+
+        thread = threading.Thread(target=timed)
+        ticks = []
+        thread.start()
+        while thread.is_alive():
+            ticks.append(time.perf_counter())
+            time.sleep(0.001)
+        start, end = inside
+        margin = (end - start) / 4
+        return sum(start + margin < tick < end - margin for tick in ticks)
+
+    # With the GIL held no tick ever falls into the call, except perhaps at its very ends; without, one may be unlucky.
+    assert any(ticks_inside() >= 3 for _ in range(20))
 
 
 @pytest.mark.parametrize("op", LONG_OPERATORS)
 def test_two_threads_at_once_give_the_same_results(op: Callable[..., Any]) -> None:
-    call = long_call(op)
+    call = long_call(op, share=0.2)
     expected = call()
     with ThreadPoolExecutor(2) as pool:
-        for result in pool.map(lambda _: call(), range(4)):
+        for result in pool.map(lambda _: call(), range(2)):
             torch.testing.assert_close(result, expected, rtol=0, atol=0)
 
 
-def test_memory_does_not_grow() -> None:
-    """1000 calls of each operator leave no more behind than their first hundred did."""
-    code = """
+@pytest.mark.parametrize("times", [300, pytest.param(1000, marks=pytest.mark.slow)])
+def test_memory_does_not_grow(times: int) -> None:
+    """So many calls of each operator leave no more behind than their first hundred did."""
+    code = f"""
 import gc, sys, torch
 sys.path.insert(0, "tests")
-from test_ops_contract import VALID, resident_memory
+from operator_arguments import VALID, resident_memory
 torch.set_num_threads(1)
 def calls(times):
     for _ in range(times):
         for op, arguments in VALID.items():
-            op(**arguments | large.get(op, {}))
+            op(**arguments | large.get(op, {{}}))
             try:
-                op(**arguments | {next(iter(arguments)): None})
+                op(**arguments | {{next(iter(arguments)): None}})
             except TypeError:
                 pass
     gc.collect()
     return resident_memory()
 edges, weight = torch.randint(900, (2, 4000)), torch.rand(4000)
-large = {op: {"edge_index": edges, "weight": weight, "num_nodes": 900} for op in VALID if "weight" in VALID[op]}
+large = {{op: {{"edge_index": edges, "weight": weight, "num_nodes": 900}} for op in VALID if "weight" in VALID[op]}}
 before = calls(100)
-print(calls(1000) - before)
+print(calls({times}) - before)
 """
     root = Path(__file__).parents[2]
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
-    assert int(result.stdout) < 2**20  # a leak of one of the graphs would be 50 MB
+    assert int(result.stdout) < 2**20  # a leak of one of the graphs would be 15 MB or more
 
 
-def resident_memory() -> int:
-    """Bytes of this process in memory."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
+def test_a_source_folder_without_binary_says_what_to_type(tmp_path: Path) -> None:
+    """As after `git clone`, where Python finds the folder before an installed package."""
+    root, checkout = Path(__file__).parents[2], tmp_path / "my checkout"
+    left_out = shutil.ignore_patterns("_C*", "csrc", "models", "__pycache__")
+    shutil.copytree(root / "torchjoint", checkout / "torchjoint", ignore=left_out)
+    shutil.copy(root / "pyproject.toml", checkout)
+    # An editable install, as the tests' own, would lend its binary.
+    code = """
+import sys
+sys.meta_path[:] = [finder for finder in sys.meta_path if "Editable" not in getattr(finder, "__name__", "")]
+import torchjoint
+"""
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=checkout)
+    assert result.returncode != 0
+    error = result.stderr.strip().splitlines()[-1]
+    assert error.startswith(f"ImportError: this is the source folder of torchjoint, {checkout / 'torchjoint'}, and it ")
+    assert "Leave the checkout (cd ..)" in error
+    assert re.search(rf"pip install -e ['\"]?{re.escape(str(checkout))}['\"]?$", error)
 
 
 def test_missing_binary_is_explained() -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
-from hypothesis import given, settings
+from examples import few_and_many
+from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -28,7 +29,6 @@ def integers(generator: torch.Generator, low: int, high: int, *shape: int) -> Te
     return torch.randint(low, high, shape, generator=generator)
 
 
-@settings(deadline=None)
 @given(seed=SEEDS, count=st.integers(0, 60), margin=st.sampled_from([0.0, 2.0, 6.4]))
 def test_project(seed: int, count: int, margin: float) -> None:
     generator = torch.Generator().manual_seed(seed)
@@ -42,7 +42,6 @@ def test_project(seed: int, count: int, margin: float) -> None:
     assert_same(ops.project(*arguments), reference.project_reference(*arguments))
 
 
-@settings(deadline=None)
 @given(seed=SEEDS, count=st.integers(0, 30), height=st.integers(1, 12), width=st.integers(1, 12))
 def test_splat_depth(seed: int, count: int, height: int, width: int) -> None:
     generator = torch.Generator().manual_seed(seed)
@@ -53,7 +52,6 @@ def test_splat_depth(seed: int, count: int, height: int, width: int) -> None:
     assert_same((ops.splat_depth(*arguments),), (reference.splat_depth_reference(*arguments),))
 
 
-@settings(deadline=None)
 @given(seed=SEEDS, num_nodes=st.integers(1, 25), window=st.sampled_from([1, 3, 5, 31]), num_labels=st.integers(1, 9))
 def test_window_overlaps(seed: int, num_nodes: int, window: int, num_labels: int) -> None:
     generator = torch.Generator().manual_seed(seed)
@@ -66,8 +64,9 @@ def test_window_overlaps(seed: int, num_nodes: int, window: int, num_labels: int
     assert_same(ops.window_overlaps(*arguments), reference.window_overlaps_reference(*arguments))
 
 
-@settings(deadline=None, max_examples=300)
-@given(
+@few_and_many(
+    60,
+    300,
     seed=SEEDS,
     count=st.integers(0, 50),
     num_labels=st.integers(1, 5),
@@ -107,7 +106,6 @@ def images(draw: st.DrawFn) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return labels, chosen, colors, torch.rand(height, width, generator=generator)
 
 
-@settings(deadline=None)
 @given(image=images(), boundary_weight=st.sampled_from([0.0, 0.3]))
 def test_segment_graphs(image: tuple[Tensor, Tensor, Tensor, Tensor], boundary_weight: float) -> None:
     arguments = (*image, 0.9, boundary_weight)
@@ -141,8 +139,9 @@ def test_any_strides() -> None:
     assert_same(ops.segment_graphs(labels, chosen, colors, boundary, 1.0, 0.5), ops.segment_graphs(*dense, 1.0, 0.5))
 
 
-@settings(deadline=None, max_examples=200)
-@given(seed=SEEDS, height=st.integers(0, 12), width=st.integers(0, 12), levels=st.sampled_from([1, 2, 5, 1000]))
+@few_and_many(
+    50, 200, seed=SEEDS, height=st.integers(0, 12), width=st.integers(0, 12), levels=st.sampled_from([1, 2, 5, 1000])
+)
 def test_ultrametric_contours(seed: int, height: int, width: int, levels: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     boundary, relief = torch.randint(0, levels + 1, (2, height, width), generator=generator) / levels
@@ -181,8 +180,9 @@ def test_gaps_are_closed() -> None:
         assert (labels[inside] == labels[outside]) == leaks
 
 
-@settings(deadline=None, max_examples=200)
-@given(
+@few_and_many(
+    50,
+    200,
     seed=SEEDS,
     height=st.integers(0, 12),
     width=st.integers(0, 12),

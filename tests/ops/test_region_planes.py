@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from hypothesis import given, settings
+from examples import few_and_many
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -33,8 +33,9 @@ def scatters(points: Tensor, neighbors: Tensor, region: Tensor) -> Tensor:
     return centred.transpose(1, 2) @ centred
 
 
-@settings(deadline=None, max_examples=150)
-@given(
+@few_and_many(
+    40,
+    150,
     seed=st.integers(0, 2**32 - 1),
     num_points=st.integers(1, 30),
     num_neighbors=st.integers(0, 12),
@@ -126,20 +127,14 @@ def test_far_from_the_origin() -> None:
 
 
 @pytest.mark.parametrize("dtype", [torch.int32, torch.int64])
-def test_the_number_of_threads_changes_nothing(dtype: torch.dtype) -> None:
+def test_the_number_of_threads_changes_nothing(dtype: torch.dtype, set_threads) -> None:
     points, neighbors, region, normals = random_cloud(1, 50_000, 12, 3)
-    threads = torch.get_num_threads()
-    try:
-        torch.set_num_threads(1)
-        expected = region_planes(points, neighbors.to(dtype), region, normals, 4)
-        for count in (2, 4):
-            torch.set_num_threads(count)
-            for one, other in zip(
-                region_planes(points, neighbors.to(dtype), region, normals, 4), expected, strict=True
-            ):
-                assert torch.equal(one, other)
-    finally:
-        torch.set_num_threads(threads)
+    set_threads(1)
+    expected = region_planes(points, neighbors.to(dtype), region, normals, 4)
+    for count in (2, 4):
+        set_threads(count)
+        for one, other in zip(region_planes(points, neighbors.to(dtype), region, normals, 4), expected, strict=True):
+            assert torch.equal(one, other)
 
 
 def test_any_strides() -> None:

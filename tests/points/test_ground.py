@@ -115,15 +115,12 @@ def test_turned_by_whole_columns_it_is_the_same():
     torch.testing.assert_close(height_over_ground(turned), height_over_ground(points), atol=0.02, rtol=0)
 
 
-def test_threads_and_order_change_nothing():
+def test_threads_and_order_change_nothing(set_threads):
     points, _ = scan(CAR)
-    before, heights = torch.get_num_threads(), []
-    try:
-        for threads in (1, 2, 4):
-            torch.set_num_threads(threads)
-            heights.append(height_over_ground(points))
-    finally:
-        torch.set_num_threads(before)
+    heights = []
+    for threads in (1, 2, 4):
+        set_threads(threads)
+        heights.append(height_over_ground(points))
     assert torch.equal(heights[0], heights[1])
     assert torch.equal(heights[0], heights[2])
     order = torch.randperm(len(points), generator=torch.Generator().manual_seed(0))

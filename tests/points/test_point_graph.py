@@ -145,15 +145,14 @@ def test_degenerate_neighbourhoods():
     assert ops.fit_normals(tiny, everyone).tolist() == [[1.0, 0.0, 0.0]] * 3
 
 
-def test_neighbours_normals_and_edges_do_not_depend_on_threads():
+def test_neighbours_normals_and_edges_do_not_depend_on_threads(set_threads):
     points = random_points(5000) ** 3
-    before, results = torch.get_num_threads(), []
+    results = []
     for threads in (1, 2, 5):
-        torch.set_num_threads(threads)
+        set_threads(threads)
         neighbors = nearest_neighbors(points, 12)
         indices = neighbors.indices
         results.append((*neighbors, ops.fit_normals(points, indices), ops.neighbor_edges(indices)))
-    torch.set_num_threads(before)
     for other in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 

@@ -1,18 +1,19 @@
 """Step 6 as a whole: each method is the one that was asked for, images count as they should, and runs never matter."""
 
 import dataclasses
+from itertools import pairwise
 
 import pytest
 import torch
+from hand_graph import graph_of
+from hand_wall import LEFT, RIGHT, wall_behind_a_strip
 
 import torchjoint as tj
 from torchjoint import ops
-from torchjoint.points import segments as point_segments
 from torchjoint.points.edge_weights import geometric_weights
 from torchjoint.points.graph import PointGraph
 from torchjoint.points.lidar.scan_segments import segment_scan
 from torchjoint.points.orientation import orient_normals
-from torchjoint.points.region_merging import merge
 from torchjoint.points.segments import segment_points
 from torchjoint.views.propagation import disagreement
 from torchjoint.views.state import JointState
@@ -22,11 +23,11 @@ PRESETS = {name: tj.Config.from_preset(name) for name in ("indoor", "tabletop", 
 
 
 @pytest.fixture(scope="module")
-def synthetic():
-    return tj.synthetic.make_scene(seed=3, size="small")
+def synthetic(scene_of):
+    return scene_of(3)
 
 
-def seen(scene: tj.Scene, config: tj.Config) -> tuple[PointGraph, JointState]:
+def graph_and_state(scene: tj.Scene, config: tj.Config) -> tuple[PointGraph, JointState]:
     """The graph, and what all frames say."""
     segmenter = tj.JointSegmenter(config)
     segmenter.reset(scene.points, scene.colors)
@@ -37,12 +38,12 @@ def seen(scene: tj.Scene, config: tj.Config) -> tuple[PointGraph, JointState]:
 @pytest.fixture(scope="module", params=PRESETS)
 def case(request, synthetic):
     config = PRESETS[request.param]
-    return config, *seen(synthetic.scene, config)
+    return config, *graph_and_state(synthetic.scene, config)
 
 
 @pytest.fixture(scope="module")
 def indoor(synthetic):
-    return seen(synthetic.scene, tj.Config())
+    return graph_and_state(synthetic.scene, tj.Config())
 
 
 class TestMethods:
@@ -78,65 +79,127 @@ class TestMethods:
         assert torch.equal(results[0], results[1])
         assert len({tuple(result.tolist()) for result in results}) == 3
 
-    def test_every_step_of_regions_has_its_turn(self, indoor, monkeypatch):
-        called = []
-        planes = ["small_regions", "one_sided_planes", "crease_costs"]
-        pieces = ["with_images", "merge", "piece_disagreement"]
-        segments = ["with_images", "merge", "bridge", "best_overlaps", "absorb"]
-        for name in {*planes, *pieces, *segments}:
-            original = getattr(point_segments, name)
-
-            def spy(*arguments, name=name, original=original):
-                called.append(name)
-                return original(*arguments)
-
-            monkeypatch.setattr(point_segments, name, spy)
-        segment_points(*indoor, tj.Config())
-        assert called == planes + pieces + segments
-        called.clear()
-        segment_points(*indoor, tj.Config().set(["pieces.threshold=null", "image_support.min_size=0"]))
-        assert called == planes + segments[:3]
-        called.clear()
-        segment_points(*indoor, tj.Config().set(["propagation.weight=0"]))
-        assert called == [*planes, "merge"]
-
-    def test_pieces_come_first_and_segments_are_made_of_them(self, indoor, monkeypatch):
-        given, made = [], []
-
-        def spy(region, edge_index, cost, threshold, min_size):
-            given.append((region, threshold, min_size))
-            made.append(merge(region, edge_index, cost, threshold, min_size))
-            return made[-1]
-
-        monkeypatch.setattr(point_segments, "merge", spy)
-        names = {
-            "pieces.threshold": 0.02,
-            "pieces.min_size": 5,
-            "region_merging.threshold": 0.33,
-            "region_merging.min_size": 12,
-        }
-        segment_points(*indoor, tj.Config().set([f"{name}={value}" for name, value in names.items()]))
-        assert [how for _, *how in given] == [[0.02, 5], [0.33, 12]]
-        assert torch.equal(given[0][0], torch.arange(indoor[0].num_points))
-        assert torch.equal(given[1][0], made[0])
-        assert indoor[0].num_points > made[0].max() > made[1].max()
-
-    def test_r_is_the_mean_of_that_of_edges_and_of_pieces(self, indoor, monkeypatch):
-        graph, state = indoor
-        given = []
-        monkeypatch.setattr(point_segments, "with_images", lambda crease, r, *_: given.append(r) or crease)
-        of_pieces = torch.rand(graph.edge_index.shape[1], generator=torch.Generator().manual_seed(0))
-        monkeypatch.setattr(point_segments, "piece_disagreement", lambda *_: of_pieces)
-        segment_points(graph, state, tj.Config())
-        assert len(given) == 2
-        assert torch.equal(given[1], (given[0] + of_pieces) / 2)
-
     def test_labels_leave_no_number_out(self, case):
         config, graph, state = case
         labels = segment_points(graph, state, config)
         assert labels.dtype == torch.int64
         assert labels.unique().tolist() == list(range(int(labels.max()) + 1))
         assert labels.max() > 3
+
+
+#: Method regions with nothing but region merging up to 0.41; each test adds the stage that it is about.
+BARE = tj.Config().set(
+    [
+        "regions.scale=0",
+        "propagation.weight=1",
+        "pieces.threshold=null",
+        "region_merging.threshold=0.41",
+        "region_merging.min_size=0",
+        "image_support.min_size=0",
+    ]
+)
+
+
+def row_of_points(r, *observations, normals=None):
+    """Points in a row, flat unless normals are given: the edges between them have these r. The graph, and the state."""
+    count = len(r) + 1
+    points = torch.stack([torch.arange(count).float(), torch.zeros(count), torch.zeros(count)], 1)
+    normals = torch.tensor([[0.0, 0, 1]]).repeat(count, 1) if normals is None else normals
+    edges = [[i, i + 1] for i in range(count - 1)]
+    overlaps = 1 - torch.tensor(r, dtype=torch.float64)  # of the one image that saw both ends
+    facing = torch.zeros(count, dtype=torch.int64)
+    state = JointState(torch.ones(count - 1, dtype=torch.int64), overlaps, facing, list(observations))
+    return graph_of(points, edges, normals), state
+
+
+def labels_of(case, *changes):
+    return segment_points(*case, BARE.set(changes)).tolist()
+
+
+class TestStagesByHand:
+    """What each stage of method regions decides, where nothing else does."""
+
+    def test_borders_merge_up_to_the_threshold(self, seen):
+        case = row_of_points([0.0, 0.3, 0.5, 0.0], seen(range(5), [0] * 5))
+        assert labels_of(case) == [0, 0, 0, 1, 1]
+        assert labels_of(case, "region_merging.threshold=0.2") == [0, 0, 1, 2, 2]
+        assert labels_of(case, "region_merging.threshold=0.6") == [0] * 5
+
+    def test_small_segments_join_across_the_cheapest_border(self, seen):
+        case = row_of_points([0.0, 0.0, 0.9, 0.6, 0.0, 0.0], seen(range(7), [0] * 7))
+        assert labels_of(case) == [0, 0, 0, 1, 2, 2, 2]
+        assert labels_of(case, "region_merging.min_size=2") == [0, 0, 0, 1, 1, 1, 1]
+
+    def test_without_images_flat_points_are_one(self, seen):
+        views = seen(range(6), [0] * 3 + [1] * 3)
+        case = row_of_points([0.0, 0.0, 1.0, 0.0, 0.0], views)
+        assert labels_of(case) == [0, 0, 0, 1, 1, 1]
+        assert labels_of(case, "propagation.weight=0") == [0] * 6
+        assert labels_of(row_of_points([0.0, 0.0, 1.0, 0.0, 0.0])) == [0] * 6  # no frame came
+
+    def test_pieces_part_what_edges_alone_do_not(self, seen):
+        """An edge across the border costs 0.3. The two pieces that it joins have no label in common: (0.3 + 1) / 2."""
+        case = row_of_points([0.0, 0.0, 0.3, 0.0, 0.0], seen(range(6), [0] * 3 + [1] * 3))
+        assert labels_of(case) == [0] * 6
+        pieces = ["pieces.threshold=0.1", "pieces.min_size=0"]
+        assert labels_of(case, *pieces) == [0, 0, 0, 1, 1, 1]
+        # It is the mean that decides.
+        assert labels_of(case, *pieces, "region_merging.threshold=0.64") == [0, 0, 0, 1, 1, 1]
+        assert labels_of(case, *pieces, "region_merging.threshold=0.66") == [0] * 6
+
+    def test_pieces_join_what_edges_alone_do_not(self, seen):
+        """The other way round: an edge costs 0.6, and the pieces have the same label: (0.6 + 0) / 2."""
+        case = row_of_points([0.0, 0.0, 0.6, 0.0, 0.0], seen(range(6), [7] * 6))
+        assert labels_of(case) == [0, 0, 0, 1, 1, 1]
+        pieces = ["pieces.threshold=0.1", "pieces.min_size=0"]
+        assert labels_of(case, *pieces) == [0] * 6
+        assert labels_of(case, *pieces, "region_merging.threshold=0.29") == [0, 0, 0, 1, 1, 1]
+
+    def test_segments_are_made_of_pieces(self, seen):
+        """A piece is never split: what is too small for one has gone, although its borders are dear."""
+        case = row_of_points([0.0, 0.0, 0.9, 0.6, 0.0, 0.0], seen(range(7), [0] * 3 + [1] + [2] * 3))
+        pieces = ["pieces.threshold=0.1", "pieces.min_size=2"]
+        assert labels_of(case, *pieces) == [0, 0, 0, 1, 1, 1, 1]
+        assert labels_of(case, *pieces[:1], "pieces.min_size=0") == [0, 0, 0, 1, 2, 2, 2]
+        # Up to the pieces' own threshold, borders of 0.3 are no borders, whatever region merging would make of them.
+        soft = row_of_points([0.0, 0.0, 0.3, 0.0, 0.0], seen(range(6), [0] * 3 + [1] * 3))
+        assert labels_of(soft, "pieces.threshold=0.35", "pieces.min_size=0") == [0] * 6
+
+    def test_a_small_segment_needs_an_image_s_support(self, seen):
+        """Points 3-6 are a segment of their own. An image with a segment of that shape keeps it; one without does not,
+        and it goes across its cheaper border."""
+        r = [0.0, 0.0, 0.7, 0.0, 0.0, 0.0, 0.9, *[0.0] * 5]
+        its_own, torn = [0] * 3 + [1] * 4 + [2] * 6, [0] * 3 + [1, 2, 1, 2] + [3] * 6
+        small = ["image_support.min_size=5", "image_support.overlap=0.7"]
+        for labels in (its_own, torn):
+            assert labels_of(row_of_points(r, seen(range(13), labels))) == its_own
+        supported = row_of_points(r, seen(range(13), its_own))
+        assert labels_of(supported, *small) == its_own
+        assert labels_of(row_of_points(r, seen(range(13), torn)), *small) == [0] * 7 + [1] * 6
+        # A large segment needs none.
+        assert labels_of(row_of_points(r, seen(range(13), torn)), "image_support.min_size=4") == its_own
+
+    def test_images_take_back_a_part_of_a_crease(self, seen):
+        """A concave right angle costs 1, and 1 - a where images see one segment on both sides of it."""
+        normals = torch.tensor([[0.0, 0, 1]] * 3 + [[-1.0, 0, 0]] * 3)
+        case = row_of_points([0.0] * 5, seen(range(6), [4] * 6), normals=normals)
+        assert labels_of(case, "region_merging.agreement=0") == [0, 0, 0, 1, 1, 1]
+        assert labels_of(case, "region_merging.agreement=0.5") == [0, 0, 0, 1, 1, 1]
+        assert labels_of(case, "region_merging.agreement=0.7") == [0] * 6
+
+    def test_the_parts_of_a_wall_behind_a_strip_are_bridged(self):
+        part, planes, observations = wall_behind_a_strip()
+        order = part.argsort(stable=True)  # within a part each point is joined to the next one, and to no other part
+        edges = [[int(i), int(j)] for i, j in pairwise(order) if part[i] == part[j]]
+        graph = graph_of(planes.mean, edges, planes.normal)
+        state = JointState.empty(len(edges), len(part))
+        state.observations = observations
+        apart = segment_points(graph, state, BARE)
+        together = segment_points(
+            graph, state, BARE.set(["occlusion_bridging.min_votes=3", "occlusion_bridging.cell=1"])
+        )
+        assert torch.equal(apart, part)
+        assert torch.equal(together, torch.where(part == RIGHT, LEFT, part))
 
 
 class TestWeight0:
@@ -176,19 +239,15 @@ class TestSameLabels:
         return segment_points(graph, state, config)
 
     @pytest.mark.parametrize("threads", [1, 2, 4])
-    def test_on_any_number_of_threads(self, case, labels, threads):
+    def test_on_any_number_of_threads(self, case, labels, threads, set_threads):
         config, graph, state = case
-        before = torch.get_num_threads()
-        try:
-            torch.set_num_threads(threads)
-            assert torch.equal(segment_points(graph, state, config), labels)
-        finally:
-            torch.set_num_threads(before)
+        set_threads(threads)
+        assert torch.equal(segment_points(graph, state, config), labels)
 
     def test_from_frames_in_another_order(self, synthetic, case, labels):
         config, graph, _ = case
         frames = [synthetic.scene.frames[i] for i in (4, 0, 5, 2, 1, 3)]
-        _, state = seen(dataclasses.replace(synthetic.scene, frames=frames), config)
+        _, state = graph_and_state(dataclasses.replace(synthetic.scene, frames=frames), config)
         assert torch.equal(segment_points(graph, state, config), labels)
 
     def test_from_two_segmenters_merged(self, synthetic, case, labels):
@@ -228,7 +287,7 @@ def things_on_a_table() -> tuple[tj.Scene, torch.Tensor]:
 @pytest.fixture(scope="module")
 def table():
     scene, truth = things_on_a_table()
-    return truth, *seen(scene, tj.Config())
+    return truth, *graph_and_state(scene, tj.Config())
 
 
 class TestThingsOnATable:
@@ -243,8 +302,8 @@ class TestThingsOnATable:
     def test_images_find_the_magazine(self, table, method):
         truth, graph, state = table
         config = tj.Config().set([f"point_segments.method={method}"])
-        with_images = segment_points(graph, state, config)
-        assert self.best_iou(with_images, truth, 1) > 0.8
+        combined_costs = segment_points(graph, state, config)
+        assert self.best_iou(combined_costs, truth, 1) > 0.8
         without = segment_points(graph, state, config.set(["propagation.weight=0"]))
         assert without.max() == 0
 

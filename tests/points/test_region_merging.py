@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from torchjoint import ops
-from torchjoint.points.edge_costs import crease_costs, with_images
-from torchjoint.points.region_merging import absorb, merge
+from torchjoint.points.edge_costs import combined_costs, crease_costs
+from torchjoint.points.region_merging import join_small, merge
 from torchjoint.points.regions import Planes
 
 
@@ -72,17 +72,17 @@ class TestWithImages:
         ],
     )
     def test_by_hand(self, crease, disagreement, expected):
-        cost = with_images(torch.tensor([crease]), torch.tensor([disagreement]), 0.4, 0.6)
+        cost = combined_costs(torch.tensor([crease]), torch.tensor([disagreement]), 0.4, 0.6)
         assert cost.tolist() == pytest.approx([expected], abs=1e-6)
 
     def test_without_weight_and_agreement_images_change_nothing(self):
         crease = torch.rand(50, generator=torch.Generator().manual_seed(0))
-        assert torch.equal(with_images(crease, crease.flip(0), 0, 0), crease)
+        assert torch.equal(combined_costs(crease, crease.flip(0), 0, 0), crease)
 
     def test_more_disagreement_never_costs_less(self):
         crease, r = torch.meshgrid(*[torch.linspace(0, 1, 21)] * 2, indexing="ij")
         for weight, agreement in ((0.1, 0.0), (0.4, 0.6), (0.0, 1.0), (2.0, 1.0)):
-            assert (with_images(crease, r, weight, agreement).diff(dim=1) >= -1e-6).all()
+            assert (combined_costs(crease, r, weight, agreement).diff(dim=1) >= -1e-6).all()
 
 
 def two_sheets(side, num_weak):
@@ -144,10 +144,10 @@ class TestAbsorb:
         ],
     )
     def test_by_hand(self, stays, min_size, expected):
-        got = absorb(self.SEGMENT, self.EDGES, self.COST, torch.tensor(stays), min_size)
+        got = join_small(self.SEGMENT, self.EDGES, self.COST, torch.tensor(stays), min_size)
         assert got.tolist() == expected
 
     def test_what_stays_may_still_take_others_in(self):
         stays = torch.tensor([False, False, True, False])
-        got = absorb(self.SEGMENT, self.EDGES, self.COST, stays, 100)
+        got = join_small(self.SEGMENT, self.EDGES, self.COST, stays, 100)
         assert got.tolist() == [0] * 7

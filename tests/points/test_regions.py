@@ -4,10 +4,11 @@ import math
 
 import pytest
 import torch
+from hand_graph import graph_of
 
 from torchjoint import ops
 from torchjoint.config import PointGraphConfig, RegionsConfig
-from torchjoint.points.graph import PointGraph, build_point_graph
+from torchjoint.points.graph import build_point_graph
 from torchjoint.points.regions import MIN_POINTS, one_sided_planes, small_regions
 from torchjoint.scene import Scene
 
@@ -23,19 +24,6 @@ def corner(side=20, spacing=0.02, noise=0.0, seed=0):
     points = torch.cat([floor, wall])
     points = points + noise * torch.randn(points.shape, generator=torch.Generator().manual_seed(seed))
     return points, torch.arange(len(points)) // len(floor)
-
-
-def graph_of(points, edges, normals, colors=None):
-    """A graph by hand."""
-    return PointGraph(
-        points,
-        colors,
-        normals,
-        True,
-        torch.ones(len(points)),
-        torch.tensor(edges).t(),
-        torch.empty(len(points), 0).int(),
-    )
 
 
 def turned(degrees):
@@ -110,15 +98,11 @@ class TestOneSidedPlanes:
         assert torch.equal(planes.normal[: MIN_POINTS - 1], given[: MIN_POINTS - 1])
         assert not (planes.normal[MIN_POINTS - 1 :] == given[MIN_POINTS - 1 :]).all(1).any()
 
-    def test_threads_change_nothing(self):
+    def test_threads_change_nothing(self, set_threads):
         points, side = corner(side=70, noise=0.001)
         graph = build_point_graph(Scene(points), PointGraphConfig())
-        threads = torch.get_num_threads()
-        try:
-            torch.set_num_threads(1)
-            expected = one_sided_planes(graph, side, graph.normals)
-            torch.set_num_threads(3)
-            for one, other in zip(one_sided_planes(graph, side, graph.normals), expected, strict=True):
-                assert torch.equal(one, other)
-        finally:
-            torch.set_num_threads(threads)
+        set_threads(1)
+        expected = one_sided_planes(graph, side, graph.normals)
+        set_threads(3)
+        for one, other in zip(one_sided_planes(graph, side, graph.normals), expected, strict=True):
+            assert torch.equal(one, other)

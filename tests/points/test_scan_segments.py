@@ -116,17 +116,14 @@ def test_the_sensor_may_stand_anywhere():
     assert mean_best_iou(there, here) > 0.99  # coordinates are rounded otherwise there
 
 
-def test_threads_change_nothing():
+def test_threads_change_nothing(set_threads):
     points, _ = scan(*BOXES)
     points = points + 0.02 * torch.randn(points.shape, generator=torch.Generator().manual_seed(1))
-    before, found = torch.get_num_threads(), []
-    try:
-        for threads in (1, 2, 4):
-            torch.set_num_threads(threads)
-            found.append(segment_scan(points))
-            assert torch.get_num_threads() == threads
-    finally:
-        torch.set_num_threads(before)
+    found = []
+    for threads in (1, 2, 4):
+        set_threads(threads)
+        found.append(segment_scan(points))
+        assert torch.get_num_threads() == threads
     assert torch.equal(found[0], found[1])
     assert torch.equal(found[0], found[2])
 

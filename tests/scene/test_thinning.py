@@ -3,7 +3,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchjoint.scene.thinning import one_point_a_voxel
+from torchjoint.scene.thinning import voxel_subsample
 
 
 @given(st.integers(0, 1000), st.integers(1, 60), st.sampled_from([0.1, 0.3, 2.0]))
@@ -17,14 +17,14 @@ def test_against_a_loop(seed, count, size):
         key = tuple(cell.tolist())
         if key not in best or distance < best[key][0]:
             best[key] = (distance, index)
-    assert one_point_a_voxel(points, size).tolist() == sorted(index for _, index in best.values())
+    assert voxel_subsample(points, size).tolist() == sorted(index for _, index in best.values())
 
 
 def test_copies_of_a_point():
-    assert one_point_a_voxel(torch.ones(5, 3), 0.1).tolist() == [0]
+    assert voxel_subsample(torch.ones(5, 3), 0.1).tolist() == [0]
 
 
 @pytest.mark.parametrize(("size", "message"), [(0.0, "expected more than 0"), (1e-9, "too small for a cloud")])
 def test_sizes_that_do_not_do(size, message):
     with pytest.raises(ValueError, match=f"size: .*{message}"):
-        one_point_a_voxel(torch.rand(5, 3), size)
+        voxel_subsample(torch.rand(5, 3), size)

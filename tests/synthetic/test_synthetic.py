@@ -5,39 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from synthetic_scenes import CLEAN, TINY, surface_of
 
 from torchjoint.synthetic import SyntheticScene, make_scene
 from torchjoint.synthetic.scene import SIZES
 
-o3d = pytest.importorskip("open3d")
-
-CLEAN = {
-    "pose_error": 0.0,
-    "depth_noise": 0.0,
-    "depth_holes": 0.0,
-    "image_noise": 0.0,
-    "motion_blur": 0.0,
-    "exposure": 0.0,
-}
-TINY = {"num_views": 2, "height": 48, "width": 64, "num_points": 300}
+o3d = pytest.importorskip("open3d", reason="Open3D measures distances to a surface")
 
 
 @pytest.fixture(scope="module")
-def noisy() -> SyntheticScene:
-    return make_scene(3)
+def noisy(scene_of) -> SyntheticScene:
+    return scene_of(3)
 
 
 @pytest.fixture(scope="module")
-def clean() -> SyntheticScene:
-    return make_scene(3, **CLEAN)
-
-
-def _surface(truth: SyntheticScene) -> o3d.t.geometry.RaycastingScene:
-    scene = o3d.t.geometry.RaycastingScene()
-    vertices = truth.triangles.reshape(-1, 3)
-    faces = torch.arange(len(vertices), dtype=torch.int64).reshape(-1, 3)
-    scene.add_triangles(o3d.core.Tensor(vertices.numpy()), o3d.core.Tensor(faces.numpy().astype(np.uint32)))
-    return scene
+def clean(scene_of) -> SyntheticScene:
+    return scene_of(3, **CLEAN)
 
 
 def _pixels(frame, points: torch.Tensor, pose: torch.Tensor) -> tuple[torch.Tensor, ...]:
@@ -137,7 +120,7 @@ class TestTruth:
         assert seen.float().mean() > 0.95
 
     def test_clean_points_lie_on_their_surface(self, clean: SyntheticScene) -> None:
-        nearest = _surface(clean).compute_closest_points(o3d.core.Tensor(clean.scene.points.numpy()))
+        nearest = surface_of(clean).compute_closest_points(o3d.core.Tensor(clean.scene.points.numpy()))
         distance = (torch.from_numpy(nearest["points"].numpy()) - clean.scene.points).norm(dim=1)
         labels = clean.triangle_labels[torch.from_numpy(nearest["primitive_ids"].numpy().astype(np.int64))]
         assert distance.quantile(0.99) < 0.001
@@ -151,7 +134,7 @@ class TestTruth:
         ray = ray @ pose[:3, :3]
         eye = (-pose[:3, :3].T @ pose[:3, 3]).expand_as(ray)
         rays = torch.cat([eye, ray], dim=-1).float().numpy()
-        hit = _surface(clean).cast_rays(o3d.core.Tensor(rays))
+        hit = surface_of(clean).cast_rays(o3d.core.Tensor(rays))
         labels = clean.triangle_labels[torch.from_numpy(hit["primitive_ids"].numpy().astype(np.int64))]
         assert (labels == clean.image_labels[2]).float().mean() > 0.999
         error = (torch.from_numpy(hit["t_hit"].numpy()) - frame.depth).abs()
@@ -165,8 +148,8 @@ class TestTruth:
 
 
 class TestSensor:
-    def test_depth_noise_grows_with_distance(self, clean: SyntheticScene) -> None:
-        spoilt = make_scene(3, **{**CLEAN, "depth_noise": 0.0015})
+    def test_depth_noise_grows_with_distance(self, clean: SyntheticScene, scene_of) -> None:
+        spoilt = scene_of(3, **{**CLEAN, "depth_noise": 0.0015})
         truth = torch.stack([frame.depth for frame in clean.scene.frames])
         error = torch.stack([frame.depth for frame in spoilt.scene.frames]) - truth
         near, far = (truth > 0.5) & (truth < 1.5), truth > 2.5
@@ -174,9 +157,9 @@ class TestSensor:
         assert error[far].std() > 3 * error[near].std()
         assert (error.abs() < 8 * 0.0015 * truth.square() + 1e-6).all()
 
-    def test_noisy_points_lie_within_the_noise(self) -> None:
-        spoilt = make_scene(3, **{**CLEAN, "depth_noise": 0.0015})
-        distance = _surface(spoilt).compute_distance(o3d.core.Tensor(spoilt.scene.points.numpy())).numpy()
+    def test_noisy_points_lie_within_the_noise(self, scene_of) -> None:
+        spoilt = scene_of(3, **{**CLEAN, "depth_noise": 0.0015})
+        distance = surface_of(spoilt).compute_distance(o3d.core.Tensor(spoilt.scene.points.numpy())).numpy()
         assert 0.0005 < np.median(distance) < 0.008
         assert distance.max() < 6 * 0.0015 * 5**2
 

@@ -1,6 +1,7 @@
 """Whether edges of a scan fall on edges of an image."""
 
 import dataclasses
+import functools
 import math
 import warnings
 
@@ -20,8 +21,13 @@ SIZE = (240, 400)
 INTRINSICS = torch.tensor([[200.0, 0, 199.5], [0, 200, 119.5], [0, 0, 1]], dtype=torch.float64)
 
 
+@functools.cache  # tests turn the cameras of a few clouds
+def spacing_of_points(points):
+    return nearest_neighbors(points, 16).spacing
+
+
 def spacing_of(scene):
-    return nearest_neighbors(scene.points, 16).spacing
+    return spacing_of_points(scene.points)
 
 
 def alignment(scene, frames=None):
@@ -96,13 +102,11 @@ def test_a_wrong_pose_is_warned_of_if_nothing_else_tells(boxes):
     assert not any("edges" in message for message in messages(with_depth) + messages(with_colors))
 
 
-def test_the_result_is_the_same_with_any_number_of_threads(boxes):
-    before = torch.get_num_threads()
+def test_the_result_is_the_same_with_any_number_of_threads(boxes, set_threads):
     results = []
     for threads in (1, 2, 3):
-        torch.set_num_threads(threads)
+        set_threads(threads)
         results.append(alignment(boxes))
-    torch.set_num_threads(before)
     assert results[0] == results[1] == results[2]
 
 
@@ -121,8 +125,8 @@ def test_a_cloud_of_many_views_is_no_scan(boxes):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_synthetic_scenes_without_colours_are_silent(seed):
-    scene = tj.synthetic.make_scene(seed=seed, size="small").scene
+def test_synthetic_scenes_without_colours_are_silent(seed, scene_of):
+    scene = scene_of(seed).scene
     frames = [dataclasses.replace(frame, depth=None) for frame in scene.frames]
     assert messages(dataclasses.replace(scene, frames=frames, colors=None)) == []
 
@@ -139,6 +143,7 @@ class TestRealData:
         assert messages(scene) == []
         assert all(alignment(scene, [frame]).significance > 2 for frame in scene.frames)
 
+    @pytest.mark.slow
     def test_most_turned_cameras_are_noticed(self, shared):
         scene = tj.load_scene(shared / "data" / "nuscenes")
         wrong = [turned(scene.select_frames([i]), *angles) for i in range(6) for angles in ((5, 1), (-2, 4), (-4, -4))]

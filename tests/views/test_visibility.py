@@ -23,7 +23,7 @@ def wall(z, half_width, step=0.02):
     return torch.stack([x.flatten(), y.flatten(), torch.full_like(x.flatten(), z)], dim=1)
 
 
-def seen(points, method, spacing=0.02, **changes):
+def points_in_view(points, method, spacing=0.02, **changes):
     return visible_points(points, torch.full((len(points),), spacing), K, POSE, SIZE, config(method, **changes))
 
 
@@ -47,7 +47,7 @@ def test_the_pose_is_world_to_camera():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_wall_hides_what_is_behind_it(method):
     front, behind = wall(1.0, 0.15), wall(2.0, 0.1)
-    visible = seen(torch.cat([front, behind]), method)
+    visible = points_in_view(torch.cat([front, behind]), method)
     assert torch.equal(visible.point, torch.arange(len(front)))
 
 
@@ -55,7 +55,7 @@ def test_a_wall_hides_what_is_behind_it(method):
 @pytest.mark.parametrize(("method", "share"), [("zbuffer", 0.99), ("hidden_point_removal", 0.7)])
 def test_beside_the_wall_the_background_is_seen(method, share):
     front, behind = wall(1.0, 0.1), wall(2.0, 0.6, step=0.04)
-    visible = seen(torch.cat([front, behind]), method, spacing=0.02, radius_factor=0.03)
+    visible = points_in_view(torch.cat([front, behind]), method, spacing=0.02, radius_factor=0.03)
     beside = behind[:, :2].abs().amax(1) > 0.3  # the wall's shadow reaches to 0.2 m
     hidden = behind[:, :2].abs().amax(1) < 0.15
     inside = (behind[:, 0].abs() < 1.0) & (behind[:, 1].abs() < 0.75)
@@ -69,7 +69,7 @@ def test_beside_the_wall_the_background_is_seen(method, share):
 @pytest.mark.parametrize("method", METHODS)
 def test_points_behind_beside_and_at_the_camera_are_not_seen(method):
     points = torch.cat([wall(1.0, 0.1), torch.tensor([[0.0, 0, 0], [0, 0, -1], [5, 0, 1], [0, 0, 0.01]])])
-    visible = seen(points, method)
+    visible = points_in_view(points, method)
     assert visible.point.max() < len(points) - 4
     assert visible.row.min() >= 0
     assert visible.column.max() < SIZE[1]
@@ -77,20 +77,20 @@ def test_points_behind_beside_and_at_the_camera_are_not_seen(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_nothing_in_view(method):
-    assert seen(torch.tensor([[0.0, 0, -1]]), method).point.numel() == 0
+    assert points_in_view(torch.tensor([[0.0, 0, -1]]), method).point.numel() == 0
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("count", [1, 2, 4, 5])
 def test_few_points(method, count):
     points = torch.rand(count, 3, generator=torch.Generator().manual_seed(0)) * 0.1 + torch.tensor([0.0, 0, 1])
-    assert seen(points, method, spacing=0.001).point.numel() >= 1
+    assert points_in_view(points, method, spacing=0.001).point.numel() >= 1
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_copies_of_a_point_are_all_seen(method):
     points = wall(1.0, 0.1).repeat(3, 1)
-    assert seen(points, method).point.numel() == len(points)
+    assert points_in_view(points, method).point.numel() == len(points)
 
 
 def test_points_on_a_plane_through_the_camera_are_not_lost():
@@ -100,7 +100,7 @@ def test_points_on_a_plane_through_the_camera_are_not_lost():
 
 
 def test_pixels_are_the_nearest_to_the_projection():
-    visible = seen(wall(1.0, 0.2), "zbuffer")
+    visible = points_in_view(wall(1.0, 0.2), "zbuffer")
     assert (visible.u - visible.column).abs().max() <= 0.5
     assert (visible.v - visible.row).abs().max() <= 0.5
 

@@ -1,1 +1,1 @@
-"""Methods side by side on labelled scenes, each at its own best setting: ``torchjoint benchmark``."""
+"""Compares methods on labelled scenes, each method at its own best setting: ``torchjoint benchmark``."""

@@ -1,4 +1,4 @@
-"""A scene that several methods, or one method in many settings, are run on: what they share is made once."""
+"""A benchmark scene that many methods and settings are run on; shared intermediate results are computed once."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ from torchjoint.views.visibility import Visible, visible_points
 
 
 class Case:
-    """A scene with its frames read, and what follows from it.
+    """A scene with all its frames loaded, and a cache of the results that methods share.
 
     Args:
-        scene: with truth.
-        config: of the data set: says how visibility is found out; a method's own settings come on top.
-        preset: the package's parameters for such data.
+        scene: with ground truth.
+        config: common to all methods on this data set, for example how visibility is computed; each method's own
+            setting is applied on top.
+        preset: the package's preset for this kind of data; default: `config`.
     """
 
     def __init__(self, scene: Scene, config: Config, preset: Config | None = None) -> None:
@@ -36,25 +37,25 @@ class Case:
         self._kept: dict[str, tuple[Hashable, Any]] = {}
 
     def digest(self) -> str:
-        """Tells scenes apart: a hash of the points and of what is known to be right."""
+        """Returns a SHA-256 hash, hex, of the points and their ground truth; identifies the scene."""
         truth = self.scene.truth
         tensors = [self.scene.points, *(() if truth is None or truth.points is None else (truth.points,))]
         return hashlib.sha256(b"".join(tensor.numpy().tobytes() for tensor in tensors)).hexdigest()
 
     def keep(self, what: str, key: Hashable, make: Callable[[], Any]) -> Any:
-        """What `make` makes; it is made again only for another key than the last."""
+        """Returns the cached result of `make`; calls `make` again only if `key` differs from the last key."""
         if what not in self._kept or self._kept[what][0] != key:
-            self._kept.pop(what, None)  # before the next is made: they are large
+            self._kept.pop(what, None)  # freed before the next result is made: both are large
             self._kept[what] = (key, make())
         return self._kept[what][1]
 
     def forget(self) -> None:
-        """Lets go of what was kept."""
+        """Empties the cache."""
         self._kept.clear()
 
     @cached_property
     def visible(self) -> list[Visible]:
-        """The points that each frame sees."""
+        """The visible points of each frame."""
         spacing = nearest_neighbors(self.scene.points, 4).spacing
 
         def see(frame: Frame) -> Visible:
@@ -65,7 +66,7 @@ class Case:
 
     @cached_property
     def viewpoints(self) -> Tensor:
-        """[N, 3] where each point was seen from: the nearest camera that sees it, else the nearest of all."""
+        """[N, 3] per point the center of the nearest camera that sees the point, else of the nearest camera of all."""
         points = self.scene.points
         centers = torch.stack([camera_center(frame.world_to_camera).float() for frame in self.frames])
         nearest = torch.full((len(points),), torch.inf)
@@ -78,6 +79,6 @@ class Case:
         return centers[chosen]
 
     def paint(self, point_labels: Tensor) -> list[Tensor]:
-        """Labels of the points [N] as label images: every pixel has that of the nearest visible point."""
+        """Turns point labels [N] into a label image per frame; a pixel gets the nearest visible point's label."""
         pairs = list(zip(self.visible, self.frames, strict=True))
         return parallel_map(lambda pair: paint(pair[0], point_labels, pair[1].size), pairs)

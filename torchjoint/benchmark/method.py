@@ -1,4 +1,4 @@
-"""What a method of the benchmark is."""
+"""The interface of a benchmark method: name, function, parameter ranges."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torchjoint.benchmark.space import Setting, Space
 
 
 class Result(NamedTuple):
-    """Labels of a scene, as far as a method makes them."""
+    """Labels that a method predicts for a scene; a method may leave out points or images."""
 
     points: Tensor | None  #: [N] int64
     images: Sequence[Tensor] = ()  #: [H, W] int64 each
@@ -21,17 +21,17 @@ class Result(NamedTuple):
 
 @dataclass(frozen=True)
 class Method:
-    """A way to segment a scene.
+    """A segmentation method of the benchmark.
 
     Args:
-        name: short, for files.
+        name: short, for file names.
         title: for tables.
-        run: from a scene, a setting and whether images are wanted, to labels.
-        space: of its parameters in a suite, by the suite's name; "" = in all others.
-        like: name of the method whose setting it uses instead of one of its own.
-        checked: raises ValueError or TypeError for a setting that the method cannot be given; default: names are those
-            of its space, values numbers.
-        judged: what its setting is chosen by, "3D" or "2D" (where there is such truth).
+        run: takes a scene, a setting, and whether image labels are wanted; returns labels.
+        space: parameter ranges by suite name; key "" holds the ranges for all other suites.
+        like: name of another method; this method then uses the setting of the other method.
+        checked: raises ValueError or TypeError if the method cannot take a setting; default: parameter names must be in
+            the method's space, and values must be numbers.
+        judged: the labels by which its setting is chosen, "3D" or "2D" (where a scene has such ground truth).
     """
 
     name: str
@@ -43,7 +43,7 @@ class Method:
     checked: Callable[[Setting], object] | None = None
 
     def check(self, setting: Setting) -> None:
-        """Raises ValueError or TypeError, naming the parameter, for a setting that the method cannot be given."""
+        """Raises ValueError or TypeError, naming the parameter, if the method cannot take this setting."""
         if self.checked is not None:
             self.checked(setting)
             return
@@ -55,5 +55,5 @@ class Method:
                 raise TypeError(f"{name}: expected a number, got {value!r}")
 
     def space_in(self, suite: str) -> Space:
-        """The parameters that are searched in a suite."""
+        """Returns the parameter ranges that are searched in a suite."""
         return self.space.get(suite, self.space.get("", {}))

@@ -1,4 +1,4 @@
-"""The methods that are compared: ours, its parts, and what one could do without it today."""
+"""The methods of the benchmark: the joint method, ablations of it, and common alternatives."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from torchjoint.benchmark.method import Method, Result
 from torchjoint.benchmark.planes import planes_and_clusters
 from torchjoint.benchmark.space import Setting
 from torchjoint.benchmark.vote import vote
-from torchjoint.config import Config, SuperpointsConfig, presets, what_is_seen
+from torchjoint.config import Config, SuperpointsConfig, evidence_config, presets
 from torchjoint.joint import JointSegmenter
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.superpoints import superpoints
 
 
 def joint(case: Case, setting: Setting, images: bool) -> Result:
-    """The whole method; `setting` is of `stage.parameter`, on top of the package's preset for such data."""
+    """The whole method; `setting` has keys `stage.parameter` and is applied on top of the package's preset."""
     result = _seen(case, changed(case.preset, setting)).compute(images=images)
     return Result(result.points, result.images)
 
 
 def joint_painted(case: Case, setting: Setting, images: bool) -> Result:
-    """The joint method's points, painted into the images instead of refining these."""
+    """The joint method's points, projected into the images; replaces the image refinement."""
     return _painted(case, joint(case, setting, False).points, images)
 
 
 def geometry(case: Case, setting: Setting, images: bool) -> Result:
-    """The same, but no image has a say; painted into the images."""
+    """The joint method without votes of the images; the point labels are projected into the images."""
     setting = setting | {"propagation.weight": 0.0}
     return _painted(case, joint(case, setting, False).points, images)
 
 
 def edges(case: Case, setting: Setting, images: bool) -> Result:
-    """The joint method with step 6 as the paper has it, edge by edge; `setting` on top of the suite's config."""
+    """The joint method with step 6 edge by edge, as in the paper; `setting` is applied on top of the suite's config."""
     config = changed(case.config, {"point_segments.method": "edges"} | setting)
     result = _seen(case, config).compute(images=images)
     return Result(result.points, result.images)
 
 
 def preset(name: str) -> Callable[[Case, Setting, bool], Result]:
-    """The joint method as one of the package's presets has it, whatever the data."""
+    """Returns the joint method with one of the package's presets, for any data."""
 
     def run(case: Case, setting: Setting, images: bool) -> Result:
         result = _seen(case, Config.from_preset(name)).compute(images=images)
@@ -55,13 +55,13 @@ def preset(name: str) -> Callable[[Case, Setting, bool], Result]:
 
 
 def initial(case: Case, setting: Setting, images: bool) -> Result:
-    """The images alone, and these voted onto the points."""
+    """The initial image segmentations, and their labels voted onto the points."""
     _, label_images = _known_images(case, changed(case.config, setting))(case.frames, Stopwatch())
     return Result(vote(label_images, case.visible, case.scene.points), label_images if images else ())
 
 
 def scikit_image(case: Case, setting: Setting, images: bool) -> Result:
-    """scikit-image's Felzenszwalb-Huttenlocher of each image, voted onto the points."""
+    """scikit-image's Felzenszwalb-Huttenlocher on each image, voted onto the points."""
     from skimage.segmentation import felzenszwalb
 
     label_images = [
@@ -71,18 +71,18 @@ def scikit_image(case: Case, setting: Setting, images: bool) -> Result:
 
 
 def normals(case: Case, setting: Setting, images: bool) -> Result:
-    """Felzenszwalb-Huttenlocher by normals alone, with ScanNet's convexity-discounted weight."""
+    """Felzenszwalb-Huttenlocher on normals alone, with ScanNet's convexity-discounted weight."""
     return _superpoints(case, {"weight": "segmentator", "color_weight": 0.0} | setting, images)
 
 
 def distance_normal_color(case: Case, setting: Setting, images: bool) -> Result:
-    """Felzenszwalb-Huttenlocher by distance, angle of normals and colour."""
+    """Felzenszwalb-Huttenlocher on distance, angle between normals, and colour."""
     colors = {"color_weight": 0.0} if case.scene.colors is None else {}
     return _superpoints(case, {"convex_factor": 1.0} | setting | colors, images)
 
 
 def ransac_dbscan(case: Case, setting: Setting, images: bool) -> Result:
-    """RANSAC planes, and DBSCAN of what is left."""
+    """RANSAC planes, then DBSCAN of the remaining points."""
     return _painted(case, planes_and_clusters(case.scene.points, **setting), images)
 
 
@@ -97,7 +97,7 @@ def _painted(case: Case, points: Tensor | None, images: bool) -> Result:
 
 
 def changed(config: Config, setting: Setting) -> Config:
-    """A config with parameters replaced, by `stage.parameter`."""
+    """Returns a config with some parameters replaced; keys are `stage.parameter`."""
     for name, value in setting.items():
         stage, _, parameter = name.partition(".")
         config = config.replace({stage: {parameter: value}})
@@ -105,7 +105,7 @@ def changed(config: Config, setting: Setting) -> Config:
 
 
 def _known_images(case: Case, config: Config) -> KnownImages:
-    """Boundaries and initial labels; made again only where the setting asks for it."""
+    """Boundaries and initial labels; computed again only if the setting changes an image stage."""
     stages = (config.boundary, config.contours)
     bounded: KnownImages = case.keep("boundaries", stages, lambda: KnownImages(config, case.frames))
     more = (*stages, config.image_graph, config.image_segments)
@@ -114,8 +114,8 @@ def _known_images(case: Case, config: Config) -> KnownImages:
 
 
 def _seen(case: Case, config: Config) -> JointSegmenter:
-    """A segmenter that has seen all frames; seen again only where the setting asks for it."""
-    before = what_is_seen(config)
+    """A segmenter that has seen all frames; the frames are seen again only if the setting changes such a stage."""
+    before = evidence_config(config)
 
     def see() -> JointSegmenter:
         segmenter = JointSegmenter(before)

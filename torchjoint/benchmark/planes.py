@@ -1,4 +1,4 @@
-"""RANSAC planes and DBSCAN of what is left: what most people try first on a cloud."""
+"""RANSAC planes, then DBSCAN of the remaining points: the segmentation that most people try first."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchjoint.benchmark.vote import fill
 
-#: Planes that are tried for each plane found, and points they are counted on.
+#: Candidate planes per found plane, and the number of points that vote for the candidates.
 TRIES, SAMPLE = 500, 10_000
 
 
@@ -22,17 +22,17 @@ def planes_and_clusters(
 ) -> Tensor:
     """Segments a cloud into planes and clusters (M. Fischler, R. Bolles 1981; M. Ester et al. 1996).
 
-    The largest plane is taken out, again and again; DBSCAN cuts the rest; points it calls noise join the nearest
+    Repeatedly removes the largest plane. DBSCAN clusters the remaining points. DBSCAN's noise points join the nearest
     cluster or plane.
 
     Args:
         points: [N, 3] metres.
-        distance: from a plane to its points, metres, at the most.
-        min_share: of all points that a plane must have.
-        max_planes: at the most.
-        eps: of DBSCAN, metres.
-        min_points: of DBSCAN, within eps of a core point.
-        seed: of the planes that are tried.
+        distance: largest distance between a plane and its points, metres.
+        min_share: smallest share of all points that a plane must have.
+        max_planes: largest number of planes.
+        eps: radius of DBSCAN, metres.
+        min_points: of DBSCAN: points within eps of a core point.
+        seed: of the random candidate planes.
 
     Returns:
         [N] int64.
@@ -56,7 +56,7 @@ def planes_and_clusters(
 
 
 def _largest_plane(points: Tensor, distance: float, random: torch.Generator) -> Tensor:
-    """[n] bool: the points of the best of `TRIES` planes through three of them, fitted again to its points."""
+    """[n] bool: inliers of the best of `TRIES` planes through three points, after a least-squares fit to inliers."""
     triples = points[torch.randint(len(points), (TRIES, 3), generator=random)]
     normals = torch.linalg.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
     length = normals.norm(dim=1, keepdim=True)
@@ -64,7 +64,7 @@ def _largest_plane(points: Tensor, distance: float, random: torch.Generator) -> 
     offsets = (normals * triples[:, 0]).sum(1)
     some = points[torch.randint(len(points), (min(SAMPLE, len(points)),), generator=random)]
     votes = ((some @ normals.T - offsets).abs() <= distance).sum(0)
-    best = int(torch.where(length[:, 0] > 1e-9, votes, -1).argmax())  # three points on a line make no plane
+    best = int(torch.where(length[:, 0] > 1e-9, votes, -1).argmax())  # three collinear points define no plane
     inside = (points @ normals[best] - offsets[best]).abs() <= distance
     if int(inside.sum()) < 3:
         return inside

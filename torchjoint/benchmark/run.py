@@ -1,4 +1,4 @@
-"""Tuning on one half of a suite, scoring on the other."""
+"""Tunes methods on the tuning scenes of a suite, and scores them on the checking scenes."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from torchjoint.evaluation.kinds import best_iou_by_kind
 from torchjoint.evaluation.table import Row
 from torchjoint.scene import Scene
 
-#: Frames of a scene that methods of images alone are tuned on, evenly spread; and scenes that are tuned on at the most,
-#: since all are held in memory.
-JUDGED_FRAMES, MOST_SCENES = 6, 12
+#: Evenly spread frames of a scene on which image-only methods are tuned, and the largest number of tuning scenes
+#: (all scenes are held in memory).
+TUNING_FRAMES, MAX_TUNING_SCENES = 6, 12
 
 
 def tune(suite: Suite, methods: Sequence[Method], data: Path | None, budget: Budget, folder: Path) -> dict[str, Trial]:
-    """The best setting of each method on the tuning half; the trials are kept in `folder`, and not run twice."""
-    scenes = dict(list(suite.scenes("tuning", data).items())[:MOST_SCENES])
+    """Returns the best trial of each method on the tuning scenes; logs trials in `folder`, so that none runs twice."""
+    scenes = dict(list(suite.scenes("tuning", data).items())[:MAX_TUNING_SCENES])
     loaded = tqdm(load_all(scenes), total=len(scenes), desc="load", unit="scene")
     preset = Config.from_preset(suite.preset)
     cases = [Case(scene, suite.config, preset) for scene in loaded]
-    few = [Case(case.scene.spread_frames(JUDGED_FRAMES), suite.config, preset) for case in cases]
+    few = [Case(case.scene.sample_frames(TUNING_FRAMES), suite.config, preset) for case in cases]
     found = {}
     for method in methods:
         if method.space_in(suite.name):
@@ -43,7 +43,7 @@ def tune(suite: Suite, methods: Sequence[Method], data: Path | None, budget: Bud
 def compare(
     suite: Suite, methods: Sequence[Method], settings: Mapping[str, Setting], data: Path | None, half: str = "checking"
 ) -> Iterator[list[Row]]:
-    """The scores of each method, scene by scene of a half; none of a scene without truth."""
+    """Yields the scores of all methods, scene by scene, for one half; no rows for a scene without ground truth."""
     scenes = suite.scenes(half, data)
     preset = Config.from_preset(suite.preset)
     for name, scene in zip(scenes, tqdm(load_all(scenes), total=len(scenes), unit="scene"), strict=True):
@@ -53,7 +53,7 @@ def compare(
             setting = settings.get(method.like or method.name, {})
             result = method.run(case, setting, True)
             for space, scores in score_result(result, scene).items():
-                if method.like is None or space == "2D":  # its points are those of the other
+                if method.like is None or space == "2D":  # the points are the same as those of method.like
                     rows.append(Row(name, method.name, space, scores, _by_kind(result, scene) if space == "3D" else {}))
         yield rows
 

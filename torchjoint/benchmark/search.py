@@ -1,4 +1,4 @@
-"""The search for a method's best setting: seeded draws at random, then steps from the best. It can be resumed."""
+"""Hyperparameter search: seeded random draws, then steps from the best setting. A search can be resumed."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from torchjoint.scene import Scene, Truth
 
 
 class Trial(NamedTuple):
-    """A setting that was tried: mean over the scenes of (F + best IoU) / 2."""
+    """A setting and its score: the mean over the scenes of (F + best IoU) / 2."""
 
     setting: Setting
     score: float
 
 
 class Budget(NamedTuple):
-    """How many settings are tried."""
+    """How many settings are tried: random draws, then steps from the best setting."""
 
     draws: int = 60
     steps: int = 40
@@ -45,14 +45,21 @@ def search(
     seed: int = 0,
     progress: bool = False,
 ) -> Trial:
-    """The best of `budget` settings on some scenes; ties: the first.
+    """Finds the best of `budget` settings on some scenes; of equal scores the first wins.
 
     Args:
-        log: a line of what is searched, then a line a trial, JSON. Trials that are there already are not run again, so
-            that a search that was interrupted goes on where it was; the settings that are tried are always the same.
+        method: the method to tune.
+        suite: name of the suite; chooses the parameter ranges.
+        cases: scenes; scenes without ground truth are ignored.
+        budget: how many settings are tried.
+        log: JSON lines: a hash that identifies the search, then one line per trial. Logged trials are not run again, so
+            an interrupted search continues. The sequence of settings is deterministic.
+        seed: of the random settings.
+        progress: show a progress bar.
 
     Raises:
-        ValueError: the log is of a search on other scenes, or in other ranges; no scene has truth; no tries.
+        ValueError: the log belongs to a search on other scenes or in other ranges; no scene has ground truth; the
+            budget is empty.
     """
     cases = [case for case in cases if _has_truth(case)]
     if not cases or budget.draws < 1 or budget.steps < 0:
@@ -81,21 +88,21 @@ def search(
 
 
 def quality(method: Method, setting: Setting, cases: Sequence[Case]) -> float:
-    """What a search makes large: the mean over the scenes of (F + best IoU) / 2."""
+    """Returns the objective of the search: the mean over the scenes of (F + best IoU) / 2."""
     return fmean(_judged(run_scores(method, setting, case), method.judged) for case in cases)
 
 
 def run_scores(method: Method, setting: Setting, case: Case, images: bool | None = None) -> dict[str, Scores]:
-    """Scores by "3D" and "2D", as far as there are labels and truth.
+    """Runs a method; returns its scores by "3D" and "2D", where there are both labels and ground truth.
 
     Args:
-        images: whether images are wanted; default: only if the method is judged by them.
+        images: whether image labels are wanted; default: only if the method is judged by its image labels.
     """
     return score_result(method.run(case, setting, method.judged == "2D" if images is None else images), case.scene)
 
 
 def score_result(result: Result, scene: Scene) -> dict[str, Scores]:
-    """Scores by "3D" and "2D", as far as there are labels and truth."""
+    """Returns scores by "3D" and "2D", where there are both labels and ground truth."""
     truth = scene.truth or Truth()
     scores = {}
     if result.points is not None and truth.points is not None and truth.has_points:
@@ -117,7 +124,7 @@ def _has_truth(case: Case) -> bool:
 
 
 def _key(method: Method, suite: str, cases: Sequence[Case], seed: int) -> str:
-    """Tells searches apart: what is tried where."""
+    """Hash that identifies a search: its method, ranges, scenes and seed."""
     parts = [method.name, suite, str(seed), str(method.space_in(suite))]
     parts += [f"{case.digest()} {len(case.frames)} {case.config} {case.preset}" for case in cases]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""The setting of each method in a suite, in YAML: those that the package's own search found, or your own."""
+"""Reads and writes the methods' settings for a suite, in YAML: the settings shipped with the package, or your own."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from torchjoint.runtime.files import write_text
 
 
 def read_settings(suite: str, file: Path | None = None) -> dict[str, Setting]:
-    """By method; a method without an entry uses its defaults.
+    """Returns settings by method; a method without an entry uses its defaults.
 
     Raises:
-        ValueError: naming the file, and the method or the parameter that does not exist.
+        FileNotFoundError: `file` does not exist.
+        ValueError: an unknown method or parameter; the message names the file and the method or parameter.
     """
     if file is not None:
         if not file.is_file():
@@ -30,7 +31,7 @@ def read_settings(suite: str, file: Path | None = None) -> dict[str, Setting]:
 
 
 def write_settings(file: Path, settings: Mapping[str, Setting], comment: str) -> None:
-    """Writes what :func:`read_settings` reads; beside, then renamed."""
+    """Writes a file for :func:`read_settings`, atomically (a temporary file is renamed)."""
     write_text(file, f"# {comment}\n{yaml.safe_dump(dict(settings), sort_keys=False)}")
 
 

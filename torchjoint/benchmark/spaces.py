@@ -1,4 +1,4 @@
-"""The parameters of each method that are searched, by suite; "" = in all others."""
+"""The searched parameter ranges of each method, by suite name; key "" holds the ranges for all other suites."""
 
 from torchjoint.benchmark.space import Between, Choice, Space
 
@@ -12,7 +12,7 @@ _REGIONS: Space = {
     "region_merging.min_size": Between(3, 600, whole=True),
     "occlusion_bridging.min_votes": Choice((None, 4)),
 }
-_IMAGES_ON_BORDERS: Space = {
+_IMAGE_EVIDENCE: Space = {
     "propagation.weight": Between(0.05, 1.0),
     "pieces.threshold": Choice((None, 0.015, 0.03, 0.06)),
     "region_merging.agreement": Between(0.1, 0.9, or_zero=True),
@@ -72,8 +72,8 @@ _SCAN: Space = {
     "scan.joining_gap": Between(1.2, 4.0),
 }
 
-#: Rooms have too many images to segment them anew for every setting: there those of the default are used.
-JOINT = {"": {**_REGIONS, **_IMAGES_ON_BORDERS}, "kitti": _SCAN}
+#: Rooms have too many images to segment them again for every setting: rooms use the default image settings.
+JOINT = {"": {**_REGIONS, **_IMAGE_EVIDENCE}, "kitti": _SCAN}
 GEOMETRY = {"": _REGIONS, "kitti": _SCAN}
 EDGES = {
     "": {**_EDGES, **_EVIDENCE},

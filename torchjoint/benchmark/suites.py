@@ -1,4 +1,4 @@
-"""The labelled scenes that methods are compared on, in halves: one to tune on, one to be scored on."""
+"""The benchmark suites: labelled scenes, split into tuning scenes and checking scenes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ import torch
 from torchjoint.config import Config
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.scene import Scene
-from torchjoint.scene.thinning import one_point_a_voxel
+from torchjoint.scene.thinning import voxel_subsample
 from torchjoint.synthetic import make_scene
 from torchjoint.views.projection import in_any_view
 
-#: Metres between the points of a depth camera's single view.
+#: Metres between points of a single depth image after thinning.
 SPACING = 0.005
 
-#: Frames of a long recording that are used, evenly spread.
+#: Number of frames, evenly spread, that are used of a long recording.
 MOST_FRAMES = 20
 
 Scenes = Mapping[str, Callable[[], Scene]]
@@ -28,17 +28,17 @@ Scenes = Mapping[str, Callable[[], Scene]]
 
 @dataclass(frozen=True)
 class Suite:
-    """A kind of data.
+    """Scenes of one kind, split into two halves.
 
     Args:
         name: of the suite.
         what: a sentence for the table.
-        tuning: the scenes that settings are chosen on, by name, from the data's folder.
-        checking: those that the table shows.
-        config: what all methods have in common there, as of visibility.
-        preset: the package's for such data.
-        needs_data: whether a folder must be given.
-        tuned_as: the suite whose settings are used, if it has none of its own.
+        tuning: from the data folder, the loaders by scene name of the scenes on which settings are chosen.
+        checking: the same for the scenes that the table shows.
+        config: parameters common to all methods on this data, for example of visibility.
+        preset: name of the package's preset for this kind of data.
+        needs_data: whether a data folder must be given.
+        tuned_as: name of the suite whose settings are used, if this suite has no settings of its own.
     """
 
     name: str
@@ -51,10 +51,10 @@ class Suite:
     tuned_as: str = ""
 
     def scenes(self, half: str, data: Path | None) -> Scenes:
-        """The scenes of a half, "tuning" or "checking", each to be loaded by a call.
+        """Returns the loaders of a half, "tuning" or "checking", by scene name.
 
         Raises:
-            ValueError: the suite needs data, and there is none, or none in the folder.
+            ValueError: the suite needs a data folder and `data` is None, or the folder holds no scene for this half.
         """
         if self.needs_data and data is None:
             raise ValueError(f"--data: suite {self.name} needs the folder of its data; see the README for its layout")
@@ -65,13 +65,13 @@ class Suite:
 
 
 def load_all(scenes: Scenes) -> Iterator[Scene]:
-    """Loads one after the other."""
+    """Loads the scenes one after the other."""
     for load in scenes.values():
         yield load()
 
 
 def _every_other(first: int, load: Callable[[Path], Scene], data: Path | None) -> Scenes:
-    """Every other place of a data set, with all scenes of it: several scans of a room stay on one side."""
+    """Every other place of a data set, with all scenes of the place: several scans of a room stay in one half."""
     assert data is not None  # checked by Suite.scenes
     found = list_scenes(data)
     names = sorted(found, key=lambda name: (len(name), name))  # learn8 before learn10
@@ -80,7 +80,7 @@ def _every_other(first: int, load: Callable[[Path], Scene], data: Path | None) -
 
 
 def _place(name: str) -> str:
-    """Of ScanNet's scene0012_00, scene0012_01, ...: scene0012."""
+    """The place of a ScanNet scan: scene0012 for scene0012_00, scene0012_01, ..."""
     return re.sub(r"(scene\d{4})_\d\d", r"\1", name)
 
 
@@ -98,23 +98,23 @@ def _synthetic(name: str, what: str, every: int = 1, tuned_as: str = "") -> Suit
 
 def _make(seed: int, every: int) -> Scene:
     scene = make_scene(seed, "large", num_views=24, num_points=120_000, depth_ripple=0.002, hard=True).scene
-    return scene.select_points(torch.arange(0, len(scene.points), every))  # they come in no order
+    return scene.select_points(torch.arange(0, len(scene.points), every))  # the points are in random order
 
 
 def _load_thinned(path: Path) -> Scene:
-    """A depth camera's pixels lie nearer to one another than its noise is deep."""
+    """Thins the cloud: neighbouring pixels of a depth camera are closer to each other than the depth noise."""
     scene = load_scene(path)
-    return scene.select_points(one_point_a_voxel(scene.points, SPACING))
+    return scene.select_points(voxel_subsample(scene.points, SPACING))
 
 
 def _load_in_view(path: Path) -> Scene:
-    """Boxes are marked where the camera looks, and nowhere else."""
+    """Keeps the points in the camera's view: KITTI annotates boxes only there."""
     scene = load_scene(path)
     return scene.select_points(in_any_view(scene.points, scene.frames))
 
 
 def _load_some_frames(path: Path) -> Scene:
-    return load_scene(path).spread_frames(MOST_FRAMES)
+    return load_scene(path).sample_frames(MOST_FRAMES)
 
 
 SUITES = {

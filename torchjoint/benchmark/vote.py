@@ -1,4 +1,4 @@
-"""Image segmentations voted onto the points, and joined over the views: what one does without a joint method."""
+"""Votes image segmentations onto the points and merges them over the views: a baseline without a joint method."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from torchjoint.views.visibility import Visible
 
 
 def vote(label_images: Sequence[Tensor], visible: Sequence[Visible], points: Tensor, share: float = 0.5) -> Tensor:
-    """Labels of points from segmentations of images that were made one by one.
+    """Labels points from independent segmentations of images.
 
-    View after view: a segment takes over the label that most of its already labelled points have, if that is at least
-    `share` of them, and else a new one; it labels the points that have none yet. Points that no image sees get
-    the label of the nearest point that has one.
+    Processes view after view. A segment inherits the most frequent label of its labelled points, if at least `share` of
+    these points have this label; otherwise the segment gets a new label. The segment then labels its unlabelled points.
+    A point that no image sees gets the label of the nearest labelled point.
 
     Args:
-        label_images: [H, W] each, ids of their own; -1 = none.
+        label_images: [H, W] each, with independent ids; -1 = none.
         visible: the points that each image sees.
         points: [N, 3].
+        share: in [0, 1].
 
     Returns:
         [N] int64; all 0 if no image labels any point.
@@ -42,7 +43,7 @@ def vote(label_images: Sequence[Tensor], visible: Sequence[Visible], points: Ten
 
 
 def _inherited(segment: Tensor, labels: Tensor, share: float) -> Tensor:
-    """For each segment the label that at least `share` of its labelled points have (ties: the lower), or -1."""
+    """Per segment the label that at least `share` of its labelled points have (ties: the lower label), or -1."""
     names = torch.full((int(segment.max()) + 1,), -1)
     known = labels >= 0
     if not known.any():
@@ -51,15 +52,15 @@ def _inherited(segment: Tensor, labels: Tensor, share: float) -> Tensor:
     total = torch.bincount(segment[known], minlength=len(names))
     key, count = torch.unique(segment[known] * width + labels[known], return_counts=True)
     enough = count >= share * total[key // width]
-    key, count = key[enough].flip(0), count[enough].flip(0)  # of equals the lower label comes last
+    key, count = key[enough].flip(0), count[enough].flip(0)  # of equal counts, the lower label comes last
     order = torch.argsort(count, stable=True)
-    for winner in key[order].tolist():  # of each segment the last one stays
+    for winner in key[order].tolist():  # of several entries of a segment, the last one stays
         names[winner // width] = winner % width
     return names
 
 
 def fill(labels: Tensor, points: Tensor) -> Tensor:
-    """Labels [N] whose gaps (-1) get the label of the nearest point [N, 3] that has one; all 0 if none has."""
+    """Fills gaps (-1) in labels [N] with the label of the nearest labelled point [N, 3]; all 0 without labels."""
     known = labels >= 0
     if not known.any():
         return torch.zeros_like(labels)

@@ -1,4 +1,4 @@
-"""The command line: one file a command; :mod:`torchjoint.cli.main` lists them."""
+"""The command line: one file per command; :mod:`torchjoint.cli.main` lists the commands."""
 
 from torchjoint.cli.main import main
 

@@ -1,4 +1,4 @@
-"""What is printed when a result is written."""
+"""The text that is printed after a result is written."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torchjoint.scene import Segmentation
 
 
 def summarize(result: Segmentation, out: Path) -> None:
-    """Prints how many points, segments and images there are, the seconds by stage, and the files."""
+    """Prints the numbers of points, segments and images, the seconds per stage, and the written files."""
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in result.seconds.items())
     print(f"{len(result.points)} points in {result.num_point_segments} segments, {len(result.images)} images")
     print(f"seconds by stage (added up over threads): {seconds}")

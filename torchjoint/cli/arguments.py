@@ -1,4 +1,4 @@
-"""What several commands share: the method's parameters, how many frames, files not to be overwritten."""
+"""Arguments and checks that several commands share: parameters of the method, frame limits, overwrite protection."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchjoint.config import Config
 
 @dataclass(frozen=True)
 class Parameters:
-    """What the method is told."""
+    """Parameters of the method."""
 
     preset: str = "indoor"
     """A preset that comes with the package, or a YAML file of your own."""
@@ -22,29 +22,29 @@ class Parameters:
     """Single parameters: --set propagation.weight=0.2 refinement.merge_ratio=0.95"""
 
     def config(self) -> Config:
-        """The preset with the assignments applied."""
+        """Returns the preset with the single parameters applied."""
         is_file = self.preset.endswith((".yaml", ".yml"))
         config = Config.from_yaml(self.preset) if is_file else Config.from_preset(self.preset)
         return config.set(self.set)
 
 
-#: As the command line has them where nothing is said.
+#: The command line's defaults.
 DEFAULTS = Parameters()
 Flat = tyro.conf.OmitArgPrefixes[Parameters]
 Out = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 
 
 def check_max_frames(max_frames: int | None) -> None:
-    """Raises ValueError if it is no number of frames."""
+    """Raises ValueError if `max_frames` is negative."""
     if max_frames is not None and max_frames < 0:
         raise ValueError(f"--max-frames: expected >= 0, got {max_frames}")
 
 
 def check_output(out: Path, names: Iterable[str], overwrite: bool) -> None:
-    """Whether files of these names may be written into a folder.
+    """Checks that files with these names may be written into folder `out`.
 
     Raises:
-        FileExistsError: the folder is none, or holds one of them, and not `overwrite`.
+        FileExistsError: `out` is not a folder, or it holds one of the files and `overwrite` is False.
     """
     if out.exists() and not out.is_dir():
         raise FileExistsError(f"-o: {out} exists and is not a folder")

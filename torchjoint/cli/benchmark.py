@@ -1,4 +1,4 @@
-"""torchjoint benchmark: methods side by side on labelled scenes."""
+"""torchjoint benchmark: compares methods on labelled scenes."""
 
 from __future__ import annotations
 
@@ -42,23 +42,27 @@ def benchmark(
     page: Path | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Compares methods, each at one setting for all scenes: ours, its parts, and what one could do without it.
+    """Compares the joint method with its ablations and with common alternatives on labelled scenes.
+
+    Each method uses one setting for all scenes.
 
     Args:
-        suite: the kind of scenes.
-        data: folder of the data; synthetic scenes need none.
+        suite: kind of scenes.
+        data: folder of the data set; not needed for synthetic scenes.
         out: folder for table.md, scores.csv, scores.png, settings.yaml; default: benchmark-SUITE.
-        methods: only these; default: all.
-        settings: YAML file of methods' settings; default: those that come with the package.
-        tuning: search each method's setting on the suite's tuning half first, by so many draws and so many steps
-            from the best, such as 60 40; can be interrupted and resumed.
-        half: which half of the scenes the table shows.
-        page: a Markdown file whose part between `<!-- benchmark SUITE -->` marks gets the table of all methods.
+        methods: run only these methods; default: all.
+        settings: YAML file with the methods' settings; default: the settings that come with the package.
+        tuning: first run a hyperparameter search for each method on the tuning half of the suite: number of random
+            draws, then number of steps from the best setting, for example 60 40. The search can be interrupted and
+            resumed.
+        half: half of the scenes that the table shows.
+        page: Markdown file; its part between the marks `<!-- benchmark SUITE -->` and `<!-- end benchmark SUITE -->`
+            is replaced by the table of all methods.
         overwrite: replace files in OUT.
     """
     kind, chosen = SUITES[suite], _chosen(methods)
     out = out or Path(f"benchmark-{suite}")
-    # What is wrong is to be told before hours of work.
+    # Errors in the arguments must be reported before hours of work.
     check_output(out, (TABLE, SCORES, PICTURE, SETTINGS), overwrite)
     _check_page(page, suite, len(chosen) == len(METHODS) and half == "checking")
     if tuning is not None and (tuning[0] < 1 or tuning[1] < 0):
@@ -90,7 +94,7 @@ def benchmark(
 
 
 def report(rows: Sequence[Row], suite: Suite, half: str) -> str:
-    """The tables, and how joint compares with the others, scene by scene."""
+    """Returns the tables, and the differences between joint and the other methods, paired by scene."""
     scenes = len({row.scene for row in rows})
     parts = [f"{scenes} {half} scenes: {suite.what}. Means over the scenes, each method at one setting."]
     for space in ("3D", "2D"):
@@ -151,6 +155,6 @@ def _check_page(page: Path | None, suite: str, is_whole: bool) -> None:
 
 
 def _fill(page: Path, part: str, text: str) -> None:
-    """Puts a text between a page's marks of that part."""
+    """Replaces the text between a page's marks of this part."""
     pattern = re.compile(rf"(<!-- {part} -->\n).*?(<!-- end {part} -->)", flags=re.DOTALL)
     write_text(page, pattern.sub(lambda m: f"{m[1]}{text}\n{m[2]}", page.read_text(encoding="utf-8")))

@@ -1,4 +1,4 @@
-"""torchjoint demo: the main job on an embedded scene."""
+"""torchjoint demo: segments a generated scene."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from torchjoint.results.folder import output_folder, write_result
 
 
 def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = DEFAULTS, overwrite: bool = False) -> None:
-    """Segments an embedded synthetic scene and scores the result against its exact truth; needs no data.
+    """Segments a generated synthetic scene and scores the result against its exact ground truth; needs no data.
 
     Args:
         out: folder for the result.
-        parameters: what the method is told.
+        parameters: parameters of the method.
         overwrite: replace OUT if it is an earlier result.
     """
     from torchjoint.synthetic import make_scene

@@ -1,4 +1,4 @@
-"""torchjoint evaluate: results against truth."""
+"""torchjoint evaluate: scores results against ground truth."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ def evaluate(
     voxel_size: float = 0.02,
     overwrite: bool = False,
 ) -> None:
-    """Scores results against the truth of one scene, or of a data set's scenes.
+    """Scores results against the ground truth of one scene, or of all scenes of a data set.
 
     Args:
-        pred: a folder that `torchjoint segment` wrote; or labels of the points, .npy or .txt; or, for a data set, a
-            folder of these, named as its scenes.
-        scene: a scene with truth, or a data set of such; see the README for the layouts that are known.
+        pred: a folder written by `torchjoint segment`; or point labels, .npy or .txt; or, for a data set, a folder of
+            such folders or files, named like the scenes.
+        scene: a scene with ground truth, or a data set of such scenes; the README lists the supported layouts.
         out: folder for scores.csv and scores.png.
-        voxel_size: metres, of a cloud that is fused from depth; used where PRED does not keep the cloud itself.
+        voxel_size: metres, for fusing a cloud from depth; used only if PRED does not hold the cloud.
         overwrite: replace files in OUT.
     """
     if out is not None:
         check_output(out, (TABLE, PICTURE), overwrite)
     scenes = list_scenes(scene)
-    scored = _Scored()
+    scored = _ScoreCollector()
     try:
         for name, path in tqdm(scenes.items(), desc="scenes", unit="scene", disable=len(scenes) == 1):
             found = pred if is_result(pred) and len(scenes) == 1 else _of_scene(pred, name)
@@ -49,12 +49,12 @@ def evaluate(
                 scored.notes.append(f"{name}: has no truth and is left out")
             else:
                 scored.add(name, loaded, read_prediction(found, loaded))
-    finally:  # what was scored before an error is not lost
+    finally:  # scores from before an error are not lost
         scored.report(out)
 
 
-class _Scored:
-    """What was scored so far."""
+class _ScoreCollector:
+    """The scores so far."""
 
     def __init__(self) -> None:
         from torchjoint.metrics import ScannetAveragePrecisionMetric  # torchmetrics takes a second to import

@@ -1,4 +1,4 @@
-"""torchjoint evaluate-boundaries: a detector, or a folder of its predictions, against BSDS500's annotators."""
+"""torchjoint evaluate-boundaries: scores a boundary detector, or a folder of its predictions, on BSDS500."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from torchjoint.datasets.bsds import BsdsImage, bsds_images
 from torchjoint.evaluation.boundary_scores import BoundaryScores, evaluate_predictions
 from torchjoint.evaluation.region_scores import WITH_BOUNDARIES, WITHOUT_BOUNDARIES, RegionScores, evaluate_regions
 from torchjoint.images.boundary import make_boundary
-from torchjoint.runtime.files import replacing
+from torchjoint.runtime.files import atomic_write
 
 FOREST = "structured_forest"
 CURVE, PICTURE = "boundaries.csv", "precision_recall.png"
@@ -35,19 +35,19 @@ def evaluate_boundaries(
     regions: bool = True,
     overwrite: bool = False,
 ) -> None:
-    """Scores boundaries on BSDS500: ODS, OIS, AP, and what they are worth to a segmentation.
+    """Scores boundaries on BSDS500: ODS, OIS, AP, and their benefit for the image segmentation.
 
     Args:
-        boundaries: a detector, as parameter boundary.detector names it; or a structured forest's NAME.yml.gz; or a
-            folder of predictions: for each image a NAME.png, grey, of 8 or 16 bits, or a NAME.npy, floating, in
-            [0, 1].
+        boundaries: a detector, named as in parameter boundary.detector; or a structured forest's file NAME.yml.gz; or
+            a folder of predictions: per image a NAME.png (grey, 8 or 16 bits) or a NAME.npy (floating point, in
+            [0, 1]).
         bsds_dir: folder of the data set: images/ and groundTruth/, or the original BSR.
-        out: folder for boundaries.csv, the curve of precision and recall, and precision_recall.png.
+        out: folder for boundaries.csv (the precision-recall curve) and precision_recall.png.
         split: part of the data set.
-        thresholds: how many; 99 are the protocol, fewer are quick.
-        multi_scale: a structured forest's boundaries at half and twice the size, too.
-        nms: keep only the maxima across a boundary first; --no-nms for predictions that are thin already.
-        regions: score the image segmentation with and without the boundaries, too.
+        thresholds: number of thresholds; the protocol uses 99, fewer are faster.
+        multi_scale: also detect at half and at twice the image size (structured forests only).
+        nms: apply non-maximum suppression first; --no-nms for predictions that are already thin.
+        regions: also score the image segmentation with and without the boundaries.
         overwrite: replace files in OUT.
     """
     check_output(out, (CURVE, PICTURE), overwrite)
@@ -70,7 +70,7 @@ def evaluate_boundaries(
 def _predictor(boundaries: str, records: Sequence[BsdsImage], multi_scale: bool) -> Callable[[BsdsImage], Tensor]:
     if boundaries not in DETECTORS and Path(boundaries).is_dir():
         files = {record.name: find_boundary_map(Path(boundaries), record.name) for record in records}
-        for record in records:  # what is wrong with the last one should not be told after minutes of scoring
+        for record in records:  # an error in the last file should be reported before minutes of scoring
             _checked_map(files[record.name], record)
         return lambda record: _checked_map(files[record.name], record)
     detector, model = (FOREST, boundaries) if boundaries.endswith(".yml.gz") else (boundaries, None)
@@ -113,11 +113,11 @@ def _region_table(rows: dict[str, RegionScores]) -> str:
 
 def _write(out: Path, scores: BoundaryScores, name: str) -> None:
     out.mkdir(parents=True, exist_ok=True)
-    with replacing(out / CURVE) as partial, partial.open("w", newline="", encoding="utf-8") as stream:
+    with atomic_write(out / CURVE) as partial, partial.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(scores.curve._fields)
         writer.writerows([f"{value:.6f}" for value in row] for row in torch.stack(list(scores.curve), 1).tolist())
-    with replacing(out / PICTURE) as partial:
+    with atomic_write(out / PICTURE) as partial:
         _draw(partial, scores, name)
 
 
@@ -128,9 +128,9 @@ def _draw(path: Path, scores: BoundaryScores, name: str) -> None:
     axes = figure.subplots()
     for f in torch.arange(1, 10) / 10:
         recall = torch.linspace(float(f) / (2 - float(f)), 1, 200)
-        axes.plot(recall, f * recall / (2 * recall - f), color="0.85", linewidth=0.8)  # where F = f
+        axes.plot(recall, f * recall / (2 * recall - f), color="0.85", linewidth=0.8)  # the curve of constant F = f
         axes.annotate(f"F = {f:.1f}", (1, float(f / (2 - f))), color="0.6", fontsize=7, ha="right")
-    shown = (scores.curve.recall + scores.curve.precision) > 0  # where nothing is predicted, there is no precision
+    shown = (scores.curve.recall + scores.curve.precision) > 0  # without a prediction, precision is undefined
     axes.plot(scores.curve.recall[shown], scores.curve.precision[shown], color="tab:blue", marker=".", markersize=3)
     label = f"ODS {scores.ods:.3f} at {scores.ods_threshold:.2f}"
     axes.plot(scores.ods_recall, scores.ods_precision, "o", color="tab:red", clip_on=False, label=label)

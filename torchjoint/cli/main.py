@@ -1,4 +1,4 @@
-"""The command line: the commands of torchjoint, listed in `main`."""
+"""The entry point of the command line; lists the commands of torchjoint."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ INTERRUPTED = (
 
 
 def main() -> None:
-    """Entry point; errors of the user's making, and warnings, are one line."""
+    """Entry point; prints user errors and warnings as one line."""
     warnings.formatwarning = lambda message, *_, **__: f"torchjoint: warning: {message}\n"
     try:
         commands: dict[str, Callable[..., Any]] = {

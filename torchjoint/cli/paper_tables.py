@@ -1,4 +1,4 @@
-"""torchjoint paper-tables: scenes with truth, and other methods' results on them; the paper's two tables come out."""
+"""torchjoint paper-tables: reproduces the paper's two tables from labelled scenes and results of the baselines."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from torchjoint.scene import Scene, Truth
 
 TABLES, MEANS, SCENES = "tables.md", "tables.csv", "scenes.csv"
 
-#: A map may have another resolution than the image, but not another shape, by more than this.
+#: Largest relative difference between the aspect ratios of a region map and its image; resolutions may differ.
 _SHAPE_TOLERANCE = 0.02
 
 
@@ -56,17 +56,17 @@ def paper_tables(
     parameters: Flat = DEFAULTS,
     overwrite: bool = False,
 ) -> None:
-    """Scores scenes that have a truth, and other methods' results on them: the paper's tables I and II.
+    """Scores our results and the baselines' results on labelled scenes: the paper's tables I and II.
 
     Args:
         scenes: folder of scenes, of ScanNet or of 3D-SIS' examples; or one scene.
-        out: folder for tables.md, tables.csv and scenes.csv, which has the rows of each scene.
-        sis3d: results of 3D-SIS, a folder SCAN/ for each scene; it may hold the scene's world2grid.txt, too, which is
-            needed where the scene itself has none.
-        scenecut: results of SceneCut, a folder SCAN/ for each scene with a NAME.mat or NAME.npy for each frame.
-        results: folders SCAN/ that `torchjoint segment` wrote, to be scored instead of segmenting anew.
-        max_frames: segment this many frames of a scene, evenly spread.
-        parameters: what the method is told.
+        out: folder for tables.md, tables.csv, and scenes.csv with the rows of each scene.
+        sis3d: results of 3D-SIS, a folder SCAN/ per scene; may also hold the scene's world2grid.txt, which is needed if
+            the scene itself has none.
+        scenecut: results of SceneCut, a folder SCAN/ per scene with a NAME.mat or NAME.npy per frame.
+        results: folders SCAN/ written by `torchjoint segment`; they are scored, and no scene is segmented again.
+        max_frames: number of frames per scene to segment, evenly spread.
+        parameters: parameters of the method.
         overwrite: replace files in OUT.
     """
     check_output(out, (TABLES, MEANS, SCENES), overwrite)
@@ -82,7 +82,7 @@ def paper_tables(
             scene = load_scene(path, progress=True)
             print(f"scene {number} of {len(paths)}: {scene.name}")
             found[scene.name] = sources.score(scene, path)
-    finally:  # what was scored before an error is not lost
+    finally:  # scores from before an error are not lost
         if any(found.values()):
             print(f"\n{_write(out, found, sources.notes)}\nwritten to {out}: {TABLES}, {MEANS}, {SCENES}")
     if not any(found.values()):
@@ -91,17 +91,17 @@ def paper_tables(
 
 @dataclass(frozen=True)
 class _Sources:
-    """Where segmentations come from."""
+    """The sources of the segmentations: our method and the baselines' results."""
 
     sis3d: Path | None
     scenecut: Path | None
     results: Path | None
     max_frames: int
     segmenter: JointSegmenter
-    notes: list[str] = field(default_factory=list)  #: what was left out
+    notes: list[str] = field(default_factory=list)  #: notes about scenes and results that were left out
 
     def score(self, scene: Scene, path: Path) -> dict[Row, Scores]:
-        """The rows of one scene; rivals' files are looked at first, since ours takes long."""
+        """Returns the rows of one scene; the baselines' files are checked first, since our method takes long."""
         if scene.truth is None:
             self.notes.append(f"{scene.name}: has no truth and is left out")
             return {}
@@ -113,7 +113,7 @@ class _Sources:
             maps = self._region_maps(scene)
             initial: Sequence[Tensor] = _initial_segmentation(result, scene)
         else:
-            scene = scene.spread_frames(self.max_frames)
+            scene = scene.sample_frames(self.max_frames)
             maps = self._region_maps(scene)
             made = self.segmenter(scene, progress=True)
             ours = Prediction(made.points, torch.arange(len(made.points)), made.images, range(len(made.images)))
@@ -153,7 +153,7 @@ class _Sources:
 
 
 def _initial_segmentation(result: Path, scene: Scene) -> LazySequence[Tensor]:
-    """What a result began with, made anew: it does not keep it."""
+    """The initial image segmentation of a result, computed again: a result does not store it."""
     segment = ImageSegmenter(read_config(result))
 
     def initial(i: int) -> Tensor:

@@ -1,4 +1,4 @@
-"""torchjoint parameters: all parameters as tables."""
+"""torchjoint parameters: prints all parameters as tables."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ def parameters(superpoints: bool = False) -> None:
     """Prints all parameters of the method with default, unit, sensible range and effect (Markdown).
 
     Args:
-        superpoints: those of `torchjoint superpoints`, with their values in each preset.
+        superpoints: print the parameters of `torchjoint superpoints` instead, with their values in each preset.
     """
     print(superpoint_table() if superpoints else parameter_table())

@@ -1,4 +1,4 @@
-"""torchjoint segment: a recording in, a folder with the result out."""
+"""torchjoint segment: segments a recording and writes the result to a folder."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchjoint.datasets.files import fingerprint
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.checkpoint import Checkpoint, run_key
 from torchjoint.results.folder import output_folder, write_result
-from torchjoint.scene.thinning import one_point_a_voxel
+from torchjoint.scene.thinning import voxel_subsample
 from torchjoint.views.projection import in_any_view
 
 
@@ -28,19 +28,19 @@ def segment(
     in_view: bool = False,
     thin: float | None = None,
 ) -> None:
-    """Segments a recording: a folder of posed frames, with or without a cloud.
+    """Segments a recording: a folder of posed frames, with or without a point cloud.
 
-    A run that was interrupted goes on where it was when it is started again with the same arguments.
+    An interrupted run continues when it is started again with the same arguments.
 
     Args:
-        scene: folder of frames; see the README for the layouts that are known.
+        scene: folder of frames; the README lists the supported layouts.
         out: folder for the result: points.ply, points.npz, images/, overview.png, run.yaml.
-        parameters: what the method is told.
+        parameters: parameters of the method.
         overwrite: replace OUT if it is an earlier result.
-        voxel_size: metres, where the cloud must be fused from depth.
-        max_frames: use this many frames, evenly spread over the recording.
-        thin: keep one point in each voxel of this many metres; for clouds denser than their noise, or too large.
-        in_view: leave out the points that are in no frame's view (a LiDAR sees all around, a camera does not).
+        voxel_size: metres, for fusing a cloud from depth if the recording has no cloud.
+        max_frames: number of frames to use, evenly spread over the recording.
+        thin: keep one point per voxel of this size, metres; for clouds that are denser than their noise, or too large.
+        in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
     """
     config = parameters.config()
     check_max_frames(max_frames)
@@ -50,14 +50,14 @@ def segment(
         raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
     source = f"{fingerprint(scene)} {voxel_size}"
     with output_folder(out, source, overwrite=overwrite) as partial:
-        fused = partial / f"cloud-{voxel_size * 1000:g}mm.ply"  # kept there, where the recording brings no cloud
+        fused = partial / f"cloud-{voxel_size * 1000:g}mm.ply"  # kept in the result if the recording has no cloud
         loaded = load_scene(scene, cloud=fused, voxel_size=voxel_size, progress=True)
         if max_frames is not None:
-            loaded = loaded.spread_frames(max_frames)
+            loaded = loaded.sample_frames(max_frames)
         if in_view:
             loaded = loaded.select_points(in_any_view(loaded.points, loaded.frames, config.visibility))
         if thin is not None:
-            loaded = loaded.select_points(one_point_a_voxel(loaded.points, thin))
+            loaded = loaded.select_points(voxel_subsample(loaded.points, thin))
         checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view} {thin}", config))
         result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
         write_result(partial, loaded, result, config, str(scene))

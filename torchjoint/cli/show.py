@@ -1,4 +1,4 @@
-"""torchjoint show: a page of a result's cloud for the browser."""
+"""torchjoint show: makes a web page of a result's cloud."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torchjoint.results.folder import read_points
 
 
 def show(out: tyro.conf.Positional[Path], open_browser: bool = True) -> None:
-    """Makes a page of a result's cloud that any browser shows (viewer.html), and opens it.
+    """Makes a web page of a result's cloud (viewer.html) and opens it in the browser.
 
     Args:
         out: folder that `torchjoint segment` wrote.

@@ -1,4 +1,4 @@
-"""torchjoint superpoints: a cloud's file in, labels and a picture out."""
+"""torchjoint superpoints: segments a cloud's file into superpoints; writes labels and a picture."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch import Tensor
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.clouds import read_cloud_file
 from torchjoint.datasets.files import write_cloud
-from torchjoint.runtime.files import replacing
+from torchjoint.runtime.files import atomic_write
 from torchjoint.scene import Scene
 from torchjoint.superpoints import superpoints as segment
 
@@ -27,18 +27,18 @@ def superpoints(
     picture: bool = True,
     overwrite: bool = False,
 ) -> None:
-    """Cuts a cloud into superpoints.
+    """Segments a cloud into superpoints.
 
     Args:
-        cloud: .ply, .pcd, .npy, .npz, .bin (KITTI) or .xyz file. Of a .ply mesh the triangles are used by preset
-            segmentator.
-        out: file for the result, by default CLOUD-superpoints.ply here. A .ply has the points, a colour for each
-            superpoint and a property `label`; a .npy the labels, int64; a .npz arrays points, labels and colors.
+        cloud: .ply, .pcd, .npy, .npz, .bin (KITTI) or .xyz file. Preset segmentator uses the triangles of a .ply mesh.
+        out: file for the result; default: CLOUD-superpoints.ply in the current folder. A .ply holds the points, a
+            colour per superpoint, and a property `label`; a .npy the labels, int64; a .npz the arrays points, labels
+            and colors.
         preset: room, outdoor or segmentator, or a YAML file of your own.
         set: single parameters: --set scale=2 color_weight=0.5; `torchjoint parameters --superpoints` lists them.
-        viewpoint: x y z of the sensor, metres: tells the outside of surfaces, and so convex from concave.
-        picture: write a picture of the cloud and its superpoints beside OUT.
-        overwrite: replace files that exist.
+        viewpoint: x y z of the sensor, metres; orients the normals outward, so that convex and concave edges differ.
+        picture: write a picture of the cloud and its superpoints next to OUT.
+        overwrite: replace existing files.
     """
     out = out or Path(f"{cloud.stem}-superpoints.ply")
     png = out.with_suffix(".png")
@@ -81,7 +81,7 @@ def _write(out: Path, scene: Scene, labels: Tensor) -> None:
     arrays = {"points": scene.points.numpy(), "labels": labels.numpy()}
     if scene.colors is not None:
         arrays["colors"] = scene.colors.numpy()
-    with replacing(out) as partial:
+    with atomic_write(out) as partial:
         if out.suffix == ".npy":
             np.save(partial, labels.numpy())
         else:
@@ -91,5 +91,5 @@ def _write(out: Path, scene: Scene, labels: Tensor) -> None:
 def _write_picture(png: Path, scene: Scene, labels: Tensor) -> None:
     from torchjoint.results.figures import cloud_figure
 
-    with replacing(png) as partial:
+    with atomic_write(png) as partial:
         cloud_figure(scene, labels).savefig(partial, dpi=100)

@@ -1,4 +1,4 @@
-"""torchjoint train-boundaries: the boundary detector's forest from BSDS500, or images annotated like it."""
+"""torchjoint train-boundaries: trains the boundary detector's forest on BSDS500, or on images annotated like it."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def train_boundaries(
     workers: int = 2,
     overwrite: bool = False,
 ) -> None:
-    """Trains structured forests for boundary detection; a run that was stopped goes on with the tree it was at.
+    """Trains structured forests for boundary detection; an interrupted run continues with the unfinished tree.
 
     Args:
         bsds_dir: folder of the data set: images/ and groundTruth/, or the original BSR.
         out: file for the forest, NAME.yml.gz, in OpenCV's format; `--set boundary.model=NAME.yml.gz` uses it.
-        splits: parts of the data set to learn from; to score a forest honestly, leave out what it is scored on.
-        trees: how many; half of them look at one place of an image.
-        samples: patches that a tree is grown from.
-        min_child: fewest patches at a node; more makes a smaller file.
-        seed: of everything that is random; the same seed makes the same file.
-        workers: processes; each takes about 3 GB for half a million patches.
+        splits: parts of the data set to train on; leave out the part on which the forest will be scored.
+        trees: number of trees; half of them are evaluated at each pixel.
+        samples: number of training patches per tree.
+        min_child: smallest number of patches at a node; a larger value makes a smaller file.
+        seed: of all random choices; the same seed makes the same file.
+        workers: number of processes; each takes about 3 GB for half a million patches.
         overwrite: replace OUT if it exists.
     """
     from torchjoint import training
@@ -47,7 +47,7 @@ def train_boundaries(
     images = [image for split in splits for image in bsds_images(bsds_dir, split)]
     options = training.TrainingOptions(
         trees=trees,
-        trees_at_a_site=(trees + 1) // 2,
+        trees_per_site=(trees + 1) // 2,
         samples=samples,
         seed=seed,
         tree=training.TreeOptions(min_child=min_child),

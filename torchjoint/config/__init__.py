@@ -1,11 +1,11 @@
-"""Parameters of the method: one frozen dataclass a stage, presets in YAML, and tables of all parameters.
+"""Parameters of all steps (1-8): one frozen dataclass per stage, presets in YAML, and tables of all parameters.
 
-Each parameter is declared once (:mod:`torchjoint.config.parameter`); the checks and the README's tables read that
-declaration. Unknown names and bad values get an error that names the parameter.
+Each parameter is declared once (:mod:`torchjoint.config.parameter`). The checks and the README's tables read this
+declaration. An unknown name or a bad value raises an error that names the parameter.
 """
 
-from torchjoint.config.afterwards import seen_otherwise, what_is_seen
 from torchjoint.config.config import STAGES, Config
+from torchjoint.config.evidence import evidence_config, evidence_differences
 from torchjoint.config.images import DETECTORS, BoundaryConfig, ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.config.labels import RefinementConfig
 from torchjoint.config.points import PointGraphConfig, PointSegmentsConfig
@@ -42,13 +42,13 @@ __all__ = [
     "ScanConfig",
     "SuperpointsConfig",
     "VisibilityConfig",
+    "evidence_config",
+    "evidence_differences",
     "parameter_table",
     "presets",
     "read_assignment",
     "read_preset",
     "read_yaml",
-    "seen_otherwise",
     "superpoint_presets",
     "superpoint_table",
-    "what_is_seen",
 ]

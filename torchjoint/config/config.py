@@ -1,4 +1,4 @@
-"""The parameters of the whole method: :class:`Config`, one frozen dataclass a stage."""
+"""The parameters of the whole method (steps 1-8): :class:`Config`, one frozen dataclass per stage."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from torchjoint.config.regions import (
 from torchjoint.config.scan import ScanConfig
 from torchjoint.config.views import PropagationConfig, VisibilityConfig
 
-#: Old names of stages, for an error that names the new one.
+#: Old names of stages -> new names, for an error message that gives the new name.
 RENAMED = {
     "borders": "region_merging",
     "bridges": "occlusion_bridging",
@@ -34,7 +34,11 @@ RENAMED = {
 
 @dataclass(frozen=True)
 class Config:
-    """Everything that :class:`torchjoint.JointSegmenter` can be told; see each stage for its parameters."""
+    """All parameters of :class:`torchjoint.JointSegmenter`; each stage documents its own parameters.
+
+    Raises:
+        ValueError, TypeError: a stage of the wrong type, or values that do not fit together, by name.
+    """
 
     boundary: BoundaryConfig = field(default_factory=BoundaryConfig)
     contours: ContoursConfig = field(default_factory=ContoursConfig)
@@ -67,7 +71,7 @@ class Config:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any] | None) -> Config:
-        """Makes a config from nested dicts, e.g. ``{"propagation": {"weight": 0.2}}``; what is absent is default.
+        """Makes a config from nested dicts, e.g. ``{"propagation": {"weight": 0.2}}``; missing values are defaults.
 
         Raises:
             ValueError, TypeError: an unknown stage or parameter, or a bad value, by name.
@@ -76,20 +80,33 @@ class Config:
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Config:
-        """Reads a YAML file of the form of :meth:`to_dict`; errors name the file."""
+        """Reads a YAML file with the structure of :meth:`to_dict`.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError, TypeError: invalid YAML, an unknown name or a bad value; the message names the file.
+        """
         return read_yaml(Path(path), cls.from_dict, "stages with parameters")
 
     @classmethod
     def from_preset(cls, name: str) -> Config:
-        """Reads one of the presets that come with the package, see :func:`presets`, or a YAML file of your own."""
+        """Reads one of the package's presets (see :func:`presets`), or a YAML file of your own.
+
+        Raises:
+            ValueError, TypeError: an unknown preset, or a bad file; the message names it.
+        """
         return read_preset(name, presets(), cls.from_dict, "stages with parameters")
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
-        """Nested plain dicts, as :meth:`from_dict` takes them."""
+        """Nested plain dicts, the inverse of :meth:`from_dict`."""
         return dataclasses.asdict(self)
 
     def replace(self, values: Mapping[str, Any]) -> Config:
-        """A copy with some parameters replaced: ``config.replace({"propagation": {"weight": 0.2}})``."""
+        """A copy with some parameters replaced: ``config.replace({"propagation": {"weight": 0.2}})``.
+
+        Raises:
+            ValueError, TypeError: an unknown stage or parameter, or a bad value, by name.
+        """
         stages = {}
         for stage, parameters in values.items():
             if stage in RENAMED:
@@ -102,7 +119,11 @@ class Config:
         return dataclasses.replace(self, **stages)
 
     def set(self, assignments: Sequence[str]) -> Config:
-        """A copy with assignments applied as the command line writes them: ``["propagation.weight=0.2"]``."""
+        """A copy with command-line assignments applied: ``["propagation.weight=0.2"]``.
+
+        Raises:
+            ValueError, TypeError: a bad assignment, an unknown name or a bad value, by name.
+        """
         config = self
         for assignment in assignments:
             key, value = read_assignment(assignment, "stage.parameter")
@@ -129,5 +150,5 @@ _STAGES: tuple[type[Stage], ...] = (
     RefinementConfig,
 )
 
-#: The stages by their names in :class:`Config`, in the order of the method.
+#: The stages by their names in :class:`Config`, in the order of the method's steps.
 STAGES = {stage.key(): stage for stage in _STAGES}

@@ -1,4 +1,4 @@
-"""Parameters of the steps that images are in: 1 and 2, 7 and 8."""
+"""Parameters of steps 1 and 2: boundaries of an image, its pixel graph and its initial segments."""
 
 from __future__ import annotations
 
@@ -7,30 +7,32 @@ from dataclasses import dataclass
 
 from torchjoint.config.parameter import Stage, parameter
 
-#: Boundary detectors of the package.
+#: The package's own boundary detectors.
 DETECTORS = ("structured_forest", "gradient")
 
 
 @dataclass(frozen=True)
 class BoundaryConfig(Stage):
-    """Step 1: how strongly a pixel looks like an object boundary."""
+    """Step 1: boundary detection, the strength of an object boundary at each pixel."""
 
     detector: str = parameter(
-        "structured_forest", "structured_forest, learned from people's segmentations; gradient, of colours, several "
-        "times as fast; or a module of your own, as my_package.my_module:MyBoundary",
+        "structured_forest", "boundary detector: structured_forest (trained on human segmentations), gradient (of the "
+        "colours; needs no training, several times as fast), or your own module as my_package.my_module:MyBoundary",
     )  # fmt: skip
     model: str | None = parameter(
-        None, "structured_forest: file of a forest, NAME.yml.gz; null: the one that comes with the package"
+        None, "structured_forest: file of the forest, NAME.yml.gz; null: the forest that comes with the package"
     )
     multi_scale: bool = parameter(
-        False, "structured_forest: look at half and twice the size, too; better, and takes about five times as long"
+        False,
+        "structured_forest: also run on the image at half and double size; more accurate, about five times slower",
     )
     smoothing: float = parameter(
-        1.0, "gradient: Gaussian blur before it; more ignores texture and softens edges", unit="px", low=0,
+        1.0, "gradient: standard deviation of the Gaussian blur of the colours before the gradient; more suppresses "
+        "texture and softens edges", unit="px", low=0,
         high=20, sensible="0.5-3",
     )  # fmt: skip
     contrast: float = parameter(
-        8.0, "gradient: the one at which a boundary has strength 1 - 1/e; less sees fainter edges",
+        8.0, "gradient: colour gradient at which the boundary strength is 1 - 1/e; less detects fainter edges",
         unit="Lab units/px", above=0, sensible="2-20",
     )  # fmt: skip
 
@@ -44,40 +46,50 @@ class BoundaryConfig(Stage):
 
 @dataclass(frozen=True)
 class ContoursConfig(Stage):
-    """Step 1: closed contours in the place of the boundaries."""
+    """Step 1: closed contours instead of the detector's boundaries."""
 
     closed: bool = parameter(
-        True, "make contours closed, each as strong as what parts whole regions; false: as in the paper"
+        True,
+        "replace the boundaries by closed contours, each with the mean boundary strength between the two regions "
+        "it separates; false: use the detector's boundaries, as in the paper",
     )
     smoothing: float = parameter(
-        1.0, "Gaussian blur of the boundaries before regions are sought; more makes for fewer and larger ones",
+        1.0, "closed: standard deviation of the Gaussian blur of the boundaries before the watershed; more gives fewer "
+        "and larger regions",
         unit="px", low=0, high=20, sensible="1-3",
     )  # fmt: skip
     exponent: float = parameter(
-        3.0, "power that a contour's strength is raised to; more lets weak contours go", above=0, sensible="1-4"
+        3.0, "closed: exponent applied to a contour's strength; more suppresses weak contours", above=0, sensible="1-4"
     )
 
 
 @dataclass(frozen=True)
 class ImageGraphConfig(Stage):
-    """Step 1, eq. 2: weights of the 8-connected pixel graph."""
+    """Step 1, eq. 2: edge weights of the 8-connected pixel graph."""
 
     smoothing: float = parameter(
-        0.8, "Gaussian blur of the colours; more ignores noise and fine texture", unit="px", low=0, high=20,
+        0.8, "standard deviation of the Gaussian blur of the colours (steps 1, 7 and 8); more suppresses noise and "
+        "fine texture", unit="px", low=0, high=20,
         sensible="0-2",
     )  # fmt: skip
-    color_weight: float = parameter(0.11, "w_c, weight of the RGB distance of two pixels", low=0, sensible="0-1")
+    color_weight: float = parameter(
+        0.11, "w_c, weight of the RGB distance between two pixels; more cuts at fainter colour changes", low=0,
+        sensible="0-1",
+    )  # fmt: skip
     boundary_weight: float = parameter(
-        1.0, "w_b, weight of the weaker boundary of two pixels; more closes gaps in faint contours", low=0,
+        1.0, "w_b, weight of the smaller boundary strength of two pixels; more cuts at fainter contours", low=0,
         sensible="0-2",
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class ImageSegmentsConfig(Stage):
-    """Step 2: Felzenszwalb-Huttenlocher on the pixel graph."""
+    """Step 2: Felzenszwalb-Huttenlocher segmentation of the pixel graph."""
 
     scale: float = parameter(
-        3.0, "k; more gives larger segments", unit="weight x px", low=0, sensible="0.5-200 for 640x480"
+        3.0, "k of Felzenszwalb-Huttenlocher; more gives larger segments", unit="weight x px", low=0,
+        sensible="0.5-200 for 640x480",
+    )  # fmt: skip
+    min_size: int = parameter(
+        100, "smallest segment; smaller segments are joined to a neighbour", unit="px", low=0, sensible="20-1000"
     )
-    min_size: int = parameter(100, "smaller segments are joined to a neighbour", unit="px", low=0, sensible="20-1000")

@@ -1,4 +1,4 @@
-"""How a parameter is declared and checked: once, with its unit, range and effect."""
+"""Declaration and checks of a parameter: each is declared once, with its unit, range and effect (all steps)."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ def parameter(
     choices: Sequence[str] = (),
     renamed: Mapping[str, str] | None = None,
 ) -> Any:
-    """Declares a parameter.
+    """Declares a parameter, a field of a :class:`Stage`.
 
     Args:
-        default: its value where nothing else is said.
-        doc: what it does, and what more and less of it do.
-        unit: of a number.
-        low, high: smallest and largest value that is allowed.
+        default: default value.
+        doc: what the parameter is, what larger and smaller values do, and for which method it counts.
+        unit: unit of a number.
+        low, high: smallest and largest allowed value.
         above: values must be greater than this.
         sensible: the range in which most users will find their value.
-        choices: the texts that are allowed; none: any text.
-        renamed: old names of choices -> new ones, for an error that names the new one.
+        choices: the allowed texts; empty: any text.
+        renamed: old names of choices -> new names, for an error message that gives the new name.
     """
     return field(
         default=default,
@@ -52,10 +52,14 @@ def parameter(
 
 @dataclass(frozen=True)
 class Stage:
-    """Base of the stages: checks every parameter against its declaration when the object is made."""
+    """Base class of the stages: checks every parameter against its declaration when the object is made.
+
+    Raises:
+        ValueError, TypeError: a value out of range or of the wrong type; the message names stage and parameter.
+    """
 
     def __post_init__(self) -> None:
-        kinds = get_type_hints(type(self))  # as types, whether or not annotations are kept as text
+        kinds = get_type_hints(type(self))  # types, even if the annotations are stored as text
         for spec in dataclasses.fields(self):
             value = _check(f"{self.key()}.{spec.name}", getattr(self, spec.name), kinds[spec.name], spec.metadata)
             object.__setattr__(self, spec.name, value)
@@ -66,7 +70,11 @@ class Stage:
         return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__.removesuffix("Config")).lower()
 
     def replace(self, values: Mapping[str, Any]) -> Self:
-        """A copy with some parameters replaced, by name. Raises ValueError for a name that does not exist."""
+        """A copy with some parameters replaced, by name.
+
+        Raises:
+            ValueError, TypeError: an unknown name, or a bad value.
+        """
         names = [spec.name for spec in dataclasses.fields(self)]
         for name in values:
             if name not in names:
@@ -75,7 +83,7 @@ class Stage:
 
 
 def _check(name: str, value: Any, annotation: Any, declared: Mapping[str, Any]) -> Any:
-    """Checks one value against its declaration; whole floats pass for ints, ints for floats."""
+    """Checks one value against its declaration; a float without a fraction is accepted as an int, an int as a float."""
     kinds = get_args(annotation) if isinstance(annotation, UnionType) else (annotation,)
     kind = next(kind for kind in kinds if kind is not NoneType)
     expected = " | ".join("null" if one is NoneType else one.__name__ for one in kinds)
@@ -93,7 +101,7 @@ def _check(name: str, value: Any, annotation: Any, declared: Mapping[str, Any]) 
 
 
 def _check_number(name: str, value: Any, kind: type, expected: str, declared: Mapping[str, Any]) -> int | float:
-    if isinstance(value, str):  # YAML 1.1 takes 1e-3 for a string
+    if isinstance(value, str):  # YAML 1.1 reads 1e-3 as a string
         try:
             value = float(value)
         except ValueError:
@@ -113,7 +121,7 @@ def _check_number(name: str, value: Any, kind: type, expected: str, declared: Ma
 
 
 def _check_text(name: str, value: Any, declared: Mapping[str, Any]) -> str:
-    """A text without choices is free; what it means is checked where it is used."""
+    """Checks a text. Without choices any text is allowed; the code that uses it checks its meaning."""
     if not isinstance(value, str):
         raise TypeError(f"{name}: expected a text, got {value!r}")
     if value in declared["renamed"]:

@@ -1,4 +1,4 @@
-"""Parameters of steps 3 and 6: the graph of the points, and its segments."""
+"""Parameters of steps 3 and 6: the graph of the points, and the method that segments it."""
 
 from __future__ import annotations
 
@@ -9,54 +9,65 @@ from torchjoint.config.parameter import Stage, parameter
 
 
 def reach_parameter() -> Any:
-    """Declares `reach`, which point graphs of the joint method and of superpoints share."""
+    """Declares `reach`, a parameter of the point graph of both the joint method and superpoints."""
     return parameter(
-        0.0, "where all of a point's neighbours lie closer than this, they are sought among half of the points, "
-        "a quarter or an eighth, so that a LiDAR's beams are joined to one another; 0: just the nearest", unit="m",
-        low=0, sensible="0 for depth cameras, 0.3-0.7 for LiDAR",
+        0.0, "if all neighbours of a point are closer than this, search them among half, a quarter or an eighth of the "
+        "points instead, so that edges connect neighbouring LiDAR beams; more connects sparser scans and loses detail; "
+        "0: always the nearest neighbours", unit="m", low=0, sensible="0 for depth cameras, 0.3-0.7 for LiDAR",
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class PointGraphConfig(Stage):
-    """Step 3, eq. 3-4: the k-nearest-neighbour graph of the cloud and its geometric weight."""
+    """Step 3, eq. 3-4, methods regions and edges: the k-nearest-neighbour graph and its geometric edge weights."""
 
-    neighbors: int = parameter(16, "K, neighbours of a point in the graph", low=1, high=200, sensible="8-30")
+    neighbors: int = parameter(
+        16, "K, neighbours of a point in the graph; more bridges gaps and takes longer", low=1, high=200,
+        sensible="8-30",
+    )  # fmt: skip
     normal_neighbors: int = parameter(
-        45, "neighbours a normal is fitted to; more suits noisy clouds and rounds edges", low=3, high=500,
-        sensible="10-80",
+        45, "neighbours to which a point's normal is fitted; more suits noisy clouds, but rounds edges", low=3,
+        high=500, sensible="10-80",
     )  # fmt: skip
     reach: float = reach_parameter()
     plane_neighbors: int = parameter(
-        45, "regions: neighbours that a point's one-sided plane is fitted to, of which those in its own region count",
-        low=3, high=500, sensible="20-60, more for noisy clouds",
+        45, "regions: neighbours considered for a point's one-sided plane; only those in the same region are used; "
+        "more suits noisy clouds and takes longer", low=3, high=500, sensible="20-60, more for noisy clouds",
     )  # fmt: skip
     distance_weight: float = parameter(
-        0.2, "edges: w_d, weight of the distance of two points; separates sparse from dense", unit="1/m", low=0,
-        sensible="0-10",
+        0.2, "edges: w_d, weight of the distance between two points; more separates sparse parts of the cloud from "
+        "dense ones", unit="1/m", low=0, sensible="0-10",
     )  # fmt: skip
-    angle_weight: float = parameter(1.0, "edges: w_theta, weight of the angle of two normals", unit="1/rad", low=0)
+    angle_weight: float = parameter(
+        1.0, "edges: w_theta, weight of the angle between two normals; more cuts at flatter creases", unit="1/rad",
+        low=0,
+    )  # fmt: skip
     convex_factor: float = parameter(
         0.06,
-        "the angle counts only this much where the surface is convex: objects mostly are, and the borders between "
-        "them concave; 1 is the paper's letter",
+        "regions, edges: factor on the angle where the surface is convex and the normals are oriented; less keeps "
+        "convex objects whole, because boundaries between objects are mostly concave; 1: eq. 3 as in the paper",
         low=0,
         high=1,
-        sensible="0.1-1",
+        sensible="0.03-1",
     )
     color_weight: float = parameter(
-        0.0, "edges: weight of the RGB distance of two points; needs Scene.colors", low=0, sensible="0-1"
-    )
+        0.0, "edges: weight of the RGB distance between two points; more cuts at colour changes; needs Scene.colors",
+        low=0, sensible="0-1",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class PointSegmentsConfig(Stage):
-    """Step 6: segments of the point graph."""
+    """Step 6: the method that segments the points."""
 
     method: str = parameter(
-        "regions", "regions: small ones, merged by what lies on their whole border; edges: as in the paper, "
-        "Felzenszwalb-Huttenlocher on eq. 3; scan: of a LiDAR, z up and the sensor at the origin, its ground and what "
-        "stands on it, in which images have no say", choices=("regions", "edges", "scan"), renamed={"sweep": "scan"},
+        "regions", "regions: region merging by mean boundary cost; edges: as in the paper, Felzenszwalb-Huttenlocher "
+        "with the weights of eq. 3; scan: ground and objects of one LiDAR scan (z up, sensor at the origin), without "
+        "evidence from images", choices=("regions", "edges", "scan"), renamed={"sweep": "scan"},
     )  # fmt: skip
-    scale: float = parameter(4.5, "edges: k; more gives larger segments", unit="weight x points", low=0)
-    min_size: int = parameter(120, "edges: smaller segments are joined to a neighbour", unit="points", low=0)
+    scale: float = parameter(
+        4.5, "edges: k of Felzenszwalb-Huttenlocher; more gives larger segments", unit="weight x points", low=0
+    )
+    min_size: int = parameter(
+        120, "edges: smallest segment; smaller segments are joined to a neighbour", unit="points", low=0
+    )

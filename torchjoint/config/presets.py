@@ -1,4 +1,4 @@
-"""Parameters from YAML: the presets that come with the package, users' files, and assignments on the command line."""
+"""Reads parameters (all steps) from the package's presets, users' YAML files and command-line assignments."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 def presets(*folder: str) -> dict[str, Any]:
-    """The presets in `configs/`, or in a folder of it: name -> readable resource."""
+    """The presets in `configs/` or in one of its folders: name -> readable resource."""
     files = resources.files("torchjoint.configs").joinpath(*folder).iterdir()
     return {Path(file.name).stem: file for file in sorted(files, key=lambda f: f.name) if file.name.endswith(".yaml")}
 
@@ -21,9 +21,16 @@ def presets(*folder: str) -> dict[str, Any]:
 def read_preset(
     name: str, known: Mapping[str, Any], make: Callable[[Mapping[str, Any]], T], form: str = "parameters by name"
 ) -> T:
-    """What `make` makes of a preset's values, which have some `form`; a name that ends in .yaml is a user's own file.
+    """Reads a preset, or a user's file if the name ends in .yaml or .yml.
+
+    Args:
+        name: of the preset, or the path of a file.
+        known: the presets, name -> readable resource.
+        make: makes the result from the values that were read.
+        form: what the values should be; used in error messages.
 
     Raises:
+        FileNotFoundError: there is no such file.
         ValueError, TypeError: naming the preset or the file.
     """
     if name.endswith((".yaml", ".yml")):
@@ -34,12 +41,21 @@ def read_preset(
 
 
 def read_yaml(path: Path, make: Callable[[Mapping[str, Any]], T], form: str = "parameters by name") -> T:
-    """What `make` makes of a file's values; errors name the file."""
+    """Reads a YAML file and returns ``make(values)``; arguments as of :func:`read_preset`.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError, TypeError: invalid YAML, or an error of `make`; the message names the file.
+    """
     return _parse(path.read_text(encoding="utf-8"), str(path), make, form)
 
 
 def read_assignment(assignment: str, form: str = "parameter") -> tuple[str, Any]:
-    """Name and value of ``name=value``, as the command line writes it; `form` is what a name looks like."""
+    """Name and value of a command-line assignment ``name=value``; `form` shows what a name looks like.
+
+    Raises:
+        ValueError: not an assignment of this form, or the value is not valid YAML.
+    """
     name, equals, text = assignment.partition("=")
     name = name.strip()
     if not equals or not name or form.count(".") != name.count("."):

@@ -1,4 +1,4 @@
-"""The parameters as Markdown tables: what the README shows."""
+"""The parameters (all steps) as Markdown tables, as the README shows them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
 
 
 def parameter_table() -> str:
-    """All parameters as Markdown tables, a stage each: what the README shows."""
+    """All parameters as Markdown tables, one per stage, as the README shows them."""
     parts = []
     for name, stage in STAGES.items():
         rows = []
@@ -25,7 +25,7 @@ def parameter_table() -> str:
 
 
 def superpoint_table() -> str:
-    """All parameters and their values in each preset as a Markdown table: what the README shows."""
+    """All parameters of superpoints and their values in each preset as one Markdown table, as the README shows it."""
     configs = {name: SuperpointsConfig.from_preset(name) for name in superpoint_presets()}
     lines = [
         f"| parameter | {' | '.join(f'`{name}`' for name in configs)} | unit | sensible | what it does |",

@@ -24,7 +24,7 @@ class Array {
  private:
   static_assert(std::is_trivially_copyable_v<T> && std::is_trivially_destructible_v<T>);
 
-  // Random access over many small pages is slow, and so is the first touch of each: ask for huge ones where that pays.
+  // Random access to many small pages is slow, and so is the first access to each page: ask for huge pages if large.
   static constexpr size_t kHugePage = size_t{2} << 20;
 
   static size_t alignment(size_t bytes) { return bytes >= 2 * kHugePage ? kHugePage : 64; }

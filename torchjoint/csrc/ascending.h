@@ -1,12 +1,12 @@
 // Visits the edges of a graph in ascending order of weight, ties in the order of the edges, without sorting them all.
 //
-// An algorithm in the manner of Kruskal's has no use for most edges: their ends have long been joined when their turn
-// comes (V. Osipov, P. Sanders, J. Singler, "The Filter-Kruskal Minimum Spanning Tree Algorithm", ALENEX 2009). So the
-// edges are first distributed, not sorted, to groups of ascending weight, in which they keep their own order:
-// neighbours in memory are then mostly neighbours in the graph. When a group's turn comes, it is filtered, and only
-// what is left is sorted and visited, all within the processor's cache.
+// An algorithm like Kruskal's does not need most edges: their two ends are already joined when the edge is visited
+// (V. Osipov, P. Sanders, J. Singler, "The Filter-Kruskal Minimum Spanning Tree Algorithm", ALENEX 2009). So the edges
+// are first distributed to groups of ascending weight, without sorting. Inside a group they keep their original order,
+// so neighbours in memory are mostly neighbours in the graph. Before a group is visited, edges with joined ends are
+// removed, and only the remaining edges are sorted and visited, all within the processor's cache.
 //
-// Memory is bounded: the groups are filled in rounds of at most `capacity` edges, each of which reads all edges anew.
+// Memory is bounded: the groups are filled in rounds of at most `capacity` edges. Each round reads all edges again.
 #pragma once
 
 #include <algorithm>
@@ -20,7 +20,8 @@
 
 namespace torchjoint {
 
-// Maps floats to integers in the same order: negatives are flipped, positives go above them. +0 makes -0.0 equal 0.0.
+// Maps floats to integers of the same order: negative numbers are flipped, positive numbers come after them. Adding +0
+// makes -0.0 equal to 0.0.
 inline uint32_t sort_key(float weight) {
   const uint32_t bits = std::bit_cast<uint32_t>(weight + 0.0f);
   return bits ^ (static_cast<uint32_t>(static_cast<int32_t>(bits) >> 31) | 0x80000000u);
@@ -28,23 +29,23 @@ inline uint32_t sort_key(float weight) {
 
 inline float weight_of(uint32_t key) { return std::bit_cast<float>((key & 0x80000000u) ? key & 0x7fffffffu : ~key); }
 
-// Edges are read in blocks of at most so many.
+// Largest number of edges in a block that is read at once.
 constexpr size_t kBlock = 1024;
 
 struct Ends {
   int32_t u, v;
 };
 
-// An edge as it is sorted. In its group it waits as a Source::Edge.
+// The form of an edge while it is sorted. Before that, its group stores it as a Source::Edge.
 struct Record {
   uint32_t key;
   Ends ends;
 };
 
-// A stable radix sort, least significant digit first, of the bits in which the keys of one group differ.
+// A stable radix sort (least significant digit first) of the bits in which the keys of a group differ.
 class RecordSorter {
  public:
-  // Returns where the sorted records are: `records`, or a buffer that lives until the next call.
+  // Returns the sorted records: `records` itself, or a buffer that is valid until the next call.
   const Record* sort(Record* records, size_t count, uint32_t lowest, uint32_t highest) {
     if (count < kFew) {
       insertion_sort(records, count);
@@ -73,7 +74,7 @@ class RecordSorter {
     }
   }
 
-  // False if all are alike in this digit, and nothing was moved.
+  // Returns false if all records have the same digit; then nothing was moved.
   bool distribute(const Record* from, Record* to, size_t count, uint32_t lowest, int shift) {
     const auto digit = [=](const Record& record) { return ((record.key - lowest) >> shift) & (kDigits - 1); };
     starts_.fill(0);
@@ -89,10 +90,10 @@ class RecordSorter {
   std::vector<Record> buffer_;
 };
 
-// Source: read(f) calls f(const uint32_t* keys, size_t count, edge) for one block of edges after the other, where
-//   edge(i) is the block's i-th, a small Source::Edge; ends(edge) are its Ends.
-// Graph: visit(ends, weight); filter(ends), false if the edge is of no use any more, may replace its ends by what now
-//   stands for them; prefetch(ends) and prefetch_root(ends) are called some time before either.
+// Source: read(f) calls f(const uint32_t* keys, size_t count, edge) for each block of edges, one after the other;
+//   edge(i) is the i-th edge of the block, a small Source::Edge; ends(edge) returns the edge's Ends.
+// Graph: visit(ends, weight) visits an edge; filter(ends) returns false if the edge is no longer needed, and may
+//   replace its ends by their current representatives; prefetch(ends) and prefetch_root(ends) are called before both.
 template <typename Source, typename Graph>
 class Ascending {
  public:
@@ -102,12 +103,12 @@ class Ascending {
   void visit_all() { visit_range(0, 0); }
 
  private:
-  static constexpr size_t kGroupSize = 1 << 15;  // edges; with their sorter's buffer, less than a second-level cache
+  static constexpr size_t kGroupSize = 1 << 15;  // edges; with the sorter's buffer they fit in a second-level cache
   static constexpr size_t kAhead = 12;           // edges to look ahead: the loops are bound by cache misses
 
-  // Keys are told apart by their upper 13 bits first, then, where too many agree in those, by the next 13, and 6.
+  // Keys are first binned by their upper 13 bits. Bins with too many keys are divided by the next 13 bits, then by 6.
   static constexpr int kLevels = 3;
-  static constexpr std::array<int, kLevels> kShift{19, 6, 0};  // bits below a bin's
+  static constexpr std::array<int, kLevels> kShift{19, 6, 0};  // number of bits below the bits of a bin
   static constexpr std::array<uint32_t, kLevels> kBins{1 << 13, 1 << 13, 1 << 6};
 
   using Edge = typename Source::Edge;
@@ -124,7 +125,7 @@ class Ascending {
 
   static uint32_t bin_of(uint32_t key, int level) { return (key >> kShift[level]) & (kBins[level] - 1); }
 
-  // The edges of one bin of the level above, which starts at the key `first`.
+  // Processes the edges of one bin of the level above; the bin starts at the key `first`.
   void visit_range(uint32_t first, int level) {
     const std::vector<size_t> counts = count_bins(first, level);
     size_t in_round = 0;
@@ -171,7 +172,7 @@ class Ascending {
     return counts;
   }
 
-  // Calls f(key, edge) for the edges with keys in [lowest, highest], in their own order.
+  // Calls f(key, edge) for the edges with keys in [lowest, highest], in their original order.
   template <typename Function>
   void for_each_within(uint32_t lowest, uint32_t highest, Function f) const {
     source_.read([&](const uint32_t* keys, size_t count, auto edge) {
@@ -185,7 +186,7 @@ class Ascending {
     });
   }
 
-  // Edges of one weight are in order as they come.
+  // Edges of equal weight need no sorting: they already have the right order.
   void visit_equal(uint32_t key) {
     const float weight = weight_of(key);
     for_each_within(key, key, [&](uint32_t, Edge edge) { graph_.visit(source_.ends(edge), weight); });
@@ -216,7 +217,7 @@ class Ascending {
       Ends ends = source_.ends(waiting[i].edge);
       const bool keep = graph_.filter(ends);
       records_[count] = {waiting[i].key, ends};
-      count += keep;  // no branch, which nothing could predict
+      count += keep;  // without a branch, which would be unpredictable
     }
     const Record* sorted = sorter_.sort(records_.data(), count, group.lowest, group.highest);
     for (size_t i = 0; i < count; ++i) {

@@ -7,8 +7,8 @@ from pathlib import Path
 from setuptools import Extension
 from setuptools.command.build_ext import build_ext
 
-# The oldest torch whose symbols may be used. Without it the module fails to load on any torch older than the
-# one it was built with.
+# The oldest torch version whose symbols may be used. Without this limit the module would fail to load on any torch
+# older than the one it was built with.
 TORCH_TARGET_VERSION = "0x020a000000000000"
 PYTHON_LIMITED_API = "0x030b0000"
 
@@ -18,18 +18,18 @@ class BuildStableExtension(build_ext):
 
     def build_extension(self, ext: Extension) -> None:
         """Compile one extension module."""
-        import torch  # only here: asking for metadata or an sdist must not need torch
+        import torch  # imported here, because reading metadata and building an sdist must not need torch
 
         root = Path(torch.__file__).parent
         ext.include_dirs += [str(root / "include"), str(root / "include/torch/csrc/api/include")]
         ext.library_dirs += [str(root / "lib")]
-        # libtorch_cpu and libc10 are in the process already (`import torch` comes first): no rpath to a build folder.
+        # `import torch` comes first and loads libtorch_cpu and libc10, so no rpath to a build folder is needed.
         ext.libraries += ["torch_cpu", "c10"]
         ext.define_macros += [
             ("TORCH_TARGET_VERSION", TORCH_TARGET_VERSION),
             ("Py_LIMITED_API", PYTHON_LIMITED_API),
         ]
-        # -ffp-contract=off: no fused multiply-add, so that every machine gives the same labels.
+        # -ffp-contract=off: no fused multiply-add, so every machine gives the same labels.
         ext.extra_compile_args += [
             "-std=c++20",
             "-O3",

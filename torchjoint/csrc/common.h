@@ -1,4 +1,4 @@
-// Checks and tensor access shared by the ops.
+// Argument checks and tensor access, shared by all operators.
 #pragma once
 
 #include <torch/csrc/stable/library.h>
@@ -21,7 +21,7 @@ using torch::stable::Tensor;
 // Node and edge numbers are stored in 32 bits.
 constexpr int64_t kMaxCount = std::numeric_limits<int32_t>::max();
 
-// Throws what Python sees as a ValueError. Not STD_TORCH_CHECK: its message would carry the path of this source file.
+// Throws an exception that Python sees as a ValueError. STD_TORCH_CHECK would add the path of this file to the message.
 template <typename... Parts>
 [[noreturn]] void fail(const Parts&... parts) {
   std::ostringstream message;
@@ -38,7 +38,7 @@ inline bool is_floating(const Tensor& tensor) {
   return tensor.scalar_type() == ScalarType::Float || tensor.scalar_type() == ScalarType::Double;
 }
 
-// [2, E] int64 on the CPU, contiguous.
+// Checks edges [2, E] int64 on the CPU; returns them contiguous.
 inline Tensor checked_edge_index(const Tensor& edge_index) {
   check(edge_index.is_cpu(), "edge_index: expected a CPU tensor");
   check(edge_index.scalar_type() == ScalarType::Long, "edge_index: expected dtype torch.int64");
@@ -47,7 +47,7 @@ inline Tensor checked_edge_index(const Tensor& edge_index) {
   return torch::stable::contiguous(edge_index);
 }
 
-// [length] float32 or float64 on the CPU, contiguous.
+// Checks a vector [length], float32 or float64 on the CPU; returns it contiguous.
 inline Tensor checked_values(const Tensor& values, int64_t length, const char* name) {
   check(values.is_cpu(), name, ": expected a CPU tensor");
   check(is_floating(values), name, ": expected dtype torch.float32 or torch.float64");
@@ -55,7 +55,7 @@ inline Tensor checked_values(const Tensor& values, int64_t length, const char* n
   return torch::stable::contiguous(values);
 }
 
-// Of the dtype and shape on the CPU, contiguous. `shape` is only read, and -1 allows any length.
+// Checks dtype, shape and device (CPU); returns the tensor contiguous. In `shape`, -1 allows any length.
 inline Tensor checked_array(
     const Tensor& tensor, ScalarType dtype, std::initializer_list<int64_t> shape, const char* name) {
   check(tensor.is_cpu(), name, ": expected a CPU tensor");
@@ -69,20 +69,20 @@ inline Tensor checked_array(
   return torch::stable::contiguous(tensor);
 }
 
-// The size of an image whose pixels can be numbered in 32 bits.
+// Checks that the pixels of an image can be numbered with 32 bits.
 inline void check_image_size(int64_t height, int64_t width) {
   check(height >= 0 && width >= 0 && height <= kMaxCount && width <= kMaxCount && height * width <= kMaxCount,
         "height, width: expected an image of at most 2^31 - 1 pixels, got ", height, " x ", width);
 }
 
-// Checks that a value is one of 0, ..., count - 1, or names the argument and the position.
+// Checks that a value is one of 0, ..., count - 1; the error names the argument and the position.
 inline void check_index(int64_t value, int64_t count, const char* name, int64_t position) {
   if (static_cast<uint64_t>(value) >= static_cast<uint64_t>(count)) [[unlikely]] {
     fail(name, ": expected numbers in [0, ", count, "), got ", value, " at ", position);
   }
 }
 
-// A new tensor with a vector's values, on the CPU as `like` is.
+// A new CPU tensor with the values of a vector; `like` is any CPU tensor.
 template <typename T>
 Tensor to_tensor(const std::vector<T>& values, ScalarType dtype, const Tensor& like) {
   Tensor tensor = torch::stable::new_empty(like, {static_cast<int64_t>(values.size())}, dtype);

@@ -1,5 +1,5 @@
 // Graph-based segmentation: P. Felzenszwalb, D. Huttenlocher, "Efficient Graph-Based Image Segmentation", IJCV 2004.
-// Its components, the two passes over the edges, and the whole, for any source of edges.
+// This file has its components (union-find), its two passes over the edges, and the algorithm for any edge source.
 #pragma once
 
 #include <algorithm>
@@ -12,7 +12,7 @@
 
 namespace torchjoint {
 
-// A union-find whose roots carry what the predicate needs.
+// Union-find; each root stores the values that the merging predicate needs.
 class Components {
  public:
   Components(int64_t num_nodes, float scale, int64_t min_size)
@@ -37,7 +37,7 @@ class Components {
     }
   }
 
-  // Two steps towards the root, with path halving. Written without branches, which nothing could predict.
+  // Two steps towards the root, with path halving. It has no branches, because they would be unpredictable.
   int32_t climb(int32_t node) {
     const int32_t link = link_[node];
     const int32_t parent = select(link < 0, node, link);
@@ -53,7 +53,8 @@ class Components {
     return a;
   }
 
-  // By an edge that is the heaviest of the joint component's spanning tree so far: edges come in ascending order.
+  // Joins two components by an edge. Edges come in ascending order, so this edge is the heaviest in the spanning tree
+  // of the joined component.
   void join_by(float weight, int32_t a, int32_t b) {
     const int32_t root = join(a, b);
     threshold_[root] = weight + scale_ / static_cast<float>(size(root));
@@ -70,7 +71,7 @@ class Components {
     __builtin_prefetch(&threshold_[ends.v], 1);
   }
 
-  // In the order of first appearance.
+  // Labels in the order of first appearance.
   void write_labels(int64_t* labels) {
     int64_t next = 0;
     std::fill_n(labels, num_nodes(), -1);
@@ -82,20 +83,20 @@ class Components {
   }
 
  private:
-  // `condition ? yes : no`, which compilers like to turn into a branch.
+  // `condition ? yes : no` without a branch, which compilers tend to generate.
   static int32_t select(bool condition, int32_t yes, int32_t no) {
     const int32_t mask = -static_cast<int32_t>(condition);
     return (yes & mask) | (no & ~mask);
   }
 
-  // Apart, since links are needed far more often.
+  // Two arrays, because links are needed far more often than thresholds.
   Array<int32_t> link_;     // the parent, or, at a root, minus the size
   Array<float> threshold_;  // of a root: Int(C) + k / |C|
   float scale_;
   int32_t min_size_;
 };
 
-// The paper's algorithm 1. A Graph of Ascending, as is JoinSmall.
+// Algorithm 1 of the paper. This class and JoinSmall are a Graph for Ascending.
 class MergeByPredicate {
  public:
   MergeByPredicate(Components& components, size_t memory) : components_(components), memory_(memory) {}
@@ -118,7 +119,7 @@ class MergeByPredicate {
   void prefetch(Ends ends) const { components_.prefetch(ends); }
   void prefetch_root(Ends ends) const { components_.prefetch_root(ends); }
 
-  // Refused edges that the second pass may need, in order, unless there were too many to remember.
+  // Rejected edges that the second pass may need, in order, unless there were too many to store.
   const std::vector<Ends>& refused() const { return refused_; }
   bool remembers_all() const { return remembers_all_; }
 
@@ -137,7 +138,7 @@ class MergeByPredicate {
   bool remembers_all_ = true;
 };
 
-// The second pass: small components are joined to the neighbour they meet first.
+// The second pass: joins each small component along its first edge to another component.
 class JoinSmall {
  public:
   explicit JoinSmall(Components& components) : components_(components) {}
@@ -158,7 +159,7 @@ class JoinSmall {
   Components& components_;
 };
 
-// At most about `capacity` edges, and `memory` refused ones, are held in memory at a time.
+// At most about `capacity` edges and `memory` rejected edges are held in memory at a time.
 template <typename Source>
 void segment(const Source& source, Components& components, size_t capacity, size_t memory) {
   MergeByPredicate merge(components, memory);

@@ -1,4 +1,4 @@
-// felzenszwalb, edges given.
+// The operator felzenszwalb: segments a graph that is given as a list of edges.
 #include "common.h"
 #include "components.h"
 
@@ -8,7 +8,8 @@ namespace {
 template <typename Weight>
 class EdgeList {
  public:
-  using Edge = Ends;  // where the ends stand is too far apart for edges that wait in order of their weights
+  // Not the edge's number: in the order of weights, looking up the ends by number would be random access to memory.
+  using Edge = Ends;
 
   EdgeList(const int64_t* edge_index, const Weight* weight, int64_t num_edges)
       : first_(edge_index), second_(edge_index + num_edges), weight_(weight), num_edges_(num_edges) {}

@@ -1,5 +1,5 @@
-// felzenszwalb_image: images in, labels out. The edges of the 8-connected grid (eq. 1) and their weights (eq. 2) are
-// made anew, row by row, whenever they are read, and never stored.
+// The operator felzenszwalb_image: segments images. The edges of the 8-connected grid (eq. 1) and their weights (eq. 2)
+// are computed again, row by row, whenever they are read; they are never stored.
 #include <atomic>
 #include <cmath>
 #include <limits>
@@ -60,7 +60,7 @@ class Grid {
   }
 
  private:
-  // w = w_c |c_u - c_v| + w_b min(b_u, b_v), rounded as image_graph.pixel_weights rounds.
+  // w = w_c |c_u - c_v| + w_b min(b_u, b_v), with the same rounding as torchjoint.images.pixel_graph.pixel_weights.
   void write_keys(int64_t u, int64_t v, size_t count, uint32_t* keys) const {
     std::array<float, kBlock> sum;
     std::fill_n(sum.data(), count, 0.0f);
@@ -99,7 +99,7 @@ Tensor checked_image(const Tensor& image, int64_t dimensions, const char* name, 
   return torch::stable::contiguous(image);
 }
 
-// Weights must be neither NaN nor infinite; |values| below 1e18 keep their squares' sum finite.
+// Weights must be neither NaN nor infinite; if |values| are below 1e18, the sum of their squares is finite.
 void check_values(const float* values, int64_t count, const char* name) {
   constexpr float kLimit = 1e18f;
   for (int64_t i = 0; i < count; ++i) {
@@ -135,7 +135,7 @@ Tensor felzenszwalb_image(const Tensor& images, const std::optional<Tensor>& bou
 
   Tensor labels = torch::stable::new_empty(colors, {batch, height, width}, ScalarType::Long);
   int64_t* label_data = labels.mutable_data_ptr<int64_t>();
-  std::atomic<bool> out_of_memory = false;  // an exception must not leave the loop's threads
+  std::atomic<bool> out_of_memory = false;  // an exception must not leave a thread of the parallel loop
   torch::stable::parallel_for(0, batch, 1, [&](int64_t begin, int64_t end) {
     try {
       for (int64_t b = begin; b < end; ++b) {

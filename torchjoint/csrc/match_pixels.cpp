@@ -1,4 +1,4 @@
-// One-to-one matching of the set pixels of two maps, as many pairs as there can be.
+// Maximum one-to-one matching of the set pixels of two maps.
 #include "common.h"
 
 #include <algorithm>
@@ -9,7 +9,7 @@
 namespace torchjoint {
 namespace {
 
-// The places of an image's pixels in a wider one, so that no offset within the radius leads out of it.
+// Places of an image's pixels in an image with a margin, so that no offset within the radius leads outside.
 struct Frame {
   Frame(int64_t height, int64_t width, double radius)
       : height(height), width(width),
@@ -21,7 +21,7 @@ struct Frame {
 
   int64_t size() const { return (height + 2 * rows) * stride; }
 
-  // Calls `function` with the pixel and its place for each that is set.
+  // Calls `function(pixel, place)` for each set pixel.
   template <typename Function>
   void for_each_set(const bool* map, Function&& function) const {
     for (int64_t row = 0; row < height; ++row) {
@@ -32,7 +32,7 @@ struct Frame {
     }
   }
 
-  // All offsets no longer than the radius, as differences of places: by length, then by row, then by column.
+  // All offsets within the radius, as differences of places; sorted by length, then row, then column.
   std::vector<int32_t> offsets_within(double radius) const {
     std::vector<std::pair<int64_t, int32_t>> found;
     for (int64_t row = -rows; row <= rows; ++row) {
@@ -50,7 +50,7 @@ struct Frame {
   }
 
   int64_t height, width;
-  int64_t rows, columns;  // of the margin
+  int64_t rows, columns;  // width of the margin
   int64_t stride;
 };
 
@@ -81,7 +81,7 @@ class Matching {
     pred_of_[target] = pixel;
   }
 
-  // Two pairs at one offset have no pixel in common, so their order does not matter.
+  // Two pairs with the same offset have no pixel in common, so their order does not matter.
   void match_nearest() {
     for (const int32_t offset : offsets_) {
       size_t left = 0;
@@ -116,7 +116,7 @@ class Matching {
         queue_.push_back(pred_of_[target]);
       }
     }
-    // From the targets visited no free one can be reached, now or later: they stay closed to all further searches.
+    // No free target can be reached from the visited targets, now or later: exclude them from all further searches.
   }
 
   void flip(int32_t target) {
@@ -128,12 +128,12 @@ class Matching {
   }
 
   std::vector<int32_t> offsets_;
-  std::vector<int32_t> target_at_;  // each place
+  std::vector<int32_t> target_at_;  // of each place
   int32_t num_targets_ = 0;
   std::vector<int32_t> place_, target_of_;  // of each predicted pixel
   std::vector<int32_t> waiting_;            // predicted pixels without a partner, ascending
-  std::vector<int32_t> pred_of_;            // of each target, as are the next two
-  std::vector<uint8_t> is_closed_;          // to the search
+  std::vector<int32_t> pred_of_;            // of each target, like the next two
+  std::vector<uint8_t> is_closed_;          // whether searches skip the target
   std::vector<int32_t> reached_from_;
   std::vector<int32_t> queue_, visited_;
 };

@@ -1,5 +1,5 @@
-// Greedy merging of regions by the mean cost of what crosses the border between them.
-#include "border_graph.h"
+// Region merging by mean boundary cost (average linkage): see region_graph.h.
+#include "region_graph.h"
 #include "common.h"
 
 #include <cmath>
@@ -8,12 +8,12 @@
 namespace torchjoint {
 namespace {
 
-// Costs are summed as whole numbers of this many to 1: exact, in any order.
+// Costs are multiplied by this and rounded to whole numbers, so that sums are exact in any order.
 constexpr double kUnit = 1 << 20;
 constexpr float kLargestCost = 1 << 10;
 
-BorderGraph borders_of(const int64_t* edges, const float* cost, int64_t num_edges, int64_t num_regions) {
-  BorderGraph graph(num_regions);
+RegionAdjacencyGraph boundaries_of(const int64_t* edges, const float* cost, int64_t num_edges, int64_t num_regions) {
+  RegionAdjacencyGraph graph(num_regions);
   for (int64_t e = 0; e < num_edges; ++e) {
     const int64_t a = edges[e], b = edges[num_edges + e];
     check_node(a, num_regions, e);
@@ -26,7 +26,7 @@ BorderGraph borders_of(const int64_t* edges, const float* cost, int64_t num_edge
   return graph;
 }
 
-// Which regions have become one, and how large they are.
+// Union-find of the merged regions, with their sizes.
 class Merged {
  public:
   Merged(const int64_t* size, int64_t num_regions) : parent_(num_regions), size_(size, size + num_regions) {
@@ -67,12 +67,12 @@ Tensor merge_regions(const Tensor& edge_index, const Tensor& cost, const Tensor&
   check(threshold >= 0, "threshold: expected a number >= 0, got ", threshold);
   check(min_size >= 0, "min_size: expected a number >= 0, got ", min_size);
 
-  BorderGraph graph = borders_of(edges.const_data_ptr<int64_t>(), costs.const_data_ptr<float>(), num_edges, num_regions);
+  RegionAdjacencyGraph graph = boundaries_of(edges.const_data_ptr<int64_t>(), costs.const_data_ptr<float>(), num_edges, num_regions);
   Merged merged(sizes.const_data_ptr<int64_t>(), num_regions);
   const auto join = [&](int32_t number) { merged.join(graph.border(number).region[0], graph.border(number).region[1]); };
   const auto is_small = [&](int32_t region) { return merged.size(region) < min_size; };
-  graph.merge_weakest([&](const Border& border) { return border.mean() <= threshold * kUnit; }, join);
-  graph.merge_weakest([&](const Border& border) { return is_small(border.region[0]) || is_small(border.region[1]); }, join);
+  graph.merge_weakest([&](const RegionBoundary& border) { return border.mean() <= threshold * kUnit; }, join);
+  graph.merge_weakest([&](const RegionBoundary& border) { return is_small(border.region[0]) || is_small(border.region[1]); }, join);
 
   Tensor labels = torch::stable::new_empty(sizes, {num_regions}, ScalarType::Long);
   int64_t* const out = labels.mutable_data_ptr<int64_t>();

@@ -1,15 +1,15 @@
 // Minimum s-t cut by preflow-push: A. Goldberg, R. Tarjan, "A New Approach to the Maximum-Flow Problem", J. ACM 1988,
 // with highest-label selection, global relabelling and the gap heuristic (B. Cherkassky, A. Goldberg, "On
-// Implementing Push-Relabel Method for the Maximum Flow Problem", Algorithmica 1997). What makes it fast:
+// Implementing Push-Relabel Method for the Maximum Flow Problem", Algorithmica 1997). Two additions make it fast:
 //
-// - Parking: a node whose label has risen by more than a few since the last global relabelling waits for the next one.
-//   Excess that is cut off would otherwise climb step by step, on long thin graphs in quadratic time. As in the
-//   incremental breadth-first search of A. Goldberg et al. (ESA 2011), labels stay near the exact distances.
-// - Seeds become part of their terminals, and leaves are pruned until none is left: trees need no search at all.
+// - Parking: if the label of a node has risen by more than `slack_` since the last global relabelling, the node waits
+//   for the next one. Otherwise excess that is cut off would climb step by step, in quadratic time on long thin graphs.
+//   Labels stay near the exact distances, as in the incremental breadth-first search of A. Goldberg et al. (ESA 2011).
+// - Seeds become part of their terminals, and leaves are pruned until there are none: trees need no search at all.
 //
 // Only the first phase is run, which finds the cut but not the flow. A maximum preflow tells which nodes can still
-// reach the *sink*, the minimal sink side. Here the minimal source side is wanted: the edges are undirected, so the
-// problem is solved backwards. Excess starts at the caller's sinks and is drained at the caller's sources.
+// reach the *sink*, that is the minimal sink side. We want the minimal source side. The edges are undirected, so the
+// problem is solved backwards: excess starts at the caller's sinks and is drained at the caller's sources.
 #include "common.h"
 
 #include <algorithm>
@@ -28,7 +28,7 @@ constexpr int64_t kDecisive = int64_t{1} << 61;  // more than all edges together
 
 struct Arc {
   int64_t residual;
-  uint32_t head_and_flag;  // kTwinOpen: the twin has residual capacity, known without looking there
+  uint32_t head_and_flag;  // kTwinOpen: the twin has residual capacity; known without reading it
   int32_t twin;            // the same edge, seen from the other end
 
   int32_t head() const { return static_cast<int32_t>(head_and_flag & ~kTwinOpen); }
@@ -39,11 +39,11 @@ struct Node {
   int64_t balance = 0;  // > 0: excess that has to be drained; < 0: what this node can still drain
   int32_t first_arc = 0;
   int32_t current_arc = 0;  // no arc before this one is admissible
-  int32_t exact_label = 0;  // the label as of the last global relabelling
+  int32_t exact_label = 0;  // the label after the last global relabelling
   int32_t active_next = 0;
 };
 
-// Doubles to integers, by a power of two: sums are then exact, the order of operations does not matter, and the
+// Scales doubles by a power of two to integers: then sums are exact, the order of operations does not matter, and the
 // minimal source side is well defined. With E < 2^b edges and capacities < 2^e the scale 2^(60-b-e) keeps the sum
 // over both directions of all edges below 2^61.
 class Quantiser {
@@ -55,12 +55,12 @@ class Quantiser {
     scale_ = std::ldexp(1.0, std::min(60 - edge_bits - exponent, 1000));
   }
 
-  // Zero stays zero, and what is positive stays positive. `largest` bounds the result.
+  // Zero stays zero, a positive value stays positive. `largest` bounds the result.
   int64_t operator()(double value, int64_t largest) const {
     if (value == 0) return 0;
     const double scaled = value * scale_;
-    if (scaled >= 0x1p62) return largest;  // and not `>= largest`, which a double may be unable to hold
-    // To the nearest, ties to even. llrint does the same, as a call. Beyond 2^52 all doubles are integers.
+    if (scaled >= 0x1p62) return largest;  // not `>= largest`, because a double may be unable to represent it
+    // Rounds to the nearest integer, ties to even, like llrint but inline. Above 2^52 all doubles are integers.
     const double rounded = scaled < 0x1p52 ? (scaled + 0x1p52) - 0x1p52 : scaled;
     return std::clamp<int64_t>(static_cast<int64_t>(rounded), 1, largest);
   }
@@ -79,7 +79,7 @@ class Preflow {
     }
   }
 
-  // First all edges are counted, then added: the arcs of a node lie together, in the order of the edges.
+  // All edges are first counted, then added, so the arcs of a node are contiguous, in the order of the edges.
   void count_edge(int64_t u, int64_t v) {
     if (u == v || is_seed(u) || is_seed(v)) return;
     ++nodes_[u].first_arc, ++nodes_[v].first_arc;
@@ -88,7 +88,7 @@ class Preflow {
   void reserve_arcs() {
     int32_t start = 0;
     for (Node& node : nodes_) {
-      node.current_arc = start;  // for now: where the node's next arc goes
+      node.current_arc = start;  // during construction: the place of the node's next arc
       start += std::exchange(node.first_arc, start);
     }
     arcs_ = std::make_unique_for_overwrite<Arc[]>(start);
@@ -105,7 +105,7 @@ class Preflow {
 
   void solve() {
     prune_leaves();
-    // About a tenth of what a global relabelling costs.
+    // About a tenth of the cost of a global relabelling.
     const int64_t little_work = num_nodes_ + nodes_[num_nodes_].first_arc / 4;
     level_size_.assign(num_nodes_ + 1, 0);
     active_first_.assign(num_nodes_ + 1, kNone);
@@ -128,21 +128,21 @@ class Preflow {
     int32_t node, arc;
   };
 
-  // A label is a lower bound of the distance to a draining node, which itself has label 1. Besides 1 ... N there are:
+  // A label is a lower bound of the distance to a draining node; a draining node has label 1. Special labels:
   static constexpr int32_t kSettled = 0;              // a seed that drains, or a pruned leaf
   int32_t cut_off() const { return num_nodes_ + 1; }  // no way to any draining node
 
   // While the graph is built, all other nodes have label 1.
   bool is_seed(int64_t node) const { return label_[node] != 1; }
 
-  // Such an edge is as good as a terminal of its other end.
+  // An edge to a seed acts like a terminal capacity of its other end.
   void add_edge_of_seed(int64_t u, int64_t v, int64_t capacity) {
     if (is_seed(v)) std::swap(u, v);
     if (!is_seed(v)) nodes_[v].balance += label_[u] == kSettled ? -capacity : capacity;
   }
 
-  // A leaf sends its neighbour as much of its excess as the edge holds, or takes as much as it can drain. That settles
-  // all that the rest of the graph needs to know about the leaf.
+  // A leaf sends its excess to its neighbour, as far as the edge's capacity allows, or takes as much as it can drain.
+  // After that the rest of the graph does not need the leaf.
   void prune_leaves() {
     std::vector<int32_t> degree(num_nodes_);
     for (int32_t i = 0; i < num_nodes_; ++i) degree[i] = nodes_[i + 1].first_arc - nodes_[i].first_arc;
@@ -154,7 +154,7 @@ class Preflow {
         Arc& twin = arcs_[arc.twin];
         const int64_t flow = std::clamp(nodes_[leaf].balance, -twin.residual, arc.residual);
         arc.residual -= flow;
-        twin.residual = 0;  // nobody comes back
+        twin.residual = 0;  // nothing flows back
         nodes_[leaf].balance -= flow;
         nodes_[arc.head()].balance += flow;
         label_[leaf] = kSettled;
@@ -189,7 +189,7 @@ class Preflow {
     highest_active_ = 0;
     ceiling_ = num_nodes_;
     parked_.clear();
-    slack_ = 3;  // 2 to 6 serve as well
+    slack_ = 3;  // 2 to 6 work equally well
     work_ = 0;
 
     int32_t back = 0;
@@ -227,7 +227,7 @@ class Preflow {
     }
   }
 
-  // Sooner than a global relabelling would pay: lets the parked nodes climb on. False if there are none.
+  // Activates the parked nodes when a global relabelling would not pay yet. Returns false if no node becomes active.
   bool unpark() {
     slack_ *= 2;
     for (int32_t node : parked_) {
@@ -237,8 +237,8 @@ class Preflow {
     return highest_active_ > 0;
   }
 
-  // Moves the node's excess nearer to a drain, raising its label as needed, until nothing is left, the node is parked,
-  // or no way exists.
+  // Moves the node's excess towards a drain and raises its label as needed, until no excess is left, the node is
+  // parked, or no path exists.
   void discharge(int32_t index) {
     Node& node = nodes_[index];
     const int32_t end = nodes_[index + 1].first_arc;
@@ -269,21 +269,21 @@ class Preflow {
     if (!was_active && to.balance > 0) activate(arc.head());
   }
 
-  // False if the node is not to be discharged any further for now.
+  // Returns false if the node must not be discharged further for now.
   bool relabel(int32_t index) {
     Node& node = nodes_[index];
     const int32_t end = nodes_[index + 1].first_arc;
     const int32_t old_label = label_[index];
     int32_t lowest = ceiling_;
-    for (int32_t a = node.first_arc; a < end && lowest > old_label; ++a) {  // none is lower than that
+    for (int32_t a = node.first_arc; a < end && lowest > old_label; ++a) {  // no label is lower than that
       if (label_[arcs_[a].head()] < lowest && arcs_[a].residual > 0) {
         lowest = label_[arcs_[a].head()];
         node.current_arc = a;
       }
     }
     work_ += 12 + (end - node.first_arc);
-    // The gap heuristic: without a node at this level nothing above has a way down. Of those nodes none is active,
-    // since the highest active node is discharged first.
+    // The gap heuristic: if no node has this label, nodes with higher labels have no path to a drain. None of them is
+    // active, because the highest active node is discharged first.
     if (--level_size_[old_label] == 0) ceiling_ = old_label;
     if (lowest >= ceiling_) {
       label_[index] = cut_off();
@@ -298,15 +298,15 @@ class Preflow {
   }
 
   int32_t num_nodes_;
-  std::vector<Node> nodes_;     // one more than there are, for the end of the last node's arcs
-  std::vector<int32_t> label_;  // apart from the nodes: what is looked up most, and at random
+  std::vector<Node> nodes_;     // one extra node, for the end of the last node's arcs
+  std::vector<int32_t> label_;  // not in Node: labels are read most often, and at random
   std::unique_ptr<Arc[]> arcs_;
   std::unique_ptr<int32_t[]> queue_;
   std::vector<int32_t> level_size_, active_first_, parked_;
   std::vector<Leaf> leaves_;
   int32_t highest_level_ = 0, highest_active_ = 0;
-  int32_t ceiling_ = 0;  // labels this high or higher have no way down
-  int64_t slack_ = 0;    // how far a label may rise above the exact one
+  int32_t ceiling_ = 0;  // nodes with labels >= ceiling_ have no path to a drain
+  int64_t slack_ = 0;    // how far a label may rise above the exact label
   int64_t work_ = 0;     // since the last global relabelling
 };
 
@@ -332,8 +332,8 @@ std::vector<double> read_terminal(const Tensor& terminal, int64_t num_nodes, con
   return result;
 }
 
-// What a node draws from the sink, less what it gives to the source (see the top: solved backwards). No terminal has to
-// be larger than all edges together.
+// Excess from the caller's sink minus drain to the caller's source (the problem is solved backwards, see the top). It
+// is limited to kDecisive, because a terminal never needs more capacity than all edges together.
 int64_t terminal_balance(double source, double sink, const Quantiser& quantise) {
   const double difference = sink - source;
   const int64_t magnitude = quantise(std::abs(difference), kDecisive);

@@ -1,4 +1,4 @@
-// An empty Python module: importing torchjoint._C loads the library, whose static initialisers register the ops.
+// An empty Python module: importing torchjoint._C loads the library, whose static initialisers register the operators.
 #include <Python.h>
 
 extern "C" PyMODINIT_FUNC PyInit__C(void) {

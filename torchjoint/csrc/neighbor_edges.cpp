@@ -1,4 +1,4 @@
-// The undirected edges of a table of neighbours, each once.
+// The undirected edges of a table of neighbours; each edge once.
 #include "neighbors.h"
 
 #include <numeric>
@@ -13,7 +13,7 @@ class EdgeList {
       : neighbors_(neighbors), num_rows_(num_rows), row_length_(row_length), words_((row_length + 63) / 64),
         kept_(num_rows * words_), start_(num_blocks(num_rows) + 1) {}
 
-  // First all threads mark and count the edges of their rows, then they know where to write them.
+  // First the threads mark and count the edges of their rows; the counts then tell each thread where to write.
   int64_t mark() {
     for_blocks_of_rows(neighbors_, num_rows_, row_length_, [&](int64_t block, int64_t first, int64_t last) {
       for (int64_t i = first; i < last; ++i) {
@@ -43,14 +43,14 @@ class EdgeList {
   }
 
  private:
-  // The number of edges that row i names first; -1 if one of its numbers is no row.
+  // The number of edges that occur first in row i; -1 if one of the row's numbers is outside [0, N).
   int64_t mark_row(int64_t i) {
     const Index* row = neighbors_ + i * row_length_;
     int64_t count = 0;
     for (int64_t k = 0; k < row_length_; ++k) {
       const int64_t j = row[k];
       if (static_cast<uint64_t>(j) >= static_cast<uint64_t>(num_rows_)) return -1;
-      // An edge to an earlier row was named there already if that row has i, and a loop is no edge.
+      // An edge to an earlier row already occurred there if that row contains i. A self loop is no edge.
       if (j == i || (j < i && names(j, i))) continue;
       kept_[i * words_ + k / 64] |= uint64_t{1} << (k % 64);
       ++count;
@@ -67,7 +67,7 @@ class EdgeList {
 
   const Index* neighbors_;
   int64_t num_rows_, row_length_, words_;
-  std::vector<uint64_t> kept_;  // a bit for each entry of the table
+  std::vector<uint64_t> kept_;  // one bit per entry of the table
   std::vector<int64_t> start_;  // of each block's edges
 };
 

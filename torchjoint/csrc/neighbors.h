@@ -1,4 +1,4 @@
-// A table of neighbours, [N, K] int32 or int64: its checks, and rows that are worked on by several threads.
+// A table of neighbours, [N, K] int32 or int64: its checks, and a parallel loop over its rows.
 #pragma once
 
 #include "common.h"
@@ -8,12 +8,12 @@
 
 namespace torchjoint {
 
-// Rows a thread takes at a time. What is computed for a row never depends on it.
+// Number of rows in a block. The result of a row never depends on it.
 constexpr int64_t kRowsPerBlock = 1024;
 
 inline int64_t num_blocks(int64_t num_rows) { return (num_rows + kRowsPerBlock - 1) / kRowsPerBlock; }
 
-// [N, K] int32 or int64 on the CPU, contiguous.
+// Checks a table [N, K], int32 or int64 on the CPU; returns it contiguous.
 inline Tensor checked_neighbors(const Tensor& neighbors) {
   check(neighbors.is_cpu(), "neighbors: expected a CPU tensor");
   check(neighbors.scalar_type() == ScalarType::Int || neighbors.scalar_type() == ScalarType::Long,
@@ -31,8 +31,8 @@ auto with_indices(const Tensor& indices, Function&& function) {
 }
 
 // Calls `function(block, first_row, last_row)` for all blocks of rows, on torch's threads. An exception must not leave
-// such a loop, so `function` returns whether the numbers in its rows are all in [0, N), and the first that is not is
-// reported afterwards.
+// a parallel loop. So `function` returns whether all numbers in its rows are in [0, N); afterwards the first number
+// outside is reported.
 template <typename Index, typename Function>
 void for_blocks_of_rows(const Index* neighbors, int64_t num_rows, int64_t row_length, const Function& function) {
   const int64_t blocks = num_blocks(num_rows);

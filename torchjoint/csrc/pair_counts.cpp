@@ -1,4 +1,5 @@
-// Counts pairs of points that are close in an image by what their ends belong to, without ever listing the pairs.
+// Counts pairs of points that are close in an image, by the segments and labels of the two points. The pairs are never
+// stored.
 #include "common.h"
 
 #include <algorithm>
@@ -20,7 +21,7 @@ struct Point {
   bool is_like(const Point& other) const { return segment == other.segment && label == other.label; }
 };
 
-// Lower and higher segment, lower and higher label of a pair's ends.
+// Lower and higher segment, lower and higher label of the two points of a pair.
 using Group = std::array<int32_t, 4>;
 
 struct GroupHash {
@@ -49,10 +50,10 @@ class Counts {
 
  private:
   std::unordered_map<Group, int64_t, GroupHash> counts_;
-  std::pair<const Group, int64_t>* last_ = nullptr;  // neighbouring pairs are mostly of one group
+  std::pair<const Group, int64_t>* last_ = nullptr;  // consecutive pairs are mostly in the same group
 };
 
-// Cells of one axis, at least as wide as the radius: points within it lie in the same or in adjacent cells.
+// Cells along one axis, at least as wide as the radius: two points within the radius are in equal or adjacent cells.
 struct Axis {
   Axis(float low, float high, double radius, double most)
       : origin(low), side(std::max(radius * (1 + 1e-9), (static_cast<double>(high) - low) / most)),
@@ -103,7 +104,7 @@ class Grid {
   static Axis axis(const std::vector<Point>& points, float Point::*position, double radius) {
     const auto [low, high] = std::minmax_element(
         points.begin(), points.end(), [&](const Point& a, const Point& b) { return a.*position < b.*position; });
-    // No more than about four cells a point.
+    // At most about four cells per point.
     return Axis((*low).*position, (*high).*position, radius, 2 * std::sqrt(static_cast<double>(points.size())));
   }
 
@@ -111,7 +112,7 @@ class Grid {
   const Point* begin(int64_t cell) const { return sorted_.data() + starts_[cell]; }
   const Point* end(int64_t cell) const { return sorted_.data() + starts_[cell + 1]; }
 
-  // The first comparison is the one that most pairs fail.
+  // The comparison that most pairs fail comes first.
   void count_pair(const Point& a, const Point& b, Counts& counts) const {
     if (a.is_like(b) || a.pixel == b.pixel) return;
     const double right = static_cast<double>(a.u) - b.u, below = static_cast<double>(a.v) - b.v;
@@ -136,7 +137,7 @@ class Grid {
   Axis across_, down_;
   std::vector<int32_t> starts_;  // of each cell, in sorted_
   std::vector<Point> sorted_;
-  std::vector<char> uniform_;  // whether all points of a cell are of one segment and label
+  std::vector<char> uniform_;  // whether all points of a cell have the same segment and label
 };
 
 std::vector<Point> read_points(

@@ -1,4 +1,4 @@
-// Vectors, symmetric matrices, and the direction in which points vary least.
+// Vectors, symmetric 3x3 matrices, and the normal of a fitted plane: the direction in which points vary least.
 #pragma once
 
 #include <algorithm>
@@ -40,8 +40,8 @@ struct Symmetric {
 
 constexpr Vector kUp = {0, 0, 1};
 
-// Of an eigenvalue that is well apart from the others: the matrix less the eigenvalue has rank 2, and its rows span
-// the plane across the eigenvector. Their longest product is the most exact.
+// The eigenvector of an eigenvalue that is well separated from the others. The matrix minus the eigenvalue has rank 2,
+// and its rows span the plane perpendicular to the eigenvector. The longest cross product of rows is the most accurate.
 inline Vector eigenvector(const Symmetric& matrix, double eigenvalue) {
   const Symmetric m = matrix.shifted(-eigenvalue);
   const Vector rows[] = {{m.xx, m.xy, m.xz}, {m.xy, m.yy, m.yz}, {m.xz, m.yz, m.zz}};
@@ -51,32 +51,32 @@ inline Vector eigenvector(const Symmetric& matrix, double eigenvalue) {
   return normalized(*longest);
 }
 
-// Any unit vector across a unit vector.
+// Any unit vector perpendicular to a unit vector.
 inline Vector across(const Vector& v) {
   return normalized(std::abs(v.x) > std::abs(v.y) ? Vector{-v.z, 0, v.x} : Vector{0, v.z, -v.y});
 }
 
-// In the plane across the eigenvector of the largest eigenvalue, the direction of the smaller of the other two.
+// The eigenvector of the smaller remaining eigenvalue, in the plane perpendicular to a known eigenvector.
 inline Vector smallest_across(const Symmetric& matrix, const Vector& largest) {
   const Vector u = across(largest), v = cross(largest, u);
   const Vector mu = matrix.times(u), mv = matrix.times(v);
   const double uv = dot(u, mv), half_difference = (dot(u, mu) - dot(v, mv)) / 2;
   const double length = std::sqrt(half_difference * half_difference + uv * uv);
-  if (!(length > 0)) return u;  // the points are on a line: any direction across it is as good
-  // The two forms are the same direction; each is exact where the other would cancel.
+  if (!(length > 0)) return u;  // the points are on a line: take any perpendicular direction
+  // The two formulas give the same direction; each is accurate where the other suffers from cancellation.
   return normalized(half_difference >= 0 ? -uv * u + (half_difference + length) * v
                                          : (half_difference - length) * u + uv * v);
 }
 
-// Eigenvalues in closed form (O. Smith, "Eigenvalues of a symmetric 3x3 matrix", Comm. ACM 1961). Of the largest and
-// the smallest the one that is farther from the middle one is used first, so that nearly equal eigenvalues do no harm.
+// Eigenvalues in closed form (O. Smith, "Eigenvalues of a symmetric 3x3 matrix", Comm. ACM 1961). The largest or the
+// smallest eigenvalue is used first, whichever is farther from the middle one; so nearly equal eigenvalues do no harm.
 inline Vector smallest_eigenvector(const Symmetric& covariance) {
   const double scale = covariance.largest_entry();
   if (!(scale > 0)) return kUp;  // the points coincide
   const Symmetric unit = covariance.scaled(1 / scale);
   const Symmetric deviator = unit.shifted(-unit.trace() / 3);
   const double p = std::sqrt(deviator.squared_norm() / 6);
-  if (!(p > 0)) return kUp;  // no direction differs from another
+  if (!(p > 0)) return kUp;  // the points vary equally in all directions
   const Symmetric b = deviator.scaled(1 / p);  // eigenvalues 2 cos(angle + k 2 pi / 3)
   const double half_determinant = std::clamp(b.determinant() / 2, -1.0, 1.0);
   const double angle = std::acos(half_determinant) / 3;
@@ -90,7 +90,7 @@ inline Vector upper(const Vector& v) {
   return sign < 0 ? Vector{-v.x, -v.y, -v.z} : v;
 }
 
-// Sums over points, relative to one of them and in double: exact far from the origin, too.
+// Sums over points in double precision, relative to one point: also accurate far from the origin.
 class Scatter {
  public:
   void add(const Vector& v) {
@@ -102,10 +102,10 @@ class Scatter {
 
   int64_t count() const { return count_; }
 
-  // Of the points that were added and of the one that they are relative to.
+  // Mean of the added points and the reference point, relative to the reference point.
   Vector mean() const { return (1 / static_cast<double>(count_ + 1)) * sum_; }
 
-  // Times the number of points.
+  // The covariance times the number of points.
   Symmetric covariance() const {
     const Vector m = mean();
     return {square_.xx - sum_.x * m.x, square_.yy - sum_.y * m.y, square_.zz - sum_.z * m.z,
@@ -118,7 +118,7 @@ class Scatter {
   Symmetric square_{};
 };
 
-// Point j as seen from point i, of [N, 3].
+// Point j relative to point i, in points [N, 3].
 template <typename Value>
 Vector from_to(const Value* points, int64_t i, int64_t j) {
   const Value *p = points + 3 * i, *q = points + 3 * j;

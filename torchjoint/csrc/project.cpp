@@ -1,4 +1,4 @@
-// Pinhole projection of a cloud, keeping the points between near and far and inside the frame.
+// Pinhole projection of a cloud; keeps the points between near and far and inside the image frame.
 #include "common.h"
 
 #include <cmath>
@@ -8,7 +8,7 @@
 namespace torchjoint {
 namespace {
 
-// Rows of the 4x4 (or 3x4) matrix and of the intrinsics that projection needs, in double precision.
+// The entries of the pose (4x4 or 3x4) and of the intrinsics that the projection needs, in double precision.
 struct Camera {
   Camera(const double* pose, const double* intrinsics)
       : fx(intrinsics[0]), fy(intrinsics[4]), cx(intrinsics[2]), cy(intrinsics[5]) {
@@ -42,7 +42,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> project(
   for (int64_t i = 0; i < all.size(0); ++i, position += 3) {
     const double x = position[0], y = position[1], w = position[2];
     const double z = camera.along(2, x, y, w);
-    if (!(z > near && z < far)) continue;  // nor where it is NaN
+    if (!(z > near && z < far)) continue;  // also skips NaN
     const float u = static_cast<float>(camera.fx * camera.along(0, x, y, w) / z + camera.cx);
     const float v = static_cast<float>(camera.fy * camera.along(1, x, y, w) / z + camera.cy);
     const float column = std::floor(u + 0.5f), row = std::floor(v + 0.5f);

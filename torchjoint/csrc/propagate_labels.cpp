@@ -1,4 +1,4 @@
-// Every pixel takes the label of the marker from which the cheapest path leads to it.
+// Geodesic label propagation: every pixel takes the label of the marker with the cheapest path to the pixel.
 #include "common.h"
 
 #include <array>
@@ -7,7 +7,7 @@
 namespace torchjoint {
 namespace {
 
-// Costs are whole numbers of this many to a pixel's width, so that equal ones are equal.
+// Costs are whole numbers, this many per pixel width, so that equal costs compare as equal.
 constexpr float kUnits = 8;
 constexpr double kMaxWeight = 1000;
 constexpr int32_t kFar = std::numeric_limits<int32_t>::max();
@@ -32,11 +32,11 @@ struct Pixel {
   float red, green, blue, boundary;
 };
 
-// Dijkstra's algorithm with a bucket for every cost (Dial 1969): steps cost at least
-// 1 and less than there are buckets.
-class Spreading {
+// Dijkstra's algorithm with one bucket per cost (Dial 1969): the cost of a step is at least
+// 1 and less than the number of buckets.
+class LabelPropagation {
  public:
-  Spreading(std::vector<Pixel> pixels, int64_t height, int64_t width, float color_weight, float boundary_weight)
+  LabelPropagation(std::vector<Pixel> pixels, int64_t height, int64_t width, float color_weight, float boundary_weight)
       : pixels_(std::move(pixels)), height_(height), width_(width), color_weight_(color_weight),
         boundary_weight_(boundary_weight), cost_(pixels_.size(), kFar),
         buckets_(static_cast<size_t>(kUnits * (kDiagonal + 1.7320509f * color_weight + boundary_weight)) + 3) {}
@@ -113,7 +113,8 @@ Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tenso
   check(color_weight >= 0 && color_weight <= kMaxWeight, "color_weight: expected 0 to 1000, got ", color_weight);
   check(boundary_weight >= 0 && boundary_weight <= kMaxWeight, "boundary_weight: expected 0 to 1000, got ",
         boundary_weight);
-  // A straight way, which the cheapest path does not exceed, has fewer steps than this, of less than 2^15 each.
+  // The cheapest path costs at most as much as a straight path. A straight path has fewer steps than this limit, and
+  // each step costs less than 2^15, so the sum fits 32 bits.
   check(std::max(height, width) < (1 << 16), "markers: expected sides of fewer than 2^16 pixels, got ", height, " x ",
         width);
 
@@ -128,7 +129,7 @@ Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tenso
   Tensor labels = torch::stable::new_empty(marker, {height, width}, ScalarType::Int);
   int32_t* const out = labels.mutable_data_ptr<int32_t>();
   std::copy_n(marker.const_data_ptr<int32_t>(), num_pixels, out);
-  Spreading(std::move(pixels), height, width, static_cast<float>(color_weight), static_cast<float>(boundary_weight))
+  LabelPropagation(std::move(pixels), height, width, static_cast<float>(color_weight), static_cast<float>(boundary_weight))
       .run(out);
   return labels;
 }

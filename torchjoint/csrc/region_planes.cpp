@@ -1,4 +1,4 @@
-// One-sided planes: fitted to those neighbours of a point that lie in its own region.
+// One-sided planes: fitted to a point and its neighbours in the same region.
 #include "neighbors.h"
 #include "plane.h"
 

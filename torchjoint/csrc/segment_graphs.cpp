@@ -1,4 +1,4 @@
-// The 8-connected pixel graphs of some of an image's segments, each by itself.
+// A separate 8-connected pixel graph for each chosen segment of an image.
 #include "common.h"
 
 #include <algorithm>
@@ -30,11 +30,11 @@ struct Step {
 };
 constexpr std::array<Step, 4> kSteps = {{{0, 1}, {1, 0}, {1, 1}, {-1, 1}}};
 
-// The pixels of the chosen segments, segment by segment, in their order within each.
+// The pixels of the chosen segments, segment by segment, in ascending order within a segment.
 struct Nodes {
   Nodes(const int32_t* labels, int64_t height, int64_t width, const bool* chosen, int64_t num_labels)
       : number_at(height * width) {
-    std::vector<int64_t> next(num_labels);  // first the size of a segment, then the place of its next pixel
+    std::vector<int64_t> next(num_labels);  // first the segments' sizes, then their next places
     for (int64_t i = 0; i < height * width; ++i) {
       if (labels[i] == -1) continue;
       check_index(labels[i], num_labels, "labels", i);
@@ -57,16 +57,16 @@ struct Nodes {
 
   std::vector<int64_t> start{0};   // of each chosen segment, in `pixel`
   std::vector<int64_t> pixel;      // row x width + column
-  std::vector<int32_t> number_at;  // number of a pixel within its segment; read only where that is chosen
+  std::vector<int32_t> number_at;  // number of a pixel within its segment; read only in chosen segments
 };
 
 struct Graphs {
   std::vector<int64_t> start{0};       // of each segment's edges
-  std::vector<int32_t> first, second;  // number of each edge's ends within their segment
+  std::vector<int32_t> first, second;  // the edges' two ends, as pixel numbers within the segment
   std::vector<double> weight;
 };
 
-// Appends a segment's edges: by direction, then in the order of their first ends.
+// Appends a segment's edges, sorted by direction, then by their first ends.
 void connect(const int32_t* labels, int64_t height, int64_t width, const int64_t* pixel, int64_t count,
              const std::vector<int32_t>& number_at, const Image& image, Graphs& graphs) {
   for (const Step step : kSteps) {
@@ -83,7 +83,7 @@ void connect(const int32_t* labels, int64_t height, int64_t width, const int64_t
   }
 }
 
-// Divides by the mean, w / sigma of eq. 14; where all weights are 0 they stay so.
+// Divides the weights by their mean: w / sigma of eq. 14. If all weights are 0, they stay 0.
 void divide_by_mean(double* weight, int64_t count) {
   double sum = 0;
   for (int64_t e = 0; e < count; ++e) sum += weight[e];

@@ -1,4 +1,4 @@
-// A z-buffer in which every point is a square.
+// A z-buffer in which every point is rendered as a square.
 #include "common.h"
 
 #include <algorithm>

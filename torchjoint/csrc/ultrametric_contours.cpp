@@ -1,5 +1,6 @@
-// Closed contours of a boundary map, each as strong as the merging of regions that would erase it.
-#include "border_graph.h"
+// Closed contours of a boundary map (ultrametric contour map). The strength of a contour is the height at which region
+// merging removes it.
+#include "region_graph.h"
 #include "common.h"
 
 #include <cmath>
@@ -8,13 +9,13 @@
 namespace torchjoint {
 namespace {
 
-// Strengths are added up as whole numbers of this many to 1, so that their sums do not depend on the order.
+// Strengths are multiplied by this and rounded to whole numbers, so that their sums do not depend on the order.
 constexpr double kLevels = 65535;
 
 struct Grid {
   int64_t height, width;
 
-  // Pairs of neighbours, each once: all to the right, then down, down-right and up-right, row by row.
+  // Pairs of neighbouring pixels, each once: first all to the right, then down, down-right and up-right, row by row.
   template <typename Function>
   void for_each_pair(Function&& function) const {
     const auto pairs = [&](int64_t down, int64_t right) {
@@ -32,7 +33,8 @@ struct Grid {
   }
 };
 
-// The lowest value, and where it is, among each pixel of a row and its two neighbours in it; the first of equals.
+// For each pixel of a row: the lowest value among the pixel and its two neighbours in the row, and its place; of equal
+// values the first.
 struct LowestInRow {
   explicit LowestInRow(int64_t width) : value(width), place(width) {}
 
@@ -53,7 +55,8 @@ struct LowestInRow {
   std::vector<int32_t> place;
 };
 
-// For each pixel the lowest of itself and its neighbours; of equally low ones, the one with the smallest number.
+// For each pixel: the lowest pixel among itself and its neighbours; of equally low pixels the one with the smallest
+// number.
 std::vector<int32_t> lowest_neighbors(const float* relief, const Grid& grid) {
   std::vector<int32_t> lowest(grid.height * grid.width);
   LowestInRow above(grid.width), here(grid.width), below(grid.width);
@@ -74,8 +77,8 @@ std::vector<int32_t> lowest_neighbors(const float* relief, const Grid& grid) {
   return lowest;
 }
 
-// For each pixel the region of those from which steepest descent leads to the same lowest pixel. Regions are numbered
-// as these are.
+// Watershed: the region of each pixel. A region consists of the pixels from which steepest descent leads to the same
+// lowest pixel. Regions have the order of their lowest pixels.
 std::vector<int32_t> basins(const float* relief, const Grid& grid) {
   const int64_t num_pixels = grid.height * grid.width;
   for (int64_t pixel = 0; pixel < num_pixels; ++pixel) {
@@ -96,12 +99,13 @@ std::vector<int32_t> basins(const float* relief, const Grid& grid) {
   return region;
 }
 
-// For each border the height at which it vanishes: the largest mean strength of those that have vanished by then.
-std::vector<double> heights(BorderGraph& graph) {
+// For each region boundary the height at which it vanishes: the largest mean strength of all boundaries that have
+// vanished so far.
+std::vector<double> heights(RegionAdjacencyGraph& graph) {
   std::vector<double> height(graph.num_borders());
   double level = 0;
   graph.merge_weakest(
-      [](const Border&) { return true; },
+      [](const RegionBoundary&) { return true; },
       [&](int32_t number) {
         level = std::max(level, graph.border(number).mean());
         graph.for_each_part(number, [&](int32_t part) { height[part] = level; });
@@ -124,8 +128,8 @@ Tensor ultrametric_contours(const Tensor& boundary, const Tensor& relief) {
   }
 
   const std::vector<int32_t> region = basins(reliefs.const_data_ptr<float>(), grid);
-  BorderGraph graph(num_pixels == 0 ? 0 : 1 + *std::max_element(region.begin(), region.end()));
-  std::vector<int32_t> border;  // of each pair of pixels that lie in two regions
+  RegionAdjacencyGraph graph(num_pixels == 0 ? 0 : 1 + *std::max_element(region.begin(), region.end()));
+  std::vector<int32_t> border;  // region boundary of each pair of pixels in two different regions
   grid.for_each_pair([&](int64_t a, int64_t b) {
     if (region[a] != region[b]) border.push_back(graph.add(region[a], region[b], std::max(level[a], level[b])));
   });

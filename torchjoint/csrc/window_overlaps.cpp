@@ -1,4 +1,4 @@
-// How much the label windows at both ends of an edge have in common, for the edges of which an image sees both ends.
+// Overlap of the label windows at the two ends of an edge (eq. 5), for edges with two visible ends.
 #include "common.h"
 
 #include <algorithm>
@@ -13,7 +13,7 @@ struct Bin {
   int32_t count;
 };
 
-// The labels around pixels, as histograms in ascending order of label; most have a single bin.
+// Histograms of the labels around pixels, in ascending order of labels; most histograms have one bin.
 class Windows {
  public:
   Windows(const int32_t* labels, int64_t height, int64_t width, int64_t window, int64_t num_points)
@@ -22,7 +22,8 @@ class Windows {
     bins_.reserve(num_points);
   }
 
-  // Appends the window around a pixel, clipped at the border, pixels without a label (-1) left out.
+  // Appends the histogram of the window around a pixel. The window is clipped at the image border; pixels without a
+  // label (-1) do not count.
   void add(int64_t row, int64_t column) {
     const int64_t top = std::max<int64_t>(row - reach_, 0), bottom = std::min(row + reach_, height_ - 1);
     const int64_t left = std::max<int64_t>(column - reach_, 0), right = std::min(column + reach_, width_ - 1);
@@ -44,10 +45,10 @@ class Windows {
     windows_.push_back(added);
   }
 
-  // Labelled pixels of a window.
+  // Number of labelled pixels in a window.
   int32_t size(int32_t slot) const { return windows_[slot].size; }
 
-  // Sum over labels of the smaller of both counts.
+  // Histogram intersection: the sum over labels of the smaller of the two counts.
   int32_t intersection(int32_t first, int32_t second) const {
     const Window &one = windows_[first], &other = windows_[second];
     size_t a = one.start, b = other.start;
@@ -126,7 +127,7 @@ std::tuple<Tensor, Tensor> window_overlaps(
     check(begin >= 0 && begin <= end && end <= num_edges, "start: expected ascending numbers in [0, E]");
     at_most += end - begin;
   }
-  // Room for all edges of the points, most of which are seen: growing arrays would cost more than what follows.
+  // Reserve room for all edges of the points; most of them are visible. Growing arrays would cost more than the loop.
   Tensor edge = torch::stable::new_empty(orders, {at_most}, ScalarType::Long);
   Tensor overlap = torch::stable::new_empty(orders, {at_most}, ScalarType::Double);
   int64_t* const edges = edge.mutable_data_ptr<int64_t>();

@@ -1,13 +1,13 @@
-"""Readers of data on disk, one file a format; each converts to the conventions of :mod:`torchjoint.scene.scene`.
+"""Readers of data sets, one module per format; each converts to the conventions of :mod:`torchjoint.scene.scene`.
 
 A format is a module with
 
-* ``WHAT``: what it looks for, a few words,
+* ``WHAT``: a few words on the files it expects,
 * ``recognizes(path) -> bool``: whether `path` is one scene of this format; cheap, never raises,
-* ``load(path, options) -> Scene``: with truth, where there is any; frames lazy,
+* ``load(path, options) -> Scene``: with ground truth if the data set has any; frames are lazy,
 
-and, where a data set holds many scenes, ``scenes(path) -> dict[str, Path]``: their names and paths, empty where `path`
-is no such data set.
+and, if a data set holds many scenes, ``scenes(path) -> dict[str, Path]``: scene paths by name; empty if `path` is no
+data set of this format.
 """
 
 from __future__ import annotations
@@ -47,15 +47,15 @@ __all__ = [
 
 
 class Format(Protocol):
-    """What a format's module has."""
+    """The functions that a format's module must have."""
 
     WHAT: str
 
     def recognizes(self, path: Path) -> bool:
-        """Whether `path` is one scene of this format."""
+        """Returns whether `path` is one scene of this format."""
 
     def load(self, path: Path, options: Options) -> Scene:
-        """Loads it."""
+        """Loads the scene."""
 
 
 #: Formats by name, in the order in which they are tried.
@@ -76,21 +76,21 @@ FORMATS: dict[str, Format] = {
 def load_scene(
     path: str | Path, *, cloud: str | Path | None = None, voxel_size: float = 0.02, progress: bool = False
 ) -> Scene:
-    """Loads a scene; its format is detected, its frames are read when they are asked for.
+    """Loads a scene; detects its format. Frames are read from disk on access.
 
     Args:
         path: a folder or a file; the README lists the formats and their layouts. A `cloud.ply` in a folder of posed
-            frames is used as the cloud, and depth is then optional; otherwise the format's own cloud is used, or one
-            is fused from the depth images.
-        cloud: a PLY file to use as the cloud; where it does not exist yet, a fused cloud is written there.
-        voxel_size: of the fusion, metres; points come out about this far apart.
+            frames is used as the cloud, and depth is then optional; otherwise the format's own cloud is used, or a
+            cloud is fused from the depth images.
+        cloud: a PLY file to use as the cloud; if it does not exist yet, a fused cloud is written there.
+        voxel_size: of the fusion, metres; about the distance between fused points.
         progress: show a progress bar while fusing.
 
     Returns:
-        The scene; `scene.truth` holds what the data set says about its instances, where it says something.
+        The scene; `scene.truth` holds the ground-truth instances, if the data set has any.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file, and what was looked for where no format fits.
+        FileNotFoundError, ValueError: naming the file; if no format fits, the message lists the expected files.
     """
     path = Path(path)
     if not path.exists():
@@ -104,11 +104,11 @@ def load_scene(
 
 
 def list_scenes(path: str | Path) -> dict[str, Path]:
-    """The scenes of a data set, by name, each a path for :func:`load_scene`; a single scene is one by itself.
+    """Returns the scenes of a data set by name, as paths for :func:`load_scene`; a single scene is a data set of one.
 
     Raises:
         FileNotFoundError: there is no such path.
-        ValueError: there is no scene, and what was looked for.
+        ValueError: there is no scene; the message lists the files of each format.
     """
     path = Path(path)
     if not path.exists():

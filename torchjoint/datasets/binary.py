@@ -1,4 +1,4 @@
-"""Binary files whose headers are not to be trusted: whatever is read is first checked to be there."""
+"""Reads binary files with untrusted headers: checks that the data exist before it reads them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 
 class BinaryFile:
-    """Reads a little-endian file front to back. A context manager.
+    """Reads a little-endian file from front to back. A context manager.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: (from every method) the file ends too soon; naming file, place and what was expected.
+        ValueError: (from every method) the file ends too soon; names the file, the byte offset and the expected data.
     """
 
     def __init__(self, path: Path) -> None:
@@ -37,19 +37,19 @@ class BinaryFile:
         self._data.close()
 
     def read(self, layout: str) -> tuple[Any, ...]:
-        """Numbers of a layout of :mod:`struct`, without its byte order."""
+        """Reads values in a layout of :mod:`struct`; the layout has no byte-order character."""
         place = self.place
         self.skip(struct.calcsize("<" + layout))
         return struct.unpack_from("<" + layout, self._data, place)
 
     def array(self, dtype: npt.DTypeLike, count: int) -> npt.NDArray[Any]:
-        """So many numbers, or records, of a type."""
+        """Reads an array of `count` numbers, or records, of a type."""
         place = self.place
         self.skip(np.dtype(dtype).itemsize * count)
         return np.frombuffer(self._data, dtype, count, place).copy()
 
     def count(self, smallest: int) -> int:
-        """An unsigned 64-bit count of records that follow, each of at least `smallest` bytes."""
+        """Reads an unsigned 64-bit count of the records that follow; each record has at least `smallest` bytes."""
         (count,) = self.read("Q")
         if count * smallest > self.size - self.place:
             raise ValueError(
@@ -58,7 +58,7 @@ class BinaryFile:
         return int(count)
 
     def text(self, longest: int = 4096) -> str:
-        """A string that ends with a zero byte."""
+        """Reads a string that ends with a zero byte; without this byte, at most `longest` bytes long."""
         end = self._data.find(b"\0", self.place, self.place + longest)
         if end < 0:
             raise ValueError(f"{self.path}: expected a string of at most {longest} bytes at byte {self.place}")
@@ -69,13 +69,13 @@ class BinaryFile:
             raise ValueError(f"{self.path}: expected a string before byte {end}: {error}") from error
 
     def skip(self, size: int) -> None:
-        """Passes over some bytes, which have to be there."""
+        """Skips `size` bytes, which must exist."""
         if size > self.size - self.place:
             raise ValueError(f"{self.path}: truncated: expected {size} bytes at byte {self.place} of {self.size}")
         self.place += size
 
     def finish(self) -> None:
-        """Checks that nothing is left."""
+        """Checks that the file has no more bytes."""
         if self.place != self.size:
             raise ValueError(
                 f"{self.path}: expected the end at byte {self.place}, got {self.size - self.place} more bytes"

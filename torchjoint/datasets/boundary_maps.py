@@ -1,4 +1,4 @@
-"""Predicted boundaries on disk: a folder with a map for each image, NAME.png or NAME.npy."""
+"""Reads predicted boundary maps: a folder with a file NAME.png or NAME.npy per image."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from torchjoint.datasets.files import read_grey_image
 
 
 def find_boundary_map(folder: Path, name: str) -> Path:
-    """The file of an image's boundary map.
+    """Finds the boundary map of an image.
 
     Raises:
-        FileNotFoundError: there is none.
-        ValueError: there are two.
+        FileNotFoundError: there is no map.
+        ValueError: there are two maps.
     """
     found = [file for file in (folder / f"{name}.png", folder / f"{name}.npy") if file.is_file()]
     if not found:
@@ -27,10 +27,10 @@ def find_boundary_map(folder: Path, name: str) -> Path:
 
 
 def read_boundary_map(path: Path) -> Tensor:
-    """A grey .png of 8 or 16 bits, or a floating [H, W] .npy in [0, 1] -> [H, W] float32 in [0, 1].
+    """Reads a grey .png of 8 or 16 bits, or a floating [H, W] .npy in [0, 1]; returns [H, W] float32 in [0, 1].
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and what is wrong with it.
+        FileNotFoundError, ValueError: naming the file and its error.
     """
     if path.suffix == ".png":
         return read_grey_image(path)
@@ -43,7 +43,7 @@ def read_boundary_map(path: Path) -> Tensor:
     if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind != "f":
         got = f"{values.dtype} {list(values.shape)}" if isinstance(values, np.ndarray) else "an archive"
         raise ValueError(f"{path}: expected floating numbers of shape [H, W], got {got}")
-    wrong = values[~((values >= 0) & (values <= 1))]  # NaN, too
+    wrong = values[~((values >= 0) & (values <= 1))]  # NaN is wrong, too
     if len(wrong):
         raise ValueError(f"{path}: expected numbers in [0, 1], got {wrong[0]:g} and {len(wrong) - 1} others")
     return torch.from_numpy(values.astype(np.float32))

@@ -1,4 +1,4 @@
-"""Instances of points, from boxes around the objects."""
+"""Point instances from 3D boxes around objects."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from torch import Tensor
 
 
 def instances_in_boxes(points: Tensor, centers: Tensor, sizes: Tensor, rotations: Tensor) -> Tensor:
-    """The box that each point lies in, its faces included.
+    """Assigns each point to the box that contains it; a box includes its faces.
 
-    Of several it is the smallest, since what is small stands in or on what is large; of equally large ones the last.
+    A point in several boxes gets the smallest box, since small objects stand in or on large objects; of equally large
+    boxes the last.
 
     Args:
-        points: [N, 3].
-        centers: [B, 3] the boxes' centres.
+        points: [N, 3] metres.
+        centers: [B, 3] centres of the boxes, metres.
         sizes: [B, 3] along each box's own axes, metres, above 0.
-        rotations: [B, 3, 3] whose columns are the boxes' axes.
+        rotations: [B, 3, 3]; the columns are the axes of the box.
 
     Returns:
-        [N] int64, the box's number; -1 = in none.
+        [N] int64, index of the box; -1 = in no box.
     """
     instances = torch.full((len(points),), -1, dtype=torch.int64)
     large_first = torch.argsort(sizes.prod(dim=1), descending=True, stable=True)

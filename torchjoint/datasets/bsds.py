@@ -1,4 +1,4 @@
-"""The Berkeley segmentation data set (BSDS500): photographs, each segmented by several people.
+"""Reads the Berkeley segmentation data set (BSDS500): photographs, each segmented by several annotators.
 
 P. Arbelaez, M. Maire, C. Fowlkes and J. Malik, "Contour Detection and Hierarchical Image Segmentation" (PAMI 2011).
 """
@@ -18,18 +18,18 @@ from torchjoint.datasets.files import read_image
 
 SPLITS = ("train", "val", "test")
 
-#: Where the folder `images` may be: in the folder given, or as the original archive unpacks.
+#: Where the folder `images` may be: in the given folder, or in the folders of the original archive.
 _ROOTS = (".", "data", "BSDS500/data", "BSR/BSDS500/data")
 
 
 @dataclass(frozen=True)
 class BsdsImage:
-    """One image of the data set. Its files are read whenever a property is asked for; nothing is kept.
+    """One image of the data set. Each access of a property reads its file again; nothing is cached.
 
-    Reading raises FileNotFoundError or ValueError, naming the file and what is wrong with it.
+    Reading raises FileNotFoundError or ValueError, naming the file and its error.
     """
 
-    name: str  #: such as "101085"
+    name: str  #: for example "101085"
     image_file: Path
     truth_file: Path
 
@@ -40,26 +40,26 @@ class BsdsImage:
 
     @property
     def segmentations(self) -> list[Tensor]:
-        """Of each annotator: [H, W] int64 regions, from 0; -1 = none."""
+        """Per annotator [H, W] int64 region ids, from 0; -1 = none."""
         return _read_truth(self.truth_file, "Segmentation", lambda values: values.astype(np.int64) - 1)
 
     @property
     def boundaries(self) -> list[Tensor]:
-        """Of each annotator: [H, W] bool, lines one pixel wide."""
+        """Per annotator [H, W] bool, lines one pixel wide."""
         return _read_truth(self.truth_file, "Boundaries", lambda values: values != 0)
 
 
 def bsds_images(folder: str | Path, split: str) -> list[BsdsImage]:
-    """All images of a split, by name.
+    """Returns all images of a split, sorted by name.
 
     Args:
-        folder: holds ``images/SPLIT/NAME.jpg`` and ``groundTruth/SPLIT/NAME.mat``; or the folder that the original
-            archive unpacks into (``BSR``), or the one around it.
+        folder: holds ``images/SPLIT/NAME.jpg`` and ``groundTruth/SPLIT/NAME.mat``; or the folder ``BSR`` of the
+            original archive, or the parent of ``BSR``.
         split: "train", "val" or "test".
 
     Raises:
-        FileNotFoundError: no such folder or split, or an image without its ground truth.
-        ValueError: a split of another name.
+        FileNotFoundError: no such folder or split, or an image without ground truth.
+        ValueError: an unknown split.
     """
     if split not in SPLITS:
         raise ValueError(f"split: expected {', '.join(SPLITS)}, got {split!r}")
@@ -95,7 +95,7 @@ def _read_truth(path: Path, field: str, convert: Callable[[Any], Any]) -> list[T
         raise FileNotFoundError(f"{path}: missing; expected a ground truth of BSDS500")
     try:
         truth = loadmat(path)
-    except Exception as error:  # scipy reports what is no whole file by errors of a dozen kinds
+    except Exception as error:  # for a damaged file, scipy raises errors of a dozen types
         raise ValueError(f"{path}: not a whole .mat file: {error}") from error
     try:
         maps = [annotator[field][0, 0] for annotator in truth["groundTruth"][0]]

@@ -1,4 +1,4 @@
-"""Cameras of other conventions: quaternions, OpenGL axes, images of another size than calibrated, lens distortion."""
+"""Converts cameras of other conventions: quaternions, OpenGL axes, resized images, lens distortion."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ if TYPE_CHECKING:
 
 Matrix = npt.NDArray[np.float64]
 
-#: From OpenGL's camera axes (x right, y up, z back) to OpenCV's; its own inverse.
+#: From OpenGL's camera axes (x right, y up, z back) to OpenCV's; this matrix is its own inverse.
 FLIP_YZ = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 
-#: How far a quaternion's length may be from 1: two digits are the least anybody writes.
+#: Largest difference between a quaternion's length and 1: files give at least two digits.
 UNIT_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole with OpenCV's lens distortion.
+    """A pinhole camera with OpenCV's lens distortion.
 
     Args:
         intrinsics: [3, 3] float64, pixels; pixel centres have integer coordinates.
-        size: (H, W) of the images it was calibrated for; None: of whatever images it is used with.
-        distortion: (k1, k2, p1, p2), then k3, then k4, k5, k6, as ``cv2.undistort`` takes them; empty = none.
+        size: (H, W) of the images for which the camera was calibrated; None: images of any size.
+        distortion: (k1, k2, p1, p2), then k3, then k4, k5, k6, as for ``cv2.undistort``; empty = none.
         name: used in messages.
 
     Raises:
-        ValueError: numbers that are not finite, or no positive focal lengths and size.
+        ValueError: numbers that are not finite; a focal length or size that is not positive.
     """
 
     intrinsics: Tensor
@@ -52,7 +52,7 @@ class Camera:
             raise ValueError(f"{self.name}: expected finite distortion coefficients, got {self.distortion}")
 
     def frame(self, image: Tensor, world_to_camera: Tensor, depth: Tensor | None = None, name: str = "") -> Frame:
-        """A frame of an image that this camera took: intrinsics scaled to its size, image and depth undistorted.
+        """Makes a frame from an image of this camera: scales the intrinsics to its size, undistorts image and depth.
 
         Args:
             image: [3, H, W] uint8.
@@ -61,7 +61,8 @@ class Camera:
             name: of the frame.
 
         Raises:
-            ValueError: image or depth of another shape than the camera's images, or a distortion beyond its model.
+            ValueError: image or depth has another aspect ratio than the camera, or the distortion cannot be
+                inverted.
         """
         size = (image.shape[1], image.shape[2])
         called = f"image {name!r} of {self.name}"
@@ -76,17 +77,17 @@ class Camera:
 
 
 def pinhole_matrix(fx: float, fy: float, cx: float, cy: float, *, center: float = 0.0) -> Tensor:
-    """A camera matrix [3, 3] float64; `center`: where the centre of the first pixel is, 0 or 1/2, in cx and cy."""
+    """Returns a camera matrix [3, 3] float64; `center`: coordinate of the first pixel's centre in cx, cy: 0 or 1/2."""
     return torch.tensor([[fx, 0, cx - center], [0, fy, cy - center], [0, 0, 1]], dtype=torch.float64)
 
 
 def scale_intrinsics(intrinsics: Tensor, old: tuple[int, int], new: tuple[int, int], name: str = "image") -> Tensor:
-    """Intrinsics [3, 3] for images that were resized from (H, W) `old` to `new`.
+    """Returns intrinsics [3, 3] for images that were resized from (H, W) `old` to `new`.
 
-    The corners of an image stay its corners; with integer pixel centres they are at -1/2 and at W - 1/2.
+    Resizing maps image corners to image corners; with integer pixel centres the corners are at -1/2 and W - 1/2.
 
     Raises:
-        ValueError: the two have different shapes, by more than rounding to whole pixels.
+        ValueError: the aspect ratios differ by more than rounding to whole pixels explains.
     """
     _check_same_shape(old, new, name)
     scale = torch.tensor([new[1] / old[1], new[0] / old[0], 1.0], dtype=torch.float64)
@@ -96,7 +97,7 @@ def scale_intrinsics(intrinsics: Tensor, old: tuple[int, int], new: tuple[int, i
 
 
 def resize_depth(depth: Tensor, size: tuple[int, int], name: str = "") -> Tensor:
-    """Depth [h, w] at another resolution (H, W), the nearest pixel's: depth must not be averaged over edges."""
+    """Resizes depth [h, w] to (H, W) by nearest neighbour: depth must not be averaged over edges."""
     if depth.ndim != 2 or 0 in depth.shape:
         raise ValueError(f"depth of frame {name!r}: expected shape [H, W], got {list(depth.shape)}")
     old = (depth.shape[0], depth.shape[1])
@@ -112,20 +113,20 @@ def resize_depth(depth: Tensor, size: tuple[int, int], name: str = "") -> Tensor
 def undistort(
     image: Tensor, depth: Tensor | None, intrinsics: Tensor, distortion: tuple[float, ...], name: str = "camera"
 ) -> tuple[Tensor, Tensor | None, Tensor]:
-    """Straightens image and depth; the view is cropped to where the image has pixels, as nerfstudio and COLMAP do.
+    """Undistorts image and depth; crops the view to pixels that the image covers, as nerfstudio and COLMAP do.
 
     Args:
         image: [3, H, W] uint8.
-        depth: [H, W] float32 metres, 0 = unknown; the nearest pixel's is taken.
-        intrinsics: [3, 3] of the distorted image.
-        distortion: as of :class:`Camera`.
+        depth: [H, W] float32 metres, 0 = unknown; resampled by nearest neighbour.
+        intrinsics: [3, 3] of the distorted image, pixels.
+        distortion: as in :class:`Camera`.
         name: used in messages.
 
     Returns:
-        The same three, of the straight image; its size is the same.
+        Image, depth and intrinsics, undistorted; the image size does not change.
 
     Raises:
-        ValueError: the distortion is beyond what its model can undo.
+        ValueError: the distortion model cannot be inverted in this image.
     """
     import cv2
 
@@ -153,7 +154,7 @@ def undistort(
 
 
 def _can_be_undone(before: Matrix, after: Matrix, coefficients: Matrix, size: tuple[int, int]) -> bool:
-    """Whether the lens maps what is farther from the axis farther out, up to the corners of the straight image."""
+    """Whether distortion is monotonic: larger radius, larger distorted radius, up to the undistorted corners."""
     focal, center = np.diag(after)[:2], after[:2, 2]
     zoom = focal / np.diag(before)[:2]
     if not (np.isfinite(after).all() and (zoom > 0.25).all() and (zoom < 4).all()):
@@ -166,15 +167,15 @@ def _can_be_undone(before: Matrix, after: Matrix, coefficients: Matrix, size: tu
     return bool((below > 0).all() and (np.diff(radius * above / below) > 0).all())
 
 
-def rotations_of(quaternions: Matrix, name: str) -> Rotation:
-    """Unit quaternions [N, 4], each x y z w (Hamilton's, as everywhere in the field) -> N rotations.
+def rotations_from_quaternions(quaternions: Matrix, name: str) -> Rotation:
+    """Converts unit quaternions [N, 4], x y z w (Hamilton convention), to N rotations.
 
     Raises:
-        ValueError: one is not of length 1.
+        ValueError: a quaternion's length is not 1.
     """
     from scipy.spatial.transform import Rotation
 
-    lengths = np.linalg.norm(quaternions.clip(-2, 2), axis=1)  # clipped: the squares of nonsense may overflow
+    lengths = np.linalg.norm(quaternions.clip(-2, 2), axis=1)  # clipped: squares of invalid numbers may overflow
     wrong = np.flatnonzero(~(np.abs(lengths - 1) <= UNIT_TOLERANCE))
     if len(wrong):
         raise ValueError(
@@ -185,7 +186,7 @@ def rotations_of(quaternions: Matrix, name: str) -> Rotation:
 
 
 def _check_same_shape(old: tuple[int, int], new: tuple[int, int], name: str) -> None:
-    # Sizes are whole numbers: half of 1051 is 525 or 526.
+    # Sizes are integers: half of 1051 is 525 or 526.
     if abs(new[1] * old[0] - new[0] * old[1]) > max(old):
         raise ValueError(
             f"{name}: is {new[1]} x {new[0]} pixels, not of the shape of {old[1]} x {old[0]}: cropped? rotated?"

@@ -1,4 +1,4 @@
-"""Single clouds, in whatever file they come: .ply, .pcd, .npy, .npz, .bin (KITTI), .xyz."""
+"""Reads a single point cloud from a file: .ply, .pcd, .npy, .npz, .bin (KITTI), .xyz."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SUFFIXES = (".ply", ".pcd", ".npy", ".npz", ".bin", ".xyz", ".txt")
 
 
 class CloudFile(NamedTuple):
-    """What a file says about a cloud."""
+    """The contents of a point cloud file."""
 
     points: Tensor  #: [N, 3]
     colors: Tensor | None = None  #: [N, 3] RGB in [0, 1], or uint8
@@ -26,15 +26,15 @@ class CloudFile(NamedTuple):
 
 
 def read_cloud_file(path: Path) -> CloudFile:
-    """Reads a cloud; its suffix tells the format.
+    """Reads a cloud; the suffix of the file gives its format.
 
-    * .ply, .pcd: positions, colours, normals where there are any, the triangles of a .ply mesh;
-    * .npz: arrays `points` and, where there are any, `colors`, `normals`, `faces`;
-    * .npy, .xyz, .txt: a row for each point, x y z first; six columns are x y z and colours (0-255, or 0-1);
-    * .bin: KITTI's scans, float32 x y z reflectance.
+    * .ply, .pcd: positions; colours and normals, if any; the triangles of a .ply mesh;
+    * .npz: array `points` and, if any, arrays `colors`, `normals`, `faces`;
+    * .npy, .xyz, .txt: one row per point, x y z first; six columns are x y z and colours (0-255, or 0-1);
+    * .bin: KITTI's LiDAR scans, float32 x y z reflectance.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and what is wrong with it.
+        FileNotFoundError, ValueError: naming the file and its error.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -56,10 +56,11 @@ def read_cloud_file(path: Path) -> CloudFile:
 
 
 def read_scan(path: Path, columns: int) -> Tensor:
-    """A LiDAR scan as KITTI and nuScenes keep it, float32 rows of x, y, z and more -> [N, columns]; x, y, z finite.
+    """Reads a LiDAR scan of KITTI or nuScenes, float32 rows x, y, z, ...; returns [N, columns] with finite x, y, z.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file.
+        FileNotFoundError: there is no such file.
+        ValueError: the size of the file does not fit, or a point is not finite.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a LiDAR scan")

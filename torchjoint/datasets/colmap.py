@@ -1,13 +1,14 @@
-"""COLMAP's reconstructions (J. Schönberger, J.-M. Frahm, "Structure-from-Motion Revisited", CVPR 2016).
+"""Reads COLMAP's reconstructions (J. Schönberger, J.-M. Frahm, "Structure-from-Motion Revisited", CVPR 2016).
 
 sparse/0, sparse, or the folder itself    the model: cameras, images and points3D, .bin or .txt
-images, or images_2, _4, _8               the images, where the model's names are found in it; or in the folder itself
-cloud.ply, fused.ply, dense/fused.ply,    the cloud, the first there is; otherwise the model's sparse points, which are
-dense/0/fused.ply                         few for a segmentation
+images, or images_2, _4, _8               the images, in the first folder that holds the model's names; or in the folder
+                                          itself
+cloud.ply, fused.ply, dense/fused.ply,    the cloud, the first that exists; otherwise the model's sparse points, which
+dense/0/fused.ply                         are few for a segmentation
 
-Where the folder given is the model itself, images and clouds are looked for in the two folders around it, too. Images
-may be resized, not cropped; lens distortion is undone. A reconstruction's scale is arbitrary: its "metres" are whatever
-the model has, unless it was aligned.
+If the given folder is the model itself, images and clouds are also searched in its parent and grandparent folders.
+Images may be resized, but not cropped; lens distortion is removed. The scale of a reconstruction is arbitrary: its
+"metres" are the model's unit, unless the model was aligned.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _CLOUDS = ("fused.ply", "dense/fused.ply", "dense/0/fused.ply")
 
 
 def recognizes(path: Path) -> bool:
-    """Whether the folder has a sparse model."""
+    """Returns whether the folder has a sparse model."""
     return path.is_dir() and any(has_model(path / place) for place in _MODELS)
 
 

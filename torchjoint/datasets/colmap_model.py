@@ -1,4 +1,4 @@
-"""COLMAP's sparse models, as text and binary (colmap.github.io/format.html).
+"""Reads COLMAP's sparse models, text and binary (colmap.github.io/format.html).
 
 cameras     id, model, width, height, parameters; pixel centres are at 1/2
 images      id, pose world-to-camera (OpenCV axes) as quaternion w x y z and translation, camera id, name, 2D points
@@ -18,16 +18,16 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.binary import BinaryFile
-from torchjoint.datasets.cameras import Camera, pinhole_matrix, rotations_of
+from torchjoint.datasets.cameras import Camera, pinhole_matrix, rotations_from_quaternions
 from torchjoint.datasets.text import parse_integer, parse_numbers, read_lines
 
-#: Models by their number in binary files.
+#: Camera models; the index is the model's number in binary files.
 MODELS = (
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
     "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",
 )  # fmt: skip
 
-#: Of the models that OpenCV can undistort: how many focal lengths come first (then cx, cy), and how many parameters.
+#: Camera models that OpenCV can undistort: number of focal lengths (they come first, then cx, cy) and of parameters.
 _PARAMETERS = {
     "SIMPLE_PINHOLE": (1, 3),
     "PINHOLE": (2, 4),
@@ -39,9 +39,9 @@ _PARAMETERS = {
 
 
 class ColmapImage(NamedTuple):
-    """An image with a pose."""
+    """An image with its camera and pose."""
 
-    name: str  #: relative to the folder of images
+    name: str  #: relative to the image folder
     camera: Camera
     world_to_camera: Tensor  #: [4, 4] float64
 
@@ -56,16 +56,16 @@ _Point = tuple[float, ...]  # id, position, colour
 
 
 def has_model(folder: Path) -> bool:
-    """Whether a folder holds a sparse model."""
+    """Returns whether a folder holds a sparse model."""
     return all(any((folder / f"{part}.{kind}").is_file() for kind in ("bin", "txt")) for part in ("cameras", "images"))
 
 
 def read_images(folder: Path) -> list[ColmapImage]:
-    """The images of a model, by name.
+    """Returns the images of a model, sorted by name.
 
     Raises:
         FileNotFoundError: a part of the model is missing.
-        ValueError: a file that is not whole, a camera model that is not supported, two images of one name.
+        ValueError: a damaged file, an unsupported camera model, or two images with the same name.
     """
     cameras_file, images_file = _file(folder, "cameras"), _file(folder, "images")
     cameras = _cameras_of_binary(cameras_file) if cameras_file.suffix == ".bin" else _cameras_of_text(cameras_file)
@@ -84,10 +84,11 @@ def read_images(folder: Path) -> list[ColmapImage]:
 
 
 def read_points(folder: Path) -> tuple[Tensor, Tensor]:
-    """The sparse points of a model, by id: positions [N, 3] float64 and colours [N, 3] uint8.
+    """Returns the sparse points of a model, sorted by id: positions [N, 3] float64 and colours [N, 3] uint8.
 
     Raises:
-        FileNotFoundError, ValueError: as :func:`read_images`.
+        FileNotFoundError: the file is missing.
+        ValueError: the file is damaged or holds no points, or a colour is not in 0-255.
     """
     file = _file(folder, "points3D")
     rows = _points_of_binary(file) if file.suffix == ".bin" else _points_of_text(file)
@@ -104,12 +105,12 @@ def read_points(folder: Path) -> tuple[Tensor, Tensor]:
 
 def _file(folder: Path, part: str) -> Path:
     binary = folder / f"{part}.bin"
-    return binary if binary.is_file() else folder / f"{part}.txt"  # COLMAP, too, prefers the binary one
+    return binary if binary.is_file() else folder / f"{part}.txt"  # COLMAP, too, prefers the binary file
 
 
 def _poses(rows: npt.NDArray[np.float64], name: str) -> Tensor:
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3] = rotations_of(rows[:, [1, 2, 3, 0]], name).as_matrix()
+    poses[:, :3, :3] = rotations_from_quaternions(rows[:, [1, 2, 3, 0]], name).as_matrix()
     poses[:, :3, 3] = rows[:, 4:]
     return torch.from_numpy(poses)
 
@@ -119,7 +120,7 @@ def _camera(model: str, width: int, height: int, parameters: Sequence[float], na
     if len(parameters) != num_parameters:
         raise ValueError(f"{name}: expected {num_parameters} parameters of {model}, got {len(parameters)}")
     focal, (cx, cy), distortion = np.split(np.array(parameters), [num_focal, num_focal + 2])
-    # The radial models have the first of OpenCV's coefficients k1 k2 p1 p2.
+    # Radial models have the first coefficients of OpenCV's k1 k2 p1 p2.
     matrix = pinhole_matrix(float(focal[0]), float(focal[-1]), float(cx), float(cy), center=0.5)
     return Camera(matrix, (height, width), tuple(distortion.tolist()) + (0.0,) * max(4 - len(distortion), 0), name)
 
@@ -156,7 +157,7 @@ def _images_of_text(path: Path) -> list[_Row]:
         if len(words) < 10:
             raise ValueError(f"{name}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {line[:100]!r}")
         rows.append(_Row(parse_numbers(words[1:8], name), parse_integer(words[8], name), words[9]))
-        next(lines, None)  # its 2D points, of which there may be none: an empty line
+        next(lines, None)  # the image's 2D points; an image without 2D points has an empty line here
     return rows
 
 
@@ -191,7 +192,7 @@ def _images_of_binary(path: Path) -> list[_Row]:
         for _ in range(file.count(smallest=73)):
             _, *pose, camera = file.read("I7dI")
             rows.append(_Row(pose, camera, file.text()))
-            file.skip(24 * file.count(smallest=24))  # its 2D points
+            file.skip(24 * file.count(smallest=24))  # the image's 2D points
         file.finish()
     return rows
 
@@ -201,6 +202,6 @@ def _points_of_binary(path: Path) -> list[_Point]:
     with BinaryFile(path) as file:
         for _ in range(file.count(smallest=51)):
             points.append(file.read("Q3d3Bd")[:7])
-            file.skip(8 * file.count(smallest=8))  # its track
+            file.skip(8 * file.count(smallest=8))  # the point's track
         file.finish()
     return points

@@ -1,4 +1,4 @@
-"""Posed frames as ScanNet's tools export them, one file each: color/N.jpg, depth/N.png, pose/N.txt."""
+"""Reads posed frames that ScanNet's tools exported, one file each: color/N.jpg, depth/N.png, pose/N.txt."""
 
 from __future__ import annotations
 
@@ -19,20 +19,23 @@ _SUFFIXES = (".jpg", ".jpeg", ".png")
 
 
 def has_frames(folder: Path) -> bool:
-    """Whether there are images and poses of this form."""
+    """Returns whether the folder has images and poses of this layout."""
     return (folder / "color").is_dir() and (folder / "pose").is_dir()
 
 
 def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
-    """The frames with valid poses, by number, each read when it is asked for.
+    """Returns the frames with valid poses, sorted by number; each frame is read on access.
 
-    Poses are camera-to-world, OpenCV axes, metres; those of frames where tracking was lost hold -inf and are left out.
-    Depth is in millimetres; the nearest pixel of it is brought to each pixel of the colour image, of which it has the
-    view.
+    Poses are camera-to-world, OpenCV axes, metres. Where tracking was lost, poses hold -inf; these frames are left out.
+    Depth is in millimetres and is registered to the colour image by nearest neighbour.
+
+    Args:
+        folder: holds color/, pose/ and (optional) depth/.
+        cameras: colour and depth cameras.
 
     Raises:
         FileNotFoundError: an image without a pose.
-        ValueError: a pose that is not rigid, two images of one number.
+        ValueError: a pose that is not rigid, or two images with one number.
     """
     images = sorted(
         (file for file in (folder / "color").iterdir() if file.suffix.lower() in _SUFFIXES),
@@ -60,7 +63,7 @@ def _read_frame(color: Path, depth: Path, cameras: Cameras, world_to_camera: Ten
 
 
 def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: Cameras, world_to_camera: Tensor) -> Frame:
-    """A frame of a colour image [3, H, W] and a depth image [h, w] of two cameras at one place."""
+    """Makes a frame from a colour image [3, H, W] and a depth image [h, w], metres, of two cameras at one place."""
     size = (image.shape[1], image.shape[2])
     intrinsics = cameras.color.scaled_to(size)
     if depth is not None:
@@ -70,5 +73,5 @@ def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: Cameras,
 
 
 def _order(stem: str) -> tuple[int, str]:
-    """By number, 2 before 10."""
+    """Sort key: by number, 2 before 10."""
     return (int(stem) if stem.isascii() and stem.isdigit() else -1, stem)

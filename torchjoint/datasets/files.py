@@ -1,4 +1,4 @@
-"""Single files: images, depth, matrices, clouds. Errors name the file and what is wrong with it."""
+"""Reads single files: images, depth, matrices, point clouds. Errors name the file and what is wrong."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.datasets.pcd import read_pcd
-from torchjoint.runtime.files import replacing
+from torchjoint.runtime.files import atomic_write
 
-#: Larger images are refused before they are unpacked.
+#: Larger images are rejected before they are decoded.
 MAX_PIXELS = 64_000_000
 
 
 def read_image(path: Path) -> Tensor:
-    """An 8-bit image of any mode -> [3, H, W] uint8 RGB."""
+    """Reads an 8-bit image of any mode; returns [3, H, W] uint8 RGB."""
     return rgb_of(_opened(path), str(path))
 
 
 def read_image_size(path: Path) -> tuple[int, int]:
-    """(H, W) of an image, from the header of its file."""
+    """Returns (H, W) of an image, from the header of its file."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected an image")
     image = decode_image(path.read_bytes(), str(path), header_only=True)
@@ -39,7 +39,7 @@ def read_image_size(path: Path) -> tuple[int, int]:
 
 
 def read_depth(path: Path, unit: float = 0.001) -> Tensor:
-    """A 16-bit depth image -> [H, W] float32 metres, 0 = unknown (raw 0 and 65535)."""
+    """Reads a 16-bit depth image in `unit` metres; returns [H, W] float32 metres, 0 = unknown (raw 0 and 65535)."""
     image = _opened(path)
     if image.mode not in ("I;16", "I;16B", "I"):
         raise ValueError(f"{path}: expected a 16-bit grey image, got mode {image.mode}")
@@ -48,12 +48,12 @@ def read_depth(path: Path, unit: float = 0.001) -> Tensor:
 
 
 def read_label_image(path: Path) -> Tensor:
-    """An 8- or 16-bit label image -> [H, W] int64."""
+    """Reads an 8- or 16-bit label image; returns [H, W] int64."""
     return labels_of(_opened(path), str(path))
 
 
 def read_grey_image(path: Path) -> Tensor:
-    """A grey image of 8 or 16 bits -> [H, W] float32 in [0, 1]."""
+    """Reads a grey image of 8 or 16 bits; returns [H, W] float32 in [0, 1]."""
     image = _opened(path)
     if image.mode not in ("1", "L", "I;16", "I;16B", "I"):
         raise ValueError(f"{path}: expected a grey image of 8 or 16 bits, got mode {image.mode}")
@@ -62,7 +62,7 @@ def read_grey_image(path: Path) -> Tensor:
 
 
 def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
-    """A text file of numbers -> float64 of that shape."""
+    """Reads a matrix from a text file; returns float64 of this shape."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a text file with a {shape[0]}x{shape[1]} matrix")
     try:
@@ -75,7 +75,14 @@ def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
 
 
 def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
-    """A PLY or PCD file -> points [N, 3] float64, colours [N, 3] or None, normals [N, 3] or None (also if all zero)."""
+    """Reads a PLY or PCD file.
+
+    Returns:
+        points [N, 3] float64; colours [N, 3] in [0, 1] or None; normals [N, 3] or None (also if all are zero).
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and its error.
+    """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud")
     if path.suffix.lower() == ".pcd":
@@ -101,21 +108,21 @@ def _read_ply(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
     points = torch.from_numpy(np.asarray(cloud.points))
     colors = torch.from_numpy(np.asarray(cloud.colors)).float() if cloud.has_colors() else None
     if colors is not None and ["property", "float", "red"] in header:
-        colors = colors * 255  # Open3D takes colours for 8-bit ones whatever their type
+        colors = colors * 255  # Open3D treats all colours as 8-bit, whatever their type
     normals = torch.from_numpy(np.asarray(cloud.normals)).float() if cloud.has_normals() else None
     return points, colors, normals
 
 
 def read_array(path: Path) -> Tensor:
-    """A .npy file of numbers of any shape."""
+    """Reads a .npy file of numbers, of any shape."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected an array of numbers, .npy")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of headers that Python 2, or old numpy, may have written
-            # Mapped, since so the shape is checked against the file's size before there is memory for it.
+            warnings.simplefilter("ignore")  # about headers of Python 2, or of old numpy
+            # Memory-mapped, so that the shape is checked against the file size before memory is allocated.
             array: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
-        if array.dtype.kind == "u" and array.dtype.itemsize > 1:  # torch can do little with these
+        if array.dtype.kind == "u" and array.dtype.itemsize > 1:  # torch supports few operations on these types
             array = array.astype(np.int64)
         return torch.from_numpy(np.array(array, dtype=array.dtype.newbyteorder("="), order="C", subok=False))
     except (ValueError, TypeError, OSError, EOFError, OverflowError, SyntaxError, tokenize.TokenError) as error:
@@ -123,9 +130,10 @@ def read_array(path: Path) -> Tensor:
 
 
 def fingerprint(path: Path) -> str:
-    """Tells whether files were changed: a hash of names, sizes and times.
+    """Returns a hash of file names, sizes and times, to detect changed files.
 
-    Of all in a folder and below it; for a file, in its own folder, and of its name in those beside (as KITTI has them).
+    For a folder it covers all files in and below the folder. For a file it covers the file's folder, and the files with
+    the same stem in sibling folders (KITTI's layout).
     """
     folder = path if path.is_dir() else path.parent
     files = sorted({*folder.rglob("*"), *(() if path.is_dir() else folder.parent.glob(f"*/{path.stem}.*"))})
@@ -134,7 +142,7 @@ def fingerprint(path: Path) -> str:
 
 
 def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels: Tensor | None = None) -> None:
-    """Writes a binary PLY with positions, 8-bit colours and an int32 property `label`; beside, then renamed."""
+    """Writes a binary PLY with positions [N, 3], 8-bit colours (from [0, 1]) and an int32 property `label`; atomic."""
     from open3d import core, t
 
     cloud = t.geometry.PointCloud(core.Tensor(points.float().numpy()))
@@ -142,7 +150,7 @@ def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels
         cloud.point.colors = core.Tensor((colors.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
     if labels is not None:
         cloud.point.label = core.Tensor(labels.to(torch.int32)[:, None].numpy())
-    with replacing(path) as partial:
+    with atomic_write(path) as partial:
         if not t.io.write_point_cloud(str(partial), cloud):
             raise OSError(f"{path}: could not be written")
 
@@ -154,7 +162,7 @@ _PLY_SIZES = {
 
 
 def _check_ply_is_whole(path: Path) -> list[list[str]]:
-    """Open3D reads a truncated file without a word, and leaves the missing points to chance. Returns the header."""
+    """Open3D reads a truncated file without an error and returns undefined points. Returns the header."""
     data = path.read_bytes()
     end = re.search(rb"end_header\r?\n", data)
     header, body = (data[: end.start()], data[end.end() :]) if end else (data[:1000], b"")
@@ -183,24 +191,24 @@ def _opened(path: Path) -> Image.Image:
 
 
 def rgb_of(image: Image.Image, name: str) -> Tensor:
-    """An 8-bit image of any mode -> [3, H, W] uint8 RGB; errors give the name."""
+    """Converts an 8-bit image of any mode to [3, H, W] uint8 RGB; errors give the name."""
     if image.mode.startswith(("I", "F")):
         raise ValueError(f"{name}: expected an 8-bit image, got mode {image.mode}")
     return torch.from_numpy(np.array(image.convert("RGB"))).permute(2, 0, 1).contiguous()
 
 
 def labels_of(image: Image.Image, name: str) -> Tensor:
-    """An 8- or 16-bit label image -> [H, W] int64; errors give the name."""
+    """Converts an 8- or 16-bit label image to [H, W] int64; errors give the name."""
     if image.mode not in ("L", "P", "I;16", "I;16B", "I"):
         raise ValueError(f"{name}: expected a grey or palette image of labels, got mode {image.mode}")
     return torch.from_numpy(np.array(image).astype(np.int64))
 
 
 def decode_image(data: bytes, name: str, *, header_only: bool = False) -> Image.Image:
-    """An image file's bytes -> image, decoded (or its header only); errors give the name.
+    """Decodes an image file's bytes (or only its header); errors give the name.
 
     Raises:
-        ValueError: not a whole image, or one of more than `MAX_PIXELS`.
+        ValueError: a damaged image, or an image of more than `MAX_PIXELS`.
     """
     try:
         with warnings.catch_warnings():

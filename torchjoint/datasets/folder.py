@@ -1,13 +1,13 @@
-"""The plain folder, in the style of 7-Scenes (J. Shotton et al., CVPR 2013).
+"""Reads a plain folder in the style of 7-Scenes (J. Shotton et al., CVPR 2013).
 
 camera-intrinsics.txt          3x3, of the colour images
 frame-NNNNNN.color.jpg|png     8-bit RGB
 frame-NNNNNN.pose.txt          4x4, camera-to-world, OpenCV axes
 frame-NNNNNN.depth.png         16-bit, millimetres, registered to colour; 0 and 65535 = unknown (optional)
 frame-NNNNNN.labels.png        8- or 16-bit initial segmentation; 0 = none (optional)
-frame-NNNNNN.truth.png         8- or 16-bit instances to compare with; 0 = void (optional, but then of all frames)
-cloud.ply                      the cloud (optional: fused from depth where absent)
-cloud.truth.npy                the points' instances to compare with, integers [N]; -1 = void (optional)
+frame-NNNNNN.truth.png         8- or 16-bit ground-truth instances; 0 = void (optional; all frames or none)
+cloud.ply                      the point cloud (optional: fused from depth if absent)
+cloud.truth.npy                ground-truth instances of the points, integers [N]; -1 = void (optional)
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _COLOR = (".color.jpg", ".color.jpeg", ".color.png")
 
 
 def recognizes(path: Path) -> bool:
-    """Whether the folder has colour frames of this format."""
+    """Returns whether the folder has colour frames of this format."""
     return path.is_dir() and bool(_color_files(path))
 
 
@@ -40,11 +40,11 @@ def load(path: Path, options: Options) -> Scene:
 
 
 def read_frames(path: Path) -> Sequence[Frame]:
-    """The frames of a folder, each read when it is asked for.
+    """Returns the frames of a folder; each frame is read on access.
 
     Raises:
-        FileNotFoundError: a frame without a pose, or no intrinsics.
-        ValueError: a pose that is not rigid, two images of one frame.
+        FileNotFoundError: a frame has no pose, or there are no intrinsics.
+        ValueError: a pose that is not rigid, or two images of one frame.
     """
     colors = _color_files(path)
     stems = [file.name.split(".")[0] for file in colors]
@@ -54,7 +54,7 @@ def read_frames(path: Path) -> Sequence[Frame]:
     for file in colors:
         if not _beside(file, ".pose.txt").is_file():
             raise FileNotFoundError(f"{_beside(file, '.pose.txt')}: missing; every colour frame needs its pose")
-    # All poses at once: a bad one is to be found before hours of work, not after.
+    # Reads all poses at once: a bad pose must be found before hours of work, not after.
     poses = [_read_pose(_beside(file, ".pose.txt")) for file in colors]
     intrinsics = read_matrix(path / "camera-intrinsics.txt", (3, 3))
     return LazySequence(len(colors), lambda i: _read_frame(colors[i], intrinsics, poses[i]))

@@ -1,4 +1,4 @@
-"""A cloud from posed depth images, where a recording brings none."""
+"""Fuses a point cloud from posed depth images, for recordings without a cloud."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from tqdm import tqdm
 
 from torchjoint.scene import Frame
 
-#: Depth beyond this many metres is left out: a depth camera's error grows with the square of the distance.
+#: Depth beyond this many metres is left out: a depth camera's error grows with the square of distance.
 FAR = 5.0
 
 
 def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: bool = False) -> tuple[Tensor, Tensor]:
-    """Fuses depth images into a truncated signed distance volume (Curless and Levoy 1996) and takes its surface.
+    """Fuses depth images into a truncated signed distance volume (Curless and Levoy 1996) and extracts its surface.
 
     Args:
-        frames: with depth.
+        frames: with depth; frames without depth are skipped.
         voxel_size: metres.
+        progress: show a progress bar.
 
     Returns:
-        points [N, 3] metres and colours [N, 3], sorted by coordinates so that they come in the same order every time.
+        points [N, 3] metres and colours [N, 3] in [0, 1], sorted by coordinates: the order is deterministic.
 
     Raises:
-        ValueError: no frame has depth, or none of it makes a surface.
+        ValueError: no frame has depth, or the depth gives no surface.
     """
     if not 1e-4 <= voxel_size <= 10:
         raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")

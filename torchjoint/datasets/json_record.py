@@ -1,4 +1,4 @@
-"""JSON files of other people's making: objects whose values are asked for by type."""
+"""Reads JSON files from other programs: objects whose values are requested by type."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-#: Larger files are refused before they are unpacked into many times as much memory: 100,000 posed frames are less.
+#: Larger files are rejected, since they need many times as much memory; 100,000 posed frames are smaller.
 MAX_BYTES = 128 * 2**20
 
 
 class Record:
-    """A JSON object. What is missing in it, or of another type than asked for, is an error that names file and key.
+    """A JSON object. A missing value, or a value of the wrong type, raises ValueError with file and key.
 
     Args:
         values: the object.
-        name: of the file, and the place in it.
+        name: the file, and the place in it.
     """
 
     def __init__(self, values: Mapping[str, Any], name: str) -> None:
@@ -31,26 +31,26 @@ class Record:
         return self.values.get(key) is not None
 
     def number(self, key: str, default: float | None = None) -> float:
-        """A finite number; `default` where there is none."""
+        """Returns a finite number; `default` if the key is missing."""
         value = self._get(key, default)
         return _number(value, f"{self.name}: {key}")
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A string; `default` where there is none."""
+        """Returns a string; `default` if the key is missing."""
         value = self._get(key, default)
         if not isinstance(value, str):
             raise ValueError(f"{self.name}: {key}: expected a string, got {_brief(value)}")
         return value
 
     def numbers(self, key: str, count: int) -> Tensor:
-        """A list of so many numbers -> [count] float64."""
+        """Returns a list of `count` numbers as [count] float64."""
         values = self._get(key)
         if not isinstance(values, list) or len(values) != count:
             raise ValueError(f"{self.name}: {key}: expected {count} numbers, got {_brief(values)}")
         return torch.tensor([_number(value, f"{self.name}: {key}") for value in values], dtype=torch.float64)
 
     def matrix(self, key: str, columns: int) -> Tensor:
-        """Rows of numbers -> [rows, columns] float64."""
+        """Returns rows of numbers as [rows, columns] float64."""
         rows = self._get(key)
         if not isinstance(rows, list) or not all(isinstance(row, list) and len(row) == columns for row in rows):
             raise ValueError(f"{self.name}: {key}: expected rows of {columns} numbers, got {_brief(rows)}")
@@ -58,11 +58,11 @@ class Record:
         return torch.tensor(values, dtype=torch.float64).reshape(-1, columns)
 
     def record(self, key: str) -> Record:
-        """An object."""
+        """Returns a nested object."""
         return _as_record(self._get(key), f"{self.name}: {key}")
 
     def records(self, key: str) -> list[Record]:
-        """A list of objects."""
+        """Returns a list of objects."""
         values = self._get(key)
         if not isinstance(values, list):
             raise ValueError(f"{self.name}: {key}: expected a list, got {_brief(values)}")
@@ -76,10 +76,11 @@ class Record:
 
 
 def read_record(path: Path, expected: str) -> Record:
-    """A JSON file that holds an object; `expected` says what.
+    """Reads a JSON file that holds an object; messages use `expected` to describe it.
 
     Raises:
-        FileNotFoundError, ValueError: no such file, too large a one, or not one of JSON with an object.
+        FileNotFoundError: there is no such file.
+        ValueError: the file is too large, is not JSON, or holds no object.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected {expected}")
@@ -110,5 +111,5 @@ def _number(value: object, name: str) -> float:
 
 
 def _brief(value: object) -> str:
-    # repr of what may be megabytes, or nested beyond what repr can follow
+    # avoids repr of values that may take megabytes, or that are nested too deep for repr
     return type(value).__name__ if isinstance(value, (list, dict)) else repr(value)[:60]

@@ -1,16 +1,16 @@
-"""KITTI object detection (A. Geiger, P. Lenz, R. Urtasun, CVPR 2012): a scan and a camera, one frame a scene.
+"""Reads KITTI object detection (A. Geiger, P. Lenz, R. Urtasun, CVPR 2012): one LiDAR scan and one image per scene.
 
 training/velodyne/NNNNNN.bin   float32 x, y, z, reflectance
 training/image_2/NNNNNN.png    8-bit, rectified
 training/calib/NNNNNN.txt      P2 3x4, R0_rect 3x3, Tr_velo_to_cam 3x4: pixel ~ P2 R0_rect Tr_velo_to_cam point
 training/label_2/NNNNNN.txt    boxes (optional), in the rectified frame of camera 0: bottom centre, yaw about y
 
-World is the frame of the LiDAR. All points are kept, those out of the camera's view too, and the returns from the car
-itself. Of P2, its first three columns are the intrinsics; the fourth, the place of camera 2 beside camera 0, goes into
-the pose. The product of the file's rotations is off a rotation by rounding: the nearest one is taken.
+The world frame is the LiDAR's frame. All points are kept, also points out of the camera's view, and returns from the
+car itself. The first three columns of P2 are the intrinsics; the fourth column, the position of camera 2 relative to
+camera 0, goes into the pose. Rounding in the file makes the rotations inexact; the nearest rotations are used.
 
-Truth: a point in a box has the box's number in the file, without the "DontCare", and the smallest where boxes overlap;
-the others are void. The image has none.
+Ground truth: a point in a box gets the box's index in the file ("DontCare" boxes do not count), and where boxes overlap
+the smallest box; all other points are void. The image has no ground truth.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ WHAT = "KITTI object: velodyne/NNNNNN.bin (or image_2/NNNNNN.png) with calib/ be
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it is a scan, or an image, in KITTI's folders."""
+    """Returns whether `path` is a LiDAR scan, or an image, in KITTI's folders."""
     folder = path.absolute().parent
     kinds = {("velodyne", ".bin"), ("image_2", ".png")}
     return (folder.name, path.suffix) in kinds and path.is_file() and _is_root(folder.parent)
 
 
 def scenes(path: Path) -> dict[str, Path]:
-    """The scans of training/, testing/, or the folder that holds training/."""
+    """Returns the LiDAR scans of training/, of testing/, or of the folder that holds training/."""
     root = path if _is_root(path) else path / "training"
     return {file.stem: file for file in sorted((root / "velodyne").glob("*.bin"))} if _is_root(root) else {}
 
@@ -69,7 +69,7 @@ def _is_root(path: Path) -> bool:
 
 
 def _read_calibration(path: Path) -> dict[str, Tensor]:
-    """P2, R0_rect and Tr_velo_to_cam, each as [4, 4]; the last two rigid."""
+    """P2, R0_rect and Tr_velo_to_cam, each as [4, 4]; R0_rect and Tr_velo_to_cam are rigid."""
     columns, matrices = {"P2": 4, "R0_rect": 3, "Tr_velo_to_cam": 4}, {}
     for name, line in read_lines(path, "lines P2, R0_rect and Tr_velo_to_cam"):
         key, _, numbers = line.partition(":")
@@ -107,7 +107,7 @@ def _instances(path: Path, points: Tensor, rectified_from_world: Tensor) -> Tens
 
 def _parse_box(line: str, name: str) -> list[float]:
     """Height, width, length, x, y, z, yaw."""
-    # type truncated occluded alpha left top right bottom height width length x y z yaw, and with results a score
+    # type truncated occluded alpha left top right bottom height width length x y z yaw; result files add a score
     words = line.split()
     box = parse_numbers(words[8:15], name)
     if len(words) not in (15, 16) or min(box[:3]) <= 0:

@@ -1,4 +1,4 @@
-"""Frames and label images that are read when they are asked for."""
+"""A sequence of frames or label images that are read from disk on access."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ T = TypeVar("T")
 
 
 class LazySequence(Sequence[T]):
-    """A sequence whose item `i` is `read(i)`, made anew each time; `read` sees 0 <= i < count and must be pure.
+    """A sequence whose item `i` is `read(i)`, read again at each access; `read` gets 0 <= i < count and must be pure.
 
-    `names` are those of the items, where they are known without reading them.
+    `names` are the names of the items, if they are known without reading the items.
     """
 
     def __init__(self, count: int, read: Callable[[int], T], names: Sequence[str] = ()) -> None:

@@ -1,14 +1,15 @@
-"""A LiDAR's cloud and one image, with a calibration or a guess of one.
+"""Reads a LiDAR cloud and one image, with a calibration or an initial guess of the calibration.
 
 pointcloud.pcd       metres; points without a return (NaN) are left out
 image.png            (or .jpg)
-camera_info.json     {"K": [9 numbers], row after row, "D": OpenCV's lens distortion, optional: it is undone}
-extrinsic.txt        4x4, world-to-camera, which is LiDAR to camera (OpenCV axes)
-initial_guess.json   instead of it: {"x", "y", "z", "r_deg", "p_deg", "y_deg"}, likewise LiDAR to camera: the rotation
-                     Rx(r) Ry(p) Rz(y) and then the translation, metres. 90, 0, 90 degrees turn a LiDAR's axes (x
-                     forward, y left, z up) into a camera's (z forward, x right, y down) that looks the same way
+camera_info.json     {"K": [9 numbers], row-major, "D": OpenCV's lens distortion, optional: the image is undistorted}
+extrinsic.txt        4x4, world-to-camera (LiDAR to camera, OpenCV axes)
+initial_guess.json   instead of extrinsic.txt: {"x", "y", "z", "r_deg", "p_deg", "y_deg"}, also LiDAR to camera: first
+                     the rotation Rx(r) Ry(p) Rz(y), then the translation, metres. 90, 0, 90 degrees turn a LiDAR's
+                     axes (x forward, y left, z up) into the axes of a camera with the same view direction (z forward,
+                     x right, y down)
 
-World is the LiDAR's frame. A guess is a guess: whether it fits is looked at before segmenting (PoseWarning).
+The world frame is the LiDAR's frame. A guess may be wrong: the pose is checked before segmenting (PoseWarning).
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ WHAT = "pointcloud.pcd, image.png (or .jpg), camera_info.json and extrinsic.txt 
 
 
 def recognizes(path: Path) -> bool:
-    """Whether the folder has such a cloud and camera."""
+    """Returns whether the folder has such a cloud and camera."""
     return path.is_dir() and all((path / name).is_file() for name in ("pointcloud.pcd", "camera_info.json"))
 
 
@@ -76,7 +77,7 @@ def _read_pose(path: Path) -> Tensor:
 
 
 def _rotation(axis: int, angle: float) -> Tensor:
-    """About x, y or z, radians."""
+    """Rotation [3, 3] about axis x, y or z (0, 1, 2); angle in radians."""
     rotation = torch.eye(3, dtype=torch.float64)
     first, second = (axis + 1) % 3, (axis + 2) % 3
     rotation[first, first] = rotation[second, second] = math.cos(angle)

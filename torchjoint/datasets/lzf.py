@@ -1,16 +1,17 @@
-"""LZF, M. Lehmann's fast compression (https://oldhome.schmorp.de/marc/liblzf.html), as in PCD files."""
+"""Decompresses LZF, M. Lehmann's fast compression (https://oldhome.schmorp.de/marc/liblzf.html), used in PCD files."""
 
 from __future__ import annotations
 
 
 def decompress(data: bytes, size: int, name: str = "data") -> bytearray:
-    """Decompresses what has `size` bytes; damaged data never make more than that and one run of 264.
+    """Decompresses data to `size` bytes; for damaged data, the output exceeds `size` by at most one run of 264 bytes.
 
     Args:
-        data: a control byte c below 32 stands before c + 1 bytes to be taken as they are. Any other is a copy, of
-            (c >> 5) + 2 bytes, plus the next byte if c >> 5 is 7, from ((c & 31) << 8) + the next byte + 1 before the
-            end of what there is; it may reach into itself.
-        size: bytes.
+        data: a sequence of runs. A control byte c below 32 starts a literal run: the next c + 1 bytes are copied
+            as they are. Any other control byte starts a back reference of length (c >> 5) + 2, plus the next byte
+            if c >> 5 is 7. The copy starts ((c & 31) << 8) + the next byte + 1 bytes before the end of the output,
+            and may overlap itself.
+        size: of the output, bytes.
         name: for messages.
 
     Raises:
@@ -21,7 +22,7 @@ def decompress(data: bytes, size: int, name: str = "data") -> bytearray:
         while place < end and len(out) <= size:
             control = data[place]
             place += 1
-            if control < 32:  # so many bytes, and one, as they are
+            if control < 32:  # literal run: control + 1 bytes are copied
                 out += data[place : place + control + 1]
                 place += control + 1
                 continue
@@ -36,7 +37,7 @@ def decompress(data: bytes, size: int, name: str = "data") -> bytearray:
             stop = start + length + 2
             if stop <= len(out):
                 out += out[start:stop]
-            else:  # the copy overlaps what it makes: a pattern, repeated
+            else:  # the copy overlaps its own output: it repeats a pattern
                 pattern = out[start:]
                 out += (pattern * ((length + 2) // len(pattern) + 1))[: length + 2]
     except IndexError:

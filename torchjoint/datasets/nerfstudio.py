@@ -1,18 +1,18 @@
-"""nerfstudio's and instant-ngp's transforms.json (docs.nerf.studio, "Data conventions").
+"""Reads transforms.json of nerfstudio and instant-ngp (docs.nerf.studio, "Data conventions").
 
 transforms.json          `frames`, each with `file_path` and `transform_matrix`: camera-to-world, 4x4, OpenGL axes (y
                          up, z back). Intrinsics `fl_x fl_y cx cy w h`, or `camera_angle_x`, and distortion `k1 k2 p1 p2
-                         k3` stand in the frame or, for all frames, outside. Pixel centres are at 1/2.
-images, anywhere below   8-bit; a `file_path` without suffix is that of a .png
+                         k3` are given per frame, or once for all frames. Pixel centres are at 1/2.
+images, anywhere below   8-bit; a `file_path` without suffix means a .png
 `depth_file_path`        of a frame (optional): depth along z at any resolution. A 16-bit .png, or a .npy of integers,
-                         counts `depth_unit_scale_factor` metres (default 0.001); a .npy of floating numbers is in
-                         metres, times that factor where the file gives one
-`ply_file_path`          the cloud (optional), in the world of the `transform_matrix`: nerfstudio writes it after
-                         `applied_transform`, which therefore is no concern of ours. A cloud.ply goes before it; without
-                         either one is fused from depth
+                         has units of `depth_unit_scale_factor` metres (default 0.001); a .npy of floating numbers is in
+                         metres, times this factor if the file gives one
+`ply_file_path`          the cloud (optional), in the world frame of `transform_matrix`. nerfstudio writes it after
+                         applying `applied_transform`, so `applied_transform` is ignored. A cloud.ply has precedence;
+                         without either, a cloud is fused from depth
 
-Poses from structure from motion have a scale of their own: "metres" then are whatever the file has.
-Files are looked for below the folder of transforms.json, and in `images` beside that folder; nowhere else.
+The scale of poses from structure from motion is arbitrary: "metres" are then the unit of the file.
+Files are searched below the folder of transforms.json and in its sibling folder `images`; nowhere else.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class _Shot(NamedTuple):
 
 
 def recognizes(path: Path) -> bool:
-    """Whether this is transforms.json, or a folder with one."""
+    """Returns whether `path` is a transforms.json, or a folder with one."""
     is_file = path.suffix == ".json" and path.name.startswith("transforms")
     return path.is_file() if is_file else (path / "transforms.json").is_file()
 
@@ -65,11 +65,11 @@ def load(path: Path, options: Options) -> Scene:
 
 
 def read_frames(file: Path, record: Record) -> Sequence[Frame]:
-    """The frames of transforms.json, by file name, each read when it is asked for.
+    """Returns the frames of transforms.json, sorted by file name; each frame is read on access.
 
     Raises:
-        FileNotFoundError: an image that is not there.
-        ValueError: a key that is missing or of another type, a pose that is not rigid, a lens that is not perspective.
+        FileNotFoundError: an image is missing.
+        ValueError: a missing key or wrong type, a pose that is not rigid, or a lens that is not perspective.
     """
     for_all = {key: value for key, value in record.values.items() if key != "frames"}
     frames = [Record(for_all | dict(frame.values), frame.name) for frame in record.records("frames")]

@@ -1,17 +1,18 @@
-"""A sample of nuScenes (H. Caesar et al., CVPR 2020), as MMDetection3D describes it: a scan and six cameras around it.
+"""Reads a sample of nuScenes (H. Caesar et al., CVPR 2020) in MMDetection3D's format: a LiDAR scan and six images.
 
-sample.json, of which these are read:
+sample.json, with these keys:
 
-lidar.lidar_path, lidar.num_pts_feats   scan, rows of so many float32, x, y, z first; its frame is the world
+lidar.lidar_path, lidar.num_pts_feats   LiDAR scan, rows of `num_pts_feats` float32, x, y, z first, in the world frame
 cameras.NAME.img_path                   image
 cameras.NAME.cam2img                    3x3 intrinsics
-cameras.NAME.lidar2cam                  4x4, the pose: the scan's frame to the camera's
-instances[].bbox_3d                     x, y, z of the centre, length, width, height, yaw about z, in the scan's frame
+cameras.NAME.lidar2cam                  4x4, the pose: LiDAR frame to camera frame
+instances[].bbox_3d                     x, y, z of the centre, length, width, height, yaw about z, in the LiDAR frame
 
-Paths are relative to the folder and stay in it. The returns within a metre or so, from the car itself, are kept.
+The world frame is the LiDAR's frame. Paths are relative to the folder and must stay in it. Returns from the car itself
+(within about a metre) are kept.
 
-Truth: a point in a box has its number in `instances`, and the smallest where boxes overlap; the others are void. The
-images have none.
+Ground truth: a point in a box gets the box's index in `instances`, and where boxes overlap the smallest box; all other
+points are void. The images have no ground truth.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ WHAT = "a sample of nuScenes: sample.json (MMDetection3D) with its scan and imag
 
 
 def recognizes(path: Path) -> bool:
-    """Whether the folder has a sample.json."""
+    """Returns whether the folder has a sample.json."""
     return path.is_dir() and (path / "sample.json").is_file()
 
 

@@ -1,15 +1,15 @@
-"""An organised PCD file, one view of an RGB-D camera, such as mOSD's table-tops (after A. Richtsfeld, IROS 2012).
+"""Reads an organised PCD file, one RGB-D view, such as mOSD's table-tops (after A. Richtsfeld, IROS 2012).
 
-NAME.pcd                 WIDTH x HEIGHT points in rows, as the pixels are: x, y, z in the camera's frame, rgb or rgba
-                         for all pixels, and perhaps label; x, y, z NaN, or z = 0, where no depth is known
+NAME.pcd                 WIDTH x HEIGHT points, row by row like pixels: x, y, z in the camera's frame, rgb or rgba for
+                         all pixels, and optionally label; where depth is unknown, x, y, z are NaN or z = 0
 
-World is the camera's frame, and the pose the identity. The intrinsics are found from the points, which lie on their
-pixels' rays: column = fx x/z + cx and row = fy y/z + cy, by least squares (mOSD: 525, 525, 319.5, 239.5). The cloud is
-the points with depth, row after row.
+The world frame is the camera's frame; the pose is the identity. Each point lies on its pixel's ray, so the intrinsics
+are found by least squares: column = fx x/z + cx and row = fy y/z + cy (mOSD: 525, 525, 319.5, 239.5). The cloud holds
+the points with depth, row by row.
 
-Truth, of mOSD's labels: 0 is void, 1-9 are parts of the table, 20-29 of the first object, 30-39 of the second and so
-on. label // 10 joins an object's parts, so that the table is 0, the first object 2, the second 3. Without depth all is
-void: so is the background, which mOSD has cropped from the points, but not from the image.
+Ground truth from mOSD's labels: 0 is void, 1-9 are parts of the table, 20-29 of the first object, 30-39 of the second,
+and so on. label // 10 merges the parts of an object, so the table is 0, the first object 2, the second 3. Pixels
+without depth are void. The background is void, too: mOSD has removed it from the points, but not from the image.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from torchjoint.scene.checks import as_labels
 
 WHAT = "an organised .pcd (HEIGHT above 1) with x, y, z and rgb or rgba"
 
-#: How far from its pixel's centre a point may fall, pixels, before the cloud is not of a pinhole camera.
+#: Largest reprojection error of a point, pixels; above it, the cloud is not from a pinhole camera.
 LARGEST_OFFSET = 0.5
 
 
 def recognizes(path: Path) -> bool:
-    """Whether the file's header says so."""
+    """Returns whether the header describes an organised, coloured cloud."""
     if path.suffix.lower() != ".pcd" or not path.is_file():
         return False
     try:
@@ -42,7 +42,7 @@ def recognizes(path: Path) -> bool:
 
 
 def scenes(path: Path) -> dict[str, Path]:
-    """The organised clouds of a folder."""
+    """Returns the organised clouds of a folder."""
     return {file.stem: file for file in sorted(path.glob("*.pcd")) if recognizes(file)}
 
 
@@ -86,7 +86,7 @@ def _intrinsics(path: Path, points: Tensor, known: Tensor, width: int) -> Tensor
 
 
 def _instances(path: Path, cloud: Pcd, known: Tensor) -> Tensor | None:
-    """[H W] int64 of all pixels."""
+    """[H W] int64 instances of all pixels; None without labels."""
     if "label" not in cloud.fields:
         return None
     values = cloud.fields["label"]

@@ -1,4 +1,4 @@
-"""Paths that one file of a data set gives for others."""
+"""Checks file paths that a file of a data set contains."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 
 
 def path_inside(folder: Path, name: str, source: str, *, or_inside: Sequence[Path] = ()) -> Path:
-    """The path that `source` calls `name`, relative to a folder; links within the folder are followed as usual.
+    """Resolves a path `name`, given by file `source` relative to `folder`; links within the folder are followed.
 
     Raises:
-        ValueError: no name of a file, or it leads out of the folder and of `or_inside`: data from elsewhere has no
-            business there.
+        ValueError: `name` is not a file name, or it leads out of the folder and of `or_inside`: untrusted data must not
+            read other files.
     """
     if not _is_file_name(name):
         raise ValueError(f"{source}: expected a path of a file, got {name[:100]!r}")
@@ -25,9 +25,9 @@ def path_inside(folder: Path, name: str, source: str, *, or_inside: Sequence[Pat
 
 
 def frame_names(files: Sequence[str]) -> list[str]:
-    """Names of frames that can be names of files: paths below the folder common to all, without suffix, `_` for `/`.
+    """Returns frame names that are valid file names: paths below the common folder, without suffix, `_` for `/`.
 
-    Suffixes stay where two names would be the same without.
+    Suffixes are kept if two names would otherwise be equal.
 
     Example:
         >>> frame_names(["./images/left/1.jpg", "images/right/1.jpg"])
@@ -45,5 +45,5 @@ def _is_file_name(name: str) -> bool:
         raw = os.fsencode(name)
     except UnicodeEncodeError:
         return False
-    # File systems take 255 bytes a name and 4096 a path; a suffix and a folder may come to it.
+    # File systems allow 255 bytes per name and 4096 per path; a suffix and a folder may be added to this name.
     return bool(raw) and b"\0" not in raw and len(raw) < 2048 and max(map(len, raw.split(b"/"))) < 250

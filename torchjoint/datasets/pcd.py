@@ -1,8 +1,8 @@
-"""PCD, the point cloud library's files, version 0.7: ascii, binary and binary_compressed, with whatever fields.
+"""Reads PCD files of the Point Cloud Library, version 0.7: ascii, binary and binary_compressed, with any fields.
 
-Format: https://pointclouds.org/documentation/tutorials/pcd_file_format.html. The body of binary_compressed is the sizes
-after and before compression, two uint32, and then LZF of the fields one after the other, each of all points. VIEWPOINT
-is where the sensor was, and not to be applied to the points.
+Format: https://pointclouds.org/documentation/tutorials/pcd_file_format.html. The body of binary_compressed holds the
+compressed and the uncompressed size, two uint32, then LZF data: the fields one after the other, each with all points.
+VIEWPOINT is the pose of the sensor; it must not be applied to the points.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from torch import Tensor
 from torchjoint.datasets.lzf import decompress
 from torchjoint.datasets.text import parse_integer
 
-#: Headers are a few hundred bytes; what is longer than this is none.
+#: Largest size of a header, bytes; real headers have a few hundred bytes.
 MAX_HEADER = 65536
 
-#: Values of one field of a point, at the most; histograms of features have some hundreds.
+#: Largest number of values per point in one field; feature histograms have some hundreds.
 MAX_COUNT = 4096
 
 _TYPES = {
@@ -37,11 +37,11 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class PcdHeader:
-    """What the header says.
+    """The header of a PCD file.
 
     Args:
-        fields: names and types [count]; padding has the name "_", with its place.
-        width, height: points in a row, and rows; one row if the cloud is not organised.
+        fields: types [count] by name; a padding field has the name "_" and its index.
+        width, height: points per row, and rows; one row if the cloud is not organised.
         encoding: ascii, binary, binary_compressed.
         size: of the header, bytes.
     """
@@ -54,17 +54,17 @@ class PcdHeader:
 
     @property
     def num_points(self) -> int:
-        """In the file, those without coordinates (NaN) too."""
+        """The number of points in the file, including points without coordinates (NaN)."""
         return self.width * self.height
 
 
 @dataclass(frozen=True)
 class Pcd:
-    """A PCD file's cloud, its points in the order of the file.
+    """The cloud of a PCD file; points are in the order of the file.
 
     Args:
-        width, height: points in a row, and rows.
-        fields: arrays [N] by name, or [N, count] where a field has more than one value a point.
+        width, height: points per row, and rows.
+        fields: arrays [N] by name, or [N, count] if a field has several values per point.
     """
 
     width: int
@@ -72,11 +72,11 @@ class Pcd:
     fields: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def points(self) -> Tensor:
-        """[N, 3] float64; NaN where the sensor saw nothing."""
+        """Returns [N, 3] float64; NaN where the sensor had no return."""
         return self._columns(("x", "y", "z")).to(torch.float64)
 
     def colors(self) -> Tensor | None:
-        """[N, 3] uint8 RGB, or None; of a field `rgb` or `rgba`, whose four bytes are b g r a, whatever its type."""
+        """Returns [N, 3] uint8 RGB, or None; reads field `rgb` or `rgba`: four bytes b g r a, whatever its type."""
         for name in ("rgb", "rgba"):
             packed = self.fields.get(name)
             if packed is not None and packed.ndim == 1 and packed.dtype.itemsize == 4:
@@ -84,7 +84,7 @@ class Pcd:
         return None
 
     def normals(self) -> Tensor | None:
-        """[N, 3] float32, or None."""
+        """Returns [N, 3] float32, or None."""
         names = ("normal_x", "normal_y", "normal_z")
         return self._columns(names).to(torch.float32) if all(name in self.fields for name in names) else None
 
@@ -96,8 +96,8 @@ def read_pcd(path: Path) -> Pcd:
     """Reads a PCD file.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file, and what is wrong with it; sizes are compared with the file's
-            before anything is made as large as they say.
+        FileNotFoundError, ValueError: naming the file and its error; sizes in the header are compared with the file's
+            size before memory is allocated.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud, .pcd")
@@ -117,7 +117,7 @@ def read_pcd(path: Path) -> Pcd:
 
 
 def read_pcd_header(path: Path) -> PcdHeader:
-    """The header alone."""
+    """Reads the header only."""
     with path.open("rb") as stream:
         return _parse_header(path, stream.read(MAX_HEADER))
 
@@ -189,12 +189,12 @@ def _read_ascii(path: Path, body: bytes, header: PcdHeader) -> dict[str, npt.NDA
 
 
 def _converted(path: Path, name: str, values: npt.NDArray[np.float64], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    """Numbers of text as their field's type; integers must fit into it."""
+    """Numbers from text, converted to the type of their field; integers must fit into the type."""
     if dtype.kind == "f":
         with np.errstate(over="ignore"):
             return np.ascontiguousarray(values.astype(dtype))
     limits = np.iinfo(dtype)
-    # The largest 64-bit integers are no float64: one that is as large as the rounded limit is too large.
+    # The largest 64-bit integers have no float64: a value equal to the rounded limit is too large.
     if not ((values >= limits.min) & (values <= limits.max) & (values < 2.0**63) & (values == np.floor(values))).all():
         raise ValueError(f"{path}: expected integers of {dtype.itemsize * 8} bits in field {name!r}")
     return np.ascontiguousarray(values.astype(dtype))
@@ -210,7 +210,7 @@ def _read_compressed(path: Path, body: memoryview, header: PcdHeader, expected: 
     values = decompress(bytes(body[8 : 8 + compressed]), expected, str(path))
     fields, offset = {}, 0
     for name, dtype in header.fields.items():
-        # frombuffer knows no types with a shape.
+        # frombuffer does not support types with a shape.
         column = np.frombuffer(values, dtype.base, header.num_points * int(np.prod(dtype.shape)), offset)
         fields[name] = column.reshape(header.num_points, *dtype.shape)
         offset += column.nbytes

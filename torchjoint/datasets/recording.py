@@ -1,4 +1,4 @@
-"""A scene of posed frames: with the cloud that comes with them, or one fused from their depth."""
+"""Makes a scene from posed frames: with the cloud of the recording, or a cloud fused from depth."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from torchjoint.scene.camera import camera_center
 
 @dataclass(frozen=True)
 class Options:
-    """What a caller of :func:`torchjoint.load_scene` wishes; formats for which it means nothing ignore it."""
+    """Options of :func:`torchjoint.load_scene`; a format ignores the options that it does not need."""
 
-    cloud: Path | None = None  #: a file to use as the cloud; where it does not exist, a fused cloud is written there
+    cloud: Path | None = None  #: a cloud file to use; if it does not exist, a fused cloud is written there
     voxel_size: float = 0.02  #: of the fusion, metres
     progress: bool = False  #: show a progress bar while fusing
 
 
 def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:
-    """A scene of a folder's frames, with the first cloud of :func:`find_cloud`, or a fused one where there is none.
+    """Makes a scene from a folder's frames, with the cloud from :func:`find_cloud`, else a fused cloud.
 
     Raises:
-        ValueError: there is no cloud, and no depth to fuse one from.
+        ValueError: there is no cloud, and no depth to fuse a cloud from.
     """
     file = find_cloud(path, options, clouds)
     if file is not None:
@@ -41,13 +41,13 @@ def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, cloud
 
 
 def find_cloud(path: Path, options: Options, clouds: Sequence[Path] = ()) -> Path | None:
-    """Which cloud there is, the first of: `options.cloud`, `cloud.ply` in the folder, those of its format."""
+    """Returns the first cloud that exists: `options.cloud`, `cloud.ply` in the folder, the format's own `clouds`."""
     candidates = (options.cloud, path / "cloud.ply", *clouds)
     return next((file for file in candidates if file is not None and file.is_file()), None)
 
 
 def invert_pose(pose: Tensor) -> Tensor:
-    """The inverse of a rigid transform [4, 4]; camera-to-world becomes world-to-camera."""
+    """Returns the inverse of a rigid transform [4, 4], for example world-to-camera from camera-to-world."""
     inverse = torch.eye(4, dtype=pose.dtype)
     inverse[:3, :3] = pose[:3, :3].T
     inverse[:3, 3] = camera_center(pose)

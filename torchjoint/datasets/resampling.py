@@ -1,4 +1,4 @@
-"""Depth and label images at the resolution of the colour images, always the nearest pixel's: neither may be mixed."""
+"""Resamples depth and label images to the colour image by nearest neighbour: neither may be interpolated."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from torch import Tensor
 
 
 def register_depth(depth: Tensor, depth_intrinsics: Tensor, intrinsics: Tensor, size: tuple[int, int]) -> Tensor:
-    """Depth as a second camera at the same place and orientation sees it.
+    """Resamples depth for a second camera with the same position and orientation.
 
     Args:
         depth: [h, w] metres along z, 0 = unknown.
         depth_intrinsics: [3, 3] of the depth image; pixel centres at integer coordinates; no skew.
         intrinsics: [3, 3] of the second camera; no skew.
-        size: (H, W) of its images.
+        size: (H, W) of the second camera's images.
 
     Returns:
-        [H, W]; 0 also where the depth image does not reach.
+        [H, W] metres; 0 also outside of the depth image.
 
     Raises:
         ValueError: intrinsics with skew.
@@ -35,7 +35,7 @@ def register_depth(depth: Tensor, depth_intrinsics: Tensor, intrinsics: Tensor, 
 
 
 def resize_labels(labels: Tensor, size: tuple[int, int]) -> Tensor:
-    """A label image [h, w] at another resolution (H, W) of the same view."""
+    """Resizes a label image [h, w] to (H, W) by nearest neighbour."""
     if labels.shape == size:
         return labels
     row, column = (

@@ -1,19 +1,19 @@
-"""ScanNet v2: one scan, sceneXXXX_XX, as it is downloaded or with its frames exported.
+"""Reads ScanNet v2: one scan, sceneXXXX_XX, as downloaded or with exported frames.
 
 A. Dai et al., "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes" (CVPR 2017).
 
-SCAN.sens                              the frames, or, where there is none, in files of their own:
+SCAN.sens                              the frames; if absent, the frames are single files:
 color/N.jpg, depth/N.png, pose/N.txt   8-bit RGB; 16-bit, millimetres; 4x4 camera-to-world, -inf = lost (left out)
-intrinsic/intrinsic_{color,depth}.txt  4x4, of the exported frames; or SCAN.txt, which has the calibrations, too
-SCAN_vh_clean_2.ply                    the cloud: the mesh's vertices (fused from depth where absent)
+intrinsic/intrinsic_{color,depth}.txt  4x4, of the exported frames; or SCAN.txt, which holds the calibrations, too
+SCAN_vh_clean_2.ply                    the cloud: the mesh's vertices (fused from depth if absent)
 SCAN_vh_clean_2.0.010000.segs.json,    the vertices' instances (optional)
 SCAN.aggregation.json
 instance-filt/N.png                    the pixels' instances, objectId + 1, 0 = none (optional; or
-                                       SCAN_2d-instance-filt.zip, as it is downloaded)
+                                       SCAN_2d-instance-filt.zip, as downloaded)
 
-Images stay as they are, 1296x968 mostly. The 640x480 depth, which ScanNet's authors have aligned to the same view, is
-brought to them by both cameras' intrinsics, the nearest pixel's; no extrinsics are applied, and neither is SCAN.txt's
-alignment to the axes.
+Images keep their size, mostly 1296x968. ScanNet's authors have aligned the 640x480 depth to the same view. It is
+resampled to the image by nearest neighbour with the intrinsics of both cameras. Neither the extrinsics between the
+cameras nor SCAN.txt's axis alignment are applied.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ CLOUD = "_vh_clean_2.ply"
 
 
 def recognizes(path: Path) -> bool:
-    """Whether `path` is a scan's folder, or its .sens file."""
+    """Returns whether `path` is a scan's folder, or a .sens file."""
     if path.is_file():
         return path.suffix == ".sens"
     own = any((path / f"{path.name}{suffix}").is_file() for suffix in (".sens", CLOUD))
@@ -58,7 +58,7 @@ def load(path: Path, options: Options) -> Scene:
 
 
 def scenes(path: Path) -> dict[str, Path]:
-    """The scans of the data set's own folder, which holds them in `scans/` and `scans_test/`."""
+    """Returns the scans of the data set's own folder, which holds them in `scans/` and `scans_test/`."""
     folders = [one for name in ("scans", "scans_test") if (path / name).is_dir() for one in (path / name).iterdir()]
     return {one.name: one for one in sorted(folders) if one.is_dir() and recognizes(one)}
 

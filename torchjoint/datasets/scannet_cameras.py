@@ -1,4 +1,4 @@
-"""The cameras of a ScanNet scan's colour and depth images, which are of one view, from whichever file tells of them."""
+"""The intrinsics of a ScanNet scan's colour and depth images (both have the same view), from any file that has them."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from torchjoint.scene.checks import as_intrinsics
 
 Size = tuple[int, int]
 
-#: (H, W) of the sensors' images in nearly all scans.
+#: (H, W) of the sensor's images in nearly all scans.
 COLOR_SIZE, DEPTH_SIZE = (968, 1296), (480, 640)
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Intrinsics [3, 3], pixel centres at integer coordinates, and the image size (H, W) that they are for.
+    """Intrinsics [3, 3], pixel centres at integer coordinates, and the image size (H, W) to which they apply.
 
-    Where the size is not known it is one of `sizes`, or that of the images themselves: the one whose centre the
-    principal point is nearest to.
+    If `is_certain` is False, the size is chosen from `sizes` and the size of the actual images: the size
+    whose centre is nearest to the principal point.
     """
 
     intrinsics: Tensor
@@ -31,7 +31,7 @@ class Calibration:
     is_certain: bool = True
 
     def scaled_to(self, size: Size) -> Tensor:
-        """The intrinsics [3, 3] float64 of images that were resized to (H, W), each axis by itself."""
+        """Returns the intrinsics [3, 3] float64 of images that were resized to (H, W), each axis independently."""
         known = self.sizes if self.is_certain else (size, *self.sizes)
         old = min(known, key=self._off_center)
         scale = torch.tensor([size[1] / old[1], size[0] / old[0]], dtype=torch.float64)
@@ -46,7 +46,7 @@ class Calibration:
 
 
 class Cameras(NamedTuple):
-    """Of colour and of depth."""
+    """Calibrations of the colour and the depth images."""
 
     color: Calibration
     depth: Calibration
@@ -56,20 +56,21 @@ _NOMINAL = Calibration(
     torch.tensor([[577.870605, 0, 319.5], [0, 577.870605, 239.5], [0, 0, 1]], dtype=torch.float64), (DEPTH_SIZE,)
 )
 
-#: What 3D-SIS takes for every scan: that of the commonest sensor.
+#: The calibration that 3D-SIS uses for every scan: the calibration of the most common sensor.
 NOMINAL = Cameras(_NOMINAL, _NOMINAL)
 
 
 def find_cameras(folder: Path, info: Path) -> Cameras | None:
-    """The cameras of a folder of exported frames; None where nothing tells of them.
+    """Finds the cameras of a folder of exported frames; None if no file has a calibration.
 
     Args:
         folder: may hold intrinsic/intrinsic_color.txt and intrinsic/intrinsic_depth.txt, 4x4, as ScanNet's exporter
-            writes them: of the sensor's resolution, which is not said, or of the images, if they were scaled, too.
-        info: ScanNet's SCAN.txt, which tells the sensor's calibration and resolution, but less exactly.
+            writes them. They apply to the sensor's resolution, which the files do not give, or to the images, if both
+            were scaled.
+        info: ScanNet's SCAN.txt, which gives the sensor's calibration and resolution, but less exactly.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and what is wrong with it.
+        FileNotFoundError, ValueError: naming the file and its error.
     """
     color = folder / "intrinsic" / "intrinsic_color.txt"
     if color.is_file():
@@ -80,10 +81,10 @@ def find_cameras(folder: Path, info: Path) -> Cameras | None:
 
 
 def _read_info(path: Path) -> Cameras | None:
-    """Of lines such as "fx_color = 1170.187988"; None where there are no calibrations among them.
+    """Reads lines such as "fx_color = 1170.187988"; None if the file has no calibration.
 
-    Depth images were brought to the colour camera's view, so its calibration, scaled, is theirs, too, and the file's
-    fx_depth, of the sensor before that, is not (https://github.com/ScanNet/ScanNet/issues/92).
+    Depth images are warped to the colour camera's view, so the scaled colour calibration holds for depth, too.
+    The file's fx_depth does not: it describes the sensor before warping (https://github.com/ScanNet/ScanNet/issues/92).
     """
     try:
         lines = [line.partition("=") for line in path.read_text(encoding="utf-8").splitlines()]

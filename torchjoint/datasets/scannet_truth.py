@@ -1,4 +1,4 @@
-"""What ScanNet says about instances: of a mesh's vertices by segments that objects are made of, of images by pixels."""
+"""Reads ScanNet's ground-truth instances: of mesh vertices, from mesh segments grouped into objects; and of pixels."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ SEGMENTS, OBJECTS = "_vh_clean_2.0.010000.segs.json", ".aggregation.json"
 
 
 def has_point_instances(folder: Path, scan: str) -> bool:
-    """Whether the vertices of `SCAN_vh_clean_2.ply` are annotated."""
+    """Returns whether the vertices of `SCAN_vh_clean_2.ply` are annotated."""
     return (folder / f"{scan}{OBJECTS}").is_file()
 
 
 def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
-    """[N] int64, the objectId of each vertex of `SCAN_vh_clean_2.ply`, -1 = none.
+    """Reads [N] int64, the objectId of each vertex of `SCAN_vh_clean_2.ply`; -1 = none.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and what is wrong with it.
+        FileNotFoundError, ValueError: naming the file and its error.
     """
     record = read_record(folder / f"{scan}{SEGMENTS}", "segments of a mesh")
     segments = _integers(record, "segIndices")
@@ -47,13 +47,13 @@ def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
 
 
 def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Sequence[Tensor]:
-    """Label images of frames, [H, W] int64 of the image's size, ids as of the points, -1 = none; read when asked for.
+    """Returns label images of the frames, [H, W] int64 of the image's size, ids as for points, -1 = none; lazy.
 
-    They are in `instance-filt/N.png`, or `SCAN_2d-instance-filt.zip` as it is downloaded; empty where there is neither.
+    The labels are in `instance-filt/N.png`, or in `SCAN_2d-instance-filt.zip` as downloaded; empty if neither exists.
 
     Raises:
-        FileNotFoundError: some frames have one, others do not.
-        ValueError: no whole archive.
+        FileNotFoundError: only some frames have labels.
+        ValueError: a damaged archive.
     """
     names = frames.names
     read = _folder_reader(folder / "instance-filt", names) or _archive_reader(

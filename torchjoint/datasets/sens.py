@@ -1,4 +1,4 @@
-"""ScanNet's sensor stream, `.sens` of version 4: a header, then posed frames of a JPEG and a zlib-packed depth image.
+"""Reads ScanNet's sensor stream, `.sens` version 4: a header, then posed frames with a JPEG and zlib-packed depth.
 
 A. Dai et al., "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes" (CVPR 2017).
 """
@@ -22,14 +22,14 @@ VERSION = 4
 _PNG, _JPEG = 1, 2
 _RAW, _ZLIB = 0, 1
 
-#: Intrinsics and extrinsics of colour and depth, their codecs, their sizes, depth units a metre.
+#: Intrinsics and extrinsics of colour and depth, their codecs, their sizes, depth units per metre.
 _HEADER = "64f2i4If"
 #: Pose, times of colour and depth, bytes of colour and depth.
 _FRAME, _FRAME_BYTES = "16f4Q", 96
 
 
 class _Blobs(NamedTuple):
-    """Where a frame's images are."""
+    """Byte offset and sizes of a frame's images in the file."""
 
     start: int
     color_bytes: int
@@ -37,18 +37,18 @@ class _Blobs(NamedTuple):
 
 
 class SensFile:
-    """A `.sens` file. Opening reads its header and the headers of its frames; images are decoded when asked for.
+    """A `.sens` file. Opening reads the file header and all frame headers; images are decoded on access.
 
     Attributes:
-        color_intrinsics: [3, 3] float64, of images of `color_size`; pixel centres at integer coordinates.
-        depth_intrinsics: [3, 3] float64, of images of `depth_size`.
+        color_intrinsics: [3, 3] float64, for images of `color_size`; pixel centres at integer coordinates.
+        depth_intrinsics: [3, 3] float64, for images of `depth_size`.
         color_size: (H, W).
         depth_size: (H, W).
         poses: [F, 4, 4] float64, camera-to-world, OpenCV axes, metres; -inf where tracking was lost.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: of another version or codec, truncated, or sizes that do not fit the file.
+        ValueError: another version or codec, a truncated file, or sizes that do not fit the file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -62,13 +62,13 @@ class SensFile:
         return len(self._blobs)
 
     def color(self, index: int) -> Tensor:
-        """[3, H, W] uint8 RGB of a frame, of whatever size its image is. Raises ValueError if it is damaged."""
+        """Decodes a frame's colours, [3, H, W] uint8 RGB, at the image's own size. ValueError if damaged."""
         blobs = self._blobs[index]
         name = f"{self.path}, colour of frame {index}"
         return rgb_of(decode_image(self._read(blobs.start, blobs.color_bytes, name), name), name)
 
     def depth(self, index: int) -> Tensor:
-        """[h, w] float32 metres of a frame, 0 = unknown, of `depth_size`. Raises ValueError if it is damaged."""
+        """Decodes a frame's depth, [h, w] float32 metres, 0 = unknown, of `depth_size`. ValueError if damaged."""
         blobs = self._blobs[index]
         name = f"{self.path}, depth of frame {index}"
         data = self._read(blobs.start + blobs.color_bytes, blobs.depth_bytes, name)
@@ -113,7 +113,7 @@ class SensFile:
 
 
 def _index(file: BinaryFile) -> tuple[list[_Blobs], list[tuple[float, ...]]]:
-    """Where the frames' images are, and their poses."""
+    """Positions of the frames' images in the file, and the poses of the frames."""
     blobs, poses = [], []
     for _ in range(file.count(_FRAME_BYTES)):
         *pose, _, _, color_bytes, depth_bytes = file.read(_FRAME)
@@ -124,7 +124,7 @@ def _index(file: BinaryFile) -> tuple[list[_Blobs], list[tuple[float, ...]]]:
 
 
 def _inflate(data: bytes, expected: int, name: str) -> bytes:
-    """Unpacks what should be `expected` bytes, and never more than one beyond."""
+    """Decompresses data to `expected` bytes; allocates at most one byte more."""
     stream = zlib.decompressobj()
     try:
         unpacked = stream.decompress(data, expected + 1)

@@ -1,15 +1,15 @@
-"""The ScanNet scenes that 3D-SIS comes with: resized frames, volumes, and the scans' meshes.
+"""Reads the ScanNet scenes that come with 3D-SIS: resized frames, volumes, and meshes of the scans.
 
 J. Hou, A. Dai, M. Niessner, "3D-SIS: 3D Semantic Instance Segmentation of RGB-D Scans" (CVPR 2019).
 
 images_square/SCAN/color/N.jpg ...     frames as ScanNet exports them, resized
 images_square/SCAN/world2grid.txt      4x4, world to padded voxels, y up
-scans/SCAN/SCAN_vh_clean_2.ply         the cloud (fused from depth where absent)
-scans/SCAN/SCAN.txt                    the calibrations (optional: the one that 3D-SIS takes for all scans)
+scans/SCAN/SCAN_vh_clean_2.ply         the cloud (fused from depth if absent)
+scans/SCAN/SCAN.txt                    the calibrations (optional; default: the one that 3D-SIS uses for all scans)
 
-and of the truth, whichever is there first: ScanNet's own annotation in scans/SCAN/, gt_insts/SCAN.txt, or the objects
-of scenes/SCAN__0__.scene, of which a point is the one whose surface its voxel belongs to. `load_scene` is given the
-folder images_square/SCAN or scans/SCAN, or the one around them if there is just one scan in it.
+Ground truth comes from the first of these that exists: ScanNet's own annotation in scans/SCAN/; gt_insts/SCAN.txt; the
+objects of scenes/SCAN__0__.scene, where a point gets the object whose surface contains the point's voxel. `load_scene`
+takes the folder images_square/SCAN or scans/SCAN, or their parent folder if it holds just one scan.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _IMAGES = ("images_square", "images")
 
 
 class Folders(NamedTuple):
-    """Where the parts of a scan are."""
+    """The folders of a scan's parts."""
 
     scan: str
     root: Path
@@ -47,12 +47,12 @@ class Folders(NamedTuple):
 
     @property
     def cloud(self) -> Path:
-        """The mesh itself."""
+        """The mesh file; its vertices are the cloud."""
         return self.mesh / f"{self.scan}{CLOUD}"
 
 
 def recognizes(path: Path) -> bool:
-    """Whether `path` is one scan of this layout, or a folder that holds just one; not a mesh with frames of its own."""
+    """Returns whether `path` is one scan of this layout, or holds just one; False for a mesh with its own frames."""
     is_scannet = (path / f"{path.name}.sens").is_file() or (has_frames(path) and not _is_scan(path))
     return not is_scannet and find_folders(path) is not None
 
@@ -73,14 +73,14 @@ def load(path: Path, options: Options) -> Scene:
 
 
 def scenes(path: Path) -> dict[str, Path]:
-    """The scans of a folder of this layout."""
+    """Returns the scans of a folder of this layout."""
     images = next((path / name for name in _IMAGES if (path / name).is_dir()), None)
     folders = sorted(images.iterdir()) if images is not None else []
     return {one.name: one for one in folders if _is_scan(one)}
 
 
 def find_folders(path: Path) -> Folders | None:
-    """Where the parts of a scan are, from any of the paths that it may be called by; None where it is none."""
+    """Finds the folders of a scan, from any path that `load` accepts; None if `path` is no scan."""
     if not path.is_dir():
         return None
     inside = scenes(path)
@@ -111,7 +111,7 @@ def _point_truth(folders: Folders, points: Tensor, options: Options) -> Tensor |
     if not volumes[0].is_file():
         return None
     volume = read_volume(volumes[0])
-    if not volume.masks:  # those of the test split have no annotation
+    if not volume.masks:  # scenes of the test split have no annotation
         return None
     voxels = voxels_of(points, read_world_to_scene(folders.images / GRID))
     surfaces = [mask == 1 for mask in volume.masks]

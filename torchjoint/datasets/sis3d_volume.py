@@ -1,4 +1,4 @@
-"""The volumes of 3D-SIS, whole scenes (`.scene`) or pieces (`.chunk`): a distance field and the objects in it.
+"""Reads the volumes of 3D-SIS, scenes (`.scene`) or chunks (`.chunk`): a signed distance field and its objects.
 
 J. Hou, A. Dai, M. Niessner, "3D-SIS: 3D Semantic Instance Segmentation of RGB-D Scans" (CVPR 2019).
 """
@@ -25,12 +25,12 @@ class Volume:
         sdf: [X, Y, Z] float32, signed distance to the nearest surface; -inf = never seen.
         boxes: [K, 6] float32, lowest and highest corner (x y z x y z) of each object.
         classes: [K] int64, NYU40 classes.
-        masks: K of [x, y, z] int64, from the box's lowest corner rounded down: 0 = not the object, 1 = its surface as
-            seen, more = what only the complete object has.
+        masks: K of [x, y, z] int64, starting at the box's lowest corner rounded down: 0 = not the object, 1 = its seen
+            surface, above 1 = unseen parts of the complete object.
         inside: [K] float32, the share of each box that lies in the volume.
-        voxels_to_world: [4, 4] float64. The file calls it world-to-chunk, but holds its inverse, as written and read by
-            3D-SIS. Its scenes' world is turned y up and moved: use `world2grid.txt` for them.
-        frame_ids: [F] int64, the images that see it best.
+        voxels_to_world: [4, 4] float64. The file calls it world-to-chunk, but 3D-SIS writes and reads its inverse. In
+            scenes, the world frame is rotated (y up) and shifted: use `world2grid.txt` for scenes.
+        frame_ids: [F] int64, the images that see the volume best.
     """
 
     sdf: Tensor
@@ -49,7 +49,7 @@ class Volume:
 
     @property
     def world_to_chunk(self) -> Tensor:
-        """[4, 4] float64. Raises ValueError where it cannot be told."""
+        """The inverse of `voxels_to_world`, [4, 4] float64. Raises ValueError if it is not invertible."""
         inverse, error = torch.linalg.inv_ex(self.voxels_to_world)
         if error.item() or not torch.isfinite(inverse).all():
             raise ValueError(f"voxels_to_world: expected an invertible transform, got {self.voxels_to_world.tolist()}")
@@ -57,7 +57,7 @@ class Volume:
 
     @property
     def corners(self) -> Tensor:
-        """[K, 3] int64, the lowest voxel of each mask."""
+        """The lowest voxel of each mask, [K, 3] int64."""
         return self.boxes[:, :3].floor().long()
 
 
@@ -66,19 +66,19 @@ def read_volume(path: Path) -> Volume:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: truncated, counts that do not fit the file, or boxes that are none.
+        ValueError: a truncated file, counts that do not fit the file, or invalid boxes.
     """
     with BinaryFile(path) as file:
         sdf = _x_fastest(file, "<f4")
         boxes = file.array([("box", "<f4", 6), ("label", "<u4")], _count(file))
-        if not (np.abs(boxes["box"]) < 2**31).all():  # NaN, too
+        if not (np.abs(boxes["box"]) < 2**31).all():  # NaN is rejected, too
             raise ValueError(f"{path}: expected boxes in voxels, got {boxes['box'].tolist()}")
         num_masks = _count(file)
         if num_masks != len(boxes):
             raise ValueError(f"{path}: expected a mask for each of {len(boxes)} boxes, got {num_masks}")
         masks = []
         for _ in range(num_masks):
-            file.skip(4)  # the label once more
+            file.skip(4)  # skips a second copy of the label
             masks.append(torch.from_numpy(_x_fastest(file, "<u2").astype(np.int64)))
         return Volume(
             torch.from_numpy(sdf),
@@ -96,7 +96,7 @@ def _count(file: BinaryFile) -> int:
 
 
 def _x_fastest(file: BinaryFile, dtype: str) -> npt.NDArray[Any]:
-    """Three lengths and as many numbers -> [X, Y, Z]."""
+    """Reads three lengths and X * Y * Z numbers; returns [X, Y, Z]."""
     x, y, z = file.read("3Q")
     if max(x, y, z) > file.size:  # an empty volume may claim any length
         raise ValueError(f"{file.path}: expected a volume that the file can hold, got {x} x {y} x {z} voxels")

@@ -1,4 +1,4 @@
-"""Text files with a record a line. Errors name the file and the line."""
+"""Reads text files with one record per line. Errors name the file and the line."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 
 
 def read_lines(path: Path, expected: str) -> Iterator[tuple[str, str]]:
-    """The lines of a file but comments (#), each after its name for messages; `expected` says what the file is to hold.
+    """Yields (name, line) for each line except comments (#); messages use `name`; `expected` describes the file.
 
     Raises:
-        FileNotFoundError, ValueError: no such file, or not one of text.
+        FileNotFoundError, ValueError: there is no such file, or it is not a text file.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected {expected}")
@@ -25,10 +25,10 @@ def read_lines(path: Path, expected: str) -> Iterator[tuple[str, str]]:
 
 
 def parse_numbers(words: Sequence[str], name: str) -> list[float]:
-    """Words of a line -> finite numbers.
+    """Converts the words of a line to finite numbers.
 
     Raises:
-        ValueError: naming the line and what came.
+        ValueError: naming the line and the invalid words.
     """
     try:
         values = [float(word) for word in words]
@@ -40,10 +40,10 @@ def parse_numbers(words: Sequence[str], name: str) -> list[float]:
 
 
 def parse_integer(word: str, name: str) -> int:
-    """A word of a line -> an integer of at most 18 digits.
+    """Converts a word of a line to an integer of at most 18 digits.
 
     Raises:
-        ValueError: naming the line and what came.
+        ValueError: naming the line and the invalid word.
     """
     if not (word.isascii() and word.removeprefix("-").isdigit() and len(word) < 19):
         raise ValueError(f"{name}: expected an integer, got {word[:100]!r}")

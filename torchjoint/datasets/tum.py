@@ -1,18 +1,19 @@
-"""The TUM RGB-D benchmark (J. Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", IROS 2012).
+"""Reads the TUM RGB-D benchmark (J. Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", IROS 2012).
 
-rgb.txt                  a line for each image: timestamp (seconds), path
-depth.txt                the same of depth images (optional): 16-bit, 5000 a metre, registered to colour, 0 = unknown
-groundtruth.txt          timestamp tx ty tz qx qy qz qw: of the colour camera, camera-to-world, OpenCV axes
-camera-intrinsics.txt    3x3 (optional, not of the benchmark itself)
-cloud.ply                the cloud (optional: fused from depth where absent)
+rgb.txt                  one line per image: timestamp (seconds), path
+depth.txt                the same for depth images (optional): 16-bit, 5000 per metre, registered to colour, 0 = unknown
+groundtruth.txt          timestamp tx ty tz qx qy qz qw: pose of the colour camera, camera-to-world, OpenCV axes
+camera-intrinsics.txt    3x3 (optional, not part of the benchmark)
+cloud.ply                the cloud (optional: fused from depth if absent)
 
-The three clocks run on their own. An image takes the depth image nearest in time, if within 0.02 s, nearest pairs
-first and each only once, as the benchmark's own tool does. Its pose is interpolated between the two around it (the
-rotation spherically); images with no pose within 0.02 s, such as before tracking began, are left out.
+The clocks of images, depth and poses are independent. An image gets the depth image nearest in time, within 0.02 s; the
+nearest pairs are matched first and each image is used once, as in the benchmark's own tool. The pose of an image is
+interpolated between the previous and the next pose (the rotation spherically). Images without a pose within 0.02 s, for
+example before tracking began, are left out.
 
-Without camera-intrinsics.txt the published calibration is used that the folder's name calls for (freiburg1, 2 or 3),
-and its lens distortion undone in colour and depth. For other names it is the default of the sensor's driver, 525 525
-319.5 239.5, with a warning, since other recordings of this layout have other cameras.
+Without camera-intrinsics.txt, the folder's name (freiburg1, 2 or 3) selects a published calibration, and colour and
+depth are undistorted. For other names the default of the sensor's driver is used, 525 525 319.5 239.5, with a warning,
+since other recordings of this layout have other cameras.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.cameras import Camera, pinhole_matrix, rotations_of
+from torchjoint.datasets.cameras import Camera, pinhole_matrix, rotations_from_quaternions
 from torchjoint.datasets.files import read_depth, read_image, read_matrix
 from torchjoint.datasets.lazy import LazySequence
 from torchjoint.datasets.paths import frame_names, path_inside
@@ -38,9 +39,9 @@ from torchjoint.scene import Frame, Scene
 
 WHAT = "rgb.txt and groundtruth.txt, as of the TUM RGB-D benchmark"
 
-#: Seconds between what belongs together, at the most.
+#: Largest difference between the timestamps of a match, seconds.
 TOLERANCE = 0.02
-#: Metres a unit of the depth images.
+#: Metres per unit of the depth images.
 DEPTH_UNIT = 1 / 5000
 #: Published calibrations, all of 640 x 480 images: fx, fy, cx, cy, and OpenCV's k1, k2, p1, p2, k3.
 _CALIBRATIONS = {
@@ -63,7 +64,7 @@ class _Shot(NamedTuple):
 
 
 def recognizes(path: Path) -> bool:
-    """Whether the folder is a recording of this format."""
+    """Returns whether the folder is a recording of this format."""
     return path.is_dir() and (path / "rgb.txt").is_file() and (path / "groundtruth.txt").is_file()
 
 
@@ -73,11 +74,11 @@ def load(path: Path, options: Options) -> Scene:
 
 
 def read_frames(path: Path) -> Sequence[Frame]:
-    """The frames of a recording, each read when it is asked for.
+    """Returns the frames of a recording; each frame is read on access.
 
     Raises:
-        FileNotFoundError: a list, or a file that it names, is missing.
-        ValueError: a line that is not as it should be, or no image with a pose.
+        FileNotFoundError: a list, or a file in a list, is missing.
+        ValueError: an invalid line, or no image with a pose.
     """
     colors = _read_files(path / "rgb.txt")
     depths = _read_files(path / "depth.txt") if (path / "depth.txt").is_file() else []
@@ -103,15 +104,15 @@ def _read_frame(shot: _Shot, camera: Camera, name: str) -> Frame:
 
 
 def associate(first: Sequence[float], second: Sequence[float], tolerance: float = TOLERANCE) -> list[tuple[int, int]]:
-    """Pairs of times nearest to one another, each used once: the nearest pair first, then of what is left.
+    """Matches timestamps greedily: the nearest pair first, then the nearest of the rest; each is used once.
 
     Args:
         first: seconds, ascending.
-        second: seconds, ascending; at most 200 Hz, so that it does for each of `first` to look at the 8 around it.
-        tolerance: seconds between two of a pair, at the most.
+        second: seconds, ascending; at most 200 Hz, so that only the 8 nearest candidates need to be tested.
+        tolerance: largest difference in a pair, seconds.
 
     Returns:
-        Places in the two, in the order of `first`.
+        Pairs of indices into `first` and `second`, in the order of `first`.
     """
     candidates = []
     for i, place in enumerate(np.searchsorted(second, first)):
@@ -129,7 +130,7 @@ def associate(first: Sequence[float], second: Sequence[float], tolerance: float 
 
 
 def _read_files(path: Path) -> list[_File]:
-    """A list of timestamps and paths, by time; of equal times the first counts."""
+    """Reads a list of timestamps and paths, sorted by time; of equal times the first line counts."""
     files: dict[float, _File] = {}
     for name, line in read_lines(path, "lines of a timestamp and a path"):
         words = line.split()
@@ -143,7 +144,7 @@ def _read_files(path: Path) -> list[_File]:
 
 
 def _read_poses(path: Path, wanted: Sequence[float]) -> list[Tensor | None]:
-    """Camera-to-world poses [4, 4] at the times wanted; None where there is none near enough in time."""
+    """Camera-to-world poses [4, 4] at the wanted times; None if no pose is near enough in time."""
     rows: dict[float, list[float]] = {}
     for name, line in read_lines(path, "lines of timestamp tx ty tz qx qy qz qw"):
         values = parse_numbers(line.replace(",", " ").split(), name)
@@ -160,8 +161,8 @@ def _read_poses(path: Path, wanted: Sequence[float]) -> list[Tensor | None]:
 def _interpolate(rows: npt.NDArray[np.float64], wanted: npt.NDArray[np.float64], name: str) -> list[Tensor | None]:
     from scipy.spatial.transform import Slerp
 
-    rotations = rotations_of(rows[:, 4:], name)
-    if len(rows) == 1:  # there is nothing to interpolate between
+    rotations = rotations_from_quaternions(rows[:, 4:], name)
+    if len(rows) == 1:  # duplicates a single pose, so that Slerp has two
         rows, rotations = np.concatenate([rows, rows + np.eye(8)[:1]]), rotations[[0, 0]]
     times = rows[:, 0]
     within = wanted.clip(times[0], times[-1])

@@ -1,4 +1,4 @@
-"""Text files with an integer for each vertex of a mesh, a line each, as ScanNet's benchmark has them."""
+"""Reads text files with one integer per mesh vertex, one per line, as in ScanNet's benchmark."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from torch import Tensor
 
 
 def read_vertex_numbers(path: Path, count: int) -> Tensor:
-    """The `count` integers of a file -> [count] int64.
+    """Reads the `count` integers of a file; returns [count] int64.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and what is wrong with it.
+        FileNotFoundError, ValueError: naming the file and its error.
     """
     words = read_text(path).split()
     if len(words) != count:
@@ -24,13 +24,13 @@ def read_vertex_numbers(path: Path, count: int) -> Tensor:
 
 
 def read_vertex_instances(path: Path, count: int) -> Tensor:
-    """A ground truth of ScanNet's benchmark, class * 1000 + instance for each vertex, 0 = none.
+    """Reads a ground truth of ScanNet's benchmark: class * 1000 + instance for each vertex, 0 = none.
 
     Returns:
         [count] int64: these numbers, -1 = none.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and what is wrong with it.
+        FileNotFoundError, ValueError: naming the file and its error.
     """
     values = read_vertex_numbers(path, count)
     if count and int(values.min()) < 0:
@@ -39,7 +39,7 @@ def read_vertex_instances(path: Path, count: int) -> Tensor:
 
 
 def read_text(path: Path) -> str:
-    """A text file's content; errors name the file."""
+    """Returns the content of a text file; errors name the file."""
     try:
         return path.read_text(encoding="utf-8")
     except (FileNotFoundError, IsADirectoryError):

@@ -1,6 +1,6 @@
-"""Instances as boxes of voxels, and the points that lie in them: how 3D-SIS writes both truth and results.
+"""Labels points by instance masks on voxels: the format of ground truth and results in 3D-SIS.
 
-A voxel (i, j, k) is the cube of side 1 around that place of the grid, so a point's voxel is its place rounded.
+Voxel (i, j, k) is the cube of side 1 centred at grid position (i, j, k); rounding a point's position gives its voxel.
 """
 
 from __future__ import annotations
@@ -13,18 +13,20 @@ from torch import Tensor
 
 from torchjoint.datasets.files import read_matrix
 
-#: Padding of 3D-SIS' whole grids that its scenes leave out, voxels.
+#: Padding of 3D-SIS' complete grids, voxels; its scenes do not have this padding.
 SCENE_PADDING = (10, 16, 10)
 
-#: Places beyond are outside of any volume, and would overflow integers.
+#: Positions beyond this are outside of any volume, and would overflow integers.
 _FAR = 2**31
 
 
 def read_world_to_scene(path: Path) -> Tensor:
-    """World to voxels of the scene [4, 4] float64, y up, of a `world2grid.txt`, whose grid is padded more.
+    """Reads `world2grid.txt`; returns the transform from world to the scene's voxels, [4, 4] float64, y up.
+
+    The file's grid has additional padding; the returned transform removes this padding.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and what is wrong with it.
+        FileNotFoundError, ValueError: naming the file and its error.
     """
     matrix = read_matrix(path, (4, 4))
     if not torch.isfinite(matrix).all() or matrix[3].tolist() != [0, 0, 0, 1] or torch.linalg.det(matrix) == 0:
@@ -34,22 +36,22 @@ def read_world_to_scene(path: Path) -> Tensor:
 
 
 def voxels_of(points: Tensor, world_to_voxels: Tensor) -> Tensor:
-    """The voxel [N, 3] int64 that each point [N, 3] lies in."""
+    """Returns the voxel [N, 3] int64 of each point [N, 3]."""
     places = points.double() @ world_to_voxels[:3, :3].T + world_to_voxels[:3, 3]
     return places.round().clamp(-_FAR, _FAR).long()
 
 
 def label_voxels(voxels: Tensor, corners: Tensor, masks: Sequence[Tensor], order: Sequence[int]) -> Tensor:
-    """Which mask each voxel is in.
+    """Finds the mask that contains each voxel.
 
     Args:
         voxels: [N, 3] int64.
         corners: [K, 3] int64, the lowest voxel of each mask.
         masks: K of [x, y, z] bool.
-        order: of the masks from the weakest to the strongest: a voxel in several is the last one's.
+        order: indices of the masks, from lowest to highest priority: the last mask in `order` wins.
 
     Returns:
-        [N] int64, places in `masks`, -1 = in none.
+        [N] int64, index into `masks`; -1 = in no mask.
     """
     labels = torch.full((len(voxels),), -1)
     for k in order:

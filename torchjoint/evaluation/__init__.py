@@ -1,1 +1,1 @@
-"""Results against truth: reading both, scoring, and tables of scores."""
+"""Evaluation against ground truth: reads predictions, computes scores, makes tables of scores."""

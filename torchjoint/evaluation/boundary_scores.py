@@ -1,10 +1,10 @@
-"""How good a boundary detector is: precision and recall against several people's boundaries.
+"""Scores a boundary detector: precision and recall against the boundaries of several annotators.
 
-The protocol is that of BSDS: D. R. Martin, C. C. Fowlkes and J. Malik, "Learning to Detect Natural Image Boundaries
+The protocol is the one of BSDS: D. R. Martin, C. C. Fowlkes and J. Malik, "Learning to Detect Natural Image Boundaries
 Using Local Brightness, Color, and Texture Cues" (PAMI 2004), and P. Arbelaez et al., "Contour Detection and
-Hierarchical Image Segmentation" (PAMI 2011). At each threshold the prediction is thinned to lines, and its pixels are
-matched to each annotator's, one to one, within a share of the image's diagonal. A predicted pixel is right if any
-annotator's pixel was matched to it; recall runs over the pixels of all annotators.
+Hierarchical Image Segmentation" (PAMI 2011). At each threshold the prediction is thinned to lines. Its pixels are
+matched to each annotator's pixels, one to one, within a share of the image's diagonal. A predicted pixel is correct if
+it is matched to a pixel of any annotator; recall counts the pixels of all annotators.
 
 One thing is simpler here: a match has no cost. The largest number of pairs is taken, whatever their distances.
 """
@@ -25,21 +25,21 @@ from torchjoint.evaluation.skeleton import thin
 from torchjoint.images.non_maximum_suppression import suppress_non_maxima
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 
-#: The longest distance of a match, as a share of the image's diagonal.
+#: Largest distance of a match, as a share of the image's diagonal.
 TOLERANCE = 0.0075
 
 
 class BoundaryCounts(NamedTuple):
-    """Pixels of one image, or of several added up, at each of T thresholds: [T] int64 each."""
+    """Pixel counts of one image, or sums over several images, at each of T thresholds: [T] int64 each."""
 
-    pred: Tensor  #: predicted, after thinning
-    pred_matched: Tensor  #: ... and matched to some annotator's
-    target: Tensor  #: of all annotators
-    target_matched: Tensor  #: ... and matched to predicted ones
+    pred: Tensor  #: predicted pixels, after thinning
+    pred_matched: Tensor  #: predicted pixels that are matched to any annotator's pixel
+    target: Tensor  #: pixels of all annotators
+    target_matched: Tensor  #: annotators' pixels that are matched to predicted pixels
 
 
 class BoundaryCurve(NamedTuple):
-    """Over a whole data set, at each of T thresholds: [T] float64 each. What is divided by zero counts as 0."""
+    """Curve of a whole data set, at each of T thresholds: [T] float64 each. A division by zero gives 0."""
 
     threshold: Tensor
     precision: Tensor
@@ -50,17 +50,17 @@ class BoundaryCurve(NamedTuple):
 class BoundaryScores(NamedTuple):
     """Scores of a data set, all in [0, 1]."""
 
-    ods: float  #: the best F at one threshold for all images
-    ods_threshold: float  #: ... that threshold, the lowest of equals
+    ods: float  #: the best F with one threshold for all images
+    ods_threshold: float  #: the threshold of the best F; of equals the lowest
     ods_precision: float
     ods_recall: float
-    ois: float  #: F if each image has its own best threshold; counts are summed before F is taken
+    ois: float  #: F with the best threshold of each image; counts are summed before F is computed
     ap: float  #: average precision, see :func:`boundary_scores`
     curve: BoundaryCurve
 
 
 def even_thresholds(count: int) -> Tensor:
-    """[count] float64, evenly spread inside (0, 1): 99 are 0.01, 0.02, ... 0.99."""
+    """Returns [count] float64, evenly spread inside (0, 1): 99 thresholds are 0.01, 0.02, ... 0.99."""
     if isinstance(count, bool) or not isinstance(count, int) or count < 1:
         raise ValueError(f"thresholds: expected a whole number >= 1, got {count!r}")
     return torch.arange(1, count + 1, dtype=torch.float64) / (count + 1)
@@ -75,14 +75,14 @@ def boundary_counts(
     nms: bool = True,
     tolerance: float = TOLERANCE,
 ) -> BoundaryCounts:
-    """Compare one image's prediction with all annotators' boundaries.
+    """Compares one image's prediction with all annotators' boundaries.
 
     Args:
         pred: [H, W] floating, boundary strength in [0, 1].
-        boundaries: of each annotator [H, W] bool, lines one pixel wide.
+        boundaries: per annotator [H, W] bool, lines one pixel wide.
         thresholds: [T], in (0, 1]; a pixel is predicted where its strength is at least the threshold.
-        nms: first keep only the maxima across a boundary; without it, thick predictions become their middle lines.
-        tolerance: the longest distance of a match, as a share of the image's diagonal.
+        nms: first apply non-maximum suppression; without it, thick predictions are thinned to their middle lines.
+        tolerance: largest distance of a match, as a share of the image's diagonal.
 
     Raises:
         TypeError: tensors of other dtypes.
@@ -100,7 +100,7 @@ def boundary_counts(
     for threshold in thresholds.tolist():
         mask = strength >= threshold
         area = int(mask.sum())
-        if area != last_area or not rows:  # masks are nested: one of the same size is the same
+        if area != last_area or not rows:  # masks are nested: a mask of equal area is equal
             lines = thin(mask) if area else mask
             any_matched = torch.zeros_like(mask)
             target_matched = 0
@@ -115,14 +115,14 @@ def boundary_counts(
 
 
 def boundary_scores(counts: Sequence[BoundaryCounts], thresholds: Tensor) -> BoundaryScores:
-    """Scores of a data set from its images' counts.
+    """Computes the scores of a data set from the counts of its images.
 
-    AP is the area under the curve of precision over recall: precision is interpolated linearly between the thresholds'
-    points at the recalls 0.01, 0.02, ... 1.00 and averaged, 0 where the curve does not reach. So a prediction that
-    knows but one strength has nearly no area, however good it is. A threshold at which nothing is predicted has
-    precision and recall 0, and of several points with the same recall the most precise counts.
+    AP is the area under the precision-recall curve: precision is interpolated linearly between the thresholds' points
+    at the recalls 0.01, 0.02, ... 1.00 and averaged; it is 0 where the curve does not reach. So a prediction with only
+    one strength has nearly no area, however good it is. A threshold without predicted pixels has precision and recall
+    0. Of several points with the same recall, the most precise one counts.
 
-    ODS is the best of the thresholds given; nothing is interpolated between them.
+    ODS is the best F of the given thresholds; there is no interpolation between them.
 
     Args:
         counts: of each image, at the same T thresholds.
@@ -159,17 +159,17 @@ def evaluate_boundaries(
     nms: bool = True,
     progress: bool = False,
 ) -> BoundaryScores:
-    """Score a boundary detector on images of BSDS500.
+    """Scores a boundary detector on images of BSDS500.
 
     Args:
-        detector: a module [B, 3, H, W] -> [B, H, W], as :mod:`torchjoint.images.boundary` has them.
+        detector: a module [B, 3, H, W] -> [B, H, W], as in :mod:`torchjoint.images.boundary`.
         records: see :func:`torchjoint.datasets.bsds.bsds_images`.
-        thresholds: how many, evenly spread in (0, 1). 99 are the protocol; 9 are enough to compare trainings.
-        nms: keep only the maxima of the detector's output across a boundary before it is scored.
+        thresholds: number of thresholds, evenly spread in (0, 1). The protocol has 99; 9 suffice to compare trainings.
+        nms: apply non-maximum suppression to the detector's output before scoring.
         progress: show a progress bar.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file, or the image of which the detector makes no boundary strength.
+        FileNotFoundError, ValueError: naming the file, or the image with an invalid boundary strength.
     """
     return evaluate_predictions(
         lambda record: detector(record.image[None])[0], records, thresholds, nms=nms, progress=progress
@@ -184,7 +184,7 @@ def evaluate_predictions(
     nms: bool = True,
     progress: bool = False,
 ) -> BoundaryScores:
-    """As :func:`evaluate_boundaries`, of whatever gives a boundary strength [H, W] for a record."""
+    """As :func:`evaluate_boundaries`, for any function that returns a boundary strength [H, W] for a record."""
     chosen = even_thresholds(thresholds)
     with tqdm(total=len(records), desc="scoring boundaries", unit="image", disable=not progress) as bar:
 
@@ -204,7 +204,7 @@ def evaluate_predictions(
 
 
 def _rates(counts: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """[4, ...] -> precision, recall, F: [...] float64."""
+    """Counts [4, ...] to precision, recall, F: [...] float64 each."""
     pred, pred_matched, target, target_matched = counts.double().unbind(0)
     precision = pred_matched / pred.clamp(min=1)
     recall = target_matched / target.clamp(min=1)
@@ -213,13 +213,13 @@ def _rates(counts: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _average_precision(precision: Tensor, recall: Tensor) -> float:
-    # Sorted by recall, then precision: of the points with one recall, the last and most precise stays.
+    # Sorted by recall, then precision: of points with the same recall, the last one stays, which is the most precise.
     points = list(dict(sorted(zip(recall.tolist(), precision.tolist(), strict=True))).items())
     return sum(_interpolated(points, i / 100) for i in range(1, 101)) / 100
 
 
 def _interpolated(points: list[tuple[float, float]], r: float) -> float:
-    """The value at r of the polyline through (recall, precision) by ascending recall; 0 outside."""
+    """Value at r of the polyline through (recall, precision), sorted by recall; 0 outside."""
     for (r0, p0), (r1, p1) in zip(points, points[1:] or points, strict=False):
         if r0 <= r <= r1:
             return p0 + (p1 - p0) * (r - r0) / (r1 - r0) if r1 > r0 else p0
@@ -232,7 +232,7 @@ def _check_prediction(pred: Tensor) -> None:
         raise TypeError(f"pred: expected a floating tensor, got {got}")
     if pred.ndim != 2:
         raise ValueError(f"pred: expected shape [H, W], got {list(pred.shape)}")
-    wrong = pred[~((pred >= 0) & (pred <= 1))]  # NaN, too
+    wrong = pred[~((pred >= 0) & (pred <= 1))]  # NaN is rejected, too
     if len(wrong):
         raise ValueError(f"pred: expected numbers in [0, 1], got {float(wrong[0]):g} and {len(wrong) - 1} others")
 

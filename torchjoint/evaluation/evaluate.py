@@ -1,4 +1,4 @@
-"""A prediction against a scene's truth."""
+"""Scores a prediction against the ground truth of a scene."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from torchjoint.scene import Scene
 
 
 def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") -> list[Row]:
-    """The rows of one scene: 3D where both know points, 2D where both know images.
+    """Returns the score rows of one scene: 3D if both have point labels, 2D if both have label images.
 
     Raises:
-        ValueError: the scene has no truth, or none of what was predicted; sizes that do not fit.
+        ValueError: the scene has no ground truth, or none for the predicted points or images; sizes that do not fit.
     """
     truth = scene.truth
     if truth is None or not (truth.has_points or len(truth.images)):
@@ -36,7 +36,7 @@ def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") 
 
 
 def left_out(prediction: Prediction, scene: Scene) -> str:
-    """What of the scene was not predicted, and so is not scored; empty if that is nothing."""
+    """Describes the points and images of the scene without prediction, which are not scored; empty if none."""
     parts = []
     if prediction.points is not None and len(prediction.points) < len(scene.points):
         parts.append(f"{len(prediction.points)} of {len(scene.points)} points")

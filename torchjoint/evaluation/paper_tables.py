@@ -1,4 +1,4 @@
-"""The rows of the paper's tables: how well scenes are segmented in 3D (I) and in their images (II), and by rivals."""
+"""The rows of the paper's tables: scores of our method and the baselines in 3D (table I) and in images (table II)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from torchjoint.metrics.objects_and_parts import (
 )
 from torchjoint.metrics.overlaps import overlap_tables
 
-#: Place of a frame, size (H, W) of its truth -> label image of that size.
+#: From the index of a frame and the size (H, W) of its ground truth to a label image of this size.
 LabelImages = Callable[[int, tuple[int, int]], Tensor]
 
 
@@ -30,23 +30,23 @@ class Scores(NamedTuple):
     precision: float  #: for objects and parts
     recall: float
     f: float
-    covering: float  #: symmetric: the mean of the two that follow
+    covering: float  #: symmetric: the mean of the next two columns
     target_by_pred: float
     pred_by_target: float
     ap_objects: float
     ap_parts: float
 
 
-#: What the columns are called.
+#: Titles of the columns.
 COLUMNS = ("precision", "recall", "F", "covering", "truth by segments", "segments by truth", "AP_o", "AP_p")
 
 
 class Row(NamedTuple):
-    """What a row is about."""
+    """Table, method and data of a row."""
 
     table: str  #: I (points) or II (pixels)
     method: str
-    on: str  #: P, all points; P_D, those that 3D-SIS detected; images
+    on: str  #: P: all points; P_D: the points that 3D-SIS detected; images
 
 
 #: All rows, in the order of the tables.
@@ -62,7 +62,7 @@ ROWS = (
 
 
 def score(pred: Tensor, target: Tensor) -> Scores:
-    """One segmentation against the truth, -1 = void; see :mod:`torchjoint.metrics`."""
+    """Scores one segmentation against the ground truth, -1 = void; see :mod:`torchjoint.metrics`."""
     areas, tables = overlap_tables(pred, target)
     covering = covering_of(tables)
     return Scores(
@@ -76,20 +76,20 @@ def score(pred: Tensor, target: Tensor) -> Scores:
 
 
 def mean_scores(scores: Iterable[Scores]) -> Scores:
-    """The mean of each column."""
+    """Returns the mean of each column."""
     return Scores(*map(fmean, zip(*scores, strict=True)))
 
 
 def score_points(ours: Tensor, truth: Tensor, detected: Tensor | None) -> dict[Row, Scores]:
-    """The rows of table I for one scene.
+    """Returns the rows of table I for one scene.
 
     Args:
         ours: [N] labels.
-        truth: [N] instances, -1 = void.
-        detected: [N] labels by 3D-SIS, -1 = nothing detected; None: there are none.
+        truth: [N] ground-truth instances, -1 = void.
+        detected: [N] labels of 3D-SIS, -1 = nothing detected; None: no result of 3D-SIS.
 
     Returns:
-        No rows where nothing has a truth, and those on P_D only where 3D-SIS detected something that has.
+        No rows if all points are void; rows on P_D only if 3D-SIS detected a point that is not void.
 
     Raises:
         ValueError: shapes that differ.
@@ -109,11 +109,11 @@ def score_points(ours: Tensor, truth: Tensor, detected: Tensor | None) -> dict[R
 def score_images(
     methods: Mapping[str, LabelImages], truth: Sequence[Tensor], *, progress: bool = False
 ) -> dict[Row, Scores]:
-    """The rows of table II for one scene, means over the images that have a truth.
+    """Returns the rows of table II for one scene: means over the images with ground truth.
 
     Args:
-        methods: what each of them makes of an image.
-        truth: label images, -1 = void.
+        methods: by name, a function that returns the method's labels of an image.
+        truth: ground-truth label images, -1 = void.
         progress: show a progress bar.
 
     Raises:
@@ -130,11 +130,11 @@ def score_images(
 
 
 def comparable(found: Mapping[str, Mapping[Row, Scores]]) -> dict[Row, list[Scores]]:
-    """The scores of each row, of the scenes that have all rows on the same data: means of other scenes do not compare.
+    """Returns the scores of each row, over the scenes that have all rows on the same data, so that means compare.
 
     Args:
-        found: by scene, the rows it has. A method that has no scene at all does not count; where no scene has all rows,
-            each row keeps those that it has.
+        found: by scene, the rows of the scene. A method without any scene is ignored; if no scene has all rows, each
+            row keeps all its scenes.
     """
     rows: dict[Row, list[Scores]] = {}
     there = [row for row in ROWS if any(row in scores for scores in found.values())]
@@ -146,7 +146,7 @@ def comparable(found: Mapping[str, Mapping[Row, Scores]]) -> dict[Row, list[Scor
 
 
 def paper_table(rows: Mapping[Row, Sequence[Scores]], table: str) -> str:
-    """One of the tables as Markdown: of each row how many scenes it has, and their mean; empty if it has none."""
+    """Returns a table as Markdown: for each row the number of scenes and the mean; empty if there are no rows."""
     body = [
         [f"{row.method}, {row.on}", str(len(rows[row])), *(f"{value:.3f}" for value in mean_scores(rows[row]))]
         for row in ROWS

@@ -1,4 +1,4 @@
-"""Segmentations on disk, to be compared with the truth of a scene."""
+"""Reads predicted segmentations from disk, to be compared with a scene's ground truth."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import as_labels
 
-#: A result's points are those of the scene if they are this near to one of them, metres.
+#: Largest distance between a result's point and its scene point, metres.
 NEAR = 1e-3
 
 
 class Prediction(NamedTuple):
-    """What a method says about a scene, and of which points and frames of it."""
+    """Predicted labels of a scene, and the points and frames to which they belong."""
 
     points: Tensor | None  #: [M] int64
-    of_points: Tensor  #: [M] int64, which points of the scene these are
+    of_points: Tensor  #: [M] int64, indices of the scene's points
     images: Sequence[Tensor]  #: label images [H, W]
-    of_frames: Sequence[int]  #: which frames of the scene these are
+    of_frames: Sequence[int]  #: indices of the scene's frames
 
 
 def is_result(path: Path) -> bool:
-    """Whether a path is a prediction by itself (and not a folder of several)."""
+    """Returns whether a path is a single prediction (and not a folder of several)."""
     return path.is_file() or (path / "points.npz").is_file() or (path / "images").is_dir()
 
 
@@ -39,12 +39,12 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
     """Reads a segmentation of a scene.
 
     Args:
-        path: a folder that `torchjoint segment` wrote; or labels of all points, a .npy of integers [N] or a .txt of a
-            number a line; or a folder with `images/NAME.png`, label + 1 in 8 or 16 bits, by the frames' names.
-        scene: what it is a segmentation of.
+        path: a folder that `torchjoint segment` wrote; or labels of all points, a .npy of integers [N] or a .txt with
+            one number per line; or a folder with `images/NAME.png`, label + 1 in 8 or 16 bits, named like the frames.
+        scene: the segmented scene.
 
     Raises:
-        FileNotFoundError, ValueError, TypeError: naming the file and what does not fit.
+        FileNotFoundError, ValueError, TypeError: naming the file and its error.
     """
     if path.is_file():
         labels = _read_labels(path)
@@ -68,8 +68,8 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
 
 
 def _frame_names(scene: Scene) -> dict[str, int]:
-    """Where the frames are, by name; a frame without one is called by its number, as in a result."""
-    known = getattr(scene.frames, "names", ())  # of lazy ones, which need not be read then
+    """Indices of the frames by name; a frame without a name is named by its number, as in a result."""
+    known = getattr(scene.frames, "names", ())  # lazy frames need not be read then
     found = known or parallel_map(lambda index: scene.frames[index].name, range(len(scene.frames)))
     names = [name or f"{index:06d}" for index, name in enumerate(found)]
     if len(set(names)) < len(names):
@@ -90,7 +90,7 @@ def _read_labels(path: Path) -> Tensor:
 
 
 def _places(points: Tensor, of: Tensor, file: Path) -> Tensor:
-    """Which of the scene's points the result's are; they may be fewer, and in another order."""
+    """Indices of the scene's points that are the result's points; these may be fewer, and in another order."""
     if points.shape == of.shape and torch.equal(points, of):
         return torch.arange(len(of))
     from scipy.spatial import cKDTree

@@ -1,6 +1,6 @@
-"""What boundaries are worth to a segmentation: regions of images, with and without them, against several people's.
+"""Scores image segmentations with and without boundaries, against the segmentations of several annotators.
 
-The image segmentation is the method's own step 2, at one setting for all images.
+The image segmentation is step 2 of the method, with one setting for all images.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ WITH_BOUNDARIES = RegionSetting(
     ImageGraphConfig(smoothing=0.8, color_weight=0.0914, boundary_weight=1.0),
     ImageSegmentsConfig(scale=13.2, min_size=637),
 )
-#: The same for colours alone.
+#: The same for segmentation by colour alone.
 WITHOUT_BOUNDARIES = RegionSetting(
     ContoursConfig(closed=False),
     ImageGraphConfig(smoothing=1.0, color_weight=1.0, boundary_weight=0.0),
@@ -47,10 +47,10 @@ WITHOUT_BOUNDARIES = RegionSetting(
 class RegionScores(NamedTuple):
     """Means over the images of a data set; each image is compared with all its annotators."""
 
-    covering: float  #: of the true regions by the predicted ones, the usual one
+    covering: float  #: of the annotated regions by the predicted regions, the usual covering
     symmetric_covering: float
     f: float  #: for objects and parts
-    num_segments: float  #: of an image
+    num_segments: float  #: segments per image
 
 
 def evaluate_regions(
@@ -60,18 +60,18 @@ def evaluate_regions(
     *,
     progress: bool = False,
 ) -> list[RegionScores]:
-    """Score the image segmentation at each of several settings.
+    """Scores the image segmentation at several settings.
 
-    Each image is read, and its boundary detected, only once.
+    Each image is read only once, and its boundaries are detected only once.
 
     Args:
-        predict: gives the boundary strength [H, W] in [0, 1] of a record.
+        predict: returns the boundary strength [H, W] in [0, 1] of a record.
         records: see :func:`torchjoint.datasets.bsds.bsds_images`.
-        settings: parameters to compare; a ``boundary_weight`` of 0 makes it a segmentation by colours alone.
+        settings: parameters to compare; with a ``boundary_weight`` of 0, segmentation is by colour alone.
         progress: show a progress bar.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and what is wrong with it; ValueError also without a record.
+        FileNotFoundError, ValueError: naming the file and its error; ValueError also without a record.
     """
     if not records:
         raise ValueError("records: expected at least one image, got none")
@@ -99,7 +99,7 @@ def _segment(image: Tensor, boundary: Tensor, setting: RegionSetting) -> Tensor:
 
 
 def score_regions(labels: Tensor, truths: Sequence[Tensor]) -> RegionScores:
-    """Scores of one image's regions [H, W] against all annotators' [H, W], both int64."""
+    """Scores one image's regions [H, W] against the regions [H, W] of all annotators, int64."""
     covering = segmentation_covering(labels, truths)
     f = objects_and_parts(labels, truths).f
     return RegionScores(covering.target_by_pred, covering.symmetric, f, float(len(labels.unique())))

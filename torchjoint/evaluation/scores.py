@@ -1,4 +1,4 @@
-"""The scores of one segmentation: of points, or of a scene's images."""
+"""The scores of one segmentation: of point labels, or of a scene's label images."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 
 
 class Scores(NamedTuple):
-    """All in [0, 1], more is better; see :mod:`torchjoint.metrics`."""
+    """Scores in [0, 1], higher is better; see :mod:`torchjoint.metrics`."""
 
     covering: float  #: symmetric segmentation covering
     precision: float  #: for objects and parts
     recall: float
     f: float
-    best_iou: float  #: mean over the true instances
+    best_iou: float  #: mean over the ground-truth instances
 
 
-#: What the columns of tables are called.
+#: Titles of the columns in tables.
 COLUMNS = ("covering", "precision", "recall", "F", "best IoU")
 
 
 def score(pred: Tensor, target: Tensor) -> Scores:
-    """Scores of labels of any shape; target -1 = void. Errors: those of :mod:`torchjoint.metrics`."""
+    """Scores labels of any shape; target -1 = void. Errors: as in :mod:`torchjoint.metrics`."""
     areas, tables = overlap_tables(pred, target)
     precision, recall, f = objects_and_parts_of(areas, tables)
     return Scores(covering_of(tables).symmetric, precision, recall, f, best_iou_of(tables))
 
 
 def score_images(pred: Sequence[Tensor], target: Sequence[Tensor]) -> Scores | None:
-    """Mean over the images that have any truth; None if none has.
+    """Returns the mean over the images with ground truth; None if no image has any.
 
     Raises:
-        ValueError: not as many images as truths, or another size.
+        ValueError: the number of images or the size of an image differs from the ground truth.
     """
     if len(pred) != len(target):
         raise ValueError(f"images: expected one for each of {len(target)} truths, got {len(pred)}")
@@ -58,5 +58,5 @@ def score_images(pred: Sequence[Tensor], target: Sequence[Tensor]) -> Scores | N
 
 
 def mean_scores(scores: Sequence[Scores]) -> Scores:
-    """The mean of each score: a data set's value, F included, is the mean of its samples' values."""
+    """Returns the mean of each score: the value of a data set, also F, is the mean of its samples' values."""
     return Scores(*map(fmean, zip(*scores, strict=True)))

@@ -1,4 +1,4 @@
-"""Skeletons of binary maps: lines one pixel wide."""
+"""Thins binary masks to lines one pixel wide."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from torch import Tensor
 
 
 def thin(mask: Tensor) -> Tensor:
-    """The lines in the middle of a mask: [H, W] bool -> [H, W] bool, one pixel wide, connected as the mask is.
+    """Thins a mask to its middle lines: [H, W] bool -> [H, W] bool, one pixel wide, with the mask's connectivity.
 
-    Z. Guo and R. W. Hall, "Parallel thinning with two-subiteration algorithms" (CACM 1989), by OpenCV. Unlike Zhang's
-    and Suen's algorithm it leaves something of squares of two by two, and no staircases.
+    Z. Guo and R. W. Hall, "Parallel thinning with two-subiteration algorithms" (CACM 1989), by OpenCV. Zhang's and
+    Suen's algorithm would delete squares of two by two pixels and leave staircases; this algorithm does not.
     """
     import cv2
 
-    # OpenCV leaves the outermost pixels as they are, so these must not be the image's.
+    # OpenCV does not change the outermost pixels, so the mask is padded.
     padded = torch.nn.functional.pad(mask.to(torch.uint8) * 255, (1, 1, 1, 1)).numpy()
     lines = cv2.ximgproc.thinning(padded, thinningType=cv2.ximgproc.THINNING_GUOHALL)
     return torch.from_numpy(lines)[1:-1, 1:-1] != 0

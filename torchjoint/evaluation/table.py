@@ -1,4 +1,4 @@
-"""Scores of several methods on several scenes: as text, as CSV, as a picture."""
+"""Tables of scores of several methods on several scenes: as text, CSV and picture."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from statistics import fmean, stdev
 from typing import NamedTuple
 
 from torchjoint.evaluation.scores import COLUMNS, Scores, mean_scores
-from torchjoint.runtime.files import replacing, write_text
+from torchjoint.runtime.files import atomic_write, write_text
 
 
 class Row(NamedTuple):
-    """One method on one scene, in 3D or in 2D."""
+    """Scores of one method on one scene, in 3D or in 2D."""
 
     scene: str
     method: str
     space: str  #: "3D" or "2D"
     scores: Scores
-    kinds: Mapping[str, float] = {}  #: mean best IoU by kind of instance, where the truth tells kinds
+    kinds: Mapping[str, float] = {}  #: mean best IoU by kind of instance, if the ground truth has kinds
 
 
 class Summary(NamedTuple):
-    """One method over all scenes."""
+    """Mean scores of one method over all scenes."""
 
     method: str
     num_scenes: int
     mean: Scores
     error: Scores  #: standard error of the mean over scenes; NaN for a single scene
-    kinds: Mapping[str, float]  #: means over the scenes that have the kind
+    kinds: Mapping[str, float]  #: means over the scenes that contain the kind
 
 
 def summarize(rows: Sequence[Row], space: str) -> list[Summary]:
-    """Mean over the scenes, by method in order of first appearance."""
+    """Returns means over the scenes, by method in order of first appearance."""
     summaries = []
     for method in dict.fromkeys(row.method for row in rows if row.space == space):
         of_method = [row for row in rows if (row.method, row.space) == (method, space)]
@@ -51,14 +51,14 @@ def _kinds(rows: Sequence[Row]) -> list[str]:
 
 
 class Difference(NamedTuple):
-    """How much better one method is than another, scene by scene."""
+    """The mean difference between two methods, paired by scene."""
 
     mean: float
     error: float  #: standard error of the mean of the paired differences
 
 
 def paired_difference(rows: Sequence[Row], space: str, method: str, other: str) -> dict[str, Difference]:
-    """`method` less `other`, by score, over the scenes that both have."""
+    """Returns `method` minus `other`, by score, over the scenes of both; NaN without a common scene."""
     ours, theirs = ({r.scene: r.scores for r in rows if (r.method, r.space) == (m, space)} for m in (method, other))
     differences = {}
     for index, column in enumerate(COLUMNS):
@@ -70,12 +70,12 @@ def paired_difference(rows: Sequence[Row], space: str, method: str, other: str) 
 
 
 def standard_error(values: Sequence[float]) -> float:
-    """Of the mean of the values; NaN for a single one."""
+    """Returns the standard error of the mean of the values; NaN for a single value."""
     return stdev(values) / math.sqrt(len(values)) if len(values) > 1 else math.nan
 
 
 def markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table that also reads well on a terminal, numbers to the right."""
+    """Returns a Markdown table that is also readable on a terminal, with numbers aligned to the right."""
     widths = [max(3, *(len(cell) for cell in column)) for column in zip(columns, *rows, strict=True)]
     aligned = [[cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))]
                for row in (columns, *rows)]  # fmt: skip
@@ -84,7 +84,7 @@ def markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def summary_table(rows: Sequence[Row], space: str, titles: Callable[[str], str] = str) -> str:
-    """A line a method: the means over all scenes."""
+    """Returns a table with one line per method: the means over all scenes."""
     kinds = _kinds([row for row in rows if row.space == space])
     body = []
     for s in summarize(rows, space):
@@ -94,7 +94,7 @@ def summary_table(rows: Sequence[Row], space: str, titles: Callable[[str], str] 
 
 
 def method_table(rows: Sequence[Row], space: str, titles: Callable[[str], str] = str) -> str:
-    """A line a scene, a column a method: F / best IoU."""
+    """Returns a table with one line per scene and one column per method: F / best IoU."""
     methods = [s.method for s in summarize(rows, space)]
     scores = {(row.scene, row.method): row.scores for row in rows if row.space == space}
     body = []
@@ -105,7 +105,7 @@ def method_table(rows: Sequence[Row], space: str, titles: Callable[[str], str] =
 
 
 def scene_table(rows: Sequence[Row], titles: Callable[[str], str] = str) -> str:
-    """A line a scene, method and space, and below the means, if there are several scenes."""
+    """Returns a table with one line per scene, method and space, then the means if there are several scenes."""
     several = len({row.method for row in rows}) > 1
     body = [[r.scene, *([titles(r.method)] if several else []), r.space, *(f"{v:.3f}" for v in r.scores)] for r in rows]
     for space in dict.fromkeys(row.space for row in rows) if len({row.scene for row in rows}) > 1 else ():
@@ -115,7 +115,7 @@ def scene_table(rows: Sequence[Row], titles: Callable[[str], str] = str) -> str:
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """A line for each scene, method and space; written beside, then renamed."""
+    """Writes one line per scene, method and space; atomic (a temporary file is renamed)."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     kinds = _kinds(rows)
@@ -128,9 +128,9 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
 
 
 def write_plot(path: Path, rows: Sequence[Row], titles: Callable[[str], str] = str) -> None:
-    """A picture of F and best IoU: of every method, with the standard errors of the means; of one method, by scene.
+    """Draws F and best IoU: of several methods, the means with their standard errors; of one method, by scene.
 
-    Written beside, then renamed.
+    Writes atomically (a temporary file is renamed).
     """
     from matplotlib.figure import Figure
 
@@ -146,7 +146,7 @@ def write_plot(path: Path, rows: Sequence[Row], titles: Callable[[str], str] = s
         axis.set(xlim=(0, 1), title=space)
         axis.invert_yaxis()
         axis.legend(loc="lower right")
-    with replacing(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, dpi=100)
 
 

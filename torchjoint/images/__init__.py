@@ -1,1 +1,1 @@
-"""Steps 1 and 2: boundaries of an image, the graph of its pixels, its initial segments."""
+"""Steps 1 and 2: boundaries of an image, its pixel graph and its initial segments."""

@@ -1,4 +1,4 @@
-"""A caller's network in evaluation mode, for a while."""
+"""Steps 1 and 2: runs a caller's network in evaluation mode."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from torch import nn
 
 @contextmanager
 def eval_mode(module: nn.Module) -> Iterator[None]:
-    """Within, the module and all its parts are in evaluation mode; afterwards each is in the mode that it was in.
+    """Inside the block the module and all its parts are in evaluation mode; afterwards the old modes are restored.
 
-    A network's batch statistics must not depend on how frames are batched, and the module is its owner's.
+    In training mode the output would depend on how frames are batched. The old modes are restored because the module
+    belongs to the caller.
     """
     before = [(part, part.training) for part in module.modules()]
     module.eval()

@@ -1,6 +1,6 @@
-"""Step 1: boundary detectors, modules from images [B, 3, H, W] to boundary strength [B, H, W] in [0, 1].
+"""Step 1: makes the boundary detector, a module from images [B, 3, H, W] to boundary strength [B, H, W] in [0, 1].
 
-Any :class:`torch.nn.Module` of that signature can take a detector's place: ``JointSegmenter(boundary=module)``.
+Any :class:`torch.nn.Module` of this signature can replace it: ``JointSegmenter(boundary=module)``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ def make_boundary(config: BoundaryConfig) -> nn.Module:
     """The detector that a config names.
 
     Raises:
-        ValueError: a module of one's own that cannot be imported, or is no :class:`torch.nn.Module` made of nothing.
+        ValueError: the user's module cannot be imported, cannot be made without arguments, or is no
+            :class:`torch.nn.Module`.
     """
     if config.detector == "gradient":
         return GradientBoundary(config.smoothing, config.contrast)

@@ -1,4 +1,4 @@
-"""Step 1: from boundary strength, which has gaps, to closed contours."""
+"""Step 1: turns boundary strength, which has gaps, into closed contours."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ from torchjoint.runtime.threads import parallel_map
 
 
 def close_contours(boundaries: Tensor, config: ContoursConfig) -> Tensor:
-    """Close the contours of boundary maps, for a segmentation that would leak through a gap of one pixel.
+    """Close the contours of boundary maps, because a segmentation would leak through a gap of one pixel.
 
-    Each map becomes an ultrametric contour map (:func:`torchjoint.ops.ultrametric_contours`): a stretch of contour is
-    as strong as the mean boundary between the regions that it parts. Contours lie between pixels, so the pixels on both
-    sides have their strength, to the power of ``exponent``, and all others 0. That is what eq. 2, w_b min(b_i, b_j),
-    needs: a step across a contour has its weight, a pixel beside it is joined to its own region by a step inwards,
-    which has none, and no broad band of strong boundary becomes a segment of its own.
+    Each map becomes an ultrametric contour map (:func:`torchjoint.ops.ultrametric_contours`): a piece of contour has
+    the mean boundary strength between the two regions that it separates. Contours lie between pixels. The pixels on
+    both sides get the contour's strength, to the power of ``exponent``; all other pixels get 0. This suits eq. 2,
+    w_b min(b_i, b_j): an edge across a contour has the contour's weight. An edge from a contour pixel into its own
+    region has weight 0 and joins the pixel to that region. So no broad band of strong boundary becomes its own segment.
 
     Args:
         boundaries: [B, H, W] float32 in [0, 1].
+        config: smoothing and exponent.
 
     Returns:
-        [B, H, W] float32 in [0, 1]; images are independent of one another, to the bit.
+        [B, H, W] float32 in [0, 1]. The result of an image does not depend on the other images, bit for bit.
 
     Raises:
         ValueError: a shape other than [B, H, W], or values out of range.

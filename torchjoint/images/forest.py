@@ -1,4 +1,4 @@
-"""A structured forest: its arrays, and the file that OpenCV reads it from."""
+"""Step 1: the arrays of a structured forest, and the file from which OpenCV reads it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from torchjoint.runtime.files import replacing
+from torchjoint.runtime.files import atomic_write
 
-#: Side of the patch whose boundaries a leaf holds, pixels.
+#: Side of the patch whose boundaries a leaf stores, pixels.
 LABEL_SIZE = 16
-#: Features that OpenCV's detector computes of a patch.
+#: Number of features that OpenCV's detector computes of a patch.
 NUM_FEATURES = 7228
 
-#: What a file says of its forest's shape; OpenCV computes the features accordingly.
+#: The options in a forest's file; OpenCV computes the features accordingly.
 _OPTIONS = {
     "numberOfTrees": 8,
     "numberOfTreesToEvaluate": 4,
@@ -40,15 +40,19 @@ _LISTS = ("childs", "featureIds", "thresholds", "edgeBoundaries", "edgeBins")
 
 @dataclass(frozen=True)
 class Forest:
-    """Structured trees, all padded to one number of nodes.
+    """T structured trees, all padded to N nodes.
 
     Attributes:
-        children: [T, N] int32, 0 at a leaf, else 1 + the left child's place in its tree; the right one follows.
-        features: [T, N] int32, the feature that an inner node asks for.
-        thresholds: [T, N] float32, patches whose feature is less go left.
-        boundary_counts: [T, N] int32, how many of `boundary_pixels` are a leaf's.
-        boundary_pixels: [P] uint8, column * 16 + row of each pixel in a leaf's patch, leaves in order of trees, nodes.
-        trees_at_a_site: how many of the trees look at one site; neighbouring sites take turns.
+        children: [T, N] int32, 0 at a leaf, else 1 + the left child's index in the tree; the right child follows.
+        features: [T, N] int32, the feature that an inner node tests.
+        thresholds: [T, N] float32; a patch whose feature is less than the threshold goes left.
+        boundary_counts: [T, N] int32, the number of `boundary_pixels` that belong to a leaf.
+        boundary_pixels: [P] uint8, column * 16 + row of each boundary pixel in a leaf's patch; leaves are in the order
+            of trees, then nodes.
+        trees_per_site: number of trees that vote at one image site; neighbouring sites use different trees.
+
+    Raises:
+        ValueError: arrays of different shapes, or values out of range.
     """
 
     children: NDArray[np.int32]
@@ -56,17 +60,17 @@ class Forest:
     thresholds: NDArray[np.float32]
     boundary_counts: NDArray[np.int32]
     boundary_pixels: NDArray[np.uint8]
-    trees_at_a_site: int = 4
+    trees_per_site: int = 4
 
     def __post_init__(self) -> None:
         trees, nodes = self.children.shape
-        if trees == 0 or nodes == 0 or not 1 <= self.trees_at_a_site <= trees:
-            raise ValueError(f"trees_at_a_site: {self.trees_at_a_site} of {trees} trees with {nodes} nodes")
+        if trees == 0 or nodes == 0 or not 1 <= self.trees_per_site <= trees:
+            raise ValueError(f"trees_per_site: {self.trees_per_site} of {trees} trees with {nodes} nodes")
         for name in ("features", "thresholds", "boundary_counts"):
             if getattr(self, name).shape != (trees, nodes):
                 raise ValueError(f"{name}: expected shape {[trees, nodes]}, got {list(getattr(self, name).shape)}")
         is_inner = self.children != 0
-        # Children that follow their parent cannot lead in a circle.
+        # If every child comes after its parent, there are no cycles.
         if (is_inner & ((self.children <= np.arange(1, nodes + 1)) | (self.children >= nodes))).any():
             raise ValueError("children: expected places after the parent's, and inside the tree")
         if ((self.features < 0) | (self.features >= NUM_FEATURES)).any():
@@ -78,10 +82,10 @@ class Forest:
 
 
 def write_forest(path: Path, forest: Forest) -> None:
-    """Writes a file (``.yml.gz``) for ``cv2.ximgproc.createStructuredEdgeDetection``, beside and then renamed."""
+    """Writes a file (``.yml.gz``) for ``cv2.ximgproc.createStructuredEdgeDetection``, atomically."""
     options = _OPTIONS | {
         "numberOfTrees": len(forest.children),
-        "numberOfTreesToEvaluate": forest.trees_at_a_site,
+        "numberOfTreesToEvaluate": forest.trees_per_site,
     }
     ends = np.cumsum(forest.boundary_counts.ravel(), dtype=np.int64)
     values: tuple[np.ndarray, ...] = (
@@ -91,9 +95,9 @@ def write_forest(path: Path, forest: Forest) -> None:
         np.concatenate([[0], ends]),
         forest.boundary_pixels,
     )
-    # Without a time in its header the same forest makes the same file.
+    # No time in the gzip header: the same forest gives the same file.
     with (
-        replacing(path) as partial,
+        atomic_write(path) as partial,
         partial.open("wb") as raw,
         gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0) as file,
     ):
@@ -105,11 +109,11 @@ def write_forest(path: Path, forest: Forest) -> None:
 
 
 def read_forest(path: Path) -> Forest:
-    """Reads and checks such a file, so that OpenCV, which trusts it, can be given it.
+    """Reads and checks a forest's file. OpenCV does not check it, so check before OpenCV reads it.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: not a whole file of a structured forest, or one whose shape differs from what is used here.
+        ValueError: the file is incomplete, is no structured forest, or its options differ from those used here.
     """
     text = read_text(path)
     try:
@@ -119,7 +123,7 @@ def read_forest(path: Path) -> Forest:
 
 
 def read_text(path: Path) -> bytes:
-    """What is in a file, unpacked and checked to be whole; errors are those of :func:`read_forest`."""
+    """The content of a file, decompressed and checked to be complete; errors as in :func:`read_forest`."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a structured forest, NAME.yml.gz")
     try:
@@ -130,7 +134,7 @@ def read_text(path: Path) -> bytes:
 
 
 def _rows(values: NDArray[np.generic], length: int = 1000) -> Iterator[bytes]:
-    """Flow lists; few and long, since OpenCV takes longer for many."""
+    """YAML flow lists; few and long ones, because OpenCV reads many short lists more slowly."""
     for start in range(0, len(values), length):
         part = values[start : start + length].tolist()
         numbers = (f"{value:.9g}" for value in part) if values.dtype.kind == "f" else map(str, part)
@@ -172,10 +176,10 @@ def _parse(text: bytes) -> Forest:
 
 
 def _numbers(name: str, text: bytes) -> NDArray[np.float64]:
-    """Of `- [ 1, 2 ]`, `- [ 3 ]`: 1, 2, 3."""
+    """The numbers of a list of lists: 1, 2, 3 for `- [ 1, 2 ]`, `- [ 3 ]`."""
     flat = re.sub(rb"\]\s*-\s*\[", b",", text.strip())
     flat = re.sub(rb"^-\s*\[", b"[", flat, count=1)
-    # OpenCV writes floats that are whole as `1.`, which no other reader takes.
+    # OpenCV writes floats without a fraction as `1.`, which other readers do not accept.
     values = json.loads(re.sub(rb"\.(?=[^0-9])", b".0", flat) if b"." in flat else flat)
     if not isinstance(values, list):
         raise ValueError(f"{name}: expected lists of numbers")

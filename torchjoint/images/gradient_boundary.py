@@ -1,4 +1,4 @@
-"""Step 1: a boundary detector that needs no training, the gradient of colours."""
+"""Step 1: a boundary detector without training, the colour gradient."""
 
 from __future__ import annotations
 
@@ -13,21 +13,27 @@ from torchjoint.runtime.threads import parallel_map
 class GradientBoundary(nn.Module):
     """Gradient magnitude of the smoothed image in CIE Lab, b = 1 - exp(-|g| / contrast).
 
-    Lab distances are roughly what people see as differences, so one contrast serves dark and bright scenes.
+    Distances in Lab are close to the differences that people perceive, so one contrast suits dark and bright scenes.
 
     Args:
-        smoothing: standard deviation of the Gaussian, pixels; 0 for none.
-        contrast: gradient with b = 1 - 1/e, Lab units a pixel.
+        smoothing: standard deviation of the Gaussian, pixels; 0 = none.
+        contrast: gradient at which b = 1 - 1/e, Lab units per pixel.
     """
 
-    def __init__(self, smoothing: float = 1.0, contrast: float = 6.0) -> None:
+    def __init__(self, smoothing: float = 1.0, contrast: float = 8.0) -> None:
         super().__init__()
         self.smoothing = smoothing
         self.contrast = contrast
 
     @torch.no_grad()
     def forward(self, images: Tensor) -> Tensor:
-        """[B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1]; images are independent of one another, to the bit."""
+        """Boundary strength of images: [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1].
+
+        The result of an image does not depend on the other images, bit for bit.
+
+        Raises:
+            ValueError: a shape other than [B, 3, H, W].
+        """
         if images.ndim != 4 or images.shape[1] != 3:
             raise ValueError(f"images: expected shape [B, 3, H, W], got {list(images.shape)}")
         if images.shape[0] == 0:
@@ -41,8 +47,8 @@ class GradientBoundary(nn.Module):
 
 
 def _gradient(values: Tensor) -> Tensor:
-    """Central differences to the right and down, borders replicated: [C, H, W] -> [C, 2, H, W]."""
-    # The same as kornia's spatial_gradient(mode="diff"), whose convolution takes ten times as long.
+    """Central differences to the right and down, with replicated image borders: [C, H, W] -> [C, 2, H, W]."""
+    # The same as kornia's spatial_gradient(mode="diff"), but ten times faster than its convolution.
     height, width = values.shape[1:]
     padded = torch.nn.functional.pad(values[None], (1, 1, 1, 1), mode="replicate")[0]
     gradient = values.new_empty(values.shape[0], 2, height, width)

@@ -1,4 +1,4 @@
-"""Thick boundary strength to thin lines: non-maximum suppression across a boundary, and skeletons of binary maps."""
+"""Step 1: non-maximum suppression, which reduces thick boundaries to thin lines."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from torch import Tensor
 
 from torchjoint.runtime.threads import one_thread_per_operation
 
-#: Standard deviation of the Gaussian before derivatives are taken, pixels: wider than a boundary's own noise.
+#: Standard deviation of the Gaussian before the derivatives, pixels: larger than the noise of a boundary.
 SMOOTHING = 2.0
 
 
 @one_thread_per_operation()
 def suppress_non_maxima(boundary: Tensor) -> Tensor:
-    """Keeps the boundary strength where it is greatest across the boundary, and zeroes it elsewhere.
+    """Keeps the boundary strength where it is a maximum across the boundary, and sets it to 0 elsewhere.
 
-    A pixel is compared with the strength one pixel to either side along the normal, interpolated bilinearly, and stays
-    where neither is greater (J. Canny, PAMI 1986). The normal is the direction in which the strength, smoothed, bends
-    most; that it is taken from second derivatives is due to P. Dollar and C. L. Zitnick ("Fast Edge Detection Using
-    Structured Forests", PAMI 2015). Plateaus stay as wide as they are; :func:`thin` makes them lines.
+    A pixel is compared with the bilinearly interpolated strength one pixel to either side along the boundary's normal.
+    It is kept if neither is greater (J. Canny, PAMI 1986). The normal is the direction of the largest second derivative
+    of the smoothed strength, as in P. Dollar and C. L. Zitnick ("Fast Edge Detection Using Structured Forests", PAMI
+    2015). Plateaus keep their width.
 
     Args:
-        boundary: [H, W] float32, of any range from 0.
+        boundary: [H, W] float32, >= 0.
 
     Returns:
-        [H, W], the boundary's values or 0.
+        [H, W] float32, the input's value or 0.
 
     Raises:
         ValueError: a shape other than [H, W].
@@ -40,7 +40,7 @@ def suppress_non_maxima(boundary: Tensor) -> Tensor:
     if boundary.numel() == 0:
         return boundary
     right, down = _normals(boundary)
-    # Both sides lie in opposite quadrants, whose sign is that of the product.
+    # The two sides lie in opposite quadrants; the sign of the product tells which quadrants.
     falls = (right * down >= 0).float() * 2 - 1
     right, down = right.abs(), down.abs()
     around = _shifted(boundary)
@@ -48,14 +48,14 @@ def suppress_non_maxima(boundary: Tensor) -> Tensor:
     for side in (1, -1):
         vertical = torch.where(falls > 0, around[side, 0], around[-side, 0])
         corner = torch.where(falls > 0, around[side, side], around[-side, side])
-        near = torch.lerp(boundary, around[0, side], right)  # lerp is exact where both are equal: plateaus stay
+        near = torch.lerp(boundary, around[0, side], right)  # lerp of two equal values is exact: plateaus are kept
         far = torch.lerp(vertical, corner, right)
         stays &= torch.lerp(near, far, down) <= boundary
     return torch.where(stays, boundary, 0.0)
 
 
 def _normals(boundary: Tensor) -> tuple[Tensor, Tensor]:
-    """Unit vectors (to the right, down), each [H, W]: along them the second derivative is largest, of either sign."""
+    """Unit vectors (right, down), each [H, W], along which the second derivative is largest in magnitude."""
     size = 2 * round(3 * SMOOTHING) + 1
     smooth = kornia.filters.gaussian_blur2d(
         boundary[None, None], (size, size), (SMOOTHING, SMOOTHING), border_type="replicate"
@@ -64,13 +64,13 @@ def _normals(boundary: Tensor) -> tuple[Tensor, Tensor]:
     xx = around[0, 1] + around[0, -1] - 2 * smooth
     yy = around[1, 0] + around[-1, 0] - 2 * smooth
     xy = (around[1, 1] + around[-1, -1] - around[1, -1] - around[-1, 1]) / 4
-    bends_up = xx + yy > 0  # beside a line, where it is the greater eigenvalue that belongs to the normal
+    bends_up = xx + yy > 0  # beside a line: there the normal belongs to the greater eigenvalue
     angle = torch.where(bends_up, torch.atan2(2 * xy, xx - yy), torch.atan2(-2 * xy, yy - xx)) / 2
     return angle.cos(), angle.sin()
 
 
 def _shifted(values: Tensor) -> dict[tuple[int, int], Tensor]:
-    """For each of the nine offsets (down, right) the values there, as views [H, W]; borders replicated."""
+    """The values at each of the nine offsets (down, right), as views [H, W]; image borders are replicated."""
     height, width = values.shape
     padded = torch.nn.functional.pad(values[None, None], (1, 1, 1, 1), mode="replicate")[0, 0]
     return {

@@ -1,4 +1,4 @@
-"""Steps 1 and 2: the 8-connected graph of an image's pixels, and its segmentation."""
+"""Steps 1 and 2: the 8-connected pixel graph of an image, and its segmentation (eq. 1-2)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from torchjoint.images.smoothing import smooth
 
 @lru_cache(maxsize=2)
 def grid_edges(height: int, width: int) -> Tensor:
-    """Edges of the 8-connected grid, each once, pixels numbered row by row (eq. 1).
+    """Edges of the 8-connected grid, each once; pixels are numbered row by row (eq. 1).
 
     Returns:
-        [2, E] int64: all edges to the right, then down, down-right and up-right.
+        [2, E] int64: first all edges to the right, then down, down-right and up-right.
     """
     pixels = torch.arange(height * width).view(height, width)
     pairs = [(a.reshape(-1), b.reshape(-1)) for a, b in _neighbor_views(pixels)]
@@ -30,6 +30,7 @@ def pixel_weights(image: Tensor, boundary: Tensor, config: ImageGraphConfig) -> 
     Args:
         image: [3, H, W] RGB in [0, 1].
         boundary: [H, W] in [0, 1].
+        config: w_c, w_b and the smoothing of the colours.
 
     Returns:
         [E] float32.
@@ -38,21 +39,26 @@ def pixel_weights(image: Tensor, boundary: Tensor, config: ImageGraphConfig) -> 
     weights = []
     for (color_i, color_j), (b_i, b_j) in zip(_neighbor_views(colors), _neighbor_views(boundary), strict=True):
         red, green, blue = (color_i - color_j).square()
-        # In float32 torch.sqrt is off by a last bit at times, where felzenszwalb_image is exact; this way so is torch.
+        # torch's float32 sqrt is sometimes wrong in the last bit, felzenszwalb_image is exact; so take it in float64.
         distance = ((red + green) + blue).double().sqrt().float()
         weights.append((config.color_weight * distance + config.boundary_weight * torch.minimum(b_i, b_j)).reshape(-1))
     return torch.cat(weights)
 
 
 def segment_image(image: Tensor, boundary: Tensor, graph: ImageGraphConfig, segments: ImageSegmentsConfig) -> Tensor:
-    """Felzenszwalb-Huttenlocher on an image's graph (step 2), which is never built.
+    """Felzenszwalb-Huttenlocher segmentation of an image's pixel graph (step 2), without building the graph.
 
     Args:
         image: [3, H, W] RGB in [0, 1].
         boundary: [H, W] in [0, 1].
+        graph: weights of eq. 2 and the smoothing of the colours.
+        segments: scale and minimum size.
 
     Returns:
-        [H, W] int64 labels, those of :func:`torchjoint.ops.felzenszwalb` on grid_edges with pixel_weights.
+        [H, W] int64 labels, the same as :func:`torchjoint.ops.felzenszwalb` on grid_edges with pixel_weights.
+
+    Raises:
+        ValueError: a wrong shape, or a value that is not finite.
     """
     return ops.felzenszwalb_image(
         smooth(image[None], graph.smoothing),
@@ -65,7 +71,7 @@ def segment_image(image: Tensor, boundary: Tensor, graph: ImageGraphConfig, segm
 
 
 def _neighbor_views(values: Tensor) -> list[tuple[Tensor, Tensor]]:
-    """Both ends of all edges of the grid over the last two dimensions, as views: right, down, down- and up-right."""
+    """Both ends of all grid edges in the last two dimensions, as views: right, down, down-right and up-right."""
     return [
         (values[..., :, :-1], values[..., :, 1:]),
         (values[..., :-1, :], values[..., 1:, :]),

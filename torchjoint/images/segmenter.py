@@ -1,4 +1,4 @@
-"""Steps 1 and 2 together: what a batch of frames looks like to the rest of the method, by whatever means."""
+"""Steps 1 and 2 together: boundaries and initial labels of a batch of frames."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from torchjoint.scene.checks import as_labels
 
 
 class ImageSegmenter(nn.Module):
-    """Boundaries and initial labels of frames of one size.
+    """Computes boundaries and initial labels of frames of one size (steps 1 and 2).
 
-    Labels that a frame brings with it come first, then those of `segmenter`, then those of the image graph.
+    The labels come from the frame itself if it has some, else from `segmenter` if given, else from the pixel graph.
 
     Args:
         config: parameters.
-        boundary: any module [B, 3, H, W] -> [B, H, W] in [0, 1]; default: the one that the config names.
-        segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none; default: the image graph.
+        boundary: any module [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1]; default: the detector of the config.
+        segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none; default: the pixel graph.
     """
 
     def __init__(self, config: Config, boundary: nn.Module | None = None, segmenter: nn.Module | None = None) -> None:
@@ -36,14 +36,22 @@ class ImageSegmenter(nn.Module):
         self.segmenter = segmenter
 
     def forward(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> tuple[Tensor, list[Tensor]]:
-        """Boundaries [B, H, W], and B label images [H, W] int64, numbered 0, 1, ..., -1 = none."""
+        """Boundaries [B, H, W] in [0, 1], and B label images [H, W] int64, numbered 0, 1, ..., -1 = none.
+
+        Raises:
+            ValueError, TypeError: a module returns a wrong shape, dtype or value.
+        """
         with stopwatch("boundaries"):
             boundaries = self._detect(torch.stack([frame.image for frame in frames]))
         with stopwatch("image segments"):
             return boundaries, self.label(frames, boundaries)
 
     def label(self, frames: Sequence[Frame], boundaries: Tensor) -> list[Tensor]:
-        """The labels of frames whose boundaries [B, H, W] are known."""
+        """B label images [H, W] int64, -1 = none, of frames whose boundaries [B, H, W] are known.
+
+        Raises:
+            ValueError, TypeError: the segmenter returns a wrong shape, dtype or value.
+        """
         given = [frame.labels for frame in frames]
         missing = any(labels is None for labels in given)
         images = torch.stack([frame.image for frame in frames])
@@ -75,6 +83,6 @@ class ImageSegmenter(nn.Module):
 
 
 def _dense(labels: Tensor) -> Tensor:
-    """Numbers labels 0, 1, ... in their order; -1 stays."""
+    """Renumbers labels to 0, 1, ... in ascending order; -1 stays."""
     values, dense = torch.unique(labels, return_inverse=True)
     return dense - int((values < 0).sum())

@@ -1,4 +1,4 @@
-"""Gaussian blur of images."""
+"""Gaussian blur of images (steps 1, 7 and 8)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def smooth(images: Tensor, sigma: float) -> Tensor:
-    """Gaussian blur of [B, C, H, W] with borders replicated; `sigma` in pixels, 0 for none."""
+    """Gaussian blur of images [B, C, H, W] with replicated image borders; `sigma` in pixels, 0 = none."""
     if sigma == 0:
         return images
     size = 2 * max(1, round(3 * sigma)) + 1

@@ -1,4 +1,4 @@
-"""Step 1: the structured-forest boundary detector, and the forest that comes with the package."""
+"""Step 1: the structured-forest boundary detector, by default with the forest that comes with the package."""
 
 from __future__ import annotations
 
@@ -18,32 +18,34 @@ from torchjoint.images.forest import read_forest, read_text
 from torchjoint.images.non_maximum_suppression import suppress_non_maxima
 from torchjoint.runtime.threads import parallel_map
 
-#: The image is mirrored beyond its border by this much, pixels, so that boundaries there get as many votes as others.
+#: Width in pixels of the mirrored margin around the image. With it boundaries near the image border get as many votes
+#: as other boundaries.
 MARGIN = 16
-#: Boundary strength is 1 - exp(-GAIN x votes): it uses the whole range, and never reaches its end.
+#: Boundary strength is 1 - exp(-GAIN x votes): it uses the whole range [0, 1) and never reaches 1.
 GAIN = 4.0
 MULTI_SCALE = (0.5, 1.0, 2.0)
-#: Share of a vote that depends on the colour gradient there, compared with that around it.
+#: Share of a vote that depends on the ratio of the colour gradient at the pixel to the mean gradient around it.
 SHARPNESS = 0.35
-#: Standard deviation of the Gaussian before the gradient is taken, and side of the square around, pixels.
+#: Standard deviation of the Gaussian before the gradient, and side of the square for the mean gradient, pixels.
 _GRADIENT_SMOOTHING, _AROUND = 1.5, 9
-#: Mean gradient below which there is nothing to compare with, per pixel, of colours in [0, 1].
+#: Added to the mean gradient, so that faint gradients do not count: colours in [0, 1] per pixel.
 _FAINT = 0.01
 _MAX_SIZE = 2**14
 
 
 class StructuredForestBoundary(nn.Module):
-    """Boundaries by structured forests: P. Dollár and C. L. Zitnick (PAMI 2015), run by OpenCV.
+    """Boundary detection by structured forests: P. Dollár and C. L. Zitnick (PAMI 2015), computed by OpenCV.
 
     Args:
-        model: a forest in OpenCV's format (``NAME.yml.gz``), such as ``torchjoint train-boundaries`` writes; None for
-            the one that comes with the package, trained on BSDS500.
-        scales: sizes of the image at which boundaries are sought; results are averaged. ``(0.5, 1, 2)`` is better and
-            takes about five times as long.
-        nms: keep only the maxima across a boundary, and so lines about a pixel wide.
+        model: a forest in OpenCV's format (``NAME.yml.gz``), as ``torchjoint train-boundaries`` writes it; None: the
+            forest that comes with the package, trained on BSDS500.
+        scales: factors by which the image is resized before detection; the results are averaged. ``(0.5, 1, 2)`` is
+            more accurate and about five times slower.
+        nms: apply non-maximum suppression, which leaves lines about one pixel wide.
 
     Raises:
-        FileNotFoundError, ValueError: the model's file is missing, cut off or no structured forest; a bad scale.
+        FileNotFoundError: the model's file is missing.
+        ValueError: the file is incomplete or is no structured forest; or a bad scale.
     """
 
     def __init__(self, model: str | Path | None = None, scales: Sequence[float] = (1.0,), nms: bool = False) -> None:
@@ -54,11 +56,17 @@ class StructuredForestBoundary(nn.Module):
         self.scales = tuple(float(scale) for scale in scales)
         self.nms = nms
         self._file_version = _version(self.model)
-        _detector(self.model, self._file_version)  # a bad file should be told of here
+        _detector(self.model, self._file_version)  # report a bad file here, not at the first image
 
     @torch.no_grad()
     def forward(self, images: Tensor) -> Tensor:
-        """[B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1]; images are independent of one another, to the bit."""
+        """Boundary strength of images: [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1).
+
+        The result of an image does not depend on the other images, bit for bit.
+
+        Raises:
+            ValueError: a shape other than [B, 3, H, W], or an image that is too large.
+        """
         if images.ndim != 4 or images.shape[1] != 3:
             raise ValueError(f"images: expected shape [B, 3, H, W], got {list(images.shape)}")
         if images.numel() == 0:
@@ -84,14 +92,14 @@ class StructuredForestBoundary(nn.Module):
             way = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
             image = np.asarray(cv2.resize(image, size, interpolation=way), np.float32)
         inside = (slice(MARGIN, MARGIN + image.shape[0]), slice(MARGIN, MARGIN + image.shape[1]))
-        votes = _detector(self.model, self._file_version).detectEdges(widened(image))[inside]
+        votes = _detector(self.model, self._file_version).detectEdges(padded(image))[inside]
         return votes if scale == 1 else cv2.resize(votes, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
 def relative_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """How strong the colour gradient of an image [H, W, 3] is, compared with its mean around; [H, W].
+    """The colour gradient of an image [H, W, 3] relative to the mean gradient around each pixel; [H, W] float32.
 
-    A forest sees that there is a boundary, and where to some pixels; the gradient is highest where it is.
+    A forest locates a boundary only to within some pixels. The gradient is highest at the boundary itself.
     """
     import cv2
 
@@ -101,8 +109,8 @@ def relative_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(gradient / (cv2.blur(gradient, (_AROUND, _AROUND)) + _FAINT), np.float32)
 
 
-def widened(image: NDArray[Any]) -> NDArray[Any]:
-    """The image [H, W, ...] with mirrored margins, whose sides are multiples of 4: OpenCV halves them twice."""
+def padded(image: NDArray[Any]) -> NDArray[Any]:
+    """The image [H, W, ...] with mirrored margins; its sides are multiples of 4, because OpenCV halves them twice."""
     import cv2
 
     height, width = image.shape[:2]
@@ -110,7 +118,7 @@ def widened(image: NDArray[Any]) -> NDArray[Any]:
 
 
 def _version(model: str | None) -> tuple[int, int] | None:
-    """Tells a file from another one that takes its place."""
+    """Modification time and size of the file, so that a replaced file is noticed; None for the package's own forest."""
     if model is None or not Path(model).is_file():
         return None
     status = Path(model).stat()
@@ -119,12 +127,12 @@ def _version(model: str | None) -> tuple[int, int] | None:
 
 @lru_cache(maxsize=4)
 def _detector(model: str | None, version: tuple[int, int] | None) -> Any:
-    """OpenCV's detector, kept for the process: it takes the better part of a second to read a forest."""
+    """OpenCV's detector, cached for the process, because reading a forest takes most of a second."""
     import cv2
 
     if model is not None:
-        read_forest(Path(model))  # OpenCV does not check what it reads
+        read_forest(Path(model))  # checks the file, because OpenCV does not
         return cv2.ximgproc.createStructuredEdgeDetection(model)
     with as_file(files("torchjoint.models") / "bsds500.yml.gz") as path:
-        read_text(path)  # whole, and so the one that came with the package
+        read_text(path)  # checks that the package's file is complete
         return cv2.ximgproc.createStructuredEdgeDetection(str(path))

@@ -1,1 +1,1 @@
-"""Steps 7 and 8: the final labels of the images, and one id space for points and pixels."""
+"""Steps 7 and 8: the final labels of the images, in one id space with the points."""

@@ -1,4 +1,4 @@
-"""Look-up tables over label images."""
+"""Steps 7 and 8: look-up tables for label images."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def by_first_appearance(labels: Tensor, wanted: Tensor) -> Tensor:
-    """Those of the wanted labels ([K] bool) that an image has, in the order of their first pixels."""
+    """The wanted labels ([K] bool) that occur in an image [H, W], in the order of their first pixels; [L] int64."""
     pixel = torch.nonzero(look_up(wanted, labels, False).view(-1)).squeeze(1)
     first_pixel = torch.full((wanted.shape[0],), labels.numel())
     first_pixel.scatter_reduce_(0, labels.reshape(-1)[pixel].long(), pixel, "amin")
@@ -16,6 +16,6 @@ def by_first_appearance(labels: Tensor, wanted: Tensor) -> Tensor:
 
 
 def look_up(table: Tensor, labels: Tensor, none: float) -> Tensor:
-    """``table[labels]``, and `none` where a label is -1; several times as fast as indexing."""
+    """``table[labels]``, and `none` where a label is -1; several times faster than indexing."""
     table = torch.cat([table.new_full((1,), none), table])
     return table.index_select(0, labels.reshape(-1) + 1).view(labels.shape)

@@ -1,4 +1,4 @@
-"""Steps 7 and 8 by geodesic label propagation: the labels of the points spread over the image."""
+"""Steps 7 and 8 by geodesic label propagation: the labels of the points are propagated over the image."""
 
 from __future__ import annotations
 
@@ -15,20 +15,19 @@ from torchjoint.views.visibility import Visible
 
 
 def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config: Config) -> tuple[Tensor, int]:
-    """Steps 7 and 8 in one: the points' labels spread over the image, and its edges decide where they meet.
+    """Geodesic label propagation, steps 7 and 8 in one: each pixel gets the label of the point with the cheapest path.
 
-    Each pixel gets the label of the point to which the cheapest path leads.
-
-    Paths are cheap within a region and dear across edges (:func:`torchjoint.ops.propagate_labels`). Initial segments
-    that are large, and in which there is no point all the same, keep ids of their own, numbered from `num_segments` on.
+    Paths are cheap within a region and expensive across image edges (:func:`torchjoint.ops.propagate_labels`), so
+    labels meet at edges. A large initial segment without any point keeps its own id, numbered from `num_segments` on.
 
     Args:
         seen: the frame.
         point_labels: [M] int64, 3D label of each visible point.
-        num_segments: of the 3D segments.
+        num_segments: number of 3D segments.
+        config: the refinement, and the smoothing of the image graph.
 
     Returns:
-        ([H, W] int32, the next free id); pixels that are -1 in the initial labels stay so.
+        ([H, W] int32, the next free id); pixels that are -1 in the initial labels stay -1.
     """
     height, width = seen.labels.shape
     markers = nearest_labels(seen.visible, point_labels, (height, width))
@@ -42,16 +41,17 @@ def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config
 
 
 def nearest_labels(visible: Visible, point_labels: Tensor, size: tuple[int, int]) -> Tensor:
-    """The labels of the pixels that points fall in: of several points, that of the nearest to the camera.
+    """Labels each pixel that contains points with the label of its point nearest to the camera.
 
-    Of equally near ones it is that of the first.
+    Of equally near points the first counts.
 
     Args:
-        point_labels: [M] int64, of the visible points.
-        size: (H, W) of the image.
+        visible: M visible points.
+        point_labels: [M] int64, 3D label of each visible point.
+        size: (H, W) of the image, pixels.
 
     Returns:
-        [H, W] int32, -1 where there is no point.
+        [H, W] int32, -1 for pixels without a point.
     """
     pixel = visible.row * size[1] + visible.column
     nearest = nearest_in_cells(pixel, visible.z)
@@ -61,31 +61,35 @@ def nearest_labels(visible: Visible, point_labels: Tensor, size: tuple[int, int]
 
 
 def _without_specks(labels: Tensor, hit: Tensor, least: int) -> Tensor:
-    """The labels [H, W], but -1 in connected parts of one label that fewer than `least` points are in.
+    """Sets the connected parts of one label that contain fewer than `least` points to -1.
 
-    They are mostly points of the background, seen through gaps between those in front of it.
+    Such parts mostly come from background points that are seen through gaps between foreground points.
 
     Args:
         labels: [H, W] int32.
-        hit: [H, W] bool, where points are; those that share a pixel count as one.
+        hit: [H, W] bool, pixels with points; points in the same pixel count as one.
+        least: number of points.
+
+    Returns:
+        [H, W] int32; the labels unchanged if no part would remain.
     """
-    part = ops.felzenszwalb_image(labels.float()[None, None], scale=1e-9)[0]  # joins what does not differ at all
+    part = ops.felzenszwalb_image(labels.float()[None, None], scale=1e-9)[0]  # connected parts of equal labels
     num_points = torch.bincount(part[hit], minlength=int(part.max()) + 1 if part.numel() else 0)
     stays = num_points >= least
     return labels if not stays.any() else torch.where(stays[part], labels, -1)
 
 
 def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, least: float, first_free: int) -> tuple[Tensor, int]:
-    """Gives initial segments without a point ids of their own if `least` points were to be expected in them.
+    """Gives an initial segment without points its own id if its area would hold `least` points at the mean density.
 
-    Where the whole image is without points, all do.
+    In an image without any points all initial segments keep their own ids.
 
     Args:
         labels: [H, W] int32.
-        hit: [H, W] bool, where points are.
+        hit: [H, W] bool, pixels with points.
         initial: [H, W] int32, -1 = none.
-        least: number of points, at the image's mean density.
-        first_free: the first id.
+        least: number of points expected at the image's mean point density.
+        first_free: the first new id.
 
     Returns:
         ([H, W] int32, the next free id).
@@ -94,7 +98,7 @@ def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, least: float, fir
     segment = initial.reshape(-1).long() + 1
     area = torch.bincount(segment, minlength=num_initial + 1)[1:]
     num_hit = torch.bincount(segment[hit.view(-1)], minlength=num_initial + 1)[1:]
-    num_points = int(hit.sum())  # those that share a pixel count as one
+    num_points = int(hit.sum())  # points in the same pixel count as one
     unseen = (num_hit == 0) & ((area * num_points >= least * hit.numel()) | (num_points == 0))
     kept = by_first_appearance(initial, unseen)
     names = torch.full((num_initial,), -1, dtype=torch.int32)

@@ -1,4 +1,4 @@
-"""Steps 7 and 8: the final labels of an image, from the 3D labels of the points that it sees."""
+"""Steps 7 and 8: the final labels of an image, computed by the method that the config names."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from torchjoint.views.observation import Observation
 
 
 def label_image(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, config: Config) -> tuple[Tensor, int]:
-    """The final labels of one image, by the method that the config names.
+    """The final labels of one image, from the 3D labels of the points that it sees.
 
     Args:
         seen: the frame.
         point_labels: [N] int64, 3D labels of all points.
         segment_sizes: [S] int64, number of points of each 3D segment.
+        config: the refinement, and the image graph.
 
     Returns:
-        ([H, W] int32, the next free id): labels below S are 3D segments, from S on those of this image alone; pixels
-        that are -1 in the initial labels stay so.
+        ([H, W] int32, the next free id): labels below S are 3D segments, labels from S on occur in this image only;
+        pixels that are -1 in the initial labels stay -1.
     """
     labels_there = point_labels[seen.visible.point]
     if config.refinement.method == "geodesic":

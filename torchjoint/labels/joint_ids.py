@@ -18,15 +18,17 @@ from torchjoint.views.visibility import Visible
 def joint_labels(
     labels: Tensor, visible: Visible, point_labels: Tensor, segment_sizes: Tensor, first_free: int
 ) -> tuple[Tensor, int]:
-    """Names each image segment by the 3D segment most of its points are of (step 8).
+    """Gives each image segment the id of the 3D segment to which most of its points belong (step 8).
 
-    Ties go to the larger 3D segment, then to the lower id. Segments that no point falls in keep ids of their own,
-    numbered from `first_free` by first appearance.
+    Ties go to the larger 3D segment, then to the lower id. Segments without points get their own ids, numbered from
+    `first_free` by first appearance.
 
     Args:
-        labels: [H, W] int32, -1 = none (stays so).
+        labels: [H, W] int32, -1 = none (stays -1).
+        visible: M visible points.
         point_labels: [M] int64, 3D label of each visible point.
         segment_sizes: [S] int64, number of points of each 3D segment.
+        first_free: the first id for segments without points.
 
     Returns:
         ([H, W] int32, the next free id).
@@ -40,12 +42,12 @@ def joint_labels(
 
 
 def _most_votes(segment: Tensor, point_labels: Tensor, segment_sizes: Tensor) -> tuple[Tensor, Tensor]:
-    """The image segments that points fall in, and the 3D segment that most of each one's points are of."""
+    """The image segments that contain points, and for each the 3D segment of most of its points."""
     inside = segment >= 0
     num_segments = segment_sizes.shape[0]
     key, votes = torch.unique(segment[inside] * num_segments + point_labels[inside], return_counts=True)
     segment, winner = key // num_segments, key % num_segments
-    # By segment, then votes, then size, then the lower id: stable sorts by the last criterion first (ids ascend).
+    # Sort by segment, then votes, then size, then lower id: stable sorts, last criterion first (ids are ascending).
     order = torch.arange(key.shape[0])
     for criterion in (-segment_sizes[winner], -votes, segment):
         order = order[torch.argsort(criterion[order], stable=True)]
@@ -56,10 +58,18 @@ def _most_votes(segment: Tensor, point_labels: Tensor, segment_sizes: Tensor) ->
 def separate_private_ids(
     refined: Sequence[tuple[Tensor, int]], observations: Sequence[Observation], num_segments: int
 ) -> list[Tensor]:
-    """Makes ids >= num_segments unique over all images, counting in the order of the frames' names.
+    """Makes ids >= num_segments unique over all images, in the order of the frames' names.
 
-    The names' order (and among equal names that of the content), and not that in which frames came, so that the
-    latter does not change labels.
+    Frames of equal names are ordered by a hash of their content. The order in which frames were added is not used, so
+    it does not change the labels.
+
+    Args:
+        refined: per frame, labels [H, W] int32 and the next free id of this frame.
+        observations: the frames.
+        num_segments: number of 3D segments.
+
+    Returns:
+        labels [H, W] int32 per frame.
     """
     times_named = Counter(seen.name for seen in observations)
 

@@ -11,18 +11,18 @@ from torchjoint.views.visibility import Visible
 
 
 class PixelPairs(NamedTuple):
-    """E^R, counted: pairs of visible points that are close in the image, by what their ends belong to (eq. 7-9).
+    """Counts of E^R, the pairs of visible points that are close in the image, by segments and 3D labels (eq. 7-9).
 
-    A pair is internal if both 3D labels are one, else external. Internal pairs inside one image segment, which is
-    most of all pairs, play no role in what follows and are not counted; nor are pairs within one pixel, which no cut
-    can part, and points outside all segments.
+    A pair is internal if its two 3D labels are equal, else external. Three kinds of pairs are not counted: internal
+    pairs inside one image segment (most pairs; the later steps do not need them), pairs within one pixel (no cut can
+    separate them), and pairs with a point outside all segments.
     """
 
-    low_segment: Tensor  #: [G] int64; groups are sorted by this, then by the following
-    high_segment: Tensor  #: [G] int64
-    low_label: Tensor  #: [G] int64, 3D labels of the ends; which end is in which segment does not matter
-    high_label: Tensor  #: [G] int64
-    num_pairs: Tensor  #: [G] int64
+    low_segment: Tensor  #: [G] int64, lower image segment of the two ends; groups are sorted by this, then by the next
+    high_segment: Tensor  #: [G] int64, higher image segment of the two ends
+    low_label: Tensor  #: [G] int64, lower 3D label of the two ends, whichever end is in which segment
+    high_label: Tensor  #: [G] int64, higher 3D label of the two ends
+    num_pairs: Tensor  #: [G] int64, number of pairs in the group
 
     def select(self, mask: Tensor) -> PixelPairs:
         """The groups where `mask` [G] is True."""
@@ -33,9 +33,11 @@ def pixel_pairs(visible: Visible, segment: Tensor, point_labels: Tensor, width: 
     """Counts the pairs of visible points at most `radius` pixels apart (eq. 7-9).
 
     Args:
-        segment: [M] int64, image segment that each visible point falls in, -1 = none.
+        visible: M visible points.
+        segment: [M] int64, image segment of each visible point, -1 = none.
         point_labels: [M] int64, 3D label of each visible point.
-        width: of the image.
+        width: width of the image, pixels.
+        radius: R, pixels.
     """
     pixel = visible.row * width + visible.column
     group, num_pairs = ops.pair_counts(visible.u, visible.v, pixel, segment, point_labels, radius)

@@ -1,4 +1,4 @@
-"""Step 7: the 3D labels merge and split the segments of an image."""
+"""Step 7, method cuts: 3D labels split the segments of an image by minimum cuts (eq. 13-14)."""
 
 from __future__ import annotations
 
@@ -23,21 +23,24 @@ def split_segments(
     config: RefinementConfig,
     graph: ImageGraphConfig,
 ) -> Tensor:
-    """Cuts image segments in which different 3D labels meet (eq. 13-14), and cuts the parts again.
+    """Cuts image segments that contain different 3D labels in two (eq. 13-14), and cuts the parts again.
 
-    A segment is cut when at least n_s external pairs lie wholly inside it (pairs within one pixel cannot be cut apart
-    and do not count): between the two 3D labels A, B that most of those pairs join (ties: the lowest), with the pixels
-    that A's points hit as source and B's as sink, by a minimum cut of the segment's own pixel graph.
+    A segment is cut if at least n_s external pairs lie completely inside it. Pairs within one pixel do not count,
+    because no cut can separate them. Let A, B be the two 3D labels that most of these pairs connect (ties: the lowest).
+    The pixels with points of A are the source, the pixels with points of B the sink. The cut is a minimum cut of the
+    segment's pixel graph.
 
     Args:
         labels: [H, W] int32, -1 = none (never cut).
-        colors: [3, H, W] RGB in [0, 1], as eq. 2 sees them (smoothed, if at all).
+        colors: [3, H, W] RGB in [0, 1], smoothed as for eq. 2.
         boundary: [H, W] in [0, 1].
+        visible: M visible points.
         point_labels: [M] int64, 3D label of each visible point.
+        config: R, n_s and the number of rounds.
         graph: weights of eq. 2.
 
     Returns:
-        [H, W] int32; the sink's side of a cut gets a new label.
+        [H, W] int32; the sink side of a cut gets a new label.
     """
     if config.split_min_edges is None:
         return labels
@@ -54,7 +57,7 @@ def split_segments(
             break
         cut, renamed = torch.unique(labels.view(-1)[on_sink_side], return_inverse=True)
         labels.view(-1)[on_sink_side] = (next_label + renamed).to(labels.dtype)
-        # Nothing has changed but in the parts of what was cut: nothing else can be cut in the next round.
+        # Only the parts of segments that were cut have changed, so only these parts can be cut in the next round.
         changed = torch.zeros(next_label + len(cut) + 1, dtype=torch.bool)
         changed[cut] = True
         changed[next_label:-1] = True
@@ -65,11 +68,11 @@ def split_segments(
 
 
 def _label_pairs(pairs: PixelPairs, min_edges: int) -> Tensor:
-    """The two 3D labels to cut each segment between: [3, C] int64, rows segment, A, B with A < B (eq. 13)."""
+    """The two 3D labels between which each segment is cut: [3, C] int64, rows segment, A, B with A < B (eq. 13)."""
     inside = pairs.select(pairs.low_segment == pairs.high_segment)
     segments, of_segment = torch.unique(inside.low_segment, return_inverse=True)
     total = torch.zeros_like(segments).index_add(0, of_segment, inside.num_pairs)
-    # Groups are sorted by (segment, A, B): a stable sort by falling count leaves the lowest pair first among ties.
+    # Groups are sorted by (segment, A, B): after a stable sort by descending count, ties have the lowest pair first.
     order = torch.argsort(inside.num_pairs, descending=True, stable=True)
     order = order[torch.argsort(of_segment[order], stable=True)]
     best = order[starts_group(of_segment[order])][total >= min_edges]
@@ -79,8 +82,8 @@ def _label_pairs(pairs: PixelPairs, min_edges: int) -> Tensor:
 def _seeds(
     segment: Tensor, pixel: Tensor, point_labels: Tensor, chosen: Tensor, labels: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Pixels (row x W + column) that only A's, and only B's, points hit in the segments to be cut."""
-    label_a = torch.full((int(labels.max()) + 2,), -1)  # the last entry serves points without a segment
+    """The seed pixels (row x W + column) in the segments to cut: those with points of A but not B, and vice versa."""
+    label_a = torch.full((int(labels.max()) + 2,), -1)  # the last entry is for points without a segment
     label_b = label_a.clone()
     label_a[chosen[0]], label_b[chosen[0]] = chosen[1], chosen[2]
     at_a, at_b = pixel[point_labels == label_a[segment]], pixel[point_labels == label_b[segment]]
@@ -93,9 +96,9 @@ def _seeds(
 def _cut(
     labels: Tensor, colors: Tensor, boundary: Tensor, source: Tensor, sink: Tensor, graph: ImageGraphConfig
 ) -> Tensor:
-    """Pixels on the sink's side of a minimum cut of every segment that has both kinds of seeds.
+    """The pixels on the sink side of a minimum cut of every segment that has seeds of both kinds.
 
-    Capacities are exp(-w / sigma), sigma the mean of w over the segment's own edges (eq. 14).
+    Capacities are exp(-w / sigma), where sigma is the mean of w over the segment's edges (eq. 14).
     """
     segment = labels.view(-1)
     has_source, has_sink = torch.zeros(2, int(labels.max()) + 1, dtype=torch.bool)
@@ -104,7 +107,7 @@ def _cut(
     active = has_source & has_sink
     if not active.any():
         return source[:0]
-    # A segment of one exact colour has sigma 0 and all w 0: every edge then costs the same, 1.
+    # In a segment of one exact colour, sigma and all w are 0: then every edge has the same capacity, 1.
     pixel, node_ptr, edge_index, edge_ptr, w_over_sigma = ops.segment_graphs(
         labels, active, colors, boundary, graph.color_weight, graph.boundary_weight
     )
@@ -120,5 +123,5 @@ def _cut(
 
 
 def _slices(ptr: Tensor) -> list[slice]:
-    """What lies between each number and the next."""
+    """The slices between consecutive numbers."""
     return [slice(start, end) for start, end in pairwise(ptr.tolist())]

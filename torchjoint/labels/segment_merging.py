@@ -1,4 +1,4 @@
-"""Step 7: the 3D labels merge segments of an image (eq. 10-12)."""
+"""Step 7, method cuts: 3D labels merge segments of an image (eq. 10-12)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ from torchjoint.views.visibility import Visible
 
 
 def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, config: RefinementConfig) -> Tensor:
-    """Merges image segments that the 3D labels hold together (eq. 10-12).
+    """Merges image segments whose points mostly have the same 3D labels (eq. 10-12).
 
-    Over the point pairs whose ends fall in two different segments (unordered), n_R counts all and n_int the internal
-    ones; the two merge when n_R > 0 and n_int / n_R >= r_m. One shot, on the segments as they come.
+    For two segments (unordered), n_R is the number of point pairs with one end in each segment, and n_int the number of
+    internal pairs among them. The two merge if n_R > 0 and n_int / n_R >= r_m. All pairs of segments are tested once,
+    on the segments as given.
 
     Args:
         labels: [H, W] int32, -1 = none (never merged).
+        visible: M visible points.
         point_labels: [M] int64, 3D label of each visible point.
+        config: R and r_m.
 
     Returns:
         [H, W] int32; a merged segment has the lowest of its labels.

@@ -1,4 +1,4 @@
-"""Steps 7 and 8 as in the paper: 3D labels merge, cut and name the segments of an image."""
+"""Steps 7 and 8 by method cuts, as in the paper: 3D labels merge, split and name the segments of an image."""
 
 from __future__ import annotations
 
@@ -13,7 +13,18 @@ from torchjoint.views.observation import Observation
 
 
 def cut(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, config: Config) -> tuple[Tensor, int]:
-    """As in the paper: 3D labels merge and split the image's segments (step 7), and name them (step 8)."""
+    """Refines an image as in the paper: 3D labels merge and split its segments (step 7), then name them (step 8).
+
+    Args:
+        seen: the frame.
+        point_labels: [M] int64, 3D label of each visible point.
+        segment_sizes: [S] int64, number of points of each 3D segment.
+        config: the refinement, and the image graph.
+
+    Returns:
+        ([H, W] int32, the next free id); labels below S are 3D segments; pixels that are -1 in the initial labels
+        stay -1.
+    """
     labels = merge_segments(seen.labels, seen.visible, point_labels, config.refinement)
     image, boundary = seen.image.float() / 255, seen.boundary.float() / 255
     colors = smooth(image[None], config.image_graph.smoothing)[0]

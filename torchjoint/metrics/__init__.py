@@ -1,15 +1,15 @@
-"""How good a class-agnostic segmentation is: functions of label tensors, and classes that accumulate them over scenes.
+"""Metrics of class-agnostic segmentation: functions of label tensors, and classes that accumulate over scenes.
 
-Everything is computed from one table: how many points each predicted region shares with each true one.
+All metrics are computed from one table: the number of points that each predicted region shares with each true region.
 
-Convention: labels are integers >= -1 of one shape, whatever that shape is (points [N], an image [H, W], a stack of
-images). -1 in ``target`` is void: dropped before anything is counted. -1 in ``pred`` is "unlabelled": all of it
-together is one background region. Which number a region has never matters. ``target`` may be a sequence of several
-ground truths of the same data, such as several annotators'. (ScanNet's average precision, which is about masks, has
-its own rules for void, for what is unlabelled, and for several ground truths.)
+Convention: labels are integers >= -1 of any common shape (points [N], an image [H, W], a stack of images). -1 in
+``target`` is void: void points are dropped first. -1 in ``pred`` is "unlabelled": all unlabelled points form one
+background region. The numbers of regions never matter. ``target`` may be a sequence of several ground truths of the
+same data, for example of several annotators. (ScanNet's average precision, a metric of masks, has its own rules for
+void, unlabelled points, and several ground truths.)
 
-A data set's value is the mean of its samples' values, F included (but for ScanNet's average precision), which is what
-the classes compute: ``FooMetric`` for ``foo``, on torchmetrics, which is imported when one of them is first asked for.
+The value of a data set, also its F, is the mean of its samples' values (except for ScanNet's average precision). The
+classes compute this mean: ``FooMetric`` for ``foo``, on torchmetrics, which is imported when a class is first used.
 
 >>> import torch, torchjoint as tj
 >>> metric = tj.metrics.ObjectsAndPartsMetric()
@@ -73,7 +73,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> type:
-    if name in __all__:  # one of the classes: the functions are here already
+    if name in __all__:  # a class; the functions are already imported
         from torchjoint.metrics import modules
 
         metric: type = getattr(modules, name)

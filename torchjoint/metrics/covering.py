@@ -1,4 +1,4 @@
-"""How well regions cover one another: segmentation covering, and the best IoU of every true instance."""
+"""Segmentation covering, and the best IoU of every ground-truth instance."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchjoint.metrics.overlaps import Overlaps, overlap_tables
 
 
 class SegmentationCovering(NamedTuple):
-    """Coverings in [0, 1]: their mean, C(pred -> target) over the true regions (the usual one), C(target -> pred)."""
+    """Coverings in [0, 1]: the mean of both, C(pred -> target) over true regions (the usual one), C(target -> pred)."""
 
     symmetric: float
     target_by_pred: float
@@ -20,17 +20,18 @@ class SegmentationCovering(NamedTuple):
 
 
 def segmentation_covering(pred: Tensor, target: Tensor | Sequence[Tensor]) -> SegmentationCovering:
-    """Segmentation covering, both ways, and its symmetric mean.
+    """Computes the segmentation covering in both directions, and their mean.
 
-    ``C(A -> B) = 1/n sum_{R in B} |R| max_{R' in A} IoU(R, R')``, averaged over the ground truths if several.
+    ``C(A -> B) = 1/n sum_{R in B} |R| max_{R' in A} IoU(R, R')``, averaged over the ground truths if there are several.
+    P. Arbelaez et al., "Contour Detection and Hierarchical Image Segmentation" (PAMI 2011).
 
     Args:
         pred: int64, any shape.
-        target: int64 of the same shape, -1 = void; or a sequence of such.
+        target: int64 of the same shape, -1 = void; or a sequence of such tensors.
 
     Raises:
         TypeError: labels that are not integer tensors.
-        ValueError: shapes that differ, labels below -1, nothing but void, nothing at all.
+        ValueError: shapes that differ, labels below -1, only void labels, empty tensors.
 
     >>> import torch
     >>> segmentation_covering(torch.tensor([0, 0, 1, 1]), torch.tensor([5, 5, 5, 5]))
@@ -40,16 +41,16 @@ def segmentation_covering(pred: Tensor, target: Tensor | Sequence[Tensor]) -> Se
 
 
 def covering_of(tables: Sequence[Overlaps]) -> SegmentationCovering:
-    """:func:`segmentation_covering`, from tables that are there already, one for each ground truth."""
+    """:func:`segmentation_covering` from existing tables, one per ground truth."""
     target_by_pred = fmean([_weighted_mean(t.best_iou_of_target, t.target_area) for t in tables])
     pred_by_target = fmean([_weighted_mean(t.best_iou_of_pred, t.pred_area) for t in tables])
     return SegmentationCovering((target_by_pred + pred_by_target) / 2, target_by_pred, pred_by_target)
 
 
 def mean_best_iou(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
-    """Mean, over the true instances, of the best IoU that any predicted region has with it.
+    """Mean, over the ground-truth instances, of the best IoU with any predicted region.
 
-    Unlike the covering, every instance counts the same, however small. Arguments and errors are those of
+    Unlike in the covering, every instance counts the same, however small. Arguments and errors: as
     :func:`segmentation_covering`.
 
     >>> import torch
@@ -60,7 +61,7 @@ def mean_best_iou(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
 
 
 def best_iou_of(tables: Sequence[Overlaps]) -> float:
-    """:func:`mean_best_iou`, from tables that are there already."""
+    """Returns :func:`mean_best_iou` from existing tables."""
     return fmean([table.best_iou_of_target.mean().item() for table in tables])
 
 

@@ -1,4 +1,4 @@
-"""Labels as measures take them: checked, flat, on the CPU."""
+"""Checks labels for the metrics, and flattens them on the CPU."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
 
 
 def checked_labels(labels: Tensor, name: str) -> Tensor:
-    """Labels >= -1 of any shape -> [N] int64.
+    """Checks labels >= -1 of any shape; returns [N] int64.
 
     Raises:
         TypeError: not an integer tensor.
@@ -29,10 +29,10 @@ def checked_labels(labels: Tensor, name: str) -> Tensor:
 
 
 def checked_targets(target: Tensor | Sequence[Tensor]) -> dict[str, Tensor]:
-    """One ground truth or several, of any shape -> each [N] int64, under the name it has in messages.
+    """Checks one or several ground truths of any shape; returns each as [N] int64, by its name in messages.
 
     Raises:
-        TypeError, ValueError: as :func:`checked_labels`; ValueError also for none at all, and for nothing but void.
+        TypeError, ValueError: as :func:`checked_labels`; ValueError also for an empty sequence, or only void labels.
     """
     named = (
         {f"target[{i}]": one for i, one in enumerate(target)} if isinstance(target, Sequence) else {"target": target}
@@ -47,7 +47,7 @@ def checked_targets(target: Tensor | Sequence[Tensor]) -> dict[str, Tensor]:
 
 
 def checked_pair(pred: Tensor, target: Tensor | Sequence[Tensor]) -> tuple[Tensor, list[Tensor]]:
-    """A prediction [N] and its ground truths, each [N], all int64.
+    """Checks a prediction and its ground truths; returns each as [N] int64.
 
     Raises:
         TypeError, ValueError: as :func:`checked_targets`; ValueError also for shapes that differ.

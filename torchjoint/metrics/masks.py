@@ -1,4 +1,4 @@
-"""Predicted instances, in whichever form they come, and how many points they share with true ones."""
+"""Predicted instances in any supported form, and the number of points they share with ground-truth instances."""
 
 from __future__ import annotations
 
@@ -9,37 +9,37 @@ import torch
 from torch import Tensor
 
 from torchjoint.metrics.labels import INTEGERS, checked_labels
-from torchjoint.metrics.overlaps import by_value, count_keys, places
+from torchjoint.metrics.overlaps import count_keys, places, renumber_by_value
 
 
 class Intersections(NamedTuple):
-    """Points that K masks share with T true instances, as a sparse table. Column 0 is void, 1 ... T the instances."""
+    """Points that K masks share with T true instances, as a sparse table. Column 0 is void, 1 ... T are instances."""
 
     mask: Tensor  #: [E] int64
     column: Tensor  #: [E] int64
-    shared: Tensor  #: [E] int64, points, > 0
-    mask_area: Tensor  #: [K] int64, void included
+    shared: Tensor  #: [E] int64, number of points, > 0
+    mask_area: Tensor  #: [K] int64, including void points
     column_area: Tensor  #: [T + 1] int64
 
 
 def intersect(pred: Tensor | Sequence[Tensor], target: Tensor) -> tuple[Intersections, Tensor | None]:
-    """Predicted instances against the true ones, both in the order of their numbers.
+    """Intersects predicted instances with true instances, both in the order of their labels.
 
     Args:
-        pred: labels, integers of the target's shape, -1 = none; or masks, bool [K, ...] of the target's shape
-            after the first; or K tensors of points, integers in 0 ... N - 1, where N is the target's size.
+        pred: labels, integers of the target's shape, -1 = none; or masks, bool [K, ...] with the target's shape after
+            the first axis; or K tensors of point indices, integers in 0 ... N - 1, where N is the target's size.
         target: int64, any shape, -1 = void.
 
     Returns:
-        the table, and the labels [K] of the K instances, ascending; None where `pred` is no labels.
+        the table, and the labels [K] of the K instances, ascending; None if `pred` is not labels.
 
     Raises:
-        TypeError, ValueError: naming the argument, what was expected and what came.
+        TypeError, ValueError: naming the argument, the expected and the actual value.
     """
-    column = by_value(target.flatten())[1] + 1
+    column = renumber_by_value(target.flatten())[1] + 1
     column_area = torch.bincount(column, minlength=1)
     if isinstance(pred, Tensor) and pred.dtype != torch.bool:
-        labels, mask = by_value(_of_shape(checked_labels(pred, "pred"), pred.shape, target))
+        labels, mask = renumber_by_value(_of_shape(checked_labels(pred, "pred"), pred.shape, target))
         inside, width = mask >= 0, len(column_area)
         key, count = count_keys(mask[inside] * width + column[inside], len(labels) * width)
         area = torch.bincount(mask[inside], minlength=len(labels))
@@ -53,7 +53,7 @@ def intersect(pred: Tensor | Sequence[Tensor], target: Tensor) -> tuple[Intersec
 
 
 def _points(pred: Tensor | Sequence[Tensor], target: Tensor) -> Iterator[Tensor]:
-    """The points of one mask after another, each [M] int64."""
+    """Yields the point indices of each mask, [M] int64."""
     if isinstance(pred, Tensor):
         if pred.dim() == 0 or pred.shape[1:] != target.shape:
             expected = ", ".join(["K", *map(str, target.shape)])

@@ -1,8 +1,9 @@
-"""The measures as torchmetrics classes, which accumulate over the scenes or images of a data set.
+"""The metrics as torchmetrics classes, which accumulate over the scenes or images of a data set.
 
-``update`` takes one sample and the arguments of the function, options go to the constructor. ``compute`` gives what the
-function gives, a tensor where that is a number. It is the mean of the samples' values, F included; only ScanNet's
-average precision is made from the predictions of all scenes together. States add up over processes.
+``update`` takes one sample, with the function's arguments; the constructor takes the function's options. ``compute``
+returns the same type as the function, but a tensor instead of a number: the mean of the samples' values, also for F.
+Only ScanNet's average precision is computed from the predictions of all scenes together. States are summed over
+processes.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from torchjoint.metrics.objects_and_parts import (
     objects_and_parts,
 )
 from torchjoint.metrics.scannet_module import ScannetAveragePrecisionMetric
-from torchjoint.metrics.states import tell_apart
+from torchjoint.metrics.states import add_options_state
 from torchjoint.metrics.superpoints import (
     achievable_segmentation_accuracy,
     boundary_recall,
@@ -45,7 +46,7 @@ __all__ = [
 
 
 class _SampleMean(Metric):
-    """The mean of values over samples; `options` are those of the measure."""
+    """The mean of values over samples; `options` are the metric's options."""
 
     is_differentiable = False
     higher_is_better = True
@@ -55,7 +56,7 @@ class _SampleMean(Metric):
 
     def __init__(self, *, num_values: int = 1, options: Sequence[float] = (), **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        tell_apart(self, *options)
+        add_options_state(self, *options)
         self.add_state("total", torch.zeros(num_values, dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("num_samples", torch.tensor(0), dist_reduce_fx="sum")
 
@@ -73,7 +74,7 @@ class SegmentationCoveringMetric(_SampleMean):
     """:func:`torchjoint.metrics.segmentation_covering`, averaged over samples.
 
     Args:
-        kwargs: those of :class:`torchmetrics.Metric`.
+        kwargs: as for :class:`torchmetrics.Metric`.
 
     >>> import torch
     >>> metric = SegmentationCoveringMetric()
@@ -87,20 +88,20 @@ class SegmentationCoveringMetric(_SampleMean):
         super().__init__(num_values=len(SegmentationCovering._fields), **kwargs)
 
     def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Add one sample: labels of any one shape."""
+        """Adds one sample: two label tensors of one shape."""
         self._add(*segmentation_covering(pred, target))
 
     def compute(self) -> SegmentationCovering:
-        """Means over the samples; ValueError if there is none."""
+        """Returns means over the samples. ValueError without a sample."""
         return SegmentationCovering(*self._mean().tolist())
 
 
 class ObjectsAndPartsMetric(_SampleMean):
-    """:func:`torchjoint.metrics.objects_and_parts`, averaged over samples, F included.
+    """:func:`torchjoint.metrics.objects_and_parts`, averaged over samples, also F.
 
     Args:
-        gamma_object, gamma_part, beta: as of the function.
-        kwargs: those of :class:`torchmetrics.Metric`.
+        gamma_object, gamma_part, beta: as for the function.
+        kwargs: as for :class:`torchmetrics.Metric`.
 
     >>> import torch
     >>> metric = ObjectsAndPartsMetric()
@@ -117,19 +118,19 @@ class ObjectsAndPartsMetric(_SampleMean):
         self.thresholds = options
 
     def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Add one sample: labels of any one shape."""
+        """Adds one sample: two label tensors of one shape."""
         self._add(*objects_and_parts(pred, target, *self.thresholds))
 
     def compute(self) -> ObjectsAndParts:
-        """Means over the samples; ValueError if there is none."""
+        """Returns means over the samples. ValueError without a sample."""
         return ObjectsAndParts(*self._mean().tolist())
 
 
 class _SampleMeanOfOne(_SampleMean):
-    """A measure that is one number."""
+    """A metric with a single number as its value."""
 
     def compute(self) -> Tensor:
-        """Mean over the samples, a float64 number; ValueError if there is none."""
+        """Returns the mean over the samples, a float64 number. ValueError without a sample."""
         return self._mean()[0]
 
 
@@ -137,7 +138,7 @@ class MeanBestIoUMetric(_SampleMeanOfOne):
     """:func:`torchjoint.metrics.mean_best_iou`, averaged over samples."""
 
     def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Add one sample: labels of any one shape."""
+        """Adds one sample: two label tensors of one shape."""
         self._add(mean_best_iou(pred, target))
 
 
@@ -145,8 +146,8 @@ class AveragePrecisionObjectsMetric(_SampleMeanOfOne):
     """:func:`torchjoint.metrics.average_precision_objects`, averaged over samples.
 
     Args:
-        gamma_part, beta: as of the function.
-        kwargs: those of :class:`torchmetrics.Metric`.
+        gamma_part, beta: as for the function.
+        kwargs: as for :class:`torchmetrics.Metric`.
     """
 
     def __init__(self, gamma_part: float = 0.25, beta: float = 0.1, **kwargs: Any) -> None:
@@ -155,7 +156,7 @@ class AveragePrecisionObjectsMetric(_SampleMeanOfOne):
         self.gamma_part, self.beta = gamma_part, beta
 
     def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Add one sample: labels of any one shape."""
+        """Adds one sample: two label tensors of one shape."""
         self._add(average_precision_objects(pred, target, self.gamma_part, self.beta))
 
 
@@ -163,8 +164,8 @@ class AveragePrecisionPartsMetric(_SampleMeanOfOne):
     """:func:`torchjoint.metrics.average_precision_parts`, averaged over samples.
 
     Args:
-        gamma_object, beta: as of the function.
-        kwargs: those of :class:`torchmetrics.Metric`.
+        gamma_object, beta: as for the function.
+        kwargs: as for :class:`torchmetrics.Metric`.
     """
 
     def __init__(self, gamma_object: float = 0.75, beta: float = 0.1, **kwargs: Any) -> None:
@@ -173,7 +174,7 @@ class AveragePrecisionPartsMetric(_SampleMeanOfOne):
         self.gamma_object, self.beta = gamma_object, beta
 
     def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Add one sample: labels of any one shape."""
+        """Adds one sample: two label tensors of one shape."""
         self._add(average_precision_parts(pred, target, self.gamma_object, self.beta))
 
 
@@ -181,7 +182,7 @@ class AchievableSegmentationAccuracyMetric(_SampleMeanOfOne):
     """:func:`torchjoint.metrics.achievable_segmentation_accuracy`, averaged over samples."""
 
     def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Add one sample: labels of any one shape."""
+        """Adds one sample: two label tensors of one shape."""
         self._add(achievable_segmentation_accuracy(pred, target))
 
 
@@ -191,7 +192,7 @@ class UndersegmentationErrorMetric(_SampleMeanOfOne):
     higher_is_better = False
 
     def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Add one sample: labels of any one shape."""
+        """Adds one sample: two label tensors of one shape."""
         self._add(undersegmentation_error(pred, target))
 
 
@@ -199,8 +200,8 @@ class BoundaryRecallMetric(_SampleMeanOfOne):
     """:func:`torchjoint.metrics.boundary_recall`, averaged over samples.
 
     Args:
-        tolerance: as of the function.
-        kwargs: those of :class:`torchmetrics.Metric`.
+        tolerance: as for the function.
+        kwargs: as for :class:`torchmetrics.Metric`.
     """
 
     def __init__(self, tolerance: int = 1, **kwargs: Any) -> None:
@@ -209,5 +210,5 @@ class BoundaryRecallMetric(_SampleMeanOfOne):
         self.tolerance = tolerance
 
     def update(self, pred: Tensor, target: Tensor | Sequence[Tensor], edge_index: Tensor) -> None:
-        """Add one sample: labels of N points, and the graph [2, E] of these."""
+        """Adds one sample: labels of N points, and the graph [2, E] of the points."""
         self._add(boundary_recall(pred, target, edge_index, tolerance=self.tolerance))

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchjoint.metrics.overlaps import Overlaps, largest, overlap_tables
 
-#: Regions are candidates from the largest down until they hold this share of the data; the rest is too small to count.
+#: Candidates are the largest regions that together hold this share of the data; smaller regions do not count.
 CANDIDATE_SHARE = 0.99
 
 _NONE, _PART, _OBJECT = 0, 1, 2
@@ -34,23 +34,24 @@ def objects_and_parts(
     gamma_part: float = 0.25,
     beta: float = 0.1,
 ) -> ObjectsAndParts:
-    """Precision and recall for objects and parts.
+    """Computes precision and recall for objects and parts.
 
-    A predicted and a true region that overlap by ``gamma_object`` of both are objects. One that lies within the other
-    by ``gamma_object`` and fills ``gamma_part`` of it is a part, worth ``beta`` of an object. What is neither still
-    earns its fragmentation: the share of it that regions lying within it fill.
+    A predicted and a true region are objects if their overlap is at least ``gamma_object`` of both. A region is a part
+    if at least ``gamma_object`` of it lies within the other region and it fills at least ``gamma_part`` of the other; a
+    part counts ``beta`` of an object. A region that is neither counts its fragmentation: the share of it that is filled
+    by regions that lie within it.
 
-    With several ground truths recall runs over the regions of all of them, a predicted region is an object if it is one
-    for any of them, and its fragmentation is their mean. The predicted candidates are chosen among the points
-    that some ground truth labels.
+    With several ground truths, recall counts the regions of all of them. A predicted region is an object if it is an
+    object for any ground truth, and its fragmentation is the mean over the ground truths. The predicted candidates are
+    chosen among the points that are labelled in at least one ground truth.
 
     Args:
         pred: int64, any shape.
-        target: int64 of the same shape, -1 = void; or a sequence of such.
-        gamma_object: least overlap of an object. At 0.5 and below a true region may match several predicted ones as
-            an object or as a part; the one seen last (in row-major order of first appearance) then decides.
-        gamma_part: least overlap of a part, 0 < gamma_part <= gamma_object <= 1.
-        beta: the worth of a part, in [0, 1].
+        target: int64 of the same shape, -1 = void; or a sequence of such tensors.
+        gamma_object: smallest overlap of an object. At 0.5 and below, a true region may match several predicted regions
+            as object or as part; then the match with the last one (in row-major order of first appearance) decides.
+        gamma_part: smallest overlap of a part, 0 < gamma_part <= gamma_object <= 1.
+        beta: value of a part, in [0, 1].
 
     Raises:
         TypeError, ValueError: as :func:`torchjoint.metrics.segmentation_covering`;
@@ -66,10 +67,11 @@ def objects_and_parts(
 def average_precision_objects(
     pred: Tensor, target: Tensor | Sequence[Tensor], gamma_part: float = 0.25, beta: float = 0.1
 ) -> float:
-    """AP_o: :func:`objects_and_parts` with ``gamma_object`` = .50, .55, ... .95, integrated.
+    """AP_o: :func:`objects_and_parts` integrated over ``gamma_object`` = .50, .55, ... .95.
 
-    The paper does not say how; here the points are taken by rising recall and the step sum
-    ``sum (Re_i - Re_{i-1}) Pr_i`` is made, from Re_0 = 0, for each sample by itself.
+    The paper does not define the integral. Here the points are sorted by rising recall, and AP_o is the step sum
+    ``sum (Re_i - Re_{i-1}) Pr_i`` with Re_0 = 0, separately for each sample. Arguments and errors: as
+    :func:`objects_and_parts`.
     """
     return average_precision_objects_of(*overlap_tables(pred, target), gamma_part, beta)
 
@@ -77,21 +79,21 @@ def average_precision_objects(
 def average_precision_parts(
     pred: Tensor, target: Tensor | Sequence[Tensor], gamma_object: float = 0.75, beta: float = 0.1
 ) -> float:
-    """AP_p: as :func:`average_precision_objects`, but with ``gamma_part`` = .05, .10, ... .70."""
+    """AP_p: as :func:`average_precision_objects`, but over ``gamma_part`` = .05, .10, ... .70."""
     return average_precision_parts_of(*overlap_tables(pred, target), gamma_object, beta)
 
 
 def average_precision_objects_of(
     pred_area: Tensor, tables: Sequence[Overlaps], gamma_part: float = 0.25, beta: float = 0.1
 ) -> float:
-    """:func:`average_precision_objects`, from tables that are there already."""
+    """Returns :func:`average_precision_objects` from existing tables."""
     return _step_sum([objects_and_parts_of(pred_area, tables, k / 20, gamma_part, beta) for k in range(10, 20)])
 
 
 def average_precision_parts_of(
     pred_area: Tensor, tables: Sequence[Overlaps], gamma_object: float = 0.75, beta: float = 0.1
 ) -> float:
-    """:func:`average_precision_parts`, from tables that are there already."""
+    """Returns :func:`average_precision_parts` from existing tables."""
     return _step_sum([objects_and_parts_of(pred_area, tables, gamma_object, k / 20, beta) for k in range(1, 15)])
 
 
@@ -102,7 +104,7 @@ def objects_and_parts_of(
     gamma_part: float = 0.25,
     beta: float = 0.1,
 ) -> ObjectsAndParts:
-    """:func:`objects_and_parts`, from what :func:`torchjoint.metrics.overlaps.overlap_tables` made already."""
+    """Returns :func:`objects_and_parts` from the result of :func:`torchjoint.metrics.overlaps.overlap_tables`."""
     check_thresholds(gamma_object, gamma_part, beta)
     pred_candidate = _candidates(pred_area)
     pred_class = torch.full_like(pred_area, _NONE)
@@ -116,10 +118,10 @@ def objects_and_parts_of(
         pred_is_part = eligible & within & ~fills & (table.recall >= gamma_part)
         target_is_part = eligible & fills & ~within & (table.precision >= gamma_part)
 
-        # Of a predicted region's matches the best counts (object before part), over all ground truths ...
+        # For a predicted region, its best match counts (object before part), over all ground truths ...
         found = is_object * _OBJECT + pred_is_part * _PART
         pred_class = torch.maximum(pred_class, largest(found, table.pred, len(pred_class)))
-        # ... of a true region's, the last: the measure's own asymmetry, seen only where gamma_object <= 0.5.
+        # ... for a true region, its last match: an asymmetry of the metric, relevant only if gamma_object <= 0.5.
         found = is_object * _OBJECT + target_is_part * _PART
         ranked = torch.where(found > _NONE, table.pred * 3 + found, 0)
         target_class = largest(ranked, table.target, len(table.target_area)) % 3
@@ -136,7 +138,7 @@ def objects_and_parts_of(
 
 
 def _candidates(area: Tensor) -> Tensor:
-    """[R] bool: the largest regions, up to and with the one that reaches the share. Ties: the later one first."""
+    """[R] bool: the largest regions, up to and including the one that reaches the share. Ties: the later one first."""
     order = area.flip(0).argsort(descending=True, stable=True)
     share = (area.flip(0)[order].double() / area.sum()).cumsum(0)
     before = torch.cat([share.new_zeros(1), share[:-1]])
@@ -159,7 +161,7 @@ def _step_sum(curve: list[ObjectsAndParts]) -> float:
 
 
 def check_thresholds(gamma_object: float, gamma_part: float, beta: float) -> None:
-    """Raise ValueError unless they are in range."""
+    """Raises ValueError if a threshold is out of range."""
     if not 0 < gamma_object <= 1:
         raise ValueError(f"gamma_object: expected a number in (0, 1], got {gamma_object}")
     if not 0 < gamma_part <= gamma_object:

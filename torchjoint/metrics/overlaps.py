@@ -1,4 +1,4 @@
-"""The table that measures are computed from: how many points each predicted region shares with each true one."""
+"""The table behind all metrics: the number of points that each predicted region shares with each true region."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Overlaps:
 
     def __init__(self, pred: Tensor, num_pred: int, target: Tensor) -> None:
         target, num_target = _by_first_appearance(target)
-        key, self.count = count_keys(pred * num_target + target, num_pred * num_target)  # [E] points shared
+        key, self.count = count_keys(pred * num_target + target, num_pred * num_target)  # [E] shared points
         self.pred, self.target = key // num_target, key % num_target  # [E], ascending
         self.pred_area = torch.bincount(pred, minlength=num_pred)  # [P]; 0 where this ground truth is void
         self.target_area = torch.bincount(target)  # [T]
@@ -28,7 +28,7 @@ class Overlaps:
 
 
 def overlap_tables(pred: Tensor, target: Tensor | Sequence[Tensor]) -> tuple[Tensor, list[Overlaps]]:
-    """Labels as the predicted regions' areas [P] and one table per ground truth, all with the same P.
+    """Returns the predicted regions' areas [P] and one table per ground truth, all with the same P.
 
     Raises:
         TypeError, ValueError: as :func:`torchjoint.metrics.labels.checked_pair`.
@@ -42,21 +42,21 @@ def overlap_tables(pred: Tensor, target: Tensor | Sequence[Tensor]) -> tuple[Ten
 
 
 def largest(value: Tensor, index: Tensor, size: int) -> Tensor:
-    """The largest of the values of each index, [size]; 0 where there is none."""
+    """Returns the largest value of each index, [size]; 0 for an index without values."""
     return value.new_zeros(size).scatter_reduce(0, index, value, "amax")
 
 
 def count_keys(key: Tensor, size: int) -> tuple[Tensor, Tensor]:
-    """The distinct keys of [N] keys in 0 ... size-1, ascending, and how often each occurs."""
-    if size > 4 * len(key) + 1024:  # too sparse to index by: sort
+    """Returns the distinct values of [N] keys in 0 ... size-1, ascending, and the count of each."""
+    if size > 4 * len(key) + 1024:  # too sparse for direct indexing: sort instead
         return key.unique(return_counts=True)
     counts = torch.bincount(key, minlength=size)
     values = counts.nonzero().flatten()
     return values, counts[values]
 
 
-def by_value(labels: Tensor) -> tuple[Tensor, Tensor]:
-    """The distinct labels [R] >= 0 of [N] labels >= -1, ascending, and each label's place among them, [N]; -1 of -1."""
+def renumber_by_value(labels: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns the distinct labels [R] >= 0 of [N] labels >= -1, ascending, and each label's index [N]; -1 for -1."""
     size = int(labels.max()) + 2
     if size > 4 * len(labels) + 1024:
         values, place = labels.unique(return_inverse=True)
@@ -71,14 +71,14 @@ def by_value(labels: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def places(mask: Tensor) -> Tensor:
-    """Where [N] bool is True, [M] int64, by NumPy: several times faster."""
+    """Returns the indices [M] int64 where [N] bool is True, by NumPy: several times faster than by torch."""
     return torch.from_numpy(mask.numpy().nonzero()[0])
 
 
 def _by_first_appearance(labels: Tensor) -> tuple[Tensor, int]:
-    """Labels [N] >= -1 as 0 ... R-1 in order of first appearance, and R."""
+    """Renumbers labels [N] >= -1 to 0 ... R-1 in order of first appearance; returns also R."""
     size = int(labels.max()) + 2
-    if size > 4 * len(labels) + 1024:  # too sparse to index by: sort. Anything below is 5 times faster without.
+    if size > 4 * len(labels) + 1024:  # too sparse for direct indexing: sort instead (5 times slower below this limit)
         values, labels = labels.unique(return_inverse=True)
         size = len(values)
     else:

@@ -1,17 +1,18 @@
-"""Average precision of instances as the ScanNet benchmark has it, all classes being one.
+"""Average precision of instances as in the ScanNet benchmark, but class-agnostic.
 
-A. Dai et al., "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes" (CVPR 2017), and the definition its
-evaluation of 3D instances follows. What it settles, beyond the IoU of masks:
+A. Dai et al., "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes" (CVPR 2017), and the rules of its
+benchmark's evaluation of 3D instances. The rules, in addition to the IoU of masks:
 
-* A mask and an instance match where their IoU is above the threshold. Void points count in a mask's area.
-* Masks and instances below the least size are left out.
-* Every instance, by ascending label, takes the masks that match it and that no instance before it has claimed. The
-  score of the best of them is a true positive's, those of the others are false positives'; the first one (by number)
-  is claimed. Only below a threshold of 0.5 can a mask match several instances, and only there do numbers matter.
-* A mask that matches nothing is a false positive, unless a share of it above the threshold is void or belongs to
+* A mask and an instance match if their IoU is above the threshold. Void points count in a mask's area.
+* Masks and instances below the smallest size are left out.
+* Instances are processed by ascending label. Each takes the masks that match it and that no earlier instance has
+  claimed. The best score of these masks becomes a true positive, all other scores become false positives; the first
+  mask (by number) is claimed. Only below a threshold of 0.5 can a mask match several instances, so only there do
+  numbers matter.
+* A mask without a match is a false positive, unless a share of it above the threshold is void or belongs to
   instances that are too small.
-* The predictions of all scenes make one curve of precision over recall, masks of the same score one point of it. Its
-  area is the sum of trapezoids from recall 0, precision 1 on.
+* The predictions of all scenes make one precision-recall curve; masks with the same score make one point. Its area is
+  the sum of trapezoids, starting at recall 0, precision 1.
 """
 
 from __future__ import annotations
@@ -27,12 +28,12 @@ from torch import Tensor
 from torchjoint.metrics.labels import checked_targets
 from torchjoint.metrics.masks import Intersections, intersect
 
-#: IoU of AP25, and those whose mean is AP; the first of these is AP50's.
+#: IoU thresholds: of AP25, then those averaged for AP; the first of the latter is AP50's.
 THRESHOLDS = (0.25, *(k / 20 for k in range(10, 19)))
 
 
 class AveragePrecision(NamedTuple):
-    """Mean over the IoU thresholds .50, .55, ... .90, and at .50 and .25; in [0, 1], nan without a true instance."""
+    """Mean over the IoU thresholds .50, .55, ... .90, and AP at .50 and .25; in [0, 1]; nan without a true instance."""
 
     ap: float
     ap50: float
@@ -40,7 +41,7 @@ class AveragePrecision(NamedTuple):
 
 
 class Matches(NamedTuple):
-    """True and false positives, at all thresholds. Those of several scenes are put together by concatenation."""
+    """True and false positives at all thresholds. The matches of several scenes are concatenated."""
 
     threshold: Tensor  #: [M] float64, one of THRESHOLDS
     score: Tensor  #: [M] float64
@@ -54,23 +55,23 @@ def scannet_average_precision(
     *,
     min_size: int = 100,
 ) -> AveragePrecision:
-    """Class-agnostic AP, AP50 and AP25 of one scene, by the rules of the ScanNet benchmark (see the module's head).
+    """Computes class-agnostic AP, AP50 and AP25 of one scene, by the rules of the ScanNet benchmark (see the module).
 
-    The AP of a data set is not the mean of its scenes': use :class:`torchjoint.metrics.ScannetAveragePrecisionMetric`.
-    Several ground truths count as so many scenes. Unlike in the other measures, void is not dropped, and what a
-    prediction leaves unlabelled is no region.
+    The AP of a data set is not the mean over its scenes: use
+    :class:`torchjoint.metrics.ScannetAveragePrecisionMetric`. Several ground truths count as several scenes. Unlike in
+    the other metrics, void is not dropped, and unlabelled points are not a region.
 
     Args:
-        pred: labels, int64 of the target's shape, -1 = no instance; or masks that may overlap, bool [K, ...] of the
-            target's shape after the first; or K int64 tensors of the numbers of their points in the flat target.
-        target: int64, any shape, -1 = void; or a sequence of such.
-        scores: [K], finite: that of each mask, or ``scores[label]`` of each label. None: all alike, for methods
-            that have none. The curve is then one point, and its area recall x (1 + precision) / 2.
-        min_size: points; 100 in the benchmark.
+        pred: labels, int64 of the target's shape, -1 = no instance; or masks that may overlap, bool [K, ...] with the
+            target's shape after the first axis; or K int64 tensors of point indices into the flattened target.
+        target: int64, any shape, -1 = void; or a sequence of such tensors.
+        scores: [K], finite: one per mask, or ``scores[label]`` per label. None: all scores are equal, for methods
+            without scores. The curve is then one point, and its area is recall x (1 + precision) / 2.
+        min_size: smallest size, in points; 100 in the benchmark.
 
     Raises:
         TypeError: labels that are not integer tensors, masks that are not bool, scores that are not a tensor.
-        ValueError: shapes that differ, labels or points out of range, nothing but void, scores that are missing or not
+        ValueError: shapes that differ, labels or points out of range, only void labels, scores that are missing or not
             finite, min_size below 1.
 
     >>> import torch
@@ -85,7 +86,7 @@ def scannet_average_precision(
 def match_instances(
     pred: Tensor | Sequence[Tensor], target: Tensor | Sequence[Tensor], scores: Tensor | None, min_size: int
 ) -> tuple[Matches, int]:
-    """The matches of a scene, and how many true instances it has; arguments and errors as of the measure."""
+    """Returns the matches of a scene and its number of true instances; arguments and errors: as the metric."""
     check_min_size(min_size)
     checked_targets(target)
     found, num_instances = [], 0
@@ -97,13 +98,13 @@ def match_instances(
 
 
 def areas(matches: Matches, num_instances: int) -> AveragePrecision:
-    """The average precisions of the matches of one scene or of many."""
+    """Returns the average precisions from the matches of one or several scenes."""
     at = [_area(matches, threshold, num_instances) for threshold in THRESHOLDS]
     return AveragePrecision(fmean(at[1:]), at[1], at[0])
 
 
 def check_min_size(min_size: int) -> None:
-    """Raise ValueError unless it is at least 1."""
+    """Raises ValueError if `min_size` is below 1."""
     if not min_size >= 1:
         raise ValueError(f"min_size: expected at least 1 point, got {min_size}")
 
@@ -129,7 +130,7 @@ def _match(table: Intersections, score: Tensor, min_size: int) -> Matches:
 
 
 def _claimed(instance: Tensor, mask: Tensor, score: Tensor) -> list[list[float]]:
-    """The scores, ascending, of the masks that each instance takes; of the instances that take any."""
+    """The scores, ascending, of the masks that each instance takes; only for instances that take any mask."""
     pairs = sorted(zip(instance.tolist(), mask.tolist(), score[mask].tolist(), strict=True))
     claimed: set[int] = set()
     result = []

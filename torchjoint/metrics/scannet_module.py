@@ -11,15 +11,15 @@ from torchmetrics import Metric
 from torchmetrics.utilities import dim_zero_cat
 
 from torchjoint.metrics.scannet import AveragePrecision, Matches, areas, check_min_size, match_instances
-from torchjoint.metrics.states import tell_apart
+from torchjoint.metrics.states import add_options_state
 
 
 class ScannetAveragePrecisionMetric(Metric):
-    """:func:`torchjoint.metrics.scannet_average_precision` of a data set, all its scenes making one curve.
+    """:func:`torchjoint.metrics.scannet_average_precision` of a data set; all scenes make one curve.
 
     Args:
-        min_size: as of the function.
-        kwargs: those of :class:`torchmetrics.Metric`.
+        min_size: as for the function.
+        kwargs: as for :class:`torchmetrics.Metric`.
 
     >>> import torch
     >>> target = torch.tensor([0, 0, 1, 1])
@@ -42,18 +42,18 @@ class ScannetAveragePrecisionMetric(Metric):
     def __init__(self, min_size: int = 100, **kwargs: Any) -> None:
         check_min_size(min_size)
         super().__init__(**kwargs)
-        tell_apart(self, min_size)
+        add_options_state(self, min_size)
         self.min_size = min_size
         for name in Matches._fields:
             self.add_state(name, [], dist_reduce_fx="cat")
         self.add_state("num_scenes", torch.tensor(0), dist_reduce_fx="sum")
         self.add_state("num_instances", torch.tensor(0), dist_reduce_fx="sum")
-        self.set_dtype(torch.float64)  # what a process without a scene contributes to the lists must be of their dtype
+        self.set_dtype(torch.float64)  # the empty list state of a process without scenes needs the same dtype
 
     def update(
         self, pred: Tensor | Sequence[Tensor], target: Tensor | Sequence[Tensor], scores: Tensor | None = None
     ) -> None:
-        """Add one scene: labels, masks or points of the predicted instances, the true labels, scores."""
+        """Adds one scene: labels, masks or points of the predicted instances; the true labels; scores."""
         matches, num_instances = match_instances(pred, target, scores, self.min_size)
         for name, values in zip(Matches._fields, matches, strict=True):
             getattr(self, name).append(values.to(self.device))
@@ -61,7 +61,7 @@ class ScannetAveragePrecisionMetric(Metric):
         self.num_scenes += 1
 
     def compute(self) -> AveragePrecision:
-        """Of all scenes so far; ValueError if there is none, nan if none has an instance of the least size."""
+        """Returns the AP of all scenes so far. ValueError without a scene; nan if no instance is large enough."""
         if int(self.num_scenes) == 0:
             raise ValueError(f"{type(self).__name__}: expected an update before compute, got none")
         return areas(Matches(*(dim_zero_cat(getattr(self, name)) for name in Matches._fields)), int(self.num_instances))

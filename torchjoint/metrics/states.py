@@ -1,4 +1,4 @@
-"""What the states of the torchmetrics classes have in common."""
+"""A state that all torchmetrics classes of the package share."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import torch
 from torchmetrics import Metric
 
 
-def tell_apart(metric: Metric, *options: float) -> None:
-    """Adds a state that only metrics of the same class and options share.
+def add_options_state(metric: Metric, *options: float) -> None:
+    """Adds a state that is equal only for metrics of the same class and options.
 
-    A :class:`torchmetrics.MetricCollection` updates only one of the metrics whose states have the same names and values
-    after the first update: after a perfect sample that would be measures that have nothing else in common.
+    A :class:`torchmetrics.MetricCollection` groups metrics whose states have equal names and values after the first
+    update, and then updates only one metric per group. After a perfect sample, unrelated metrics would form a group.
     """
     metric.add_state(
         f"options_of_{type(metric).__name__}", torch.tensor([0.0, *options], dtype=torch.float64), dist_reduce_fx="max"

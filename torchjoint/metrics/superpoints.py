@@ -1,4 +1,4 @@
-"""What an over-segmentation loses: superpoints, or superpixels, that cross borders, and borders they do not follow."""
+"""Metrics of over-segmentations (superpoints, superpixels): their leaks over true borders, and missed borders."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import torch
 from torch import Tensor
 
 from torchjoint.metrics.labels import INTEGERS, checked_pair
-from torchjoint.metrics.overlaps import by_value, largest, overlap_tables, places
+from torchjoint.metrics.overlaps import largest, overlap_tables, places, renumber_by_value
 
 
 def achievable_segmentation_accuracy(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
-    """Share of the points that would be right if every superpoint had the true label that most of its points have.
+    """Share of the points with a correct label if every superpoint gets the most frequent true label of its points.
 
     ``ASA = 1/n sum_S max_G |S and G|`` (M.-Y. Liu et al., "Entropy Rate Superpixel Segmentation", CVPR 2011), also
-    called oracle accuracy; in [0, 1], averaged over the ground truths if several. Void is dropped first.
+    called oracle accuracy; in [0, 1], averaged over the ground truths if there are several. Void is dropped first.
 
     Args:
         pred: int64, any shape.
-        target: int64 of the same shape, -1 = void; or a sequence of such.
+        target: int64 of the same shape, -1 = void; or a sequence of such tensors.
 
     Raises:
         TypeError, ValueError: as :func:`torchjoint.metrics.segmentation_covering`.
@@ -34,12 +34,11 @@ def achievable_segmentation_accuracy(pred: Tensor, target: Tensor | Sequence[Ten
 
 
 def undersegmentation_error(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
-    """How far superpoints leak out of the true regions that they touch; the less the better.
+    """Measures how far superpoints leak out of the true regions that they touch; lower is better.
 
-    ``UE = 1/n sum_G sum_{S meets G} min(|S and G|, |S - G|)``, the form without parameters of P. Neubert and P.
-    Protzel, "Superpixel Benchmark and Comparison" (Forum Bildverarbeitung 2012); in [0, 1], averaged over the ground
-    truths if several. Void is dropped first. Arguments and errors are those of
-    :func:`achievable_segmentation_accuracy`.
+    ``UE = 1/n sum_G sum_{S meets G} min(|S and G|, |S - G|)``, the parameter-free form of P. Neubert and P. Protzel,
+    "Superpixel Benchmark and Comparison" (Forum Bildverarbeitung 2012); in [0, 1], averaged over the ground truths if
+    there are several. Void is dropped first. Arguments and errors: as :func:`achievable_segmentation_accuracy`.
 
     >>> import torch
     >>> undersegmentation_error(torch.tensor([0, 0, 0, 1]), torch.tensor([0, 0, 1, 1]))  # (1 + 1) / 4
@@ -54,21 +53,21 @@ def boundary_recall(
 ) -> float:
     """Share of the true borders that the superpoints follow.
 
-    On a graph of the points, a border is made of the edges between different regions. A true one is followed if the
-    edge itself is one of the prediction, or, with a tolerance of 1, shares a point with one; each further unit of
-    tolerance goes one edge further. L. Landrieu and M. Boussaha, "Point Cloud Oversegmentation with Graph-Structured
-    Deep Metric Learning" (CVPR 2019), have 1. Edges at void points are dropped first. Several ground truths are
-    averaged; one without borders has none to miss and counts as 1.
+    On a graph of the points, the border edges are the edges between different regions. A true border edge is followed
+    if it is also a predicted border edge, or, with a tolerance of 1, shares a point with one; each further unit of
+    tolerance allows one more edge of distance. L. Landrieu and M. Boussaha, "Point Cloud Oversegmentation with
+    Graph-Structured Deep Metric Learning" (CVPR 2019), use 1. Edges at void points are dropped first. Several ground
+    truths are averaged; a ground truth without borders counts as 1.
 
     Args:
         pred: int64 [N], or any shape of N points.
-        target: int64 of the same shape, -1 = void; or a sequence of such.
-        edge_index: integers [2, E], E >= 1, in 0 ... N - 1; undirected edges, each once, such as
-            :func:`torchjoint.ops.neighbor_edges` makes.
-        tolerance: edges, >= 0.
+        target: int64 of the same shape, -1 = void; or a sequence of such tensors.
+        edge_index: integers [2, E], E >= 1, in 0 ... N - 1; undirected edges, each given once, for example from
+            :func:`torchjoint.ops.neighbor_edges`.
+        tolerance: number of edges, >= 0.
 
     Raises:
-        TypeError, ValueError: as :func:`torchjoint.metrics.segmentation_covering`, and for edges out of range and a
+        TypeError, ValueError: as :func:`torchjoint.metrics.segmentation_covering`; also for edges out of range or a
             negative tolerance.
 
     >>> import torch
@@ -86,7 +85,7 @@ def boundary_recall(
 
 
 def check_tolerance(tolerance: int) -> None:
-    """Raise ValueError unless it is a whole number, at least 0."""
+    """Raises ValueError if `tolerance` is not an integer >= 0."""
     if not (isinstance(tolerance, int) and tolerance >= 0):
         raise ValueError(f"tolerance: expected a number of edges >= 0, got {tolerance}")
 
@@ -109,7 +108,7 @@ def _recall(crossing: Tensor, target: Tensor, source: Tensor, sink: Tensor, tole
 
 
 def _labels_at(labels: Tensor, source: Tensor, sink: Tensor) -> tuple[Tensor, Tensor]:
-    small = by_value(labels)[1].int()  # half the memory to jump about in
+    small = renumber_by_value(labels)[1].int()  # half the memory for random access
     return small.index_select(0, source), small.index_select(0, sink)
 
 

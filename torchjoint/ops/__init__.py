@@ -1,10 +1,10 @@
-"""The compiled parts of the method, as torch operators: two graph algorithms, and the inner loops around them.
+"""Compiled torch operators for the inner loops of all steps: graph segmentation, minimum cuts, projection and others.
 
-They work on CPU tensors, take any strides, are deterministic, release the GIL, and go through :func:`torch.compile`.
-Their slow and obvious twins are in :mod:`torchjoint.ops.reference`.
+They work on CPU tensors with any strides, are deterministic, release the GIL, and support :func:`torch.compile`.
+Slow and simple Python versions are in :mod:`torchjoint.ops.reference`.
 """
 
-from torchjoint.ops import _extension  # noqa: F401  first of all: it registers the operators
+from torchjoint.ops import _extension  # noqa: F401  must come first: it registers the operators
 from torchjoint.ops.felzenszwalb import felzenszwalb
 from torchjoint.ops.felzenszwalb_image import felzenszwalb_image
 from torchjoint.ops.fit_normals import fit_normals

@@ -1,7 +1,7 @@
-"""Checks of what can be known without looking at values: types, dtypes, shapes, devices.
+"""Checks of the operators' arguments that need no tensor values: types, dtypes, shapes, devices.
 
-They cost nothing and are safe under :func:`torch.compile`. Values (node numbers, NaN, signs) are checked by the
-compiled kernels, while they read them anyway, and come back as :class:`ValueError` as well.
+They cost nothing and are safe under :func:`torch.compile`. The compiled kernels check the values (node numbers, NaN,
+signs) while they read them, and also raise :class:`ValueError`.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def check_number(name: str, value: object, kinds: tuple[type, ...]) -> None:
         expected = " or ".join(kind.__name__ for kind in kinds)
         raise TypeError(f"{name}: expected {expected}, got {type(value).__name__}")
     if torch.compiler.is_compiling():
-        return  # a traced number has no value to report; the kernel refuses it
+        return  # a traced number has no value yet; the kernel checks it
     if not value >= 0:  # type: ignore[operator]  # also refuses NaN
         raise ValueError(f"{name}: expected a number >= 0, got {value}")
 

@@ -1,4 +1,4 @@
-"""Graph-based segmentation, after Felzenszwalb and Huttenlocher (IJCV 2004)."""
+"""Graph-based segmentation of Felzenszwalb and Huttenlocher (IJCV 2004): step 6 and superpoints."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ MAX_NODES = 2**31 - 1
 def felzenszwalb(edge_index: Tensor, weight: Tensor, num_nodes: int, scale: float, min_size: int = 0) -> Tensor:
     """Segment a weighted graph: P. Felzenszwalb, D. Huttenlocher, "Efficient Graph-Based Image Segmentation".
 
-    Edges are taken in ascending order of weight, ties in the order they are given. An edge of weight ``w`` between
-    two components joins them when ``w <= min(Int(C1) + scale/|C1|, Int(C2) + scale/|C2|)``, where ``Int(C)`` is the
-    largest weight in the minimum spanning tree of ``C`` (0 for a single node). A second pass, in the same order,
-    joins every component of fewer than ``min_size`` nodes to the neighbour it meets first. All arithmetic is in
-    float32, and the result is deterministic.
+    The edges are processed in ascending order of weight, ties in the given order. An edge of weight ``w`` between two
+    components joins them if ``w <= min(Int(C1) + scale/|C1|, Int(C2) + scale/|C2|)``, where ``Int(C)`` is the largest
+    weight in the minimum spanning tree of ``C`` (0 for a single node). A second pass, in the same order, joins every
+    component of fewer than ``min_size`` nodes along its first edge to another component. All arithmetic is in float32,
+    and the result is deterministic.
 
     Args:
-        edge_index: ``[2, E]`` int64, undirected edges. Self loops and repeated edges do no harm.
-        weight: ``[E]`` float32 or float64 (rounded to float32), the dissimilarity of the ends. May be negative or
+        edge_index: ``[2, E]`` int64, undirected edges. Self loops and repeated edges have no effect.
+        weight: ``[E]`` float32 or float64 (rounded to float32), the dissimilarity of the two ends. May be negative or
             infinite, but not NaN.
         num_nodes: number of nodes N, below 2^31.
         scale: the paper's k, in units of weight times nodes: larger values give larger segments.

@@ -1,4 +1,4 @@
-"""Graph-based segmentation of images, without a list of their edges."""
+"""Steps 1 and 2: graph-based segmentation of images, without a stored list of edges."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ def felzenszwalb_image(
     color_weight: float = 1.0,
     boundary_weight: float = 1.0,
 ) -> Tensor:
-    """Segment images: :func:`felzenszwalb` on their 8-connected grids, edges and weights made on the fly.
+    """Segment images: :func:`felzenszwalb` on their 8-connected pixel grids; edges and weights are computed on the fly.
 
-    The edges are those of :func:`torchjoint.images.pixel_graph.grid_edges` and the weights those of
+    The edges are those of :func:`torchjoint.images.pixel_graph.grid_edges`, the weights those of
     :func:`torchjoint.images.pixel_graph.pixel_weights`,
-    ``w = color_weight |c_i - c_j| + boundary_weight min(b_i, b_j)`` (M. Abello et al., ICRA 2021, eq. 1-2), and so the
-    labels are, bit for bit, those of the way by an edge list. The
-    images of a batch are spread over torch's threads; the labels do not depend on how many there are. Besides the
-    result, less than 40 bytes a pixel are in use.
+    ``w = color_weight |c_i - c_j| + boundary_weight min(b_i, b_j)`` (M. Abello et al., ICRA 2021, eq. 1-2). So the
+    labels are bit for bit the same as with an explicit list of edges. The images of a batch are distributed over
+    torch's threads; the labels do not depend on the number of threads. Besides the result, less than 40 bytes per
+    pixel are used.
 
     Args:
-        images: ``[B, C, H, W]`` float32, any number of channels; for RGB in [0, 1] the default weights are sensible.
-        boundaries: ``[B, H, W]`` float32, how likely a boundary passes through each pixel; None: there are none.
+        images: ``[B, C, H, W]`` float32, any number of channels; the default weights suit RGB in [0, 1].
+        boundaries: ``[B, H, W]`` float32, boundary strength of each pixel; None: no boundaries.
         scale: k, in units of weight times pixels: larger values give larger segments.
         min_size: segments of fewer pixels than this are joined to a neighbour.
         color_weight: w_c >= 0.

@@ -1,4 +1,4 @@
-"""Normals of planes fitted to neighbourhoods."""
+"""Step 3: normals of planes fitted to the neighbourhoods of points."""
 
 from __future__ import annotations
 
@@ -11,23 +11,24 @@ from torchjoint.ops._checks import FLOATING, check_neighbors, check_tensor
 
 
 def fit_normals(points: Tensor, neighbors: Tensor) -> Tensor:
-    """Fit a plane to each point and its neighbours: the eigenvector of their covariance's smallest eigenvalue.
+    """Fit a plane to each point and its neighbours, and return its normal.
 
-    Covariances are taken in float64, relative to the point. A plane has two normals; the upper one is returned: z > 0,
-    or z = 0 and y > 0, or z = y = 0 and x > 0. It is (0, 0, 1) where the points coincide, vary alike in all
-    directions, or are fewer than three (K < 2), and across the line where they are on one.
+    The normal is the eigenvector for the smallest eigenvalue of the points' covariance. Covariances are computed in
+    float64, relative to the point. Of a plane's two normals the upper one is returned: z > 0, or z = 0 and y > 0, or
+    z = y = 0 and x > 0. The normal is (0, 0, 1) if the points coincide, vary equally in all directions, or are fewer
+    than three (K < 2). If the points lie on a line, the normal is perpendicular to the line.
 
     Args:
         points: ``[N, 3]`` float32 or float64, finite.
-        neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point, itself left out.
+        neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point, without the point itself.
 
     Returns:
-        ``[N, 3]`` float32, unit length. Runs on torch's threads; the result does not depend on how many there are.
+        ``[N, 3]`` float32, unit length. Runs on torch's threads; the result does not depend on the number of threads.
         No gradient flows through it.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.
-        ValueError: a wrong shape or device, a number outside [0, N).
+        ValueError: a wrong shape or device, a neighbour outside [0, N).
 
     Example:
         >>> import torch

@@ -1,4 +1,4 @@
-"""One-to-one matching of the pixels of two maps."""
+"""Evaluation of step 1: one-to-one matching of the set pixels of two boundary maps."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from torchjoint.ops._checks import check_array, check_number
 
 
 def match_pixels(pred: Tensor, target: Tensor, radius: float) -> tuple[Tensor, Tensor]:
-    """Pair the set pixels of two maps that are near each other: each with one at most, and as many as possible.
+    """Match the set pixels of two maps one to one, within a radius; the number of pairs is the largest possible.
 
-    First the nearest: for every offset within the radius, by its length, then row, then column, all pairs at that
-    offset of which neither is taken yet. Then every pixel of ``pred`` still without a partner, row by row, gets one
-    along a shortest alternating path, where there is one (breadth first, offsets in the same order). The number of
-    pairs is that of a maximum matching (C. Berge, "Two theorems in graph theory", PNAS 1957). Milliseconds where the
-    maps are thin lines, seconds where both are dense and random.
+    First a greedy pass pairs the nearest pixels. It goes through the offsets within the radius, sorted by length, then
+    row, then column, and pairs all pixels at this offset that are both still free. Then each free pixel of ``pred``,
+    row by row, gets a partner along a shortest alternating path, if one exists (breadth first, offsets in the same
+    order). The result is a maximum matching (C. Berge, "Two theorems in graph theory", PNAS 1957). It takes
+    milliseconds for maps of thin lines, and seconds if both maps are dense and random.
 
     Args:
         pred: ``[H, W]`` bool.
         target: ``[H, W]`` bool.
-        radius: the longest distance of a pair, pixels, Euclidean; finite, >= 0.
+        radius: largest Euclidean distance of a pair, pixels; finite, >= 0.
 
     Returns:
-        ``pred_matched``, ``target_matched``, both ``[H, W]`` bool: the set pixels that have a partner, the same number
-        in both.
+        ``pred_matched``, ``target_matched``, both ``[H, W]`` bool: the set pixels that have a partner; both maps have
+        the same number of them.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.

@@ -1,4 +1,4 @@
-"""Greedy merging of regions by the mean cost of their borders."""
+"""Step 6, method regions: region merging by mean boundary cost (average linkage)."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from torchjoint.ops._checks import check_array, check_edge_index, check_number
 
 
 def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int = 0) -> Tensor:
-    """Merge neighbouring regions, always those whose border has the lowest mean cost, up to a threshold.
+    """Repeatedly merge the two neighbouring regions with the lowest mean boundary cost, up to a threshold.
 
-    The border of two regions is all edges between them; two borders with the same third region become one when regions
-    merge. Afterwards regions of less than ``min_size`` are merged across their cheapest borders, the cheapest of all
-    first, until none is left that has a neighbour.
+    The boundary of two regions consists of all edges between them. When two regions merge, their boundaries with the
+    same third region become one boundary. Afterwards, regions smaller than ``min_size`` are merged across boundaries in
+    the same order, until no such region has a neighbour. This is average-linkage agglomeration (R. Sokal and C.
+    Michener, 1958) of the region adjacency graph, as P. Arbeláez et al. (PAMI 2011) merge image regions.
 
-    Costs are rounded to multiples of 2^-20, so that sums are exact (below 2^33 a border). Of equally cheap borders the
-    one with the lowest number goes first; borders are numbered by their first edges, and joined ones keep the lower
-    number.
+    Costs are rounded to multiples of 2^-20, so that sums are exact (below 2^33 per boundary). Of boundaries with equal
+    means the one with the lowest number is merged first. Boundaries are numbered by their first edges; a joined
+    boundary keeps the lower number.
 
     Args:
-        edge_index: ``[2, E]`` int64, region numbers; edges between a region and itself are ignored, several edges
-            between two regions are what makes a border long.
+        edge_index: ``[2, E]`` int64, region numbers of the two ends. Edges inside a region are ignored. Parallel edges
+            all count, so that the mean is over the whole boundary.
         cost: ``[E]`` float32 in [0, 1024].
-        size: ``[R]`` int64, of each region, >= 0, in any unit.
-        threshold: mean cost up to which regions merge, >= 0.
+        size: ``[R]`` int64, size of each region, >= 0, in any unit.
+        threshold: largest mean cost of two regions that merge, >= 0.
         min_size: in the unit of ``size``.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Minimum cut between a source and a sink."""
+"""Step 7, method cuts: minimum cut between a source and a sink."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from torchjoint.ops._checks import check_edge_index, check_vector
 def min_cut(
     edge_index: Tensor, capacity: Tensor, source_capacity: Tensor, sink_capacity: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Split a graph at minimum cost: the minimum s-t cut with the smallest possible source side.
+    """Compute the minimum s-t cut of a graph with the smallest possible source side.
 
-    Every node has, besides its edges, a link to the source and one to the sink. The source side is what the source
-    reaches in the residual graph of a maximum flow, and is contained in the source side of every other minimum cut.
-    Solved by preflow-push (A. Goldberg, R. Tarjan, J. ACM 1988) with highest-label selection, gap heuristic and global
-    relabelling (B. Cherkassky, A. Goldberg, Algorithmica 1997). Nodes far above their last exact label wait for the
-    next global relabelling, and leaves are pruned beforehand, so that long thin graphs take no quadratic time.
+    Every node has, besides its edges, a link to the source and a link to the sink. The source side consists of the
+    nodes that the source reaches in the residual graph of a maximum flow. The source side of every other minimum cut
+    contains it. The algorithm is preflow-push (A. Goldberg, R. Tarjan, J. ACM 1988) with highest-label selection, gap
+    heuristic and global relabelling (B. Cherkassky, A. Goldberg, Algorithmica 1997). Nodes far above their last exact
+    label wait for the next global relabelling, and leaves are pruned in advance; so long thin graphs do not take
+    quadratic time.
 
-    Capacities are rounded to integers first, so that sums are exact and the result is deterministic. With M the
+    Capacities are first rounded to integers, so that sums are exact and the result is deterministic. With M the
     largest capacity of an edge, E < 2^b and M < 2^e, the unit is 2^(b+e-60): for a million edges, less than 2e-12 M.
-    Zero stays zero and anything positive stays positive. Integers up to 2^60 / 2^b are exact. At each node only the
+    Zero stays zero, and a positive capacity stays positive. Integers up to 2^60 / 2^b are exact. At each node only the
     difference of the two terminal capacities is rounded.
 
     Args:
@@ -35,8 +36,8 @@ def min_cut(
             the node a seed of the sink side.
 
     Returns:
-        ``source_side`` ``[N]`` bool, and ``flow``, a float64 scalar: the cost of this cut in the capacities as given,
-        equal to the maximum flow. No gradient flows through them.
+        ``source_side`` ``[N]`` bool, and ``flow``, a float64 scalar: the cost of this cut in the given capacities,
+        which equals the maximum flow. No gradient flows through them.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.

@@ -1,4 +1,4 @@
-"""The undirected edges of a table of nearest neighbours."""
+"""Step 3: the undirected edges of a table of nearest neighbours."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from torchjoint.ops._checks import check_neighbors
 
 
 def neighbor_edges(neighbors: Tensor) -> Tensor:
-    """Make a table of neighbours symmetric: every pair in which one names the other, once, with i < j.
+    """Make a table of neighbours symmetric: i and j have an edge if one is in the other's row; each edge once, i < j.
 
-    Edges come in the order in which the rows of the table name them first. A row that names itself gives no edge; one
-    that names a neighbour twice gives that edge twice (:func:`torchjoint.ops.felzenszwalb` does not mind).
+    The edges have the order of their first occurrence in the table. A row that contains its own point gives no edge. A
+    row that contains a neighbour twice gives this edge twice (:func:`torchjoint.ops.felzenszwalb` accepts this).
 
     Args:
         neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point.
 
     Returns:
-        ``[2, E]`` int64. Runs on torch's threads; the result does not depend on how many there are.
+        ``[2, E]`` int64. Runs on torch's threads; the result does not depend on the number of threads.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.
-        ValueError: a wrong shape or device, a number outside [0, N).
+        ValueError: a wrong shape or device, a neighbour outside [0, N).
 
     Example:
         >>> import torch

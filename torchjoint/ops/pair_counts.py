@@ -1,4 +1,4 @@
-"""Pairs of points that are close in an image, counted by what their ends belong to."""
+"""Step 7, method cuts: counts pairs of points that are close in an image, by segments and labels (eq. 7-9)."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from torchjoint.ops._checks import check_array, check_number
 def pair_counts(
     u: Tensor, v: Tensor, pixel: Tensor, segment: Tensor, label: Tensor, radius: float
 ) -> tuple[Tensor, Tensor]:
-    """Count the pairs of points at most ``radius`` apart, by the segments and the labels of their ends.
+    """Count the pairs of points at most ``radius`` apart, grouped by the segments and labels of the two points.
 
-    Pairs of one segment and one label are not counted, which is most of them; neither are pairs within one pixel, and
-    points without a segment. No list of pairs is made: memory is needed for the points and for the result.
+    Pairs with equal segments and equal labels (most pairs) are not counted. Pairs within one pixel and points without a
+    segment are not counted either. The pairs are not stored: only the points and the result need memory.
 
     Args:
         u, v: ``[M]`` float32, positions, finite.
-        pixel: ``[M]`` int64, the pixel a point falls in, >= 0.
-        segment: ``[M]`` int64, the segment a point falls in, -1 = none.
-        label: ``[M]`` int64, >= 0.
-        radius: in the units of ``u`` and ``v``; positive and finite. Two points count at a distance of exactly this.
+        pixel: ``[M]`` int64, the pixel that contains each point, >= 0.
+        segment: ``[M]`` int64, the segment that contains each point, -1 = none.
+        label: ``[M]`` int64, label of each point, >= 0.
+        radius: in the units of ``u`` and ``v``; positive and finite. A distance of exactly ``radius`` counts.
 
     Returns:
         ``group`` ``[4, G]`` int64, rows lower segment, higher segment, lower label, higher label, in ascending order;
-        and ``count`` ``[G]`` int64, how many pairs are of each group.
+        and ``count`` ``[G]`` int64, the number of pairs in each group.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.

@@ -1,4 +1,4 @@
-"""Pinhole projection."""
+"""Step 4: pinhole projection of points into an image."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ def project(
     width: int,
     margin: float = 0.0,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Project points into an image and keep those that fall into its frame.
+    """Project points into an image and keep the points inside the image frame.
 
-    In double precision, rounded to float32 at the end: the same bits on every machine.
+    Computed in double precision and rounded to float32 at the end, so that every machine gives the same bits.
 
     Args:
-        points: ``[N, 3]`` float32, world frame.
+        points: ``[N, 3]`` float32, metres, world frame.
         camera_from_world: ``[4, 4]`` float64, rigid; OpenCV axes (x right, y down, z forward).
-        intrinsics: ``[3, 3]`` float64, pixels, without skew; pixel centres at integers.
-        near, far: points are kept where ``near < z < far``; ``near > 0``.
-        height, width: of the image, pixels.
-        margin: how much larger than the image the frame is on each side, pixels.
+        intrinsics: ``[3, 3]`` float64, pixels, without skew; pixel centres have integer coordinates.
+        near, far: points with ``near < z < far`` are kept, metres; ``near > 0``.
+        height, width: size of the image, pixels.
+        margin: width added to the image frame on each side, pixels.
 
     Returns:
-        Of the points kept, in their order: ``point`` ``[M]`` int64, its number; ``u`` and ``v`` ``[M]`` float32, column
-        and row in pixels; ``z`` ``[M]`` float32, distance along the optical axis. No gradient flows through them.
+        The points that are kept, in their order: ``point`` ``[M]`` int64, the point's number; ``u`` and ``v`` ``[M]``
+        float32, column and row in pixels; ``z`` ``[M]`` float32, metres along the optical axis. No gradient flows
+        through them.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.

@@ -1,4 +1,4 @@
-"""Labels of some pixels spread over all others, along the cheapest paths in the image."""
+"""Steps 7 and 8, method geodesic: propagates the labels of some pixels to all pixels, along cheapest paths."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from torchjoint.ops._checks import check_array, check_number
 def propagate_labels(
     markers: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float
 ) -> Tensor:
-    """Give each pixel the label of the marker from which the cheapest path leads to it.
+    """Geodesic label propagation: give each pixel the label of the marker with the cheapest path to the pixel.
 
-    A path steps from pixel to pixel over the eight neighbours. A step costs its length (1, or the square root of 2) +
-    color_weight x RGB distance + boundary_weight x the weaker boundary of the two pixels, rounded to an eighth: a
-    pixel's width is the unit. With weights of 0 labels meet half way, as in a Voronoi diagram; the larger the weights,
-    the more they meet where the image has an edge. Of equally cheap paths, the one from the lower label counts
+    A path goes from pixel to pixel in the 8-neighbourhood. A step costs its length (1, or the square root of 2)
+    + color_weight x RGB distance + boundary_weight x the smaller boundary strength of the two pixels, rounded to an
+    eighth; the unit is the width of a pixel. With weights of 0 labels meet half way, as in a Voronoi diagram. The
+    larger the weights, the more labels meet at image edges. Of equally cheap paths the path from the lower label counts
     (image foresting transform with additive costs: A. Falcão, J. Stolfi, R. Lotufo, PAMI 2004).
 
     Args:
         markers: ``[H, W]`` int32, labels; negative where there is no marker. Markers keep their labels.
         colors: ``[3, H, W]`` float32 RGB in [0, 1].
         boundary: ``[H, W]`` float32 in [0, 1], boundary strength.
-        color_weight: pixels for the distance 1; 0 to 1000.
-        boundary_weight: pixels for the strength 1; 0 to 1000.
+        color_weight: cost of an RGB distance of 1, pixels; 0 to 1000.
+        boundary_weight: cost of a boundary strength of 1, pixels; 0 to 1000.
 
     Returns:
-        ``[H, W]`` int32; as `markers` where there are none at all. No gradient flows through it.
+        ``[H, W]`` int32; a copy of ``markers`` if there are no markers at all. No gradient flows through it.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.

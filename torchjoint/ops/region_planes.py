@@ -1,4 +1,4 @@
-"""Planes fitted to those neighbours of a point that lie in its own region."""
+"""Step 6, method regions: fits a plane to each point and its neighbours in the same region."""
 
 from __future__ import annotations
 
@@ -13,25 +13,26 @@ from torchjoint.ops._checks import check_array, check_neighbors, check_number
 def region_planes(
     points: Tensor, neighbors: Tensor, region: Tensor, normals: Tensor, min_points: int = 6
 ) -> tuple[Tensor, Tensor]:
-    """Fit a plane to each point and those of its neighbours that are in the same region.
+    """Fit a plane to each point and its neighbours in the same region.
 
-    Sums are taken in float64, relative to the point.
+    Sums are computed in float64, relative to the point.
 
     Args:
         points: ``[N, 3]`` float32, finite.
-        neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point, itself left out.
-        region: ``[N]`` int64.
-        normals: ``[N, 3]`` float32, to whose side the planes' normals are turned, and which are kept where there are
-            too few points.
-        min_points: a plane is fitted to at least so many, the point itself among them; >= 3.
+        neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point, without the point itself.
+        region: ``[N]`` int64, region of each point.
+        normals: ``[N, 3]`` float32. The fitted normals are turned to the side of these normals. If too few points are
+            in the region, the given normal is returned.
+        min_points: smallest number of points, including the point itself, to which a plane is fitted; >= 3.
 
     Returns:
-        ``[N, 3]`` float32, the mean of the points that count; ``[N, 3]`` float32, the normal, unit length where it is
-        fitted. Runs on torch's threads; the result does not depend on how many there are. No gradient flows through it.
+        ``[N, 3]`` float32, the mean of the points in the region; ``[N, 3]`` float32, the normal, of unit length if it
+        is fitted. Runs on torch's threads; the result does not depend on the number of threads. No gradient flows
+        through it.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.
-        ValueError: a wrong shape or device, a number outside [0, N), less than 3 points.
+        ValueError: a wrong shape or device, a neighbour outside [0, N), ``min_points`` below 3.
 
     Example:
         >>> import torch

@@ -1,4 +1,4 @@
-"""The pixel graphs of single segments of an image."""
+"""Step 7, method cuts: the pixel graphs of single segments of an image."""
 
 from __future__ import annotations
 
@@ -13,26 +13,28 @@ from torchjoint.ops._checks import check_array, check_number
 def segment_graphs(
     labels: Tensor, chosen: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Build the 8-connected pixel graphs of some segments, each by itself.
+    """Build a separate 8-connected pixel graph for each chosen segment.
 
     The weight of an edge is ``w = color_weight |c_i - c_j| + boundary_weight min(b_i, b_j)`` (eq. 2 of the paper) in
-    float32, taken relative to the mean w over its segment's edges, as eq. 14 needs it.
+    float32, divided by the mean w over the edges of its segment (eq. 14).
 
     Args:
         labels: ``[H, W]`` int32, segment of each pixel, -1 = none.
-        chosen: ``[K]`` bool, the segments wanted; labels are below K.
+        chosen: ``[K]`` bool, the chosen segments; labels are below K.
         colors: ``[3, H, W]`` float32.
         boundary: ``[H, W]`` float32.
         color_weight, boundary_weight: w_c and w_b, >= 0.
 
     Returns:
-        The graphs of the C chosen segments in the order of their labels, one after the other:
-        ``pixel`` ``[n]`` int64, row x W + column of the nodes, ascending within a segment; those of the s-th segment
-        are ``node_ptr[s] : node_ptr[s + 1]``, ``node_ptr`` ``[C + 1]`` int64.
-        ``edge_index`` ``[2, e]`` int64, nodes numbered within their segment, each edge once: all to the right, then
-        down, down-right and up-right, in the order of their first ends; those of the s-th segment are
-        ``edge_ptr[s] : edge_ptr[s + 1]``. ``relative_weight`` ``[e]`` float64, 0 where the mean is 0. No gradient
-        flows.
+        The graphs of the C chosen segments, one after the other, in the order of their labels:
+        ``pixel`` ``[n]`` int64, row x W + column of the nodes, ascending within a segment; ``node_ptr`` ``[C + 1]``
+        int64; the nodes of the s-th segment are ``node_ptr[s] : node_ptr[s + 1]``.
+        ``edge_index`` ``[2, e]`` int64, node numbers within the segment, each edge once: first all edges to the right,
+        then down, down-right and up-right, in the order of their first nodes; ``edge_ptr`` ``[C + 1]`` int64; the edges
+        of the s-th segment are ``edge_ptr[s] : edge_ptr[s + 1]``.
+        ``relative_weight`` ``[e]`` float64, 0 if the mean is 0. No gradient flows through them.
+
+        The tuple is (pixel, node_ptr, edge_index, edge_ptr, relative_weight).
 
     Raises:
         TypeError: an argument of the wrong type or dtype.

@@ -1,4 +1,4 @@
-"""A z-buffer of squares."""
+"""Step 4, method zbuffer: renders points as squares into a z-buffer."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from torchjoint.ops._checks import check_array, check_number
 
 
 def splat_depth(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, height: int, width: int) -> Tensor:
-    """Draw points as squares into a z-buffer.
+    """Render points as squares into a z-buffer.
 
     Args:
         row, column: ``[M]`` int64, pixel of each point, inside the image.
-        depth: ``[M]`` float32, not NaN.
-        reach: ``[M]`` int64, half width of each point's square: 0 is the pixel alone, 1 is 3 x 3 pixels.
-        height, width: of the image, pixels.
+        depth: ``[M]`` float32, in any unit, not NaN.
+        reach: ``[M]`` int64, half width of each point's square, pixels: 0 is the pixel alone, 1 is 3 x 3 pixels.
+        height, width: size of the image, pixels.
 
     Returns:
-        ``[height, width]`` float32, the smallest depth drawn into each pixel; ``inf`` where there is none. No gradient
-        flows through it.
+        ``[height, width]`` float32, the smallest depth at each pixel, in the unit of ``depth``; ``inf`` if no square
+        covers the pixel. No gradient flows through it.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.

@@ -1,4 +1,4 @@
-"""Closed contours of a boundary map, as strong as the merging of regions that erases them."""
+"""Step 1: closed contours of a boundary map, with strengths from region merging (ultrametric contour map)."""
 
 from __future__ import annotations
 
@@ -11,28 +11,30 @@ from torchjoint.ops._checks import check_array
 
 
 def ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
-    """Close the contours of a boundary map, and weigh each by what parts whole regions rather than pixels.
+    """Close the contours of a boundary map: compute its ultrametric contour map.
 
-    The image is parted into the basins of ``relief``: from each pixel steepest descent over the eight neighbours leads
-    to a lowest pixel (of equally low ones, the one with the smaller number, row by row). Two basins' border are the
-    pairs of neighbouring pixels that they part, and its strength is the mean over these of the stronger pixel's
-    boundary. The two regions with the weakest border are merged, borders with the same third region joined, and so on
-    until one region is left. A border's height is the strength at which its two sides become one region; cutting
-    at a height gives regions with closed contours, and lower cuts give parts of these (P. Arbeláez and others, "Contour
-    Detection and Hierarchical Image Segmentation", PAMI 2011, with another watershed and without orientation).
+    First a watershed divides the image into the basins of ``relief``: steepest descent over the eight neighbours leads
+    from each pixel to a lowest pixel (of equally low pixels the one with the smaller number, row by row). The region
+    boundary of two basins consists of the pairs of neighbouring pixels with one pixel in each basin. The strength of a
+    pair is the larger value of ``boundary`` at its two pixels; the strength of a region boundary is the mean over its
+    pairs. The two regions with the weakest region boundary are merged, and their boundaries with the same third region
+    are joined, until one region is left. The height of a region boundary is the strength at which its two sides become
+    one region. Thresholding at a height gives regions with closed contours; a lower threshold subdivides these regions
+    (P. Arbeláez et al., "Contour Detection and Hierarchical Image Segmentation", PAMI 2011, with another watershed and
+    without orientations).
 
-    Strengths are rounded to 16 bits, so that sums are exact. Of equally weak borders the one with the lowest number is
-    merged; they are numbered by their first pair, all pairs to the right before those down, down-right and up-right,
-    and joined ones keep the lower number.
+    Strengths are rounded to 16 bits, so that sums are exact. Of equally weak region boundaries the one with the lowest
+    number is merged. They are numbered by their first pair: pairs to the right come first, then down, down-right and
+    up-right. Joined region boundaries keep the lower number.
 
     Args:
         boundary: ``[H, W]`` float32, strength in [0, 1].
-        relief: ``[H, W]`` float32, not NaN; usually the boundary, smoothed, which makes for fewer basins.
+        relief: ``[H, W]`` float32, not NaN; usually the smoothed boundary map, which has fewer basins.
 
     Returns:
-        ``[H, W]`` float32: the highest border that a pixel lies at, 0 where it has no neighbour in another region.
-        Lines are two pixels wide, one on each side, and up to four where they run diagonally. No gradient flows
-        through it.
+        ``[H, W]`` float32 in [0, 1]: the largest height of the region boundaries at a pixel, 0 if all its neighbours
+        are in the same region. Lines are two pixels wide, one pixel on each side; diagonal lines are up to four pixels
+        wide. No gradient flows through it.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.

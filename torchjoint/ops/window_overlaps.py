@@ -1,4 +1,4 @@
-"""Overlap of the label windows around both ends of an edge."""
+"""Step 5: overlap of the label windows around the two ends of an edge (eq. 5)."""
 
 from __future__ import annotations
 
@@ -20,24 +20,25 @@ def window_overlaps(
     labels: Tensor,
     window: int,
 ) -> tuple[Tensor, Tensor]:
-    """Compare the labels around both ends of an edge, for all edges whose ends an image both sees.
+    """Compare the labels around the two ends of an edge, for all edges with two visible ends.
 
-    The overlap of two windows is their histogram intersection over the size of the smaller one (eq. 5 of the paper).
-    Windows are clipped at the image's border, and pixels without a label left out. Only the edges of the points that
-    are seen are looked at, however many the graph has.
+    The overlap of two windows is their histogram intersection divided by the size of the smaller window (eq. 5 of the
+    paper). Windows are clipped at the image border, and pixels without a label do not count. The running time depends
+    on the edges of the visible points, not on the size of the graph. ``order``, ``other_end`` and ``start`` are the CSR
+    adjacency of the graph (:class:`torchjoint.views.csr_adjacency.CsrAdjacency`).
 
     Args:
-        order: ``[E]`` int32, the numbers of the edges sorted by their first end; each undirected edge once.
-        other_end: ``[E]`` int32, the second end of each of these edges.
-        start: ``[N + 1]`` int32, where in ``order`` the edges of each of the N nodes start.
+        order: ``[E]`` int32, edge numbers, sorted by the edges' first nodes; each undirected edge once.
+        other_end: ``[E]`` int32, the second node of each edge, in the same order.
+        start: ``[N + 1]`` int32, the place in ``order`` where the edges of each of the N nodes start.
         point: ``[M]`` int64, the nodes that the image sees, each once.
-        row, column: ``[M]`` int64, the pixels they fall in.
+        row, column: ``[M]`` int64, the pixels that contain these nodes.
         labels: ``[H, W]`` int32, negative = none.
-        window: side of the windows, odd.
+        window: side of the windows, pixels, odd.
 
     Returns:
-        ``edge`` ``[S]`` int64, the edges with both ends seen, and a label in both windows; ``overlap`` ``[S]`` float64
-        in [0, 1]. In the order of ``point``, then of ``order``.
+        ``edge`` ``[S]`` int64, the edges with two visible ends and a labelled pixel in both windows; ``overlap``
+        ``[S]`` float64 in [0, 1]. In the order of ``point``, then of ``order``.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.

@@ -1,1 +1,1 @@
-"""Steps 3 and 6: the graph of the points, and their segments."""
+"""Steps 3 and 6: the point graph, and the segmentation of the points."""

@@ -1,4 +1,4 @@
-"""Step 6, regions: the cost of each edge of the point graph, from creases and from what images see."""
+"""Step 6, method regions: the cost of each edge of the point graph, from creases and from the images' evidence."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from torchjoint.points.regions import Planes
 
 
 def crease_costs(edge_index: Tensor, planes: Planes, oriented: Tensor, convex_factor: float) -> Tensor:
-    """How sharply the surface is bent along edges: 0 flat, 1 a concave right angle or more.
+    """How sharply the surface bends along each edge: 0 = flat, 1 = a concave right angle or more.
 
-    With theta the angle of the two planes, min(1, 2 theta / pi) where the surface is concave, or where it is not known
-    which side of it is outside; `convex_factor` times as much where it is convex: objects mostly are, and the borders
-    between them concave.
+    With theta the angle between the two planes, the cost is c = min(1, 2 theta / pi) where the surface is concave or
+    its normals are not oriented. Where the surface is convex, c is multiplied by `convex_factor`, because objects are
+    mostly convex and the boundaries between them concave.
 
     Args:
-        edge_index: [2, E].
-        oriented: [N] bool, whether the sign of a point's normal is known.
+        edge_index: [2, E] int64.
+        planes: the one-sided plane of each of N points.
+        oriented: [N] bool, whether a point's normal is oriented.
+        convex_factor: in [0, 1].
 
     Returns:
         [E] float32 in [0, 1].
@@ -39,17 +41,21 @@ def crease_costs(edge_index: Tensor, planes: Planes, oriented: Tensor, convex_fa
     return map_edges(cost, edge_index)
 
 
-def with_images(crease: Tensor, disagreement: Tensor, weight: float, agreement: float) -> Tensor:
-    """Costs of edges, from shape and images: c (1 - a (1 - r)) + w (1 - c) r.
+def combined_costs(crease: Tensor, disagreement: Tensor, weight: float, agreement: float) -> Tensor:
+    """Costs of edges from geometry and images: c (1 - a (1 - r)) + w (1 - c) r.
 
-    Images count where geometry is silent: their disagreement r adds to a flat edge in full and to a sharp crease not at
-    all. And where they see one segment on both sides, that takes back a share `a` of what a crease costs. An edge whose
-    ends no image sees together has the neutral r of eq. 6, 1 - r_o: dearer than one within what images see as one.
+    Images count where geometry gives no evidence: on a flat edge the disagreement r counts fully, on a sharp crease
+    not at all. Where images see one segment on both sides, the cost of a crease is reduced by the share `a`. If no
+    image sees both ends of an edge, r has the neutral value of eq. 6, 1 - r_o. Such an edge costs more than an edge
+    within one segment of the images.
 
     Args:
         crease: [E] c in [0, 1].
         disagreement: [E] r in [0, 1].
-        weight: w.
+        weight: w, >= 0.
         agreement: a in [0, 1].
+
+    Returns:
+        [E] float32.
     """
     return crease * (1 - agreement * (1 - disagreement)) + weight * (1 - crease) * disagreement

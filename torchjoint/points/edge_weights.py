@@ -12,17 +12,17 @@ from torchjoint.points._vectors import by_columns, dot, length, rounded_length, 
 from torchjoint.points.normals import angle_between, is_convex
 from torchjoint.runtime.threads import parallel_map
 
-#: Edges that are worked on at a time, so that clouds of millions of points need little memory beyond the result.
+#: Number of edges processed at a time, so that clouds of millions of points need little memory besides the result.
 EDGES = 1 << 16
 
 
-#: How much a surface turns from one point to another: from the normals at both ends [E, 3], whether both are
-#: oriented [E], and the step p_j - p_i between them [E, 3], to [E].
+#: Measures how much a surface turns along an edge: a function of the normals at both ends [E, 3], whether both are
+#: oriented [E], and the step p_j - p_i [E, 3]; returns [E].
 Turn = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
 
 
 def discounted_angle(convex_factor: float) -> Turn:
-    """Theta, which counts `convex_factor` times where the surface is known to be convex."""
+    """The turn theta, multiplied by `convex_factor` where the normals are oriented and the surface is convex."""
 
     def turn(first: Tensor, second: Tensor, oriented: Tensor, step: Tensor) -> Tensor:
         angle = angle_between(first, second, oriented)
@@ -42,24 +42,25 @@ def geometric_weights(
     colors: Tensor | None = None,
     turn: Turn | None = None,
 ) -> Tensor:
-    """The part of eq. 3 that needs no image: w_d |p_i - p_j| + w_theta theta (+ a colour term, where asked for).
+    """The part of eq. 3 without images: w_d |p_i - p_j| + w_theta theta (+ w_c |c_i - c_j| if color_weight > 0).
 
-    Where both normals' signs are known and the surface is convex, theta counts `convex_factor` times (our own addition;
-    1 is the paper's letter).
+    Where both normals are oriented and the surface is convex, theta is multiplied by `convex_factor` (not in the paper;
+    1 gives eq. 3 as in the paper).
 
     Args:
         points: [N, 3] metres.
-        edge_index: [2, E].
+        edge_index: [2, E] int64.
         normals: [N, 3] unit length.
-        oriented: [N] bool, whether a normal's sign is known.
-        colors: [N, 3] RGB in [0, 1], needed if config.color_weight > 0.
-        turn: another measure than theta of how much the surface turns along an edge.
+        oriented: [N] bool, whether a normal is oriented.
+        config: w_d, w_theta, convex_factor and color_weight.
+        colors: [N, 3] RGB in [0, 1], required if config.color_weight > 0.
+        turn: measures how much the surface turns along an edge, instead of theta.
 
     Returns:
         [E] float32.
 
     Raises:
-        ValueError: the config weighs colour and there is none.
+        ValueError: config.color_weight > 0, but the cloud has no colours.
     """
     turn = turn or discounted_angle(config.convex_factor)
     if config.color_weight > 0 and colors is None:
@@ -83,11 +84,14 @@ def geometric_weights(
 
 
 def map_edges(weigh: Callable[[Tensor], Tensor], edge_index: Tensor) -> Tensor:
-    """Weights of edges, some at a time on each thread: what is in between stays in the processor's cache.
+    """Computes weights of edges in blocks, on several threads: intermediate results stay in the processor's cache.
 
     Args:
-        weigh: from edges [2, e] to their weights [e] float32.
-        edge_index: [2, E].
+        weigh: computes the weights [e] float32 of edges [2, e].
+        edge_index: [2, E] int64.
+
+    Returns:
+        [E] float32.
     """
     weights = torch.empty(edge_index.shape[1])
     starts = range(0, edge_index.shape[1], EDGES)
@@ -100,14 +104,15 @@ def map_edges(weigh: Callable[[Tensor], Tensor], edge_index: Tensor) -> Tensor:
 
 
 def segmentator_turn(first: Tensor, second: Tensor, oriented: Tensor, step: Tensor) -> Tensor:
-    """1 - n_i . n_j, squared where the surface is convex: n_j . (p_j - p_i) > 0, which depends on the edge's direction.
+    """The edge weight of ScanNet's segmentator: 1 - n_i . n_j, squared where the surface is convex.
 
-    Where the normals' signs are not known: 1 - |n_i . n_j|.
+    The surface counts as convex where n_j . (p_j - p_i) > 0; this depends on the edge's direction. Where the normals
+    are not oriented, the weight is 1 - |n_i . n_j|.
 
     Args:
         first, second: [E, 3] normals n_i and n_j.
-        oriented: [E] bool, whether the signs of both normals mean something.
-        step: [E, 3] p_j - p_i.
+        oriented: [E] bool, whether both normals are oriented.
+        step: [E, 3] p_j - p_i, metres.
 
     Returns:
         [E] float32.

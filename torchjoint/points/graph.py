@@ -1,4 +1,4 @@
-"""Step 3: the graph of the cloud's nearest neighbours, normals, and the geometric weight of its edges."""
+"""Step 3: the point graph: nearest neighbours, edges and normals of the cloud."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from torchjoint.views.csr_adjacency import CsrAdjacency
 
 
 class PointGraph(NamedTuple):
-    """The cloud as a graph, with all that depends on no image."""
+    """The cloud as a graph, with everything that does not depend on images."""
 
-    points: Tensor  #: [N, 3]
-    colors: Tensor | None  #: [N, 3]
-    normals: Tensor  #: [N, 3] unit length, of any sign
-    normals_are_given: bool  #: and so their signs mean something where no camera sees the point
-    spacing: Tensor  #: [N] metres
-    edge_index: Tensor  #: [2, E]
-    adjacency: CsrAdjacency  #: the edges by their first point
-    neighbors: Tensor  #: [N, K] int32, nearest first, that planes are fitted to
+    points: Tensor  #: [N, 3] metres
+    colors: Tensor | None  #: [N, 3] RGB in [0, 1]
+    normals: Tensor  #: [N, 3] unit length, not yet turned to the cameras
+    has_given_normals: bool  #: given normals are oriented, even where no camera sees the point
+    spacing: Tensor  #: [N] metres, mean distance to the nearest neighbours
+    edge_index: Tensor  #: [2, E] int64, each edge once
+    adjacency: CsrAdjacency  #: CSR adjacency of the edges
+    neighbors: Tensor  #: [N, K] int32, nearest first; planes are fitted to them
 
     @property
     def num_points(self) -> int:
@@ -34,12 +34,17 @@ class PointGraph(NamedTuple):
         return self.points.shape[0]
 
     def is_same(self, other: PointGraph) -> bool:
-        """Whether both are of the same points with the same normals."""
+        """Whether both graphs have the same points and the same normals."""
         return torch.equal(self.points, other.points) and torch.equal(self.normals, other.normals)
 
 
 def build_point_graph(cloud: Scene, config: PointGraphConfig) -> PointGraph:
-    """Neighbours, edges and normals of a cloud (its frames are not looked at)."""
+    """Builds the point graph of a cloud: neighbours, edges and normals (eq. 3-4); frames are ignored.
+
+    Args:
+        cloud: points [N, 3], optional colours and normals.
+        config: numbers of neighbours and their reach.
+    """
     for_normals = config.normal_neighbors if cloud.normals is None else 0
     counts = (config.neighbors, for_normals, config.plane_neighbors)
     table, spacing = neighbor_tables(cloud.points, counts, config.reach)
@@ -60,7 +65,7 @@ def build_point_graph(cloud: Scene, config: PointGraphConfig) -> PointGraph:
 
 
 def build_edgeless_graph(cloud: Scene) -> PointGraph:
-    """The points and their spacing alone, for a segmentation that reads neither edges nor normals."""
+    """A graph with points and spacing only, for method scan, which reads neither edges nor normals."""
     spacing = nearest_neighbors(cloud.points, SPACING_NEIGHBORS).spacing
     no_edges = torch.empty(2, 0, dtype=torch.int64)
     return PointGraph(
@@ -79,10 +84,13 @@ def undirected_edges(neighbors: Tensor) -> Tensor:
     """The edges of the symmetrised neighbour graph, each once with i < j (eq. 3).
 
     Args:
-        neighbors: [N, K] int32 or int64.
+        neighbors: [N, K] int32 or int64, the neighbours of each point.
 
     Returns:
-        [2, E] int64, in the order in which rows of `neighbors` name them.
+        [2, E] int64, in the order of their first occurrence in the rows of `neighbors`.
+
+    Raises:
+        ValueError: a number outside [0, N).
     """
     with all_threads():
         return ops.neighbor_edges(neighbors)

@@ -1,6 +1,7 @@
-"""Step 6, regions: images confirm segments of the points.
+"""Step 6, method regions: image support, how well image segments match the segments of the points.
 
-Crumbs along borders are as small as cups and pens. But a thing is a segment of some image, too, and a crumb is not.
+Fragments along boundaries are as small as cups and pens. But a real object is also a segment of some image; a fragment
+is not.
 """
 
 from __future__ import annotations
@@ -13,20 +14,21 @@ from torch import Tensor
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.views.observation import Observation
 
-#: Points of a segment that an image must see to have a say.
+#: An image counts for a segment only if it sees at least this many points of the segment.
 MIN_POINTS = 3
 
 
 def best_overlaps(point_labels: Tensor, observations: Sequence[Observation]) -> Tensor:
-    """How well each segment of the points agrees with one of an image's segments, in the image where it does so best.
+    """The best overlap of each segment of the points with a segment of an image, over all images.
 
-    Agreement is intersection over union, counted in points that the image sees.
+    The overlap is the intersection over union, counted in points that the image sees.
 
     Args:
         point_labels: [N] int64, 0 ... S - 1.
+        observations: the frames.
 
     Returns:
-        [S] float32 in [0, 1]; 0 where no image sees MIN_POINTS points of a segment.
+        [S] float32 in [0, 1]; 0 if no image sees MIN_POINTS points of the segment.
     """
     num_segments = int(point_labels.max()) + 1
     overlaps = parallel_map(lambda seen: _overlaps(point_labels, seen, num_segments), observations)

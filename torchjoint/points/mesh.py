@@ -1,7 +1,7 @@
-"""The superpoints of ScanNet: its mesh segmentator's edges, vertex normals and weights.
+"""Superpoints of meshes: edges and vertex normals as in ScanNet's mesh segmentator (step 3's graph).
 
-A. Dai et al., "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes", CVPR 2017. The recipe, in the order in
-which its float32 arithmetic is done, so that the partition is the same wherever weights have no ties.
+A. Dai et al., "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes", CVPR 2017. The float32 operations have
+the same order as in the segmentator. So the partition is the same, unless edges have equal weights.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from torchjoint.points._vectors import rounded_length
 
 
 def face_edges(faces: Tensor) -> Tensor:
-    """Three edges a triangle (a, b, c): a to b, a to c, c to b. Edges that triangles share come once for each.
+    """Three edges per triangle (a, b, c): a to b, a to c, c to b. An edge of several triangles is listed for each.
 
     Args:
         faces: [F, 3] int64.
@@ -26,13 +26,14 @@ def face_edges(faces: Tensor) -> Tensor:
 
 
 def vertex_normals(points: Tensor, faces: Tensor) -> Tensor:
-    """The mean of the unit normals of each vertex's triangles, not brought to unit length.
+    """The mean of the unit normals of each vertex's triangles, not normalised to unit length.
 
-    Every triangle is blended into its vertices in turn, normal <- lerp(normal, triangle's, 1 / (count + 1)).
-    Triangles without area have no normal and are left out; a vertex without any triangle has normal 0.
+    The triangles are blended into their vertices one after the other: normal <- lerp(normal, triangle normal,
+    1 / (count + 1)). Triangles without area have no normal and are skipped. A vertex without triangles has normal 0.
 
     Args:
-        points: [N, 3] float32; faces: [F, 3] int64.
+        points: [N, 3] float32 metres.
+        faces: [F, 3] int64.
 
     Returns:
         [N, 3] float32, length at most 1.
@@ -51,7 +52,7 @@ def vertex_normals(points: Tensor, faces: Tensor) -> Tensor:
     has_area = length > 0
     blend = (cross / length[:, None])[has_area].repeat_interleave(3, dim=0)
     vertex = faces[has_area].flatten()
-    # The blends of one vertex follow one another; those of different vertices are done together, a round each.
+    # The blends of one vertex must follow one another; each round does one blend of every vertex.
     order = torch.argsort(vertex, stable=True)
     counts = torch.bincount(vertex, minlength=len(points))
     first = counts.cumsum(0) - counts
@@ -59,6 +60,6 @@ def vertex_normals(points: Tensor, faces: Tensor) -> Tensor:
     busy = torch.arange(len(points))
     for done in range(int(counts.max()) if len(points) else 0):
         busy = busy[counts[busy] > done]
-        share = torch.tensor(1.0) / (done + 1.0)  # in float32, as the rest
+        share = torch.tensor(1.0) / (done + 1.0)  # in float32, like the rest
         normals[busy] = share * blend[order[first[busy] + done]] + (1 - share) * normals[busy]
     return normals

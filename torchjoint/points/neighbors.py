@@ -1,4 +1,4 @@
-"""Nearest neighbours of the points of a cloud, by SciPy's k-d tree."""
+"""Step 3: nearest neighbours of the points of a cloud, by SciPy's k-d tree."""
 
 from __future__ import annotations
 
@@ -15,39 +15,42 @@ from torchjoint.runtime.threads import num_threads
 
 Array = npt.NDArray[Any]
 
-#: Points that are asked for at a time, so that clouds of millions of points need little memory beyond the result.
+#: Number of points per query, so that clouds of millions of points need little memory besides the result.
 QUERIES = 1 << 18
 
-#: One in so many points is kept where neighbourhoods do not reach far enough.
+#: Where neighbours do not reach far enough, they are searched among every 2nd, 4th or 8th point.
 SHARES = (2, 4, 8)
 
 
-#: The spacing of a point is its mean distance to so many neighbours.
+#: The spacing of a point is its mean distance to this many nearest neighbours.
 SPACING_NEIGHBORS = 4
 
 
 class Neighbors(NamedTuple):
-    """K nearest neighbours of every point, nearest first, the point itself left out."""
+    """K nearest neighbours of every point, nearest first, without the point itself."""
 
     indices: Tensor  #: [N, K] int32
-    spacing: Tensor  #: [N] float32 metres: how far the closest four are on average, a measure of the local density
+    spacing: Tensor  #: [N] float32 metres: mean distance to the four nearest neighbours, a measure of local density
 
 
 def nearest_neighbors(points: Tensor, count: int, reach: float = 0.0) -> Neighbors:
-    """The `count` nearest neighbours of each point (all others, where the cloud has fewer), nearest first.
+    """The `count` nearest neighbours of each point (all other points if the cloud has fewer), nearest first.
 
-    The nearest neighbours of a point of a LiDAR scan may all lie along its own beam. So where all K lie closer than
-    `reach`, the K nearest among half of the points are taken instead, or a quarter, or an eighth, evenly spread: the
-    first of these that get that far, or else the last that has enough points.
+    In a LiDAR scan all nearest neighbours of a point may lie on the point's own beam. So where all K neighbours are
+    closer than `reach`, the K nearest are searched among half of the points instead, then a quarter, then an eighth,
+    evenly spread. The first search that reaches far enough counts, else the last one that has enough points.
 
-    Duplicate points are neighbours at distance 0 of one another. Neighbours that are equally far come as SciPy's tree
-    finds them: always the same for the same cloud, whatever the number of threads, but by no rule of their numbers; on
-    a grid, which of several equally far points take the last places is therefore up to the tree.
+    Duplicate points are neighbours of one another at distance 0. Equally far neighbours have the order in which SciPy's
+    tree finds them. This order is always the same for the same cloud, whatever the number of threads, but it does not
+    follow the points' numbers. On a grid the tree therefore decides which of several equally far points come last.
 
     Args:
-        points: [N, 3] float32, N < 2^31.
+        points: [N, 3] float32 metres, N < 2^31.
         count: K >= 1.
-        reach: metres, 0 = just the nearest.
+        reach: metres; 0 = always the nearest neighbours.
+
+    Returns:
+        indices [N, K] int32 and spacing [N] float32 metres.
     """
     num_points = points.shape[0]
     count = max(0, min(count, num_points - 1))
@@ -68,20 +71,20 @@ def nearest_neighbors(points: Tensor, count: int, reach: float = 0.0) -> Neighbo
 
 
 def neighbor_tables(points: Tensor, counts: Iterable[int], reach: float) -> tuple[dict[int, Tensor], Tensor]:
-    """Tables of neighbours, of so many and of so many a point, at the price of one where that is possible.
+    """Several tables of neighbours with different K, computed with one search if possible.
 
     Args:
-        points: [N, 3] float32.
-        counts: neighbours of a point in each table; 0 = no table is needed.
-        reach: as of :func:`nearest_neighbors`.
+        points: [N, 3] float32 metres.
+        counts: K of each table; 0 = no table.
+        reach: metres, as in :func:`nearest_neighbors`.
 
     Returns:
-        the tables [N, K] int32 by their K, and the points' spacing [N] (empty where there is no table).
+        the tables K -> [N, K] int32, and the points' spacing [N] metres (empty if there is no table).
     """
     counts = sorted(set(counts) - {0})
     if not counts:
         return {}, torch.empty(0)
-    if reach > 0:  # the fewer are not the first of the more
+    if reach > 0:  # the smaller table is then not the first columns of the larger one
         found = {count: nearest_neighbors(points, count, reach) for count in counts}
         return {count: near.indices for count, near in found.items()}, found[counts[-1]].spacing
     nearest = nearest_neighbors(points, counts[-1])
@@ -89,10 +92,10 @@ def neighbor_tables(points: Tensor, counts: Iterable[int], reach: float) -> tupl
 
 
 def _reach_farther(tree: cKDTree, coordinates: Array, near: Array, reach: float, indices: Array) -> None:
-    """Replaces the neighbours of some points by the nearest among fewer."""
+    """Replaces the neighbours of the points `near` by neighbours among fewer points, which are farther away."""
     count = indices.shape[1]
     for share in SHARES:
-        # In the tree's order points are near those before and after them: every second of them are an even half.
+        # In the tree's order consecutive points are near each other: every second point is an evenly spread half.
         kept = tree.indices[::share]
         if len(near) == 0 or len(kept) <= count:
             return
@@ -112,19 +115,19 @@ def _tree(coordinates: Array) -> cKDTree:
 def _query(
     tree: cKDTree, coordinates: Array, rows: Array, count: int, members: Array | None = None
 ) -> tuple[Array, Array]:
-    """Numbers of and distances to the neighbours of some `rows`; `members`: what the tree holds, if not all points."""
+    """Indices and distances of the neighbours of the points `rows`; `members`: the tree's points, if not all points."""
     distance, index = tree.query(coordinates[rows], k=count + 1, workers=num_threads())
     return _without_self(rows, index if members is None else members[index], distance)
 
 
 def _pieces(order: Array) -> Iterator[Array]:
-    """Points in the tree's own order, some at a time: queries that follow one another then touch the same memory."""
+    """Blocks of points in the tree's order: consecutive queries then access the same memory."""
     for start in range(0, len(order), QUERIES):
         yield order[start : start + QUERIES]
 
 
 def _without_self(rows: Array, index: Array, distance: Array) -> tuple[Array, Array]:
-    """The point itself usually comes first, but among duplicates any of them may: drop it, or else the farthest."""
+    """Drops the point itself. It usually comes first, but a duplicate may; if it was not found, drops the farthest."""
     is_self = index == rows[:, None]
     if is_self[:, 0].all():
         return index[:, 1:], distance[:, 1:]

@@ -1,4 +1,4 @@
-"""Step 3: normals of the points, and the angle of two normals (eq. 4)."""
+"""Step 3: normals of the points, and the angle between two normals (eq. 4)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def estimate_normals(points: Tensor, neighbors: Tensor) -> Tensor:
     """Normals of the planes fitted to each point and its neighbours; their sign is arbitrary.
 
     Args:
-        points: [N, 3] float32.
+        points: [N, 3] float32 metres.
         neighbors: [N, K] int32 or int64. With K < 2 a plane is not defined and the normal is (0, 0, 1).
 
     Returns:
@@ -25,11 +25,11 @@ def estimate_normals(points: Tensor, neighbors: Tensor) -> Tensor:
 
 
 def angle_between(first: Tensor, second: Tensor, oriented: Tensor) -> Tensor:
-    """Angle of two normals, theta = atan2(|n_i x n_j|, n_i . n_j), radians (eq. 4).
+    """Angle between two normals, theta = atan2(|n_i x n_j|, n_i . n_j), radians (eq. 4).
 
     Args:
-        first, second: [E, 3].
-        oriented: [E] bool; where False the signs mean nothing, and the angle is that of the two lines, at most pi/2.
+        first, second: [E, 3] normals n_i and n_j.
+        oriented: [E] bool, whether both normals are oriented; if not, theta is the angle between lines, at most pi/2.
 
     Returns:
         [E] float32 in [0, pi].
@@ -42,10 +42,13 @@ def angle_between(first: Tensor, second: Tensor, oriented: Tensor) -> Tensor:
 
 
 def is_convex(step: Tensor, turn: Tensor) -> Tensor:
-    """Whether the surface bends away from its normals between two points: (n_j - n_i) . (p_j - p_i) > 0.
+    """Whether the surface is convex between two points: (n_j - n_i) . (p_j - p_i) > 0.
 
     Args:
-        step: [E, 3] p_j - p_i.
-        turn: [E, 3] n_j - n_i, of normals that show outwards.
+        step: [E, 3] p_j - p_i, metres.
+        turn: [E, 3] n_j - n_i, of oriented normals (pointing outwards).
+
+    Returns:
+        [E] bool.
     """
     return dot(step, turn) > 0

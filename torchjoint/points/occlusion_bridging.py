@@ -1,7 +1,7 @@
-"""Step 6, regions: joins segments of one surface that something in front cuts in two.
+"""Step 6, method regions: occlusion bridging, joins segments of one surface that an occluder separates in the images.
 
-Along a row or a column of an image: where something nearer parts two segments, and the surface of the one goes on on
-the other's side, that is a vote for their being one.
+Follow a row or a column of an image. If a nearer segment lies between two segments, and both lie in one plane, then
+this line votes for joining the two segments.
 """
 
 from __future__ import annotations
@@ -23,32 +23,35 @@ from torchjoint.views.nearest_points import nearest_in_cells
 from torchjoint.views.observation import Observation
 from torchjoint.views.visibility import Visible
 
-#: Cosine of the angle that the normals on the two sides may differ by at the most: 26 degrees.
+#: Cosine of the largest angle between the normals on the two sides, 26 degrees.
 SAME_DIRECTION = 0.9
-#: Squares that a run must be long to count.
+#: Smallest length of a run that counts, in grid cells.
 MIN_RUN = 2
 
 
 class Runs(NamedTuple):
-    """Stretches of one segment along the rows of an image."""
+    """Runs: consecutive cells of one segment along the rows of an image's grid."""
 
     row: Tensor  #: [R] int64
     segment: Tensor  #: [R] int64
-    first: Tensor  #: [R] int64, the visible point at its beginning
-    last: Tensor  #: [R] int64, and at its end
-    length: Tensor  #: [R] int64, squares
+    first: Tensor  #: [R] int64, the visible point at the run's beginning
+    last: Tensor  #: [R] int64, the visible point at the run's end
+    length: Tensor  #: [R] int64, cells
 
 
 def bridge(
     point_labels: Tensor, planes: Planes, observations: Sequence[Observation], config: OcclusionBridgingConfig
 ) -> Tensor:
-    """Joins segments between which enough lines of sight say that one surface goes on behind something.
+    """Joins two segments if enough image lines show one plane on both sides of an occluder.
 
     Args:
         point_labels: [N] int64, 0 ... S - 1.
+        planes: the one-sided plane of each point.
+        observations: the frames.
+        config: thresholds; see there.
 
     Returns:
-        [N] int64 segments 0, 1, ..., numbered by the lowest of those that were joined.
+        [N] int64 segments 0, 1, ..., numbered by the lowest of the segments that were joined.
     """
     if config.min_votes is None or not observations:
         return point_labels
@@ -69,7 +72,7 @@ def bridge(
 def _votes(
     point_labels: Tensor, planes: Planes, visible: Visible, num_segments: int, config: OcclusionBridgingConfig
 ) -> tuple[Tensor, Tensor]:
-    """Of all lines across something nearer: the two segments, low x S + high, and whether the surface goes on."""
+    """For each line across an occluder: its two segments as low x S + high, [V] int64, and its vote, [V] bool."""
     pairs, goes_on = [], []
     for across, along in ((visible.row, visible.column), (visible.column, visible.row)):
         run = _runs(across // config.cell, along // config.cell, visible.z, point_labels[visible.point])
@@ -87,12 +90,12 @@ def _votes(
         high = torch.maximum(run.segment[left], run.segment[right])[found]
         pairs.append(low * num_segments + high)
         ends = visible.point[run.last[left][found]], visible.point[run.first[right][found]]
-        goes_on.append(_goes_on(planes, *ends, config))
+        goes_on.append(_is_one_plane(planes, *ends, config))
     return torch.cat(pairs), torch.cat(goes_on)
 
 
 def _runs(row: Tensor, column: Tensor, z: Tensor, segment: Tensor) -> Runs:
-    """Runs along the rows of a grid of squares, of each of which the nearest point counts; empty ones are skipped."""
+    """Runs along the rows of a grid of square cells; the nearest point of a cell counts, empty cells are skipped."""
     square = row * (int(column.max()) + 1 if column.numel() else 1) + column
     nearest = nearest_in_cells(square, z)
     row, segment = row[nearest], segment[nearest]
@@ -101,8 +104,8 @@ def _runs(row: Tensor, column: Tensor, z: Tensor, segment: Tensor) -> Runs:
     return Runs(row[start], segment[start], nearest[start], nearest[end - 1], end - start)
 
 
-def _goes_on(planes: Planes, first: Tensor, second: Tensor, config: OcclusionBridgingConfig) -> Tensor:
-    """[V] bool: whether each of two points lies in the other's plane, and both show the same way."""
+def _is_one_plane(planes: Planes, first: Tensor, second: Tensor, config: OcclusionBridgingConfig) -> Tensor:
+    """[V] bool: whether each of two points lies in the other point's plane, and both normals have one direction."""
     step = rows_of(planes.mean, second) - rows_of(planes.mean, first)
     distance = length(step)
     off = config.flatness + distance / 20

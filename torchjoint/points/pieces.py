@@ -1,7 +1,8 @@
-"""Step 6, regions: what the images say about small pieces of the cloud, besides what they say about its edges.
+"""Step 6, method regions: the images' evidence for pairs of small pieces of the cloud, in addition to single edges.
 
-The ends of an edge are often no farther apart than poses and depths are wrong, so that an image sees both on one side
-of a border. Pieces are larger than that: they are the windows of eq. 5 here, and eq. 6 stays as it is.
+The two ends of an edge are often closer than the errors of poses and depths. Then an image sees both ends on the same
+side of a boundary. Pieces are larger than these errors. Here pieces take the place of the windows in eq. 5; eq. 6 is
+unchanged.
 """
 
 from __future__ import annotations
@@ -17,23 +18,25 @@ from torchjoint.runtime.threads import parallel_map
 from torchjoint.views.observation import Observation
 from torchjoint.views.propagation import disagreement, round_overlaps
 
-#: Points of a piece that an image must see to have a say.
+#: An image counts for a piece only if it sees at least this many points of the piece.
 MIN_POINTS = 3
-#: Images whose overlaps are held in memory at a time.
+#: Number of images whose overlaps are held in memory at a time.
 BATCH = 32
 
 
 def piece_disagreement(
     piece: Tensor, edge_index: Tensor, observations: Sequence[Observation], config: PropagationConfig
 ) -> Tensor:
-    """The images' disagreement r between the pieces that each edge joins (eq. 6); 0 within a piece.
+    """The images' disagreement r between the two pieces that each edge connects (eq. 6); 0 within a piece.
 
     Args:
-        piece: [N] int64 of the points, 0 ... K - 1.
-        edge_index: [2, E].
+        piece: [N] int64, piece of each point, 0 ... K - 1.
+        edge_index: [2, E] int64.
+        observations: the frames.
+        config: r_o, s and the normalization.
 
     Returns:
-        [E] float32 in [0, 1]; 1 - r_o where no image sees both pieces.
+        [E] float32 in [0, 1]; 1 - r_o if no image sees both pieces.
     """
     num_pieces = int(piece.max()) + 1
     ends = piece[edge_index]
@@ -54,14 +57,14 @@ def piece_disagreement(
 
 
 def _overlaps(piece: Tensor, num_pieces: int, pairs: Tensor, seen: Observation) -> tuple[Tensor, Tensor]:
-    """One image's part: which pairs of pieces it sees, [S] int64, and their overlap (eq. 5), [S] float64.
+    """One image's contribution: the pairs of pieces that it sees, [S] int64, and their overlaps (eq. 5), [S] float64.
 
-    Overlap is histogram intersection over the size of the smaller piece, counted in points that the image sees.
+    The overlap is the histogram intersection divided by the size of the smaller piece, in points that the image sees.
     """
     point, label = seen.labelled_points()
     there = piece[point]
     shape = (num_pieces, int(label.max()) + 1 if label.numel() else 1)
-    # Equal places are added up.
+    # csr_matrix adds the values of equal (row, column) places.
     counts = csr_matrix((torch.ones_like(label).numpy(), (there.numpy(), label.numpy())), shape)
     size = torch.bincount(there, minlength=num_pieces)
     smaller = torch.minimum(size[pairs[0]], size[pairs[1]])

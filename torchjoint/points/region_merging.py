@@ -1,7 +1,13 @@
-"""Step 6, regions: what lies on the border between two regions, and whether they are one.
+"""Step 6, method regions: region merging, the average-linkage agglomeration of the region adjacency graph.
 
-A single chain of weak edges through a soft border joins two objects, however strong the rest of it is. So the evidence
-is pooled over whole borders: every edge of the point graph that crosses one has a cost, and the mean of them counts.
+Repeatedly merges the two regions with the lowest mean boundary cost. Single edges are not reliable: one chain of weak
+edges through a soft boundary would join two objects, however strong the rest of the boundary is. So the evidence is
+averaged over whole boundaries: each edge of the point graph that crosses a region boundary has a cost, and the mean
+cost of these edges counts.
+
+P. Arbelaez, M. Maire, C. Fowlkes, J. Malik, "Contour Detection and Hierarchical Image Segmentation", PAMI 2011, merge
+image regions by mean boundary strength in this way. Average linkage in general is due to R. Sokal and C. Michener, "A
+Statistical Method for Evaluating Systematic Relationships", University of Kansas Science Bulletin 38, 1958.
 """
 
 from __future__ import annotations
@@ -13,14 +19,16 @@ from torchjoint import ops
 
 
 def merge(region: Tensor, edge_index: Tensor, cost: Tensor, threshold: float, min_size: int) -> Tensor:
-    """Merges regions, always those two whose border has the lowest mean cost, up to the threshold.
+    """Repeatedly merges the two regions with the lowest mean boundary cost, up to the threshold.
 
-    What then has fewer than `min_size` points is joined to the neighbour across its cheapest border.
+    Then each region of fewer than `min_size` points is joined to the neighbour with the lowest mean boundary cost.
 
     Args:
-        region: [N] int64 of the points.
-        edge_index: [2, E] between points; edges inside a region count for nothing.
-        cost: [E].
+        region: [N] int64, region of each point, 0 ... R - 1.
+        edge_index: [2, E] int64, edges between points; edges inside a region are ignored.
+        cost: [E] float32 in [0, 1024].
+        threshold: largest mean boundary cost of two regions that merge.
+        min_size: points.
 
     Returns:
         [N] int64 segments 0, 1, ..., numbered by their first regions.
@@ -28,12 +36,15 @@ def merge(region: Tensor, edge_index: Tensor, cost: Tensor, threshold: float, mi
     return _merged(region, edge_index, cost, torch.bincount(region), threshold, min_size)
 
 
-def absorb(segment: Tensor, edge_index: Tensor, cost: Tensor, stays: Tensor, min_size: int) -> Tensor:
-    """Joins segments of fewer than `min_size` points to their neighbours, but for those that are to stay.
+def join_small(segment: Tensor, edge_index: Tensor, cost: Tensor, stays: Tensor, min_size: int) -> Tensor:
+    """Joins each segment of fewer than `min_size` points to a neighbour, unless `stays` protects the segment.
 
     Args:
-        segment: [N] int64 of the points.
-        stays: [S] bool.
+        segment: [N] int64, segment of each point, 0 ... S - 1.
+        edge_index: [2, E] int64, edges between points.
+        cost: [E] float32 in [0, 1024].
+        stays: [S] bool, True for segments that are not joined.
+        min_size: points.
 
     Returns:
         [N] int64 segments 0, 1, ...

@@ -1,4 +1,4 @@
-"""Step 6, regions: small regions of one smooth surface, and the plane in them on which each point lies."""
+"""Step 6, method regions: small smooth regions of the cloud, and a plane for each point, fitted within its region."""
 
 from __future__ import annotations
 
@@ -13,26 +13,28 @@ from torchjoint.points.edge_weights import geometric_weights, segmentator_turn
 from torchjoint.points.graph import PointGraph
 from torchjoint.runtime.threads import all_threads
 
-#: Points that a plane is fitted to, at the least.
+#: Smallest number of points to which a plane is fitted.
 MIN_POINTS = 6
 
 
 class Planes(NamedTuple):
-    """The plane of each point and those of its neighbours that lie in its own region."""
+    """One plane per point, fitted to the point and its neighbours in the same region."""
 
-    mean: Tensor  #: [N, 3] metres
+    mean: Tensor  #: [N, 3] metres, mean of these points
     normal: Tensor  #: [N, 3] unit length, on the side of the point's own normal
 
 
 def small_regions(graph: PointGraph, normals: Tensor, oriented: Tensor, config: RegionsConfig) -> Tensor:
-    """Groups points of one smooth surface: Felzenszwalb-Huttenlocher with 1 - n_i . n_j, squared where it is convex.
+    """Groups points into smooth regions: Felzenszwalb-Huttenlocher with weights 1 - n_i . n_j, squared where convex.
 
     Args:
+        graph: points and edges.
         normals: [N, 3] unit length.
-        oriented: [N] bool, whether a normal's sign is known.
+        oriented: [N] bool, whether a normal is oriented.
+        config: scale and minimum size.
 
     Returns:
-        [N] int64 regions 0, 1, ...; with `config.scale` 0 every point is one.
+        [N] int64 regions 0, 1, ...; if `config.scale` is 0, each point is its own region.
     """
     if config.scale == 0:
         return torch.arange(graph.num_points)
@@ -42,11 +44,15 @@ def small_regions(graph: PointGraph, normals: Tensor, oriented: Tensor, config: 
 
 
 def one_sided_planes(graph: PointGraph, region: Tensor, normals: Tensor) -> Planes:
-    """Planes that no longer look across the border which they are to find: creases become sharp again.
+    """Fits each plane only to neighbours in the same region, so that creases between regions stay sharp.
 
     Args:
+        graph: points and neighbours.
         region: [N] int64.
-        normals: [N, 3], kept where fewer than MIN_POINTS of the neighbours are in a point's own region.
+        normals: [N, 3]; a normal is kept if fewer than MIN_POINTS points (with the point itself) are in its region.
+
+    Returns:
+        means [N, 3] metres, and normals [N, 3].
     """
     with all_threads():
         return Planes(*ops.region_planes(graph.points, graph.neighbors, region, normals, MIN_POINTS))

@@ -1,1 +1,1 @@
-"""Results: the folder that a run writes, checkpoints, figures."""
+"""Output after step 8: the folder that a run writes, checkpoints, figures."""

@@ -1,4 +1,4 @@
-"""Figures, a viewer for the browser, and one colour for one object everywhere."""
+"""Figures of a result (output after step 8)."""
 
 from __future__ import annotations
 
@@ -10,14 +10,19 @@ from torch import Tensor
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.render import render_cloud
 from torchjoint.scene import Scene, Segmentation
-from torchjoint.scene.subset import spread_indices
+from torchjoint.scene.subset import evenly_spaced_indices
 
 
 def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
-    """A matplotlib figure: for some frames the input, the initial and the final segmentation; and the cloud.
+    """A matplotlib figure: input, initial and final segmentation of some frames, and the cloud.
 
-    In the final images and in the cloud one colour is one object; pale regions have no point of the cloud. The
-    initial segmentations have ids, and so colours, of their own in every frame.
+    In the final images and in the cloud one colour is one object; pale segments contain no point of the cloud. The
+    initial segmentations have separate ids, and so separate colours, in every frame.
+
+    Args:
+        scene: the cloud and its frames.
+        result: the segmentation of the scene.
+        num_frames: largest number of frames to show, evenly spread.
     """
     from matplotlib.figure import Figure
 
@@ -31,16 +36,16 @@ def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
         return figure
     parts: Any = figure.subfigures(2, 1, height_ratios=[frames_height, 0.38 * width])
     top, bottom = parts
-    _draw_frames(top, scene, result, spread_indices(len(result.images), num_frames))
+    _draw_frames(top, scene, result, evenly_spaced_indices(len(result.images), num_frames))
     _draw_cloud(bottom, scene, result)
     return figure
 
 
 def cloud_figure(scene: Scene, labels: Tensor) -> Any:
-    """A matplotlib figure: the cloud in its colours, and beside it in those of its labels.
+    """A matplotlib figure: the cloud in its own colours, and in the colours of its labels.
 
     Args:
-        scene: the cloud; its frames, where there are any, tell which way is up.
+        scene: the cloud; its frames, if there are any, determine the upward direction.
         labels: [N] int64, -1 = none.
     """
     from matplotlib.figure import Figure

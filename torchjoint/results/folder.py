@@ -1,4 +1,4 @@
-"""A result on disk: the folder that `torchjoint segment` writes and `torchjoint show` opens."""
+"""A result on disk (output after step 8): the folder that `torchjoint segment` writes and `torchjoint show` reads."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from torchjoint.results.figures import overview
 from torchjoint.results.label_colors import label_colors
 from torchjoint.scene import Scene, Segmentation
 
-#: 16-bit label images hold label + 1, 0 = none.
+#: Largest label in a 16-bit label image, which stores label + 1; 0 = none.
 MAX_LABEL = 2**16 - 2
 
 
@@ -39,16 +39,16 @@ class PointResult(NamedTuple):
 
 @contextmanager
 def output_folder(out: Path, source: str, *, overwrite: bool = False) -> Iterator[Path]:
-    """A folder to write into that becomes `out` when all went well; else it stays beside, to be resumed.
+    """A temporary folder to write into; it becomes `out` on success. After an error it stays, so the run can resume.
 
     Args:
         out: the result's folder.
-        source: what the result is made of; the remains of a run from another source are thrown away.
-        overwrite: replace an earlier result, and nothing but a result (a folder with a run.yaml).
+        source: describes the input of the result; a partial result of another source is deleted.
+        overwrite: replace an earlier result; only a result (an empty folder, or one with a run.yaml) is replaced.
 
     Raises:
-        FileExistsError: `out` exists, and not `overwrite`, or it is not a result; or the place for the partial
-            result beside it is taken by something else.
+        FileExistsError: `out` exists and `overwrite` is False, or `out` is not a result; or the path of the partial
+            result, beside `out`, is used by something else.
     """
     out = Path(os.path.abspath(out))
     _check_replaceable(out, overwrite)
@@ -63,7 +63,7 @@ def output_folder(out: Path, source: str, *, overwrite: bool = False) -> Iterato
     try:
         yield partial
     except BaseException:
-        if list(partial.iterdir()) == [source_file]:  # nothing to resume: leave nothing behind
+        if list(partial.iterdir()) == [source_file]:  # nothing to resume: remove the folder
             shutil.rmtree(partial)
         raise
     source_file.unlink()
@@ -89,7 +89,7 @@ def write_result(folder: Path, scene: Scene, result: Segmentation, config: Confi
     """Writes points.ply, points.npz, images/NAME.png, overview.png and run.yaml into a folder.
 
     Raises:
-        ValueError: more labels than 16-bit images can hold, or two frames of one name.
+        ValueError: a label does not fit 16-bit images, or two frames have the same name.
     """
     write_cloud(folder / "points.ply", scene.points, label_colors(result.points), result.points)
     arrays = {"points": scene.points, "labels": result.points} | (
@@ -102,7 +102,12 @@ def write_result(folder: Path, scene: Scene, result: Segmentation, config: Confi
 
 
 def read_points(folder: Path) -> PointResult:
-    """Reads `points.npz` of a result; errors name the file."""
+    """Reads `points.npz` of a result.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is damaged; the message names it.
+    """
     file = folder / "points.npz"
     if not file.is_file():
         raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
@@ -115,7 +120,12 @@ def read_points(folder: Path) -> PointResult:
 
 
 def read_config(folder: Path) -> Config:
-    """The parameters that a result was made with."""
+    """The parameters of the run that made a result.
+
+    Raises:
+        FileNotFoundError: there is no run.yaml.
+        ValueError, TypeError: run.yaml is damaged; the message names the file.
+    """
     file = folder / "run.yaml"
     if not file.is_file():
         raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")

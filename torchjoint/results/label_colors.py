@@ -1,4 +1,4 @@
-"""A colour for every label."""
+"""A colour for every label (output after step 8)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ NONE_COLOR = 0.12
 
 
 def label_colors(labels: Tensor, num_point_segments: int | None = None) -> Tensor:
-    """A colour for each label: the same id has the same colour in every picture and cloud.
+    """A colour for each label; an id has the same colour in every picture and cloud.
 
     Args:
         labels: [...] int64, -1 = none (dark grey).
-        num_point_segments: ids from here on have no 3D segment and are drawn pale.
+        num_point_segments: ids >= this number have no 3D segment and get pale colours; None: no pale colours.
 
     Returns:
         [..., 3] float32 RGB in [0, 1].
@@ -22,7 +22,7 @@ def label_colors(labels: Tensor, num_point_segments: int | None = None) -> Tenso
     from matplotlib.colors import hsv_to_rgb
 
     ids = labels.clamp(min=0).double().numpy()
-    # Steps of the golden ratio spread hues so that neighbouring ids never look alike.
+    # Hues in steps of the golden ratio: consecutive ids never look alike.
     hue = np.mod(0.07 + ids * 0.6180339887498949, 1.0)
     saturation = 0.45 + 0.5 * np.mod(ids * 0.7548776662466927, 1.0)
     value = 0.6 + 0.4 * np.mod(ids * 0.5698402909980532, 1.0)

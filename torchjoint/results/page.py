@@ -1,4 +1,4 @@
-"""A page that shows a cloud in any browser."""
+"""An HTML page that shows a cloud (output after step 8)."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ from torchjoint.results.label_colors import label_colors
 
 
 def write_viewer(path: Path, points: Tensor, labels: Tensor, colors: Tensor | None, most: int = 150_000) -> None:
-    """Writes a page that shows the cloud in any browser, to be turned with the mouse; needs no network.
+    """Writes an HTML page with an interactive view of the cloud; it works in any browser, without a network.
 
     Args:
-        points: [N, 3]; labels: [N]; colors: [N, 3] or None. Clouds of more than `most` points are thinned evenly.
+        path: file to write.
+        points: [N, 3] metres.
+        labels: [N] int64, -1 = none.
+        colors: [N, 3] RGB in [0, 1], or None.
+        most: largest number of points to show; larger clouds are subsampled evenly.
     """
     import plotly.graph_objects as go
 

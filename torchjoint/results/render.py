@@ -1,4 +1,4 @@
-"""Pictures of a cloud, drawn with the package's own z-buffer: no window, no graphics card."""
+"""Pictures of a cloud (output after step 8), rendered with the package's own z-buffer: needs no window and no GPU."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ FOCAL = 1.15
 
 
 def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640)) -> Tensor:
-    """Draws the cloud from behind and above the cameras (or from a corner, where there are none).
+    """Renders the cloud from behind and above the cameras (without cameras: from a corner).
 
     Args:
+        scene: the points; the frames determine the view.
         colors: [N, 3] RGB in [0, 1].
-        size: (H, W) of the picture.
+        size: (H, W) of the picture, pixels.
 
     Returns:
         [H, W, 3] RGB in [0, 1], white where there is no point.
@@ -30,7 +31,7 @@ def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640
     spacing = nearest_neighbors(scene.points, 4).spacing.clamp(min=1e-6)
     config = VisibilityConfig(near=1e-3, far=1e9, footprint=1.0, depth_tolerance=2 * float(spacing.median()))
     seen = visible_points(scene.points, spacing, intrinsics, _bird_view(scene), size, config)
-    # A point is drawn as a square of its own spacing, the nearest last.
+    # Draw each point as a square of its own spacing, near points over far points.
     far_first = torch.argsort(seen.z, descending=True, stable=True)
     radius = (0.6 * spacing[seen.point] * focal / seen.z).round().clamp(0, 4).long()[far_first]
     row, column, paint = seen.row[far_first], seen.column[far_first], colors[seen.point[far_first]]
@@ -50,7 +51,7 @@ def _inside(row: Tensor, column: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def _bird_view(scene: Scene) -> Tensor:
-    """World-to-camera pose [4, 4] of a camera that looks down on the middle of the cloud."""
+    """World-to-camera pose [4, 4] of a camera that looks down at the centre of the cloud."""
     points = scene.points[:: max(1, len(scene.points) // 100_000)].double()
     center = points.median(dim=0).values
     radius = (points - center).norm(dim=1).quantile(0.9).clamp(min=1e-6)
@@ -64,7 +65,7 @@ def _bird_view(scene: Scene) -> Tensor:
 
 
 def _up_and_forward(scene: Scene) -> tuple[Tensor, Tensor]:
-    """Hand-held and mounted cameras are upright: the mean of their -y is up, the mean of their z where they look."""
+    """Up and viewing direction, [3] each: means of the cameras' -y and z axes, as most cameras are held upright."""
     count = min(16, len(scene.frames))
     chosen = torch.linspace(0, max(len(scene.frames) - 1, 0), count).long().tolist()
     rotations = [scene.frames[i].world_to_camera[:3, :3] for i in chosen]

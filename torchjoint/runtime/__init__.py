@@ -1,1 +1,1 @@
-"""What everything else runs on: threads, the stopwatch, files that are always whole."""
+"""Infrastructure that all steps use: threads, the stopwatch, and atomic file writes."""

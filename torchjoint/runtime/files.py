@@ -1,4 +1,4 @@
-"""Files that are always whole: written beside their place, then renamed."""
+"""Atomic file writes: a file is written under a temporary name, then renamed. A reader never sees half a file."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A path beside `path` to write to. It takes the place of `path` when all went well, and is removed if not.
+def atomic_write(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` to write to. It replaces `path` on success, and is removed after an error.
 
-    It has the suffix of `path`: libraries tell formats by it.
+    The temporary path has the suffix of `path`, because libraries choose the format by the suffix.
     """
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     try:
@@ -23,6 +23,6 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a text file that is always whole."""
-    with replacing(path) as partial:
+    """Writes a text file (UTF-8) atomically."""
+    with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")

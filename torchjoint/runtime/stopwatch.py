@@ -1,4 +1,4 @@
-"""Seconds by stage."""
+"""Wall-clock seconds per stage."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from threading import Lock
 
 
 class Stopwatch:
-    """Adds up wall-clock seconds under names; threads that work at the same time both count.
+    """Sums wall-clock seconds by name; the times of parallel threads are added.
 
     >>> watch = Stopwatch()
     >>> with watch("step"):
@@ -24,7 +24,7 @@ class Stopwatch:
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
-        """Times the block under a name."""
+        """Adds the duration of the block, in seconds, to the sum of `name`."""
         start = time.perf_counter()
         try:
             yield

@@ -1,14 +1,14 @@
-"""How work is spread over processors, so that results never depend on how many there are.
+"""Distributes work over threads such that results never depend on the number of threads.
 
 A torch operation splits its tensor over threads. Vectorised code handles the middle of each part and scalar code its
-end, and the two may round differently: `atan2` of one element can change with the number of threads. So inside this
-package one operation always runs on one thread. Parallelism comes from whole items (frames, clouds, blocks of edges):
-each is worked on by one Python thread, and several at once, because torch releases the GIL.
+end, and the two may round differently: `atan2` of one element can change with the number of threads. Therefore, inside
+this package, one operation always runs on one thread. Parallelism comes from whole items (frames, clouds, blocks of
+edges): one Python thread works on each item, and several threads work at once, because torch releases the GIL.
 
-The limit of one thread holds for the calling thread alone. ``torch.set_num_threads`` would not do: it also changes what
-every *other* Python thread gets at its first torch operation. Instead the limit goes to OpenMP and MKL directly, which
-keep it thread by thread. So callers may overlap in any way, and what other threads have, or will get, never changes.
-Where torch does not run on OpenMP the limit falls back to ``torch.set_num_threads`` while any caller is inside.
+The limit of one thread applies only to the calling thread. ``torch.set_num_threads`` is not suitable: it also changes
+the setting that every *other* Python thread takes over at its first torch operation. Instead the limit is set in OpenMP
+and MKL directly, which store it per thread. So callers may overlap in any way, and the setting of other threads never
+changes. If torch does not run on OpenMP, the limit falls back to ``torch.set_num_threads`` while any caller is inside.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _workers: ContextVar[int | None] = ContextVar("torchjoint_workers", default=None
 
 @contextmanager
 def one_thread_per_operation() -> Iterator[None]:
-    """Within: a torch operation runs on one thread, and :func:`parallel_map` on as many as torch had before."""
+    """Inside the block a torch operation runs on one thread; :func:`parallel_map` uses as many as torch had before."""
     token = _workers.set(num_threads())
     try:
         with _thread_limit(1):
@@ -45,13 +45,16 @@ def one_thread_per_operation() -> Iterator[None]:
 
 @contextmanager
 def all_threads() -> Iterator[None]:
-    """Within: compiled operators use all threads again. For those only whose result does not depend on how many."""
+    """Inside the block compiled operators use all threads again.
+
+    Use it only for operators whose result does not depend on the number of threads.
+    """
     with _thread_limit(num_threads()):
         yield
 
 
 def num_threads() -> int:
-    """How many threads the package may use here: as many as torch may; one inside :func:`parallel_map`."""
+    """Number of threads that the package may use here: as many as torch may use; one inside :func:`parallel_map`."""
     return _workers.get() or torch.get_num_threads()
 
 
@@ -64,8 +67,8 @@ def parallel_map(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
             return [function(item) for item in items]
 
     def on_one_thread(item: T) -> R:
-        _workers.set(1)  # nested calls must not spread any further
-        with _thread_limit(1), torch.no_grad():  # gradient mode, too, is a setting of each thread
+        _workers.set(1)  # nested calls must not start more threads
+        with _thread_limit(1), torch.no_grad():  # the gradient mode is a setting per thread, too
             return function(item)
 
     with one_thread_per_operation(), ThreadPoolExecutor(workers) as pool:
@@ -74,8 +77,8 @@ def parallel_map(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
 
 @contextmanager
 def _thread_limit(count: int) -> Iterator[None]:
-    """Within: a torch operation of the calling thread runs on `count` threads; no other thread sees a difference."""
-    before = torch.get_num_threads()  # also makes a fresh thread take over torch's setting, which would come later
+    """Inside the block torch operations of the calling thread run on `count` threads; other threads are unaffected."""
+    before = torch.get_num_threads()  # also makes a new thread take over torch's setting now instead of later
     set_limit = _openmp_limit()
     if set_limit is None:
         with _GLOBAL_LIMIT(count):
@@ -90,17 +93,17 @@ def _thread_limit(count: int) -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _openmp_limit() -> Callable[[int, int], int] | None:
-    """Sets the calling thread's limits (OpenMP's, MKL's; 0 = none of its own) and returns MKL's earlier one.
+    """A function that sets the calling thread's OpenMP and MKL limits (MKL: 0 = none) and returns the old MKL limit.
 
-    None where torch has no OpenMP. A library's handle finds the symbols of what it links to as well, and so the very
-    OpenMP that torch runs on: a process may hold several.
+    None if torch has no OpenMP. The handle of a library also finds the symbols of the libraries it links to. So the
+    handle of torch finds the OpenMP that torch runs on, even if the process has loaded several.
     """
     library = _torch_library()
     openmp = getattr(library, "omp_set_num_threads", None)
     if openmp is None:
         return None
     openmp.argtypes, openmp.restype = [ctypes.c_int], None
-    mkl = getattr(library, "MKL_Set_Num_Threads_Local", None)  # there on x86 alone
+    mkl = getattr(library, "MKL_Set_Num_Threads_Local", None)  # exists only on x86
     if mkl is not None:
         mkl.argtypes, mkl.restype = [ctypes.c_int], ctypes.c_int
 
@@ -118,7 +121,7 @@ def _torch_library() -> Any:
 
 
 class _GlobalLimit:
-    """Torch's own setting, changed by the first caller who enters and restored by the last who leaves."""
+    """Torch's global setting: the first caller who enters changes it, the last caller who leaves restores it."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -127,7 +130,7 @@ class _GlobalLimit:
 
     @contextmanager
     def __call__(self, count: int) -> Iterator[None]:
-        """Within: torch's setting is `count`, whoever else is inside."""
+        """Inside the block torch's global setting is `count`, whichever other callers are inside."""
         with self._lock:
             if self._inside == 0:
                 self._before = torch.get_num_threads()

@@ -1,6 +1,6 @@
-"""The data of the method: a :class:`Scene` of points and posed :class:`Frame` s, and its :class:`Segmentation`.
+"""The data of all steps: a :class:`Scene` of points and posed :class:`Frame` s, and its :class:`Segmentation`.
 
-Conventions, everywhere in this package (other conventions are converted once, in :mod:`torchjoint.datasets`):
+Conventions of the whole package (:mod:`torchjoint.datasets` converts other conventions once, when it reads data):
 
 ========================  =====================  ==========================================================
 name                      shape, dtype           meaning

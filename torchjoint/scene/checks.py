@@ -1,20 +1,23 @@
-"""Checks of what makes a scene; each error names the argument, what was expected and what came."""
+"""Checks of a scene's parts, before step 1. Each raises TypeError or ValueError.
+
+The message calls the argument `name`, and says what was expected and what came.
+"""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-#: How far R^T R may be from the identity, and det R from 1, before a pose is refused (poses of text files have
-#: 7 digits; a pose that was averaged or interpolated carelessly is off by much more).
+#: Largest difference of R^T R from the identity, and of det R from 1, in a pose that is accepted. Poses in text files
+#: have 7 digits; a pose that was averaged or interpolated carelessly is off by much more.
 RIGID_TOLERANCE = 1e-3
 
-#: Metres from the origin at which float32 coordinates are still exact to a millimetre.
+#: Distance from the origin, in metres, up to which float32 coordinates are exact to a millimetre.
 LARGEST_COORDINATE = 8192.0
 
 
 def as_points(points: Tensor, name: str = "points") -> Tensor:
-    """Checks a cloud: [N, 3], N >= 1, finite, near enough to the origin; returns it as float32."""
+    """Checks a cloud: [N, 3], N >= 1, finite, within LARGEST_COORDINATE of the origin; returns it as float32."""
     points = as_float(points, name, torch.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"{name}: expected shape [N, 3], got {list(points.shape)}")
@@ -46,7 +49,7 @@ def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
 
 
 def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Tensor:
-    """Checks labels of a shape, integers >= -1; returns them as int64."""
+    """Checks labels: shape `size`, integers >= -1; returns them as int64."""
     if not isinstance(labels, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor, got {type(labels).__name__}")
     if labels.dtype.is_floating_point or labels.dtype.is_complex:
@@ -59,7 +62,7 @@ def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Te
 
 
 def as_image(image: Tensor, name: str) -> Tensor:
-    """Checks an image [3, H, W] or a grey one; returns it as float32 RGB in [0, 1]."""
+    """Checks an image: [3, H, W], or grey [1, H, W] or [H, W]; returns it as [3, H, W] float32 RGB in [0, 1]."""
     if not isinstance(image, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor, got {type(image).__name__}")
     if image.ndim == 2:
@@ -72,7 +75,7 @@ def as_image(image: Tensor, name: str) -> Tensor:
 
 
 def as_unit_range(value: Tensor, name: str) -> Tensor:
-    """Checks colours in [0, 1]; returns them as float32, 8-bit ones divided by 255."""
+    """Checks colours in [0, 1], or uint8; returns them as float32 in [0, 1], uint8 colours divided by 255."""
     if isinstance(value, Tensor) and value.dtype == torch.uint8:
         value = value.to(torch.float32) / 255
     value = as_float(value, name, torch.float32)
@@ -83,7 +86,7 @@ def as_unit_range(value: Tensor, name: str) -> Tensor:
 
 
 def as_intrinsics(intrinsics: Tensor, name: str) -> Tensor:
-    """Checks a camera matrix [3, 3]; returns it as float64."""
+    """Checks a camera matrix [3, 3], in pixels; returns it as float64."""
     intrinsics = as_float(intrinsics, name, torch.float64)
     check_shape(intrinsics, (3, 3), name)
     zeros = intrinsics[[1, 2, 2], [0, 0, 1]]

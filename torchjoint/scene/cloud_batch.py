@@ -1,4 +1,4 @@
-"""Several clouds as one: a disjoint union, with `ptr` to say where each starts; checked, and taken apart."""
+"""A batch of clouds for superpoints: one tensor, where `ptr` gives the start of each cloud; checked and split here."""
 
 from __future__ import annotations
 
@@ -12,26 +12,30 @@ from torchjoint.scene.scene import Scene
 
 
 class Cloud(NamedTuple):
-    """One cloud, checked; node numbers are its own."""
+    """One checked cloud; edges and faces use the cloud's own point numbers 0 ... n - 1."""
 
-    points: Tensor
-    colors: Tensor | None
-    normals: Tensor | None
-    edges: Tensor | None
-    faces: Tensor | None
-    viewpoint: Tensor | None
+    points: Tensor  #: [n, 3] float32 metres
+    colors: Tensor | None  #: [n, 3] float32 RGB in [0, 1]
+    normals: Tensor | None  #: [n, 3] float32, unit length
+    edges: Tensor | None  #: [2, e] int64
+    faces: Tensor | None  #: [f, 3] int64
+    viewpoint: Tensor | None  #: [3] or [n, 3] float32 metres
 
 
-def take_apart(
+def split_batch(
     scene: Scene, edges: Tensor | None, faces: Tensor | None, ptr: Tensor | None, viewpoint: Tensor | None
 ) -> list[Cloud]:
-    """The clouds of a batch, each with node numbers of its own.
+    """Splits a batch into its clouds, each with its own point numbers.
 
     Args:
         scene: points, colours and normals of all clouds.
-        edges: [2, E], and faces: [F, 3], of all clouds, in numbers of the whole batch and in any order.
-        ptr: [B + 1] where clouds start, and N; None = one cloud.
-        viewpoint: [3], [B, 3] or [N, 3].
+        edges: [2, E] integers, edges of all clouds in any order, in point numbers of the batch.
+        faces: [F, 3] integers, triangles of all clouds in any order, in point numbers of the batch.
+        ptr: [B + 1] integers, the start of each cloud, and N; None = one cloud.
+        viewpoint: [3], [B, 3] or [N, 3] metres.
+
+    Returns:
+        the B clouds, in order.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -70,7 +74,7 @@ def _checked_ptr(ptr: Tensor | None, num_points: int) -> list[int]:
 
 
 def _checked_nodes(name: str, nodes: Tensor | None, num_points: int) -> Tensor | None:
-    """Edges [2, E] as they are, faces [F, 3] as [3, F]; int64, all in [0, N)."""
+    """Edges [2, E] unchanged, faces [F, 3] transposed to [3, F]; int64, all in [0, N)."""
     if nodes is None:
         return None
     _check_integers(name, nodes)
@@ -87,7 +91,7 @@ def _checked_nodes(name: str, nodes: Tensor | None, num_points: int) -> Tensor |
 
 
 def _views(viewpoint: Tensor | None, starts: list[int]) -> list[Tensor | None]:
-    """For each cloud its sensor's place [3], or that of each of its points [n, 3]."""
+    """For each cloud the position of its sensor [3], or one position per point [n, 3]."""
     num_clouds, num_points = len(starts) - 1, starts[-1]
     if viewpoint is None:
         return [None] * num_clouds
@@ -115,7 +119,7 @@ def _check_integers(name: str, value: Any) -> None:
 
 
 def _split(nodes: Tensor | None, starts: list[int], name: str) -> list[Tensor | None]:
-    """Edges [2, E] or triangles [3, F] of all clouds -> of each cloud, in its own numbers and the order they came."""
+    """Splits edges [2, E] or triangles [3, F] by cloud, in the cloud's own point numbers and the given order."""
     num_clouds = len(starts) - 1
     if nodes is None or num_clouds == 1:
         return [nodes] * num_clouds

@@ -1,4 +1,4 @@
-"""One posed image."""
+"""One posed image, the input of steps 1, 4 and 5."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ class Frame:
     """One posed image.
 
     Args:
-        image: [3, H, W] RGB in [0, 1]; uint8 images are divided by 255, grey ones ([H, W] or [1, H, W]) repeated.
-        intrinsics: [3, 3] camera matrix in pixels of *this* image, pixel centres at integer coordinates.
-        world_to_camera: [4, 4] rigid transform, OpenCV axes. If your poses are camera-to-world, invert them.
-        depth: optional [H, W], metres along the camera's z; 0 = unknown. Never used by the method itself, only to
-            check poses and to fuse a cloud where there is none.
-        labels: optional [H, W] integers, a segmentation of the image to start from (a network's, SAM masks, ...);
-            -1 = none. It replaces steps 1-2 of the method for this frame.
-        name: used for file names and messages.
+        image: [3, H, W] RGB in [0, 1]; uint8 images are divided by 255; a grey image ([H, W] or [1, H, W]) is
+            repeated three times.
+        intrinsics: [3, 3] camera matrix in pixels of *this* image; pixel centres have integer coordinates.
+        world_to_camera: [4, 4] rigid transform, metres, OpenCV axes. If your poses are camera-to-world, invert them.
+        depth: optional [H, W], metres along the camera's z; 0 = unknown. The method itself does not use it; it serves
+            to check poses, and to fuse a cloud if there is none.
+        labels: optional [H, W] integers, an initial segmentation of the image (a network's output, SAM masks, ...);
+            -1 = none. It replaces the segmentation of step 2 for this frame.
+        name: used in file names and messages.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.

@@ -1,4 +1,4 @@
-"""One point cloud and the frames that were taken of it."""
+"""One point cloud and its frames: the input of the method."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from torchjoint.scene.checks import (
     check_shape,
 )
 from torchjoint.scene.frame import Frame
-from torchjoint.scene.subset import spread_indices, subset
+from torchjoint.scene.subset import evenly_spaced_indices, subset
 from torchjoint.scene.truth import Truth
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One point cloud and the frames that were taken of it.
+    """One point cloud and its frames.
 
     Args:
         points: [N, 3] metres, world frame; N >= 1, finite.
-        frames: a sequence of :class:`Frame`; may be lazy (read at access) and may be empty (plain 3D segmentation).
+        frames: a sequence of :class:`Frame`; may be lazy (read at access) or empty (plain 3D segmentation).
         colors: optional [N, 3] RGB in [0, 1].
-        normals: optional [N, 3], showing out of the surface; estimated where absent.
+        normals: optional [N, 3], pointing out of the surface; estimated if absent.
         name: used in messages.
-        truth: optional, what is known to be right about it; the method never looks at it.
+        truth: optional, the ground truth; the method never reads it.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -63,7 +63,7 @@ class Scene:
             as_labels(self.truth.points, (len(points),), "truth.points")
 
     def select_points(self, keep: Tensor) -> Scene:
-        """The scene with some of its points, in the order of `keep` (a mask [N], or places)."""
+        """The scene with some of its points, in the order of `keep` ([N] bool, or [M] int64 indices)."""
         return replace(
             self,
             points=self.points[keep],
@@ -72,14 +72,14 @@ class Scene:
             truth=None if self.truth is None else self.truth.select_points(keep),
         )
 
-    def spread_frames(self, most: int) -> Scene:
-        """The scene with at most so many of its frames, evenly spread from the first to the last; they stay lazy."""
+    def sample_frames(self, most: int) -> Scene:
+        """The scene with at most `most` frames, evenly spread from the first to the last; lazy frames stay lazy."""
         if most >= len(self.frames):
             return self
-        return self.select_frames(spread_indices(len(self.frames), most))
+        return self.select_frames(evenly_spaced_indices(len(self.frames), most))
 
     def select_frames(self, indices: Sequence[int]) -> Scene:
-        """The scene with some of its frames, in the order of `indices`; they stay lazy."""
+        """The scene with some of its frames, in the order of `indices`; lazy frames stay lazy."""
         return replace(
             self,
             frames=subset(self.frames, indices),

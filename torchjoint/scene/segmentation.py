@@ -1,4 +1,4 @@
-"""The result: labels of points and pixels that share one id space."""
+"""The result of step 8: labels of points and pixels in one id space."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 class LabelImages(Sequence[Tensor]):
-    """Label images of one segmentation: a sequence of [H, W] int64 tensors, kept as int32 until they are asked for."""
+    """Label images of one segmentation: a sequence of [H, W] int64 tensors, stored as int32 and converted at access."""
 
     def __init__(self, images: Sequence[Tensor]) -> None:
         self._images = [image.to(torch.int32) for image in images]
@@ -31,15 +31,15 @@ class LabelImages(Sequence[Tensor]):
 
 @dataclass(frozen=True)
 class Segmentation:
-    """Labels of points and pixels that share one id space: the same id is the same object everywhere.
+    """Labels of points and pixels in one id space: the same id means the same object everywhere.
 
     Attributes:
         points: [N] int64. Ids 0 ... num_point_segments - 1, numbered by first appearance in the cloud.
-        images: a sequence of [H, W] int64, one a frame. Ids >= num_point_segments are image segments that no
-            visible point fell in; such an id occurs in one image only.
-        initial_images: the image segmentations the method started from (each frame has ids of its own).
+        images: a sequence of [H, W] int64, one per frame; -1 = none. An id >= num_point_segments is an image segment
+            without visible points; such an id occurs in one image only.
+        initial_images: the initial image segmentations, [H, W] int64 (each frame has its own ids).
         names: the frames' names, in order.
-        seconds: wall-clock seconds by stage.
+        seconds: wall-clock seconds per stage.
     """
 
     points: Tensor
@@ -50,5 +50,5 @@ class Segmentation:
 
     @property
     def num_point_segments(self) -> int:
-        """How many segments the cloud has."""
+        """Number of segments of the cloud."""
         return int(self.points.max()) + 1 if self.points.numel() else 0

@@ -1,4 +1,4 @@
-"""Some items of a sequence."""
+"""Selects items of a sequence, such as frames, without reading them."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ T = TypeVar("T")
 
 
 def subset(items: Sequence[T], indices: Sequence[int]) -> Sequence[T]:
-    """Some items of a sequence, in the order of `indices`; lazy ones stay lazy."""
+    """The items at `indices`, in that order; lazy items stay lazy."""
     return cast(Sequence[T], Subset(cast(Dataset[T], items), indices))
 
 
-def spread_indices(count: int, most: int) -> list[int]:
+def evenly_spaced_indices(count: int, most: int) -> list[int]:
     """At most `most` of the numbers 0 ... count - 1, evenly spread from the first to the last.
 
-    >>> spread_indices(10, 4)
+    >>> evenly_spaced_indices(10, 4)
     [0, 3, 6, 9]
     """
     return [int(index) for index in torch.linspace(0, max(count - 1, 0), min(most, count)).round().tolist()]

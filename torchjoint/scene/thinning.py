@@ -1,4 +1,4 @@
-"""Fewer points of a cloud, evenly spread."""
+"""Voxel subsampling of a cloud, before step 3."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import torch
 from torch import Tensor
 
 
-def one_point_a_voxel(points: Tensor, size: float) -> Tensor:
-    """The points that stay when every cubic voxel keeps one: the one nearest to its centre (ties: the first).
+def voxel_subsample(points: Tensor, size: float) -> Tensor:
+    """Keeps one point per cubic voxel: the point nearest to the voxel's centre (ties: the first point).
 
     Args:
         points: [N, 3] metres.
-        size: of a voxel, metres; about the spacing of what stays.
+        size: side of a voxel, metres; about the spacing of the points that are kept.
 
     Returns:
-        [M] int64 places of the points that stay, ascending.
+        [M] int64 indices of the points that are kept, ascending.
 
     Raises:
         ValueError: `size` is not positive, or so small that voxels cannot be numbered.
 
-    >>> one_point_a_voxel(torch.tensor([[0.1, 0.1, 0.1], [0.5, 0.5, 0.4], [1.2, 0.0, 0.0]]), 1.0)
+    >>> voxel_subsample(torch.tensor([[0.1, 0.1, 0.1], [0.5, 0.5, 0.4], [1.2, 0.0, 0.0]]), 1.0)
     tensor([1, 2])
     """
     if not size > 0:

@@ -1,4 +1,4 @@
-"""What is known to be right about a scene."""
+"""The ground truth of a scene. No step of the method uses it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from torchjoint.scene.subset import subset
 
 @dataclass(frozen=True)
 class Truth:
-    """What is known to be right about a scene: only ever compared with results, never used to make them.
+    """The ground truth of a scene: only compared with results, never used to compute them.
 
     Args:
-        points: optional [N] integers, the instance of each point, -1 = not known (void).
-        images: label images [H, W], -1 = void, one for each frame (may be lazy); empty where there are none. Their
-            number is checked where they are used.
-        kinds: of those instances whose scores are wanted by kind: instance -> kind, such as "flat".
+        points: optional [N] integers, the instance of each point, -1 = unknown (void).
+        images: label images [H, W], -1 = void, one per frame (may be lazy); empty if there are none. The code that
+            uses them checks their number.
+        kinds: instance -> kind, such as "flat", for instances that are also scored per kind.
     """
 
     points: Tensor | None = None
@@ -31,9 +31,9 @@ class Truth:
         return self.points is not None and bool((self.points >= 0).any())
 
     def select_points(self, keep: Tensor) -> Truth:
-        """That of some of the points, in the order of `keep` (a mask, or places)."""
+        """The truth of some of the points, in the order of `keep` ([N] bool, or [M] int64 indices)."""
         return self if self.points is None else replace(self, points=self.points[keep])
 
     def select_frames(self, indices: Sequence[int]) -> Truth:
-        """That of some of the frames."""
+        """The truth of some of the frames, in the order of `indices`."""
         return replace(self, images=subset(self.images, indices)) if len(self.images) else self

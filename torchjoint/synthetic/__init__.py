@@ -1,18 +1,25 @@
-"""Seeded synthetic indoor scenes with exact instance truth for every point and every pixel.
+"""Seeded synthetic indoor scenes with exact ground-truth instances for every point and every pixel.
 
-:func:`make_scene` furnishes a room (:mod:`~torchjoint.synthetic.room`, of :mod:`~torchjoint.synthetic.furniture` and
-:mod:`~torchjoint.synthetic.clutter`), walks through it (:mod:`~torchjoint.synthetic.trajectory`), casts rays
-(:mod:`~torchjoint.synthetic.render`), spoils what they return as a Kinect-like camera would
-(:mod:`~torchjoint.synthetic.sensor`), and fuses a cloud of it (:mod:`~torchjoint.synthetic.cloud`).
+:func:`make_scene` furnishes a room (:mod:`~torchjoint.synthetic.room`, with :mod:`~torchjoint.synthetic.furniture` and
+:mod:`~torchjoint.synthetic.clutter`), moves a camera through it (:mod:`~torchjoint.synthetic.trajectory`), casts rays
+(:mod:`~torchjoint.synthetic.render`), adds the errors of a Kinect-like camera (:mod:`~torchjoint.synthetic.sensor`),
+and fuses a point cloud (:mod:`~torchjoint.synthetic.cloud`).
 
-What makes joint segmentation hard is there on purpose: prints and grain inside objects, neighbours of one colour, flat
-things on flat things, doors and posters flush with walls, slatted chairs before cupboards, hollow bowls, cast shadows,
-changing exposure, motion blur, depth noise, holes, pose errors, uneven clouds. Optional, for they came later: depth
-errors that neighbours share, and harder rooms (:mod:`~torchjoint.synthetic.hard`) with more flat things
-(:mod:`~torchjoint.synthetic.flats`), more that cuts what is behind it in two (:mod:`~torchjoint.synthetic.occluders`)
-and more that is hollow (:mod:`~torchjoint.synthetic.vessels`).
+The scenes contain the difficulties of joint segmentation on purpose: prints and grain inside objects, neighbours of one
+colour, flat things on flat things, doors and posters flush with walls, slatted chairs in front of cupboards, hollow
+bowls, cast shadows, changing exposure, motion blur, depth noise, holes, pose errors, clouds of uneven density. Optional
+(they were added later): depth errors that are correlated between neighbours, and harder rooms
+(:mod:`~torchjoint.synthetic.hard`) with more flat things (:mod:`~torchjoint.synthetic.flats`), more slender occluders
+that split the object behind them (:mod:`~torchjoint.synthetic.occluders`), and more hollow things
+(:mod:`~torchjoint.synthetic.vessels`).
+
+:func:`make_domain_scene` makes scenes of many domains (:data:`DOMAINS`: tables, shelves, bins, desks, kitchens, rooms,
+workshops, LiDAR streets) for training and checking; :func:`domain_settings` returns the difficulties that are drawn for
+a scene.
 """
 
+from torchjoint.synthetic.domains import make_domain_scene
 from torchjoint.synthetic.scene import SyntheticScene, make_scene
+from torchjoint.synthetic.settings import DOMAINS, DomainSettings, domain_settings
 
-__all__ = ["SyntheticScene", "make_scene"]
+__all__ = ["DOMAINS", "DomainSettings", "SyntheticScene", "domain_settings", "make_domain_scene", "make_scene"]

@@ -1,4 +1,4 @@
-"""The array type of this package's numpy code."""
+"""Types of this package's NumPy code: arrays, random generators, colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fused cloud: what all depth images saw, averaged where they saw the same, thinned unevenly."""
+"""Fuses the depth images to a point cloud: averages repeated observations, then samples unevenly."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 from torchjoint.synthetic.arrays import Array, Rng
 
-#: Side of the cells whose observations are averaged, metres.
+#: Side of the cells in which observations are averaged, metres.
 _CELL = 0.006
-#: Depth pixels used for each point asked for, at most.
+#: Largest number of depth pixels per output point.
 _PIXELS_PER_POINT = 8
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One image as the fusion gets it.
+    """One image, as input of the fusion.
 
     Attributes:
         image: [H, W, 3] in [0, 1].
@@ -33,18 +33,24 @@ class Shot:
 
 
 def fuse(rng: Rng, shots: Sequence[Shot], intrinsics: Array, num_points: int) -> tuple[Array, Array, Array]:
-    """A cloud as a real fusion would leave it: dense where the camera was near, empty where it never looked.
+    """Fuses a cloud like a real fusion: dense where the camera was near, empty where it never looked.
 
-    Observations of one instance in one cell are averaged (position and colour), as in a volume, and cells are drawn
-    with probability growing with the number of their observations.
+    Observations of one instance in one cell are averaged (position and colour), as in a volume. Cells are sampled; the
+    probability of a cell grows with the number of its observations.
+
+    Args:
+        rng: source of all random choices.
+        shots: the images.
+        intrinsics: [3, 3], pixels.
+        num_points: size of the cloud.
 
     Returns:
         points [num_points, 3] metres, world frame; colours [num_points, 3]; labels [num_points].
 
     Raises:
-        ValueError: if the images have fewer depths than ``num_points``.
+        ValueError: the images have fewer valid depths than ``num_points``.
     """
-    # Real clouds are dense where somebody lingered: some views count more, some not at all.
+    # Real clouds are dense where the camera stayed long: some views count more, some not at all.
     share = rng.uniform(0.0, 2.0, len(shots))
     if len(shots) > 4:
         share[share < 0.3] = 0.0
@@ -70,10 +76,10 @@ def fuse(rng: Rng, shots: Sequence[Shot], intrinsics: Array, num_points: int) ->
 
 
 def _observe(rng: Rng, shot: Shot, intrinsics: Array, count: int) -> tuple[Array, Array, Array]:
-    """Up to ``count`` random depths of one image: world points, colours, labels."""
+    """Samples up to ``count`` random depths of one image: world points, colours, labels."""
     row, column = np.nonzero((shot.depth > 0) & (shot.labels >= 0))
     if count < len(row):
-        trust = 1 / shot.depth[row, column].astype(np.float64)  # fusions weigh the distant, noisy depths less
+        trust = 1 / shot.depth[row, column].astype(np.float64)  # fusion gives distant, noisy depths a smaller weight
         keep = rng.choice(len(row), count, replace=False, p=trust / trust.sum())
         row, column = row[keep], column[keep]
     z = shot.depth[row, column].astype(np.float64)
@@ -81,13 +87,13 @@ def _observe(rng: Rng, shot: Shot, intrinsics: Array, count: int) -> tuple[Array
     y = (row - intrinsics[1, 2]) / intrinsics[1, 1] * z
     rotation, translation = shot.camera_from_world[:3, :3], shot.camera_from_world[:3, 3]
     x, y, z = x - translation[0], y - translation[1], z - translation[2]
-    # Written out, for a BLAS product might round by the number of its threads.
+    # Written out, since a BLAS product may round differently with another number of threads.
     points = np.stack([x * rotation[0, i] + y * rotation[1, i] + z * rotation[2, i] for i in range(3)], axis=1)
     return points, shot.image[row, column].astype(np.float64), shot.labels[row, column]
 
 
 def _average(points: Array, colors: Array, labels: Array, cell: float) -> tuple[Array, Array, Array, Array]:
-    """Means over (cell, label): points, colours, labels, and how many each is the mean of."""
+    """Means over each (cell, label): points, colours, labels, and the number of averaged observations."""
     index = np.floor(points / cell).astype(np.int64)
     index -= index.min(axis=0)
     span = index.max(axis=0) + 1

@@ -1,4 +1,4 @@
-"""Small things: each function draws one, of random shape, colour and print, as one instance."""
+"""Small objects: each function returns one instance of random shape, colour and print."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def tray(rng: Rng) -> Item:
 
 
 def carton(rng: Rng) -> Item:
-    """A closed box: plain, labelled, striped, or printed all over like a cereal packet."""
+    """A closed box: plain, labelled, striped, or printed on all sides like a cereal packet."""
     tall = rng.random() < 0.4
     w, d = rng.uniform(0.1, 0.3), rng.uniform(0.06, 0.2)
     h = float(rng.uniform(0.15, 0.32) if tall else rng.uniform(0.05, 0.16))
@@ -80,7 +80,7 @@ def bottle(rng: Rng) -> Item:
 
 
 def can(rng: Rng) -> Item:
-    """A tin with a print around it."""
+    """A tin with a printed side."""
     r, h = rng.uniform(0.032, 0.05), rng.uniform(0.08, 0.14)
     lid = paint.plain(rng, paint.pick(rng, paint.SOBER[1:2]), gloss=0.8, absorbs=0.2)
     label = paint.printed(rng, (2 * np.pi * r, h))
@@ -90,13 +90,13 @@ def can(rng: Rng) -> Item:
 
 
 def book(rng: Rng) -> Item:
-    """A book lying: covers and spine of one print, pages white."""
+    """A lying book: one print for covers and spine, white pages."""
     w, d, h = rng.uniform(0.13, 0.21), rng.uniform(0.19, 0.28), rng.uniform(0.012, 0.045)
     return Item("book", (w, d, h), _book_parts(rng, w, d, h))
 
 
 def standing_book(rng: Rng, height: float, depth: float) -> Item:
-    """A book standing with its spine to the front (-y)."""
+    """A standing book with its spine to the front (-y)."""
     t = float(rng.uniform(0.02, 0.06))
     cover = _cover(rng, (t, height))
     pages = paint.plain(rng, np.array([0.9, 0.88, 0.82]), gloss=0.0)
@@ -120,14 +120,14 @@ def sheet(rng: Rng) -> Item:
 
 
 def keyboard(rng: Rng) -> Item:
-    """A keyboard: a flat box with a chequer of keys."""
+    """A keyboard: a flat box with a checker pattern of keys."""
     tone = paint.pick(rng, paint.SOBER)
     keys = paint.checker(rng, tone, tone * 0.85, 0.038)
     return Item("keyboard", (0.42, 0.14, 0.02), [(box((0.42, 0.14, 0.02)), keys)])
 
 
 def laptop(rng: Rng) -> Item:
-    """An open laptop: two thin boards at an angle; its dark screen seldom returns depth."""
+    """An open laptop: two thin boards at an angle; the dark screen seldom returns depth."""
     w, d = 0.34, 0.24
     case = paint.plain(rng, paint.pick(rng, paint.SOBER[1:5]), gloss=0.4)
     glass = paint.plain(rng, np.array([0.06, 0.07, 0.09]), gloss=0.8, absorbs=0.5)
@@ -147,7 +147,7 @@ def laptop(rng: Rng) -> Item:
 
 
 def twins(rng: Rng, material: Material) -> tuple[Item, Item]:
-    """Two boxes of one material, to be put side by side: nothing but shape tells them apart."""
+    """Two boxes of one material for placing side by side: only their shape separates them."""
     d, h = rng.uniform(0.1, 0.18), rng.uniform(0.08, 0.2)
     w = rng.uniform(0.1, 0.2, 2)
     heights = (h, h if rng.random() < 0.5 else h * rng.uniform(0.75, 0.95))
@@ -155,7 +155,7 @@ def twins(rng: Rng, material: Material) -> tuple[Item, Item]:
     return one, two
 
 
-#: What may stand on a surface, and how often.
+#: Objects that may stand on a surface, with their relative frequency.
 THINGS: tuple[tuple[Callable[[Rng], Item], float], ...] = (
     (mug, 2.0),
     (bowl, 1.2),
@@ -174,7 +174,7 @@ THINGS: tuple[tuple[Callable[[Rng], Item], float], ...] = (
 
 
 def thing(rng: Rng) -> Item:
-    """One of :data:`THINGS`."""
+    """A random object of :data:`THINGS`."""
     weights = np.array([weight for _, weight in THINGS])
     return THINGS[rng.choice(len(THINGS), p=weights / weights.sum())][0](rng)
 

@@ -1,4 +1,4 @@
-"""Flat things, up to 1.5 cm thick: each function draws one, lying (z up) or hanging (front to -y), as one instance."""
+"""Flat objects up to 1.5 cm thick: each function returns one instance, lying (z up) or hanging (front to -y)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def envelope(rng: Rng) -> Item:
 
 
 def folder(rng: Rng) -> Item:
-    """A cardboard folder of one colour, 3-12 mm thick."""
+    """A cardboard folder, plain, 3-12 mm thick."""
     w, d, h = 0.235, 0.315, float(rng.uniform(0.003, 0.012))
     return Item("folder", (w, d, h), [(box((w, d, h)), paint.plain(rng, paint.pick(rng, paint.VIVID + paint.SOBER)))])
 
@@ -31,24 +31,24 @@ def card(rng: Rng) -> Item:
 
 
 def mat(rng: Rng) -> Item:
-    """A place mat, 2-4 mm thick, of one colour, striped or mottled."""
+    """A place mat, 2-4 mm thick: plain, striped or mottled."""
     w, d, h = rng.uniform(0.38, 0.46), rng.uniform(0.28, 0.33), rng.uniform(0.002, 0.004)
     return Item("mat", (w, d, h), [(box((w, d, h)), _cloth(rng))])
 
 
 def doormat(rng: Rng) -> Item:
-    """A mat for the floor, 5-10 mm thick."""
+    """A floor mat, 5-10 mm thick."""
     w, d, h = rng.uniform(0.55, 0.8), rng.uniform(0.38, 0.5), rng.uniform(0.005, 0.01)
     return Item("doormat", (w, d, h), [(box((w, d, h)), _cloth(rng))])
 
 
 def lying(rng: Rng) -> Item:
-    """Paper of one kind or another, to lie on furniture and floors."""
+    """A random paper object that lies on furniture or on the floor."""
     return (magazine, sheet, envelope, folder, card)[rng.integers(5)](rng)
 
 
 def notice(rng: Rng, widest: float) -> Item:
-    """A sheet on a door or a wall, 1 mm, upright."""
+    """An upright sheet on a door or a wall, 1 mm thick, at most ``widest`` metres wide."""
     w = min(0.21, widest)
     h = 1.4 * w
     page = paint.printed(rng, (w, h), paint.pick(rng, paint.SOBER[:1] + paint.VIVID), pictures=0.4)
@@ -56,14 +56,14 @@ def notice(rng: Rng, widest: float) -> Item:
 
 
 def hatch(rng: Rng, tone: Array) -> Item:
-    """A closed hatch in a wall, nearly of the wall's ``tone`` [3], 3-6 mm proud of it."""
+    """A closed hatch, 3-6 mm thick, on a wall; nearly of the wall's colour ``tone`` [3]."""
     w, t, h = rng.uniform(0.35, 0.7), rng.uniform(0.003, 0.006), rng.uniform(0.4, 0.9)
     coat = paint.plain(rng, tone * rng.uniform(0.88, 0.97), gloss=0.2)
     return Item("hatch", (w, t, h), [(box((w, t, h)), coat)])
 
 
 def panel(rng: Rng, width: float, height: float) -> Item:
-    """A cupboard's front of ``width`` x ``height`` metres that is not like its neighbours, 4-8 mm thick."""
+    """A cupboard front of ``width`` x ``height`` metres, 4-8 mm thick, of another material than its neighbours."""
     t = float(rng.uniform(0.004, 0.008))
     coat = (
         paint.wood(rng, paint.pick(rng, paint.WOODS), upright=True)

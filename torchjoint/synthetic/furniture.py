@@ -1,4 +1,4 @@
-"""Furniture: each function draws one piece, of random shape and material, as one instance."""
+"""Furniture: each function returns one instance of random shape and material."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchjoint.synthetic.world import Front, Item, Surface
 
 
 def table(rng: Rng, top: Material) -> Item:
-    """A table with four legs, its top of the given material."""
+    """A table with four legs; its top has the given material."""
     w, d, h = rng.uniform(1.3, 1.9), rng.uniform(0.8, 1.05), rng.uniform(0.71, 0.77)
     leg, thick = rng.uniform(0.05, 0.1), rng.uniform(0.025, 0.05)
     frame = top if rng.random() < 0.6 else paint.plain(rng, paint.pick(rng, paint.SOBER), gloss=0.3)
@@ -25,7 +25,7 @@ def table(rng: Rng, top: Material) -> Item:
 
 
 def chair(rng: Rng, frame: Material, seat: Material, slats: int) -> Item:
-    """A chair with ``slats`` in its back, which is at +y."""
+    """A chair with ``slats`` in its back; the back is at +y."""
     w, d, h, back = 0.43, 0.43, 0.45, 0.93
     post = 0.038
     parts = [(box((w, d, 0.045), (0, 0, h - 0.045)), seat)]
@@ -43,7 +43,7 @@ def chair(rng: Rng, frame: Material, seat: Material, slats: int) -> Item:
 
 
 def cabinet(rng: Rng, front: Material, width: float, height: float, depth: float) -> Item:
-    """A cabinet with doors or drawers set in its front, narrow joints between them, and a worktop if it is low."""
+    """A cabinet with doors or drawers, narrow joints between them, and a worktop if the cabinet is low."""
     carcass = front if rng.random() < 0.7 else paint.plain(rng, paint.pick(rng, paint.SOBER))
     handle = paint.plain(rng, paint.pick(rng, paint.SOBER[1:4]), gloss=0.8, absorbs=0.5)
     low, thick = height < 1.2, 0.035
@@ -76,7 +76,7 @@ def cabinet(rng: Rng, front: Material, width: float, height: float, depth: float
 
 
 def bookcase(rng: Rng, body: Material, width: float) -> Item:
-    """An open bookcase with a back; its boards are surfaces."""
+    """An open bookcase with a back panel; its boards are surfaces."""
     depth, height, t = rng.uniform(0.28, 0.36), rng.uniform(1.1, 1.9), 0.02
     shelves = int(height / rng.uniform(0.32, 0.4))
     parts = [(box((width, 0.012, height), (0, depth / 2 - 0.006)), body)]
@@ -93,7 +93,7 @@ def bookcase(rng: Rng, body: Material, width: float) -> Item:
 
 
 def wall_shelf(rng: Rng, body: Material) -> Item:
-    """One board on a wall, z = 0 at its lower side."""
+    """One board on a wall; z = 0 is its lower side."""
     w, d = rng.uniform(0.7, 1.4), rng.uniform(0.18, 0.26)
     bracket = paint.plain(rng, paint.pick(rng, paint.SOBER[1:4]))
     parts = [(box((w, d, 0.022)), body)]
@@ -104,7 +104,7 @@ def wall_shelf(rng: Rng, body: Material) -> Item:
 
 
 def sofa(rng: Rng) -> Item:
-    """A sofa or armchair: base, back and arms of one cloth."""
+    """A sofa or armchair: base, back and arms of one fabric."""
     w, d = rng.uniform(0.9, 1.7), rng.uniform(0.75, 0.88)
     cloth = paint.speckle(rng, paint.pick(rng, paint.VIVID + paint.SOBER[1:4]), contrast=0.12, gloss=0.0)
     arm, seat = 0.16, 0.4
@@ -124,7 +124,7 @@ def sofa(rng: Rng) -> Item:
 
 
 def lamp(rng: Rng) -> Item:
-    """A floor lamp: foot, a pole as thin as a finger, a hollow shade."""
+    """A floor lamp: foot, thin pole (radius 9-14 mm), hollow shade."""
     metal = paint.plain(rng, paint.pick(rng, paint.SOBER[2:5]), gloss=0.7, absorbs=0.1)
     cloth = paint.plain(rng, paint.pick(rng, paint.SOBER[:1] + paint.VIVID), gloss=0.0)
     h, r = rng.uniform(1.45, 1.75), rng.uniform(0.009, 0.014)
@@ -146,7 +146,7 @@ def bin_(rng: Rng) -> Item:
 
 
 def rug(rng: Rng, width: float, depth: float) -> Item:
-    """A rug 6-10 mm thick, striped, checkered or mottled."""
+    """A rug 6-10 mm thick: striped, checkered or mottled."""
     a, b = paint.pick(rng, paint.VIVID), paint.pick(rng, paint.VIVID + paint.SOBER)
     kind = rng.integers(3)
     if kind == 0:
@@ -161,7 +161,7 @@ def rug(rng: Rng, width: float, depth: float) -> Item:
 
 
 def door(rng: Rng) -> Item:
-    """A room door, flush with its wall but for 3 mm; frame, leaf and handle are one instance."""
+    """A room door that is flush with its wall, except for 3 mm; leaf and handle are one instance."""
     w, h = rng.uniform(0.8, 0.95), rng.uniform(1.98, 2.08)
     leaf = (
         paint.wood(rng, paint.pick(rng, paint.WOODS), upright=True)
@@ -175,7 +175,7 @@ def door(rng: Rng) -> Item:
 
 
 def poster(rng: Rng) -> Item:
-    """Paper on a wall, 1 mm; or a framed picture or white-board, up to 2 cm."""
+    """A paper poster on a wall, 1 mm thick; or a framed picture or white-board, up to 2 cm."""
     w, h = rng.uniform(0.2, 0.7), rng.uniform(0.25, 0.7)
     if rng.random() < 0.65:
         page = paint.printed(rng, (w, h), pictures=0.8)
@@ -190,7 +190,7 @@ def poster(rng: Rng) -> Item:
 
 
 def screen(rng: Rng) -> Item:
-    """A dark television on a wall: to the depth sensor mostly a hole."""
+    """A dark television on a wall; the depth sensor sees mostly a hole."""
     w = rng.uniform(0.7, 1.1)
     h, t = w * 0.58, 0.05
     case = paint.plain(rng, np.array([0.05, 0.05, 0.06]), gloss=0.4, absorbs=0.25)

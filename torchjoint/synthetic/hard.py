@@ -1,4 +1,4 @@
-"""Makes a furnished room harder: flat things on everything flat, slender things before it, and hollow ones."""
+"""Makes a furnished room harder: adds flat things on flat surfaces, slender occluders, and hollow things."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from torchjoint.synthetic.site import Site
 from torchjoint.synthetic.trajectory import surroundings
 from torchjoint.synthetic.world import Front, Item, Pose, Surface
 
-#: What the room itself is of.
+#: Names of the items that form the room itself.
 _SHELL = ("floor", "wall", "ceiling")
-#: Things are laid on surfaces lower than this, metres: higher ones are seen from the side only.
+#: Things are laid on surfaces lower than this, metres: the camera sees higher surfaces only from the side.
 _HIGHEST = 1.3
-#: Metres that what reaches a camera's height keeps from where cameras walk.
+#: Distance between tall items and the ring of camera positions, metres.
 _CLEARANCE = 0.25
-#: Places that are tried for a thing.
+#: Number of positions that are tried for an item.
 _TRIES = 80
-#: Things that are laid on a square metre, if there is room.
+#: Number of things that are laid per square metre, if there is room.
 _DENSITY = 7.0
 
 
 def harden(site: Site, rng: Rng, focus: tuple[float, float, float, float]) -> None:
-    """Adds to a furnished room, and leaves alone what is there. ``focus``: that of :class:`World`."""
+    """Adds difficult items to a furnished room; the existing items do not change. ``focus``: see :class:`World`."""
     furnished = list(site.builder.placed)
     taken = Footprints()
     for item, pose in furnished:
@@ -42,7 +42,7 @@ def harden(site: Site, rng: Rng, focus: tuple[float, float, float, float]) -> No
     _stand_vessels(site, rng, taken, floor)
     for item, pose in furnished:
         for surface in item.surfaces:
-            if surface.z == item.size[2] and pose.z + surface.z < _HIGHEST:  # its top: nothing of itself is above
+            if surface.z == item.size[2] and pose.z + surface.z < _HIGHEST:  # the top surface: nothing is above it
                 _cover_top(site, rng, taken, pose, surface)
     for _ in range(rng.integers(4, 9)):
         make = flats.doormat if rng.random() < 0.2 else flats.lying
@@ -50,7 +50,7 @@ def harden(site: Site, rng: Rng, focus: tuple[float, float, float, float]) -> No
 
 
 def _occlude(site: Site, rng: Rng, taken: Footprints, focus: tuple[float, float, float, float]) -> None:
-    """Pipes and rails on walls, slender things that stand before walls and furniture."""
+    """Adds pipes and rails on walls, and slender items in front of walls and furniture."""
     for _ in range(rng.integers(1, 3)):
         _fix(site, rng, taken, lambda _: occluders.pillar(rng, site.size[2]), (0.0, 0.0), range(4))
     for wall in rng.permutation(4)[: rng.integers(1, 4)]:
@@ -79,9 +79,9 @@ def _fix(
     heights: tuple[float, float],
     walls: range | list[int],
 ) -> bool:
-    """Hangs a thing flush on one of ``walls``, its lower side at one of ``heights``; whether there was a place.
+    """Fixes an item flush on one of ``walls``, its lower side within ``heights``; returns whether there was a place.
 
-    ``make`` gets the share of the tries that have failed, to make smaller things when space is scarce.
+    ``make`` gets the share of tries that have failed, so that it can make smaller items when space is scarce.
     """
     for failed in range(_TRIES):
         wall = walls[int(rng.integers(len(walls)))]
@@ -95,7 +95,7 @@ def _fix(
 
 
 def _hang(site: Site, rng: Rng, taken: Footprints, has_door: bool) -> None:
-    """Doors if there is none, hatches, posters, notices."""
+    """Adds hatches, posters, notices, and a door if the room has none."""
     walls = range(4)
     if not has_door:
         _fix(site, rng, taken, lambda _: furniture.door(rng), (0.0, 0.0), walls)
@@ -109,7 +109,7 @@ def _hang(site: Site, rng: Rng, taken: Footprints, has_door: bool) -> None:
 
 
 def _pull_out_drawers(site: Site, rng: Rng, taken: Footprints, fronts: list[tuple[Pose, Front]]) -> None:
-    """Up to three low fronts have an open drawer before them, with something in it."""
+    """Puts an open drawer with contents in front of up to three low fronts."""
     low = [(pose, front) for pose, front in fronts if front.high[1] < 0.95 and front.high[1] - front.low[1] > 0.19]
     for index in rng.permutation(len(low))[: rng.integers(1, 4)]:
         pose, front = low[index]
@@ -122,7 +122,7 @@ def _pull_out_drawers(site: Site, rng: Rng, taken: Footprints, fronts: list[tupl
 
 
 def _cover_fronts(site: Site, rng: Rng, taken: Footprints, fronts: list[tuple[Pose, Front]]) -> None:
-    """Notices stuck on cupboards, and fronts of another material."""
+    """Puts notices, and panels of another material, on cupboard fronts."""
     for pose, front in fronts:
         w, h = front.high[0] - front.low[0], front.high[1] - front.low[1]
         kind = rng.random()
@@ -142,7 +142,7 @@ def _cover_fronts(site: Site, rng: Rng, taken: Footprints, fronts: list[tuple[Po
 
 
 def _stand_vessels(site: Site, rng: Rng, taken: Footprints, floor: Surface) -> None:
-    """Crates with things in them and baskets, on the floor."""
+    """Puts crates with contents, and baskets, on the floor."""
     for _ in range(rng.integers(2, 5)):
         item = vessels.crate(rng) if rng.random() < 0.6 else vessels.basket(rng)
         pose = _lay(site, rng, taken, Pose(), floor, item)
@@ -151,14 +151,14 @@ def _stand_vessels(site: Site, rng: Rng, taken: Footprints, floor: Surface) -> N
 
 
 def _fill(site: Site, rng: Rng, pose: Pose, inside: Surface) -> None:
-    """Up to three things in a crate or a drawer."""
+    """Puts up to three things into a crate or a drawer."""
     taken = Footprints()
     for _ in range(rng.integers(0, 4)):
         _lay(site, rng, taken, pose, inside, clutter.thing(rng))
 
 
 def _cover_top(site: Site, rng: Rng, taken: Footprints, pose: Pose, surface: Surface) -> None:
-    """Mats, paper that overlaps paper, and deep bowls, on what is free of a table's, a cabinet's or a rug's top."""
+    """Puts mats, overlapping paper, and deep bowls on the free area of a table's, cabinet's or rug's top."""
     width, depth = np.subtract(surface.high, surface.low)
     for _ in range(max(round(_DENSITY * width * depth), 2)):
         kind = rng.random() if pose.z + surface.z > 0.1 else 1.0
@@ -183,7 +183,7 @@ def _lay_two(
     upper: Item,
     shift: tuple[float, float],
 ) -> None:
-    """Puts ``upper`` on ``lower``, shifted by some metres of the range ``shift`` both ways, if there is room."""
+    """Puts ``upper`` on ``lower``, shifted along both axes by a distance in ``shift`` (metres), if it fits."""
     at = _lay(site, rng, taken, pose, surface, lower)
     if at is None:
         return
@@ -196,7 +196,7 @@ def _lay_two(
 
 
 def _lay(site: Site, rng: Rng, taken: Footprints, pose: Pose, surface: Surface, item: Item) -> Pose | None:
-    """Puts ``item`` somewhere on ``surface`` of what stands at ``pose``; None if no place was found."""
+    """Puts ``item`` on ``surface`` of the item at ``pose``; returns its pose, or None if no place was found."""
     if item.size[2] > surface.headroom:
         return None
     for _ in range(_TRIES):

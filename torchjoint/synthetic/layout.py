@@ -1,4 +1,4 @@
-"""Putting things on level surfaces, none through another."""
+"""Places items on level surfaces without intersections."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from torchjoint.synthetic.world import Item, Pose, Surface, WorldBuilder
 
 @dataclass
 class Footprints:
-    """Axis-aligned rectangles (x0, y0, x1, y1, bottom, top) that are taken, metres."""
+    """Occupied axis-aligned boxes (x0, y0, x1, y1, bottom, top), metres."""
 
     boxes: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
 
     def claim(self, item: Item, pose: Pose, margin: float = 0.0) -> bool:
-        """Takes the item's bounding box, grown sideways by ``margin``; False, and nothing taken, if it is not free."""
+        """Occupies the item's bounding box, grown sideways by ``margin``, metres; False (no change) if not free."""
         new = _bounds(item, pose, margin)
         for old in self.boxes:
             if (
@@ -36,9 +36,9 @@ class Footprints:
         return True
 
     def add(self, item: Item, pose: Pose) -> None:
-        """Takes the box around the item's triangles, brackets and knobs included, free or not.
+        """Occupies the box around the item's triangles, also if it is not free; includes brackets and knobs.
 
-        Handles are not: what is fixed to an item's fronts keeps clear of them.
+        Does not include the handles of an item with fronts: things on fronts keep clear of handles.
         """
         if item.fronts:
             self.boxes.append(_bounds(item, pose, 0.0))
@@ -58,7 +58,7 @@ def _bounds(item: Item, pose: Pose, margin: float) -> tuple[float, float, float,
 def furnish(
     builder: WorldBuilder, rng: Rng, pose: Pose, surface: Surface, count: int, material: Material | None = None
 ) -> None:
-    """Puts up to ``count`` things on a surface; ``material`` is the surface's own, for camouflaged boxes."""
+    """Puts up to ``count`` things on a surface; ``material`` is the surface's material, for camouflaged boxes."""
     taken = Footprints()
     for _ in range(count):
         kind = rng.random()
@@ -81,7 +81,7 @@ def furnish(
 
 
 def _stack(builder: WorldBuilder, rng: Rng, pose: Pose, below: Item, headroom: float) -> None:
-    """One more thing on top of ``below``, if one that fits comes up."""
+    """Puts one more thing on top of ``below``, if a random thing fits."""
     for _ in range(4):
         item = clutter.thing(rng)
         fits = item.size[0] < below.size[0] + 0.03 and item.size[1] < below.size[1] + 0.03
@@ -92,7 +92,7 @@ def _stack(builder: WorldBuilder, rng: Rng, pose: Pose, below: Item, headroom: f
 
 
 def _free_spot(rng: Rng, taken: Footprints, surface: Surface, item: Item) -> Pose | None:
-    """A pose on ``surface``, in its item's frame, where ``item`` fits; now and then touching what is there."""
+    """A pose on ``surface``, in the frame of its item, where ``item`` fits; it may touch another item."""
     if item.size[2] > surface.headroom:
         return None
     for _ in range(12):
@@ -110,7 +110,7 @@ def _free_spot(rng: Rng, taken: Footprints, surface: Surface, item: Item) -> Pos
 
 
 def fill_shelf(builder: WorldBuilder, rng: Rng, pose: Pose, surface: Surface, factor: float) -> None:
-    """A row of standing books, touching, or a few things."""
+    """Fills a shelf with a row of standing, touching books, or with a few things."""
     if rng.random() < 0.45 or surface.headroom < 0.2 or surface.headroom > 0.45:
         furnish(builder, rng, pose, surface, int(rng.poisson(2 * factor)))
         return

@@ -1,4 +1,4 @@
-"""Materials: small painted tiles that repeat over a surface, and how the surface answers light and the depth sensor."""
+"""Materials: small textures that repeat over a surface, and their response to light and the depth sensor."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SOBER: tuple[Color, ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What a surface looks like.
+    """The appearance of a surface.
 
     Attributes:
         tile: [h, w, 3] uint8 sRGB, row 0 at v = 0; repeats.
@@ -59,20 +59,20 @@ class Material:
 
 
 def pick(rng: Rng, colors: tuple[Color, ...]) -> Array:
-    """One of ``colors``, slightly varied: [3], sRGB."""
+    """Returns a random colour of ``colors``, slightly varied: [3], sRGB."""
     color = np.asarray(colors[rng.integers(len(colors))])
-    color = color + rng.uniform(0.0, 0.25) * (color.mean() - color)  # few things are as vivid as their paint
+    color = color + rng.uniform(0.0, 0.25) * (color.mean() - color)  # few objects are as vivid as their paint
     return np.clip(color * rng.uniform(0.85, 1.1) + rng.normal(0, 0.015, 3), 0.03, 0.97)
 
 
 def plain(rng: Rng, color: Array, gloss: float = 0.1, absorbs: float = 0.0) -> Material:
-    """Paint or plastic: one colour with the faintest of mottles."""
+    """Paint or plastic: one colour with very weak mottling."""
     mottle = 1 + 0.006 * _noise(rng, (64, 64), 2, 2)
     return Material(_bytes(color * mottle[..., None]), (0.4, 0.4), gloss, absorbs)
 
 
 def wood(rng: Rng, color: Array, upright: bool = False, planks: int = 0) -> Material:
-    """Grain along u (along v if ``upright``), with joints between ``planks`` across it if there are any."""
+    """Wood grain along u (along v if ``upright``), with joints between ``planks`` across the grain, if any."""
     grain = 0.05 * _noise(rng, (256, 192), 1.0, 22) + 0.04 * _noise(rng, (256, 192), 7, 60)
     if planks:
         width = 256 // planks
@@ -85,7 +85,7 @@ def wood(rng: Rng, color: Array, upright: bool = False, planks: int = 0) -> Mate
 
 
 def stripes(rng: Rng, first: Array, second: Array, pitch: float, upright: bool = False) -> Material:
-    """Stripes of two colours, ``pitch`` metres a pair, lines of constant v (of constant u if ``upright``)."""
+    """Stripes of two colours, ``pitch`` metres per pair, along lines of constant v (of constant u if ``upright``)."""
     share = rng.uniform(0.35, 0.65)
     tile = np.where(np.arange(64)[:, None, None] < 64 * share, first, second) * np.ones((64, 64, 1))
     tile = tile * (1 + 0.02 * _noise(rng, (64, 64), 1, 1))[..., None]
@@ -93,21 +93,21 @@ def stripes(rng: Rng, first: Array, second: Array, pitch: float, upright: bool =
 
 
 def checker(rng: Rng, first: Array, second: Array, pitch: float) -> Material:
-    """A checker board of squares, half a ``pitch`` (metres) wide."""
+    """A checkerboard; a square is half a ``pitch`` (metres) wide."""
     odd = (np.arange(64)[:, None] < 32) ^ (np.arange(64)[None] < 32)
     tile = np.where(odd[..., None], first, second) * (1 + 0.02 * _noise(rng, (64, 64), 1, 1))[..., None]
     return Material(_bytes(tile), (pitch, pitch), 0.1)
 
 
 def tiles(rng: Rng, color: Array, pitch: float) -> Material:
-    """4 x 4 ceramic tiles of ``pitch`` metres with joints, each of a tone of its own."""
+    """4 x 4 ceramic tiles of ``pitch`` metres with joints; each tile has a slightly different tone."""
     tone = np.kron(1 + rng.normal(0, 0.04, (4, 4)), np.ones((48, 48)))[..., None] * color
     joint = (np.arange(192) % 48 < 3)[:, None] | (np.arange(192) % 48 < 3)[None]
     return Material(_bytes(np.where(joint[..., None], np.array([0.7, 0.69, 0.66]), tone)), (4 * pitch, 4 * pitch), 0.4)
 
 
 def speckle(rng: Rng, color: Array, contrast: float = 0.2, gloss: float = 0.5, absorbs: float = 0.0) -> Material:
-    """Granite, terrazzo or coarse cloth: isotropic noise of two scales."""
+    """Granite, terrazzo or coarse fabric: isotropic noise at two scales."""
     noise = 0.6 * _noise(rng, (192, 192), 0.8, 0.8) + 0.5 * _noise(rng, (192, 192), 5, 5)
     return Material(_bytes(color * (1 + contrast * noise)[..., None]), (0.4, 0.4), gloss, absorbs)
 
@@ -120,12 +120,12 @@ def carpet(rng: Rng, color: Array) -> Material:
 
 
 def printed(rng: Rng, size: tuple[float, float], ground: Array | None = None, pictures: float = 0.6) -> Material:
-    """A page, cover, poster or label of ``size`` (width, height) metres: title, text-like lines, picture blocks.
+    """A page, cover, poster or label: title, text-like lines, picture blocks.
 
     Args:
-        rng: draws the page.
+        rng: source of all random choices.
         size: (width, height), metres.
-        ground: [3] colour of the paper; white or vivid if None.
+        ground: [3] colour of the paper; None: white or vivid.
         pictures: probability of a picture block.
     """
     long = max(size)
@@ -150,7 +150,7 @@ def printed(rng: Rng, size: tuple[float, float], ground: Array | None = None, pi
 
 
 def labelled(rng: Rng, color: Array, size: tuple[float, float]) -> Material:
-    """Cardboard or plastic of one ``color`` with a white label stuck on each ``size`` (width, height) metres of it."""
+    """Cardboard or plastic of one ``color`` with a white label on each area of ``size`` (width, height) metres."""
     tile = np.ones((96, 96, 3)) * color * (1 + 0.02 * _noise(rng, (96, 96), 3, 3))[..., None]
     x, y = rng.integers(8, 40, 2)
     w, h = rng.integers(25, 48, 2)

@@ -1,4 +1,4 @@
-"""Triangle meshes: boxes, surfaces of revolution and tubes, with the texture coordinates of their surfaces."""
+"""Triangle meshes with texture coordinates: boxes, surfaces of revolution and tubes."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 
 from torchjoint.synthetic.arrays import Array
 
-#: Corners of a unit cube's six faces, (0,0) (1,0) (1,1) (0,1) in the two axes of the face.
+#: Corners of a face of the unit cube, (0,0) (1,0) (1,1) (0,1) in the two axes of the face.
 _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
 _TWO_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
-#: Profile corners sharper than this keep two normals, blunter ones are shaded smoothly.
+#: Profile corners sharper than this (cosine of the angle) keep two normals; other corners are shaded smoothly.
 _CREASE_COSINE = 0.7
 
 
@@ -31,7 +31,7 @@ class Part:
     uv: Array
 
     def moved(self, translation: Sequence[float] | Array = (0, 0, 0), yaw: float = 0.0, pitch: float = 0.0) -> Part:
-        """The part turned by ``pitch`` about x, then by ``yaw`` about z (radians), then translated (metres)."""
+        """Returns the part rotated by ``pitch`` about x, then ``yaw`` about z (radians), then translated (metres)."""
         rotation = rotation_z(yaw) @ rotation_x(pitch)
         return Part(self.positions @ rotation.T + np.asarray(translation), self.normals @ rotation.T, self.uv)
 
@@ -49,9 +49,9 @@ def rotation_z(angle: float) -> Array:
 
 
 def box(size: Sequence[float], at: Sequence[float] = (0, 0, 0)) -> Part:
-    """A box of ``size`` (x, y, z) metres; ``at`` is the middle of its bottom, z = 0 if left out.
+    """A box of ``size`` (x, y, z) metres; ``at`` is the center of its bottom; z = 0 if omitted.
 
-    uv start at each face's least corner.
+    uv start at the lowest corner of each face.
     """
     positions, normals, uv = [], [], []
     extent = np.asarray(size, dtype=np.float64)
@@ -71,9 +71,9 @@ def box(size: Sequence[float], at: Sequence[float] = (0, 0, 0)) -> Part:
 
 
 def lathe(profile: Sequence[tuple[float, float]], at: Sequence[float] = (0, 0, 0), segments: int = 28) -> Part:
-    """The surface that a ``profile`` of (radius, height) metres sweeps about the z axis through ``at``.
+    """The surface of revolution of a ``profile`` of (radius, height), metres, about the z axis through ``at``.
 
-    Run the profile from the bottom outwards, up, and inside down again: a bowl is hollow, a cylinder is not.
+    The profile runs from the bottom outwards and up; for a hollow body it then runs down again inside.
     """
     line = np.asarray(profile, dtype=np.float64)
     step = np.diff(line, axis=0)
@@ -99,19 +99,19 @@ def lathe(profile: Sequence[tuple[float, float]], at: Sequence[float] = (0, 0, 0
     part = [np.stack(q, axis=2)[:, :, _TWO_TRIANGLES] for q in (quads_p, quads_n, quads_uv)]
     positions, normals, uv = (p.reshape(-1, 3, p.shape[-1]) for p in part)
     edges = np.cross(positions[:, 1] - positions[:, 0], positions[:, 2] - positions[:, 0])
-    solid = np.linalg.norm(edges, axis=1) > 1e-12  # quads that touch the axis have an empty half
+    solid = np.linalg.norm(edges, axis=1) > 1e-12  # quads that touch the axis have one degenerate triangle
     return Part((positions + np.asarray(at, dtype=np.float64))[solid], normals[solid], uv[solid])
 
 
 def _revolve(radius_height: Array, circle: Array) -> Array:
-    """[P, 2] of (r, z) and [S, 2] of (cos, sin) -> [P, S, 3]."""
+    """Revolves [P, 2] of (r, z) along [S, 2] of (cos, sin); returns [P, S, 3]."""
     flat = radius_height[:, None, :1] * circle[None]
     height = np.broadcast_to(radius_height[:, None, 1:], (len(radius_height), len(circle), 1))
     return np.concatenate([flat, height], axis=2)
 
 
 def cylinder(radius: float, height: float, at: Sequence[float] = (0, 0, 0), segments: int = 24) -> Part:
-    """A closed upright cylinder; ``at`` is the middle of its bottom. Metres."""
+    """A closed upright cylinder; ``at`` is the center of its bottom. Metres."""
     return lathe([(0, 0), (radius, 0), (radius, height), (0, height)], at, segments)
 
 
@@ -122,14 +122,14 @@ def ball(radius: float, at: Sequence[float] = (0, 0, 0)) -> Part:
 
 
 def cup(radius: float, height: float, wall: float, flare: float = 1.0, rounded: bool = False) -> Part:
-    """A hollow vessel, open above: a cup (straight), a bin (flared) or a bowl (``rounded``: an ellipse's arc).
+    """A hollow vessel, open at the top: a cup (straight), a bin (flared) or a bowl (``rounded``: an elliptic arc).
 
     Args:
         radius: outer radius at the rim, metres.
         height: outer height, metres.
         wall: thickness of wall and bottom, metres.
-        flare: rim radius / foot radius, for those that are not ``rounded``.
-        rounded: a bowl; its foot is 0.35 of the rim.
+        flare: rim radius / foot radius; ignored if ``rounded``.
+        rounded: makes a bowl; its foot radius is 0.35 of the rim radius.
     """
     if rounded:
         arc = np.linspace(np.arcsin(0.35), np.pi / 2, 9)

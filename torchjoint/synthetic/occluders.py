@@ -1,4 +1,4 @@
-"""Slender things that cut what is behind them in two: each function draws one as one instance."""
+"""Slender objects that visually split the object behind them: each function returns one instance."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def pillar(rng: Rng, height: float) -> Item:
 
 
 def rail(rng: Rng, length: float) -> Item:
-    """A board along a wall, ``length`` metres, 2-4 cm deep, 7-14 cm tall: a handrail, a cable duct."""
+    """A board along a wall, ``length`` metres, 2-4 cm deep, 7-14 cm tall: for example a handrail or cable duct."""
     d, h = rng.uniform(0.02, 0.04), rng.uniform(0.07, 0.14)
     return Item("rail", (length, d, h), [(box((length, d, h)), _coat(rng))])
 
@@ -55,7 +55,7 @@ def plant(rng: Rng) -> Item:
 
 
 def clothes_rail(rng: Rng) -> Item:
-    """Two posts and two bars across, empty: a frame to look through."""
+    """An empty frame of two posts and two cross bars; the camera sees through it."""
     w, h, t = rng.uniform(0.8, 1.3), rng.uniform(1.2, 1.6), rng.uniform(0.025, 0.04)
     coat = _coat(rng)
     parts = [(box((w, t, t), (0, 0, z)), coat) for z in (h - t, rng.uniform(0.25, 0.7))]

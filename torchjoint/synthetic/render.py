@@ -1,4 +1,4 @@
-"""Ray casting: what a pin-hole camera sees of a world, and with what light."""
+"""Renders a world by ray casting: the light, labels and depth that a pinhole camera sees."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ import numpy as np
 from torchjoint.synthetic.arrays import Array
 from torchjoint.synthetic.world import Light, World
 
-#: Shadow rays start this far off the surface, metres: under the thinnest sheet (1 mm), over float32 noise (1 um).
+#: Offset of shadow rays from the surface, metres: less than the thinnest sheet (1 mm), more than float32 noise (1 um).
 _OFFSET = 2e-4
-#: How far ambient light can be blocked, metres.
+#: Largest distance at which an object blocks ambient light, metres.
 _AMBIENT_REACH = 0.5
-#: Hits shaded at once: as many as fit a processor's cache.
+#: Hits that are shaded at once: as many as fit into a processor's cache.
 _CHUNK = 1 << 15
-#: Linear light of sRGB bytes.
+#: Linear light by sRGB byte.
 _LINEAR = (np.arange(256) / 255.0).astype(np.float32) ** np.float32(2.2)
 
 
 @dataclass(frozen=True)
 class View:
-    """A noiseless picture.
+    """An image without noise.
 
     Attributes:
         light: [H, W, 3] linear RGB, unbounded.
-        labels: [H, W] int64, the instance at each pixel's centre, -1 where its ray hits nothing.
-        depth: [H, W] metres along z, 0 where its ray hits nothing.
-        facing: [H, W] cosine between the surface's normal and the ray.
-        absorbs: [H, W] how little the surface returns to the depth sensor, 0 to 1.
+        labels: [H, W] int64, the instance at each pixel's centre, -1 where the ray hits nothing.
+        depth: [H, W] metres along z, 0 where the ray hits nothing.
+        facing: [H, W] cosine between surface normal and ray.
+        absorbs: [H, W] share of the surface that returns no depth to the sensor, 0 to 1.
     """
 
     light: Array
@@ -42,8 +42,8 @@ class Renderer:
     """Casts rays into one world.
 
     Args:
-        world: what to look at.
-        shadows: False lights every surface as if nothing stood between it and the lamps.
+        world: the world to render.
+        shadows: False: nothing blocks the light between lamps and surfaces.
     """
 
     def __init__(self, world: World, shadows: bool = True) -> None:
@@ -68,10 +68,10 @@ class Renderer:
         self._absorbs = np.array([m.absorbs for m in world.materials], dtype=np.float32)
 
     def view(self, camera_from_world: Array, intrinsics: Array, height: int, width: int) -> View:
-        """The picture of a camera with pixel centres at integer coordinates.
+        """Renders the view of a camera with pixel centres at integer coordinates.
 
-        Rays go through the centres and half-way between them; a 3 x 3 tent makes of them the colour of a pixel.
-        Labels and depths are those of the centres alone.
+        Rays go through pixel centres and half-way between them; a 3 x 3 tent filter combines them to a pixel's colour.
+        Labels and depths come from the centres only.
 
         Args:
             camera_from_world: [4, 4] true pose.
@@ -86,7 +86,7 @@ class Renderer:
         y = ((rows - centre[1]) / focal[1]).astype(np.float32)[:, None]
         turn = camera_from_world[:3, :3].astype(np.float32)
         eye = (-camera_from_world[:3, :3].T @ camera_from_world[:3, 3]).astype(np.float32)
-        # Written out, for a BLAS product might round by the number of its threads.
+        # Written out, since a BLAS product may round differently with another number of threads.
         direction = np.stack([x * turn[0, i] + y * turn[1, i] + turn[2, i] for i in range(3)], axis=-1)
         size = direction.shape[:2]
         direction = direction.reshape(-1, 3)
@@ -124,7 +124,7 @@ class Renderer:
     ) -> Array:
         """Linear RGB [S, 3] of S hits.
 
-        ``parity`` (0 ... 3) picks one of four points of each lamp: its shadows are soft once neighbours are averaged.
+        ``parity`` (0 ... 3) selects one of four points of each lamp: averaging neighbours then makes soft shadows.
         """
         corners = self._world.corners
         u, v = barycentric[:, :1], barycentric[:, 1:]
@@ -155,7 +155,7 @@ class Renderer:
     def _lamp(
         self, lamp: Light, start: Array, normal: Array, flat: Array, gaze: Array, parity: Array
     ) -> tuple[Array, Array]:
-        """Irradiance [S] of a lamp of power 1 and the highlight's lobe [S]."""
+        """Irradiance [S] from a lamp of power 1, and the specular lobe [S]."""
         corner = np.array([[-1, -1, 0], [1, 0.6, 0], [0.6, -1, 0], [-0.6, 1, 0]]) * lamp.radius * 0.8
         to_lamp = np.take((lamp.position + corner).astype(np.float32), parity, axis=0) - start
         squared = _dot(to_lamp, to_lamp)
@@ -175,7 +175,7 @@ class Renderer:
         return strength, lobe
 
     def _open_sky(self, start: Array, flat: Array, parity: Array) -> Array:
-        """[S] share of the ambient light that nothing near blocks: one short ray for each hit, four of them a pixel."""
+        """[S] share of unblocked ambient light: one short ray per hit, so four rays per pixel."""
         four = np.array([[0.7, 0.4, 0.6], [-0.4, 0.7, 0.6], [-0.7, -0.4, 0.6], [0.4, -0.7, 0.6]], dtype=np.float32)
         ray = np.take(four, parity, axis=0) + flat
         side = _dot(ray, flat)
@@ -186,7 +186,7 @@ class Renderer:
         return np.asarray(1 - np.float32(0.6) * blocked)
 
     def _albedo(self, material: Array, uv: Array) -> Array:
-        """[S, 3] linear reflectance: the nearest texel of the material's repeating tile."""
+        """[S, 3] linear reflectance: the nearest texel of the material's repeating texture."""
         shape = self._tile_shape[material]
         place = uv / self._tile_size[material]
         place -= np.floor(place)
@@ -201,6 +201,6 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _tent(samples: Array) -> Array:
-    """[2H + 1, 2W + 1, 3] half-pixel samples -> [H, W, 3], weights 1/4 1/2 1/4 both ways."""
+    """Filters half-pixel samples [2H + 1, 2W + 1, 3] to [H, W, 3], weights 1/4 1/2 1/4 along both axes."""
     rows = samples[1::2] * 0.5 + (samples[:-1:2] + samples[2::2]) * 0.25
     return np.asarray(rows[:, 1::2] * 0.5 + (rows[:, :-1:2] + rows[:, 2::2]) * 0.25)

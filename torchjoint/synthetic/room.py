@@ -1,4 +1,4 @@
-"""One room: shell, furniture along the walls, a table group in the middle, things on everything level."""
+"""Makes one room: floor and walls, furniture along the walls, a table group in the middle, small things on top."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from torchjoint.synthetic.mesh import box
 from torchjoint.synthetic.site import Site
 from torchjoint.synthetic.world import Item, Light, Pose, World, WorldBuilder
 
-#: What stands along walls, and how often.
+#: Items along walls, with their probabilities.
 _ALONG_WALLS = {"cabinet": 0.42, "high": 0.1, "bookcase": 0.08, "sofa": 0.07, "lamp": 0.09, "bin": 0.06, "gap": 0.18}
 
 
 def make_world(rng: Rng, clutter_factor: float = 1.0, textures: bool = True, hardship: Rng | None = None) -> World:
-    """A furnished room, its floor at z = 0 and its middle at the origin.
+    """Makes a furnished room; its floor is at z = 0 and its middle at the origin.
 
     Args:
-        rng: decides everything.
-        clutter_factor: scales how many small things are put on surfaces; 1 gives 90-180 instances.
-        textures: False paints every material in the mean colour of its tile.
-        hardship: decides what :func:`~torchjoint.synthetic.hard.harden` adds; None adds nothing.
+        rng: source of all random choices.
+        clutter_factor: scales the number of small things on surfaces; 1 gives 90-180 instances.
+        textures: False: every material gets the mean colour of its texture.
+        hardship: random source for :func:`~torchjoint.synthetic.hard.harden`; None: the room is not made harder.
     """
     size = (float(rng.uniform(3.9, 5.2)), float(rng.uniform(3.5, 4.4)), float(rng.uniform(2.4, 2.7)))
     site = Site(size, clutter_factor, WorldBuilder(), Footprints())
@@ -50,7 +50,7 @@ def _untextured(material: Material) -> Material:
 
 
 def _shell(site: Site, rng: Rng) -> None:
-    """Floor, four walls and, two times in three, a ceiling: slabs outside of the room's inner box."""
+    """Adds floor, four walls and, in two of three rooms, a ceiling: slabs outside of the room's inner box."""
     (w, d, h), builder, t = site.size, site.builder, 0.1
     tone = paint.pick(rng, paint.SOBER[2:4] + paint.WOODS)
     floors = (
@@ -86,7 +86,7 @@ def _lights(rng: Rng, room: tuple[float, float, float]) -> tuple[Light, ...]:
 
 
 def _table_group(site: Site, rng: Rng) -> tuple[float, float, float, float]:
-    """A table near the middle with chairs around it and a rug below, now and then; returns :attr:`World.focus`."""
+    """Adds a table near the middle, chairs around it and sometimes a rug below; returns :attr:`World.focus`."""
     builder = site.builder
     wood = paint.wood(rng, paint.pick(rng, paint.WOODS), planks=4)
     table = furniture.table(rng, wood)
@@ -95,7 +95,7 @@ def _table_group(site: Site, rng: Rng) -> tuple[float, float, float, float]:
     if rng.random() < 0.4:
         builder.place(furniture.rug(rng, table.size[0] + 0.8, table.size[1] + 0.8), home)
     pose = builder.place(table, home)
-    site.taken.claim(table, pose, 0.6)  # with room for the chairs
+    site.taken.claim(table, pose, 0.6)  # leaves room for the chairs
     frame = wood if rng.random() < 0.5 else paint.wood(rng, paint.pick(rng, paint.WOODS), upright=True)
     cushion = paint.plain(rng, paint.pick(rng, paint.SOBER + paint.VIVID), gloss=0.2) if rng.random() < 0.6 else frame
     slats = int(rng.integers(2, 5))
@@ -104,7 +104,7 @@ def _table_group(site: Site, rng: Rng) -> tuple[float, float, float, float]:
     places += [(w / 2, 0, -np.pi / 2), (-w / 2, 0, np.pi / 2)]
     for i in rng.permutation(len(places))[: rng.integers(3, 6)]:
         x, y, turn = places[i]
-        out = rng.uniform(0.02, 0.3)  # how far the seat is pulled out from under the table
+        out = rng.uniform(0.02, 0.3)  # distance by which the chair is pulled out from the table
         at = pose.at(x, y, 0, turn).at(rng.normal(0, 0.02), out, 0, rng.normal(0, 0.12))
         builder.place(furniture.chair(rng, frame, cushion, slats), at)
     count = int(rng.integers(8, 14) * (0.5 + 0.5 * site.clutter))
@@ -114,7 +114,7 @@ def _table_group(site: Site, rng: Rng) -> tuple[float, float, float, float]:
 
 
 def _along_wall(site: Site, rng: Rng, wall: int) -> None:
-    """Fills a wall from one end to the other; half of the neighbours touch."""
+    """Fills a wall from one end to the other; half of the neighbours touch each other."""
     end = site.length(wall) / 2
     front = (
         paint.plain(rng, paint.pick(rng, paint.VIVID + paint.SOBER + paint.WALLS), gloss=0.3)
@@ -139,7 +139,7 @@ def _along_wall(site: Site, rng: Rng, wall: int) -> None:
 
 
 def _wall_item(rng: Rng, front: Material, width: float, height: float, depth: float) -> Item | None:
-    """One piece of :data:`_ALONG_WALLS`; None is a gap. Cabinets of a wall share ``front``, ``height``, ``depth``."""
+    """A random item of :data:`_ALONG_WALLS`; None: a gap. Cabinets of a wall share ``front``, ``height``, ``depth``."""
     kind = rng.choice(list(_ALONG_WALLS), p=list(_ALONG_WALLS.values()))
     if kind == "cabinet":
         return furniture.cabinet(rng, front, width, height, depth)
@@ -153,7 +153,7 @@ def _wall_item(rng: Rng, front: Material, width: float, height: float, depth: fl
 
 
 def _load(site: Site, rng: Rng, item: Item, pose: Pose) -> None:
-    """Puts things on what stands along a wall."""
+    """Puts things on an item that stands along a wall."""
     for surface in item.surfaces:
         if item.name == "bookcase":
             fill_shelf(site.builder, rng, pose, surface, site.clutter)
@@ -164,7 +164,7 @@ def _load(site: Site, rng: Rng, item: Item, pose: Pose) -> None:
 
 
 def _on_wall(site: Site, rng: Rng, wall: int) -> None:
-    """Door, screen, shelf, posters and pictures where nothing stands before them."""
+    """Adds door, screen, shelf, posters and pictures where no item stands in front of them."""
     hung = [furniture.door(rng)] if rng.random() < 0.6 else []
     hung += [furniture.screen(rng)] if rng.random() < 0.25 else []
     white = paint.wood(rng, paint.pick(rng, paint.WOODS))
@@ -183,7 +183,7 @@ def _on_wall(site: Site, rng: Rng, wall: int) -> None:
 
 
 def _on_floor(site: Site, rng: Rng) -> None:
-    """Boxes, balls and a bin on the free floor."""
+    """Adds boxes, balls and bins on the free floor."""
     for _ in range(round(rng.integers(2, 6) * (0.5 + 0.5 * site.clutter))):
         make = (clutter.carton, clutter.sphere, furniture.bin_, clutter.tray)[rng.integers(4)]
         item = make(rng)

@@ -1,4 +1,4 @@
-"""Seeded indoor scenes with the exact instance of every point and every pixel."""
+"""Makes seeded indoor scenes with the exact instance of every point and every pixel."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from torchjoint.synthetic.room import make_world
 
 @dataclass(frozen=True)
 class SyntheticScene:
-    """A scene and the truth about it.
+    """A scene and its ground truth.
 
     Attributes:
-        scene: points [N, 3] in metres, world frame, z up, the floor at 0; colours [N, 3] as the images have them; no
-            normals; frames with image, intrinsics, (erroneous) pose, (noisy) depth, named ``frame-000000`` on; and
-            the truth below.
+        scene: points [N, 3] in metres, world frame, z up, floor at 0; colours [N, 3] from the images; no normals;
+            frames with image, intrinsics, (erroneous) pose, (noisy) depth, named ``frame-000000`` and so on; and the
+            ground truth below.
         point_labels: [N] int64, the instance on whose surface the point was measured.
-        image_labels: for each frame [H, W] int64, the instance at each pixel's centre, -1 where there is nothing.
-        instance_names: instance id -> what it is; ids are the same for points and pixels. Several instances share a
-            name, and some are never seen.
-        instance_kinds: instance id -> "flat" (up to 1.5 cm thick, lying or hanging flush on something), "concave"
-            (hollow: its inside can be seen) or "other".
-        true_world_to_camera: [4, 4] float64 for each frame, the poses the images were taken from.
-        triangles: [T, 3, 3] float32, the surfaces themselves, metres, world frame.
-        triangle_labels: [T] int64, the triangles' instances.
+        image_labels: per frame [H, W] int64, the instance at each pixel's centre, -1 where there is no surface.
+        instance_names: instance id -> name; ids are the same for points and pixels. Several instances may share a name,
+            and some instances are never seen.
+        instance_kinds: instance id -> "flat" (up to 1.5 cm thick, lying or hanging flush on a surface), "concave"
+            (hollow: the camera sees its inside) or "other".
+        true_world_to_camera: [4, 4] float64 per frame, the true poses of the camera.
+        triangles: [T, 3, 3] float32, the surfaces, metres, world frame.
+        triangle_labels: [T] int64, the instances of the triangles.
     """
 
     scene: Scene
@@ -53,7 +53,7 @@ class _Size(NamedTuple):
     clutter: float
 
 
-#: Views, pixels, points, and how much stands around.
+#: Numbers of views, pixels and points, and the amount of small things.
 SIZES = {
     "small": _Size(6, 120, 160, 6_000, 0.25),
     "medium": _Size(20, 240, 320, 40_000, 0.5),
@@ -80,7 +80,7 @@ def make_scene(
     depth_ripple: float = 0.0,
     hard: bool = False,
 ) -> SyntheticScene:
-    """A furnished room, filmed with a hand-held RGB-D camera.
+    """Makes a furnished room, recorded with a hand-held RGB-D camera.
 
     Equal arguments give equal scenes, whatever the number of threads.
 
@@ -93,36 +93,36 @@ def make_scene(
     ======== ===== ========= ======== ================================
 
     Args:
-        seed: decides room, furniture, materials, lights, walk and noise, each by a stream of its own: the difficulties
-            below can be turned off without changing the rest.
-        size: "small" (tests), "medium" (benchmarks) or "large" (as much as a real recording).
-        num_views: overrides that of ``size``; at least 1.
-        height: of the images, pixels; overrides that of ``size``; at least 16.
-        width: of the images, pixels; overrides that of ``size``; at least 16.
-        num_points: overrides that of ``size``; at least 1, at most as many as the depth images have pixels.
-        pose_error: standard deviation of the reported camera positions, metres, and of the orientations, in radians
-            for each 2 m. 0 to 0.05; a good tracker has 0.002 to 0.01.
+        seed: determines room, furniture, materials, lights, trajectory and noise. Each has its own random stream: the
+            difficulties below can be turned off without changing the rest.
+        size: "small" (tests), "medium" (benchmarks) or "large" (as large as a real recording).
+        num_views: overrides the number of ``size``; at least 1.
+        height: of the images, pixels; overrides ``size``; at least 16.
+        width: of the images, pixels; overrides ``size``; at least 16.
+        num_points: overrides the number of ``size``; at least 1, at most the number of valid depth pixels.
+        pose_error: standard deviation of the reported camera positions, metres; the orientations' standard deviation is
+            ``pose_error`` / 2 m, in radians. 0 to 0.05; a good tracker has 0.002 to 0.01.
         depth_noise: standard deviation of the depth at 1 m, metres; it grows with the square of the depth. 0 to 0.05;
             a Kinect has 0.0015.
-        depth_holes: probability scale of holes in the depth, 0 (none) to 1 (as a Kinect).
-        image_noise: standard deviation of the pixels, of [0, 1]. 0 to 0.5.
-        motion_blur: typical length in pixels of an image 480 high, 0 to 20.
-        exposure: standard deviation of the logarithm of the exposure from view to view; the white balance varies
-            by a fifth of it. 0 to 1.
-        shadows: False for lamps without shadows.
-        textures: False for materials of one colour each.
-        depth_ripple: standard deviation at 1 m, metres, of a depth error that neighbouring pixels share and that
-            differs from view to view: the walls of the fused cloud ripple and double. It grows with the square of
-            the depth. 0 (none) to 0.05; a Kinect has 0.002 to 0.003.
-        hard: adds flat things on everything flat, slender things before it that cut it in two, and hollow things; the
-            rest of the room stays as it is. A large room gets 50 to 75 instances more, some 40 of them flat.
+        depth_holes: scale of the probability of holes in the depth, 0 (none) to 1 (as a Kinect).
+        image_noise: standard deviation of the pixel values in [0, 1]. 0 to 0.5.
+        motion_blur: typical length of the blur, pixels in an image 480 high, 0 to 20.
+        exposure: standard deviation of the logarithm of the exposure over the views; the white balance varies by a
+            fifth of it. 0 to 1.
+        shadows: False: lamps cast no shadows.
+        textures: False: each material has one colour.
+        depth_ripple: standard deviation at 1 m, metres, of a depth error that is correlated between neighbouring pixels
+            and independent between views: fused walls become wavy and double. It grows with the square of the depth. 0
+            (none) to 0.05; a Kinect has 0.002 to 0.003.
+        hard: adds flat things on flat surfaces, slender occluders that split the object behind them, and hollow things;
+            the rest of the room does not change. A large room gets 50 to 75 more instances, about 40 of them flat.
 
     Returns:
-        The scene with its truth.
+        The scene with its ground truth.
 
     Raises:
-        ValueError: naming the argument that is out of its range, or more points than the depth images have.
-        ImportError: if Open3D, which casts the rays, is not installed.
+        ValueError: an argument out of its range (named), or more points than the depth images have.
+        ImportError: Open3D, which casts the rays, is not installed.
     """
     resolved = _resolve(size, num_views, height, width, num_points)
     _check_ranges(seed, pose_error, depth_noise, depth_ripple, depth_holes, image_noise, motion_blur, exposure)
@@ -210,5 +210,5 @@ def _check_ranges(
         "exposure": (exposure, 1.0, "of the logarithm"),
     }
     for name, (value, most, unit) in ranges.items():
-        if not 0 <= value <= most:  # also refuses NaN
+        if not 0 <= value <= most:  # also rejects NaN
             raise ValueError(f"{name}: expected 0 to {most} ({unit}), got {value!r}")

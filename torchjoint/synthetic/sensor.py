@@ -1,4 +1,4 @@
-"""How a cheap RGB-D camera spoils a perfect picture: exposure, blur and noise; noisy, quantised, holed depth."""
+"""Simulates a cheap RGB-D camera: exposure, blur and image noise; noisy and quantised depth with holes."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ import numpy as np
 from torchjoint.synthetic.arrays import Array, Rng
 from torchjoint.synthetic.render import View
 
-#: Nearest and farthest depth a Kinect returns, metres.
+#: Nearest and farthest depth of a Kinect, metres.
 DEPTH_RANGE = (0.4, 5.0)
-#: Metres between the depth sensor's projector and its camera.
+#: Baseline between the depth sensor's projector and its camera, metres.
 _BASELINE = 0.075
-#: Steps of inverse depth are this many times the noise's standard deviation.
+#: Quantisation step of inverse depth, in standard deviations of the noise.
 _QUANTISATION = 1.8
-#: Of the ripple: share of each scale (their squares add up to 1), and the image's height over its wavelength.
+#: Ripple: weight of each scale (the squares add up to 1), and image height divided by wavelength.
 _RIPPLES = ((0.8, 5.0), (0.5, 30.0), (0.33, 100.0))
-#: Steps of inverse depth are this many times the ripple's standard deviation: a Kinect's eighth of a pixel is 0.0028.
+#: Quantisation step of inverse depth, in standard deviations of the ripple; a Kinect's eighth of a pixel is 0.0028.
 _RIPPLE_STEP = 1.4
 
 
 def photograph(rng: Rng, view: View, exposure: float, motion_blur: float, image_noise: float) -> Array:
-    """The [H, W, 3] float32 image in [0, 1], in steps of 1/255, that a camera makes of a view's light.
+    """Renders a view's light to an image [H, W, 3] float32 in [0, 1], in steps of 1/255.
 
     Args:
-        rng: draws exposure, blur and noise.
-        view: what there is to be seen.
-        exposure: standard deviation of the logarithm of the exposure, view by view; the white balance varies by a
-            fifth of it. The automatic exposure, which no camera can do without, is not affected.
-        motion_blur: typical length of the blur, pixels of an image 480 high (scaled to others).
-        image_noise: standard deviation, of [0, 1].
+        rng: source of exposure, blur and noise.
+        view: the image without noise.
+        exposure: standard deviation of the logarithm of the exposure over the views; the white balance varies by a
+            fifth of it. The automatic exposure, which every camera has, is not affected.
+        motion_blur: typical length of the blur, pixels in an image 480 high (scaled for other heights).
+        image_noise: standard deviation of the pixel values in [0, 1].
     """
     height, width = view.labels.shape
     length = motion_blur * height / 480 * abs(rng.standard_normal())
@@ -41,21 +41,21 @@ def photograph(rng: Rng, view: View, exposure: float, motion_blur: float, image_
     film = 1 - np.exp(-light * (gain * balance * vignette[..., None]).astype(np.float32))
     image = film ** np.float32(1 / 2.2)
     noise = rng.standard_normal((height + 1, width + 1, 3), dtype=np.float32)
-    # A colour filter array is interpolated: neighbours share noise. Its variance is 0.36 + 4 * 0.16.
+    # Interpolation of a colour filter array correlates the noise of neighbours. Its variance is 0.36 + 4 * 0.16.
     noise = 0.6 * noise[1:, 1:] + 0.4 * (noise[:-1, 1:] + noise[1:, :-1] + noise[:-1, :-1])
     image = image + np.float32(image_noise / np.sqrt(0.84)) * noise
     return np.asarray(np.round(np.clip(image, 0, 1) * 255).astype(np.float32) / np.float32(255))
 
 
 def rippled(rng: Rng, depth: Array, depth_ripple: float) -> Array:
-    """A [H, W] depth image with an error that neighbours share, as structured light's: fused walls ripple and double.
+    """Adds a spatially correlated error, like a structured-light sensor's, to depth: fused walls ripple and double.
 
-    The inverse depth gets smooth noise of three scales (a fifth, a thirtieth and a hundredth of the image), and then
-    is quantised, before any noise of single pixels: whole patches are rounded one way.
+    Smooth noise at three scales (a fifth, a thirtieth and a hundredth of the image) is added to the inverse depth. The
+    sum is quantised before any noise of single pixels: whole patches are rounded in the same direction.
 
     Args:
-        rng: draws the noise.
-        depth: [H, W] metres, 0 = none, which stays 0.
+        rng: source of the noise.
+        depth: [H, W] metres; 0 = none, stays 0.
         depth_ripple: standard deviation at 1 m, metres; grows with the square of the depth.
     """
     height = depth.shape[0]
@@ -71,16 +71,16 @@ def rippled(rng: Rng, depth: Array, depth_ripple: float) -> Array:
 
 
 def measure_depth(rng: Rng, view: View, focal: float, depth_noise: float, depth_holes: float) -> Array:
-    """The [H, W] float32 depth image of a structured-light sensor, 0 where it returns nothing.
+    """Simulates the [H, W] float32 depth image of a structured-light sensor, metres, 0 = no return.
 
     Args:
-        rng: draws noise and holes.
-        view: what there is to be seen.
-        focal: pixels.
-        depth_noise: standard deviation at 1 m, metres; grows with the square of the depth. Half of it is shared by
-            neighbours. Values are quantised in inverse depth.
-        depth_holes: scales the probability of every hole (grazing angles, dark and shiny materials, the projector's
-            shadow at depth edges, out of range), 0 to 1.
+        rng: source of noise and holes.
+        view: the image without noise.
+        focal: focal length, pixels.
+        depth_noise: standard deviation at 1 m, metres; grows with the square of the depth. Half of the variance is
+            correlated between neighbours. Values are quantised in inverse depth.
+        depth_holes: scale of the probability of every kind of hole (grazing angles, dark and shiny materials, the
+            projector's shadow at depth edges, out of range), 0 to 1.
     """
     depth = view.depth.astype(np.float64)
     shape = depth.shape
@@ -102,7 +102,7 @@ def measure_depth(rng: Rng, view: View, focal: float, depth_noise: float, depth_
 
 
 def _projector_shadow(depth: Array, focal: float) -> Array:
-    """Pixels whose surface the projector, to one side of the camera, does not reach for something nearer."""
+    """Pixels that the projector, beside the camera, cannot reach, since a nearer surface is in the way."""
     disparity = focal * _BASELINE / np.where(depth > 0, depth, np.inf)
     reach = np.arange(depth.shape[1]) + disparity
     return np.asarray(np.maximum.accumulate(reach, axis=1) > reach + 0.75)
@@ -115,10 +115,10 @@ def blobs(rng: Rng, shape: tuple[int, int], radius: float) -> Array:
 
 
 def _waves(rng: Rng, shape: tuple[int, int], radius: float) -> Array:
-    """As :func:`blobs`, but of unit variance over all images: the mean of one is not 0 if the blobs are large."""
+    """As :func:`blobs`, but with unit variance over all images: for large blobs, the mean of one image is not 0."""
     reach = max(round(radius), 1)
     window = 2 * reach + 1
-    # The squares of the weights of two box filters add up to this, along each axis.
+    # Along each axis, the squared weights of two box filters add up to this.
     return _smooth(rng, shape, reach) / ((2 * window**2 + 1) / (3 * window**3))
 
 
@@ -140,7 +140,7 @@ def _box_filter(values: Array, reach: int, axis: int) -> Array:
 
 
 def _smear(light: Array, length: float, angle: float) -> Array:
-    """Blur along a line of ``length`` pixels. Sums shifted copies: the result does not depend on thread counts."""
+    """Blurs along a line of ``length`` pixels. Sums shifted copies, so the result does not depend on thread counts."""
     if length < 0.3:
         return light
     steps = np.linspace(-length / 2, length / 2, 2 * int(np.ceil(length)) + 1)

@@ -1,4 +1,4 @@
-"""A room under construction: its walls and what stands in it."""
+"""A room while it is furnished: size, walls and occupied places."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _WALL_YAW = (0.0, -np.pi / 2, np.pi, np.pi / 2)
 
 @dataclass
 class Site:
-    """A room while it is being furnished: ``size`` (x, y, z) metres; ``clutter`` scales the number of small things."""
+    """A room while it is furnished: ``size`` (x, y, z) metres; ``clutter`` scales the number of small things."""
 
     size: tuple[float, float, float]
     clutter: float
@@ -23,10 +23,10 @@ class Site:
     taken: Footprints
 
     def length(self, wall: int) -> float:
-        """Length of a wall, metres."""
+        """Returns the length of a wall, metres."""
         return self.size[0] if wall % 2 == 0 else self.size[1]
 
     def at_wall(self, wall: int, along: float, depth: float, z: float = 0.0) -> Pose:
-        """Pose of an item ``depth`` deep with its back on a wall, ``along`` metres from the wall's middle."""
+        """Returns the pose of an item ``depth`` deep, its back on a wall, ``along`` metres from the wall's middle."""
         reach = (self.size[1] if wall % 2 == 0 else self.size[0]) / 2 - depth / 2
         return Pose(yaw=_WALL_YAW[wall]).at(along, reach, z)

@@ -1,4 +1,4 @@
-"""A hand-held walk around the furniture in the middle of a room."""
+"""Camera poses of a hand-held walk around the furniture in the middle of a room."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from torchjoint.synthetic.world import World
 
 #: Horizontal field of view of a Kinect-like camera, degrees.
 FIELD_OF_VIEW = 57.0
-#: Degrees between consecutive views, until the walk has closed its round.
+#: Degrees between consecutive views, until the walk is a full circle.
 _STEP = 17.0
-#: The camera keeps this far off the walls, metres: nothing but a wardrobe's front reaches further.
+#: Distance between camera and walls, metres: only the front of a wardrobe is farther from the wall.
 _WALL_MARGIN = 0.75
 
 
@@ -22,7 +22,7 @@ def intrinsics(height: int, width: int) -> Array:
 
 
 def walk(rng: Rng, world: World, num_views: int) -> list[Array]:
-    """True world-to-camera poses, [4, 4] each: an arc around ``world.focus``, at eye height, looking across it."""
+    """True world-to-camera poses, [4, 4] each: an arc around ``world.focus`` at eye height, looking across it."""
     x, y, half_x, half_y = world.focus
     arc = np.radians(min(_STEP * num_views, 360.0)) * rng.choice([-1, 1])
     angle = rng.uniform(0, 2 * np.pi) + arc * (np.arange(num_views) + rng.normal(0, 0.12, num_views)) / num_views
@@ -31,7 +31,7 @@ def walk(rng: Rng, world: World, num_views: int) -> list[Array]:
     eye_x = np.clip(x + (half_x + away) * np.cos(angle), -reach[0], reach[0])
     eye_y = np.clip(y + (half_y + away) * np.sin(angle), -reach[1], reach[1])
     eye_z = 1.5 + 0.17 * _sway(rng, num_views)
-    # Looking across the table: half-way it is the table that fills the picture, further the opposite wall.
+    # The camera looks across the table: a near target fills the image with the table, a far one with the opposite wall.
     beyond = 0.25 + 0.5 * _sway(rng, num_views)
     target_x = x - beyond * np.cos(angle) + 0.3 * _sway(rng, num_views)
     target_y = y - beyond * np.sin(angle) + 0.3 * _sway(rng, num_views)
@@ -46,7 +46,7 @@ def walk(rng: Rng, world: World, num_views: int) -> list[Array]:
 
 
 def surroundings(room: tuple[float, float, float], focus: tuple[float, float, float, float]) -> Array:
-    """[K, 2] places all over the ring that cameras of :func:`walk` come from, metres; arguments: as of World."""
+    """Positions [K, 2] that cover the ring of camera positions of :func:`walk`, metres; arguments: see World."""
     x, y, half_x, half_y = focus
     angle, away = np.meshgrid(np.arange(0, 2 * np.pi, 0.05), np.linspace(0.5, 0.9, 5))
     reach = np.array(room[:2]) / 2 - _WALL_MARGIN
@@ -56,14 +56,14 @@ def surroundings(room: tuple[float, float, float], focus: tuple[float, float, fl
 
 
 def erroneous(rng: Rng, poses: list[Array], pose_error: float) -> list[Array]:
-    """The poses as a tracker would report them.
+    """Adds the errors of a tracker to poses.
 
     Args:
-        rng: draws the errors.
+        rng: source of the errors.
         poses: [4, 4] each, true.
-        pose_error: standard deviation of the camera's position along each axis, metres; its orientation errs by
-            ``pose_error`` / 2 m, in radians. The errors of consecutive views are alike (correlation 0.8): trackers
-            drift more than they jump.
+        pose_error: standard deviation of the camera's position along each axis, metres; the orientation's is
+            ``pose_error`` / 2 m, in radians. Errors of consecutive views have correlation 0.8: trackers drift more than
+            they jump.
     """
     if pose_error == 0:
         return [pose.copy() for pose in poses]
@@ -80,14 +80,14 @@ def erroneous(rng: Rng, poses: list[Array], pose_error: float) -> list[Array]:
 
 
 def _sway(rng: Rng, count: int) -> Array:
-    """[count] smooth values in about [-1, 1], a few swings over the walk."""
+    """[count] smooth values in about [-1, 1]; a few oscillations over the walk."""
     time = np.arange(count) / 20.0
     waves = [np.sin(2 * np.pi * (f * time + rng.random())) for f in rng.uniform([0.5, 1.2, 2.5], [1.2, 2.5, 4.0])]
     return np.asarray(0.5 * waves[0] + 0.35 * waves[1] + 0.15 * waves[2])
 
 
 def _look_at(eye: Array, target: Array, roll: float) -> Array:
-    """[4, 4] world-to-camera pose, OpenCV axes, the world's z up."""
+    """[4, 4] world-to-camera pose, OpenCV axes; the world's z is up."""
     z = (target - eye) / np.linalg.norm(target - eye)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)

@@ -1,4 +1,4 @@
-"""Concave things, larger and deeper than those of the clutter: each function draws one as one instance."""
+"""Concave objects, larger and deeper than those in clutter.py: each function returns one instance."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torchjoint.synthetic.world import Item, Surface
 
 
 def crate(rng: Rng) -> Item:
-    """An open box of boards or cardboard, 0.3-0.5 m wide; things can lie in it."""
+    """An open box of boards or cardboard, 0.3-0.5 m wide; can hold things."""
     w, d, h, t = rng.uniform(0.32, 0.5), rng.uniform(0.26, 0.38), rng.uniform(0.16, 0.3), 0.012
     body = _board(rng)
     inside = Surface((-w / 2 + t, -d / 2 + t), (w / 2 - t, d / 2 - t), t, h)
@@ -18,7 +18,7 @@ def crate(rng: Rng) -> Item:
 
 
 def basket(rng: Rng) -> Item:
-    """A round basket, wider above, striped like wicker."""
+    """A round basket, wider at the top, striped like wicker."""
     r, h = rng.uniform(0.14, 0.22), rng.uniform(0.16, 0.32)
     tone = paint.pick(rng, paint.WOODS)
     wicker = paint.stripes(rng, tone, tone * 0.8, 0.02)
@@ -26,7 +26,7 @@ def basket(rng: Rng) -> Item:
 
 
 def deep_bowl(rng: Rng) -> Item:
-    """A bowl as deep as half its width, or deeper."""
+    """A bowl with a depth of about half its width."""
     r = rng.uniform(0.09, 0.14)
     h = r * rng.uniform(0.9, 1.2)
     glaze = paint.plain(rng, paint.pick(rng, paint.VIVID + paint.SOBER), gloss=0.5)
@@ -34,7 +34,7 @@ def deep_bowl(rng: Rng) -> Item:
 
 
 def drawer(rng: Rng, width: float, depth: float, front: Material) -> Item:
-    """A drawer, pulled out by ``depth`` metres, its board of ``front`` towards -y; things can lie in it."""
+    """A drawer, pulled out by ``depth`` metres; its face of material ``front`` is at -y; can hold things."""
     h, t = float(rng.uniform(0.12, 0.18)), 0.014
     body = _board(rng)
     inside = Surface((-width / 2 + t, -depth / 2 + t), (width / 2 - t, depth / 2 - t), t, h)
@@ -44,7 +44,7 @@ def drawer(rng: Rng, width: float, depth: float, front: Material) -> Item:
 
 
 def _open_box(w: float, d: float, h: float, t: float) -> list[Part]:
-    """Bottom and four walls, ``t`` thick, that towards -y last; all in metres."""
+    """Bottom and four walls, ``t`` thick; the wall at -y is last; metres."""
     sides = [box((t, d, h), (x * (w - t) / 2, 0, 0)) for x in (-1, 1)]
     ends = [box((w - 2 * t, t, h), (0, y * (d - t) / 2, 0)) for y in (1, -1)]
     return [box((w - 2 * t, d - 2 * t, t)), *sides, *ends]

@@ -1,4 +1,4 @@
-"""A world under construction: items (objects with parts and places to put things on) become labelled triangles."""
+"""Builds a world: items (objects with parts, and surfaces for other items) become labelled triangles."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from torchjoint.synthetic.arrays import Array
 from torchjoint.synthetic.materials import Material
 from torchjoint.synthetic.mesh import Part, rotation_z
 
-#: What makes an instance hard to find: "flat" things lie flush on the surface below, or hang flush on a wall;
-#: "concave" ones are hollow.
+#: Why an instance is hard to segment: "flat" items lie flush on the surface below or hang flush on a wall; "concave"
+#: items are hollow.
 KINDS = ("flat", "concave", "other")
-#: Greatest thickness of a flat thing, metres.
+#: Largest thickness of a flat item, metres.
 FLAT = 0.015
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where an item stands: metres, and ``yaw`` radians about z."""
+    """Pose of an item: position in metres, and ``yaw`` in radians about z."""
 
     x: float = 0.0
     y: float = 0.0
@@ -27,14 +27,14 @@ class Pose:
     yaw: float = 0.0
 
     def at(self, x: float, y: float, z: float = 0.0, yaw: float = 0.0) -> Pose:
-        """The world pose of what stands at (x, y, z, yaw) in this pose's own frame."""
+        """Returns the world pose of an item at (x, y, z, yaw) in the frame of this pose."""
         dx, dy, _ = rotation_z(self.yaw) @ np.array([x, y, 0.0])
         return Pose(self.x + dx, self.y + dy, self.z + z, self.yaw + yaw)
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A level rectangle that things can stand on, in its item's frame, metres.
+    """A level rectangle on which items can stand, in the frame of its item, metres.
 
     Attributes:
         low, high: least and greatest (x, y).
@@ -50,12 +50,12 @@ class Surface:
 
 @dataclass(frozen=True)
 class Front:
-    """An upright rectangle that things can be fixed to, facing -y, in its item's frame, metres.
+    """An upright rectangle, facing -y, to which items can be fixed, in the frame of its item, metres.
 
     Attributes:
         low, high: least and greatest (x, z).
-        y: where it is.
-        material: its own.
+        y: its position.
+        material: its material.
     """
 
     low: tuple[float, float]
@@ -66,15 +66,15 @@ class Front:
 
 @dataclass
 class Item:
-    """One instance: its parts, with the front towards -y and the origin in the middle of its foot.
+    """One instance; its front is towards -y, and the origin is the middle of its foot.
 
     Attributes:
-        name: what it is; several instances may share it.
+        name: kind of object; several instances may share it.
         size: (x, y, z) extent, metres.
-        parts: triangles and their material.
-        surfaces: where things can be put.
-        fronts: where things can be fixed.
-        hollow: whether its inside can be seen, as a bowl's.
+        parts: triangles and their materials.
+        surfaces: where items can stand.
+        fronts: where items can be fixed.
+        hollow: whether the camera can see its inside, as in a bowl.
     """
 
     name: str
@@ -103,7 +103,7 @@ class Light:
 
 @dataclass(frozen=True)
 class World:
-    """Everything the renderer needs.
+    """All data that the renderer needs.
 
     Attributes:
         triangles: [T, 3, 3] float32 corners, metres, z up.
@@ -112,9 +112,9 @@ class World:
         material_ids: [T] index into ``materials``.
         names: instance id -> name.
         kinds: instance id -> one of :data:`KINDS`.
-        ambient: light that comes from everywhere, linear.
-        room: (x, y, z) extent; the floor is z = 0, its middle the origin.
-        focus: (x, y, half x, half y) of the furniture group that the camera walks around.
+        ambient: ambient light, linear.
+        room: (x, y, z) extent; the floor is at z = 0, its middle at the origin.
+        focus: (x, y, half x, half y) of the furniture group around which the camera walks.
     """
 
     triangles: Array
@@ -131,7 +131,7 @@ class World:
 
 
 class WorldBuilder:
-    """Collects placed items; :meth:`place` gives each the next instance id."""
+    """Collects placed items; :meth:`place` gives each item the next instance id."""
 
     def __init__(self) -> None:
         self.placed: list[tuple[Item, Pose]] = []
@@ -139,7 +139,7 @@ class WorldBuilder:
         self._chunks: list[tuple[Array, Array, int, int]] = []
 
     def place(self, item: Item, pose: Pose) -> Pose:
-        """Adds ``item`` as a new instance; returns ``pose``, for what is to be put on it."""
+        """Adds ``item`` as a new instance; returns ``pose``, for placing other items on it."""
         label = len(self.placed)
         self.placed.append((item, pose))
         for part, material in item.parts:
@@ -160,7 +160,7 @@ class WorldBuilder:
         room: tuple[float, float, float],
         focus: tuple[float, float, float, float],
     ) -> World:
-        """The finished world."""
+        """Returns the finished world."""
         counts = [len(chunk[0]) for chunk in self._chunks]
         return World(
             triangles=np.concatenate([chunk[0] for chunk in self._chunks]).astype(np.float32),

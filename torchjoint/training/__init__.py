@@ -1,7 +1,7 @@
-"""Training the boundary detector: structured forests on images that people have segmented.
+"""Trains the boundary detector: structured forests on images with human segmentations.
 
-In the order in which data moves: :mod:`channels` of an image, :mod:`features` of a patch, :mod:`patches` drawn from
-all images as samples, one :mod:`tree` grown from them, and :mod:`train` for all trees. :mod:`detect` runs a forest.
+Modules in the order of the data flow: :mod:`channels` of an image, :mod:`features` of a patch, :mod:`patches` sampled
+from all images, one :mod:`tree` grown from the samples, and :mod:`train` for all trees. :mod:`detect` runs a forest.
 """
 
 from torchjoint.training.train import TrainingOptions, train_boundaries

@@ -1,7 +1,7 @@
-"""The 13 channels that a structured forest looks at, computed as OpenCV's detector computes them.
+"""Computes the 13 image channels of a structured forest, equal to the channels of OpenCV's detector.
 
-OpenCV runs the forests trained here, and gives no access to its features: they are restated with OpenCV's own
-filters. P. Dollár and C. L. Zitnick, "Fast Edge Detection Using Structured Forests" (PAMI 2015).
+OpenCV runs the forests trained here, but gives no access to its features, so this module reimplements them with
+OpenCV's own filters. P. Dollár and C. L. Zitnick, "Fast Edge Detection Using Structured Forests" (PAMI 2015).
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ Array = NDArray[np.float32]
 #: Channels at half the image's size: L, u, v; then for the image at full and half size: magnitude, 4 orientations.
 NUM_CHANNELS = 13
 NUM_ORIENTATIONS = 4
-#: The image is widened by this many pixels on each side, so that patches may reach over its border.
+#: The image is padded by this many pixels on each side, so that patches may cross its border.
 PADDING = 8
 SHRINK = 2
-REGULAR_RADIUS, SIMILARITY_RADIUS, NORMALIZATION_RADIUS = 1, 4, 4  #: of the triangle filters, cells
+REGULAR_RADIUS, SIMILARITY_RADIUS, NORMALIZATION_RADIUS = 1, 4, 4  #: of the triangle filters, in cells
 
 _XYZ_FROM_RGB = np.array(
     [[0.430574, 0.341550, 0.178325], [0.222015, 0.706655, 0.071330], [0.020183, 0.129553, 0.939180]], np.float32
@@ -28,14 +28,14 @@ _XYZ_FROM_RGB = np.array(
 
 
 class Channels(NamedTuple):
-    """Both maps [13, H / 2, W / 2] of the widened image."""
+    """Both maps are [13, H / 2, W / 2], of the padded image."""
 
-    regular: Array  #: lightly smoothed, for features that are single values
-    similarity: Array  #: strongly smoothed, for differences of cells
+    regular: Array  #: weakly smoothed, for features that are single values
+    similarity: Array  #: strongly smoothed, for features that are differences of cells
 
 
 def image_channels(image: Array) -> Channels:
-    """Channels of an image [H, W, 3] float32, RGB in [0, 1]."""
+    """Computes the channels of an image [H, W, 3] float32, RGB in [0, 1]."""
     padded = cv2.copyMakeBorder(image, PADDING, PADDING, PADDING, PADDING, cv2.BORDER_REFLECT)
     luv = rgb_to_luv(np.asarray(padded, np.float32))
     half = _resized_size(luv, 1 / SHRINK)
@@ -50,9 +50,9 @@ def image_channels(image: Array) -> Channels:
 
 
 def rgb_to_luv(image: Array) -> Array:
-    """CIE Luv by a table of 1024 lightnesses (that of white is a step too low), all three roughly in [0, 1]."""
+    """Converts RGB to CIE Luv with a table of 1024 lightnesses (white is one step too low), all about in [0, 1]."""
     red, green, blue = np.moveaxis(image, 2, 0)
-    # Not a matrix product, which may round differently from sum to sum.
+    # No matrix product, since its rounding depends on the order of summation.
     x, y, z = ((a * red + b * green) + c * blue for a, b, c in _XYZ_FROM_RGB)
     lightness = _lightness_table()[np.clip((1024 * y).astype(np.int64), 0, 1023)]
     n = 1 / (x + 15 * y + 3 * z + np.float32(1e-35))
@@ -67,7 +67,7 @@ def _lightness_table() -> Array:
 
 
 def _gradient_histogram(image: Array, cell: int) -> tuple[Array, Array]:
-    """Normalised gradient magnitude [H, W] of the channel where it is largest, and its orientations over cells."""
+    """Normalised gradient magnitude [H, W] of the channel where it is largest; its orientations, summed over cells."""
     right = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=1, borderType=cv2.BORDER_REFLECT)
     down = cv2.Sobel(image, cv2.CV_32F, 0, 1, ksize=1, borderType=cv2.BORDER_REFLECT)
     squared = right * right + down * down
@@ -83,20 +83,20 @@ def _gradient_histogram(image: Array, cell: int) -> tuple[Array, Array]:
 
 
 def _cell_sums(magnitude: Array, phase: Array, cell: int) -> Array:
-    """Magnitude summed over square cells by hard orientation: [ceil(H / cell), ceil(W / cell), 4]."""
+    """Sums of magnitude over square cells by hard orientation: [ceil(H / cell), ceil(W / cell), 4]."""
     height, width = magnitude.shape
     orientation = np.rint(phase * NUM_ORIENTATIONS) % NUM_ORIENTATIONS
     parts = np.where(orientation[..., None] == np.arange(NUM_ORIENTATIONS), magnitude[..., None], np.float32(0))
     parts = np.pad(parts, ((0, -height % cell), (0, -width % cell), (0, 0)))
     sums = np.zeros_like(parts[::cell, ::cell])
-    for row in range(cell):  # in the order of the pixels, since float32 sums depend on it
+    for row in range(cell):  # in pixel order, since float32 sums depend on the order
         for column in range(cell):
             sums += parts[row::cell, column::cell]
     return sums
 
 
 def triangle_filter(image: Array, radius: int) -> Array:
-    """Weighted mean, weights falling linearly to the sides; [H, W] or [H, W, C]."""
+    """Filters an image [H, W] or [H, W, C] with weights that fall linearly with distance; radius in pixels."""
     if radius <= 1:
         kernel = np.array([1, 12 / radius / (radius + 2) - 2, 1])
         kernel /= kernel.sum()
@@ -108,7 +108,7 @@ def triangle_filter(image: Array, radius: int) -> Array:
 
 
 def _resized_size(image: Array, scale: float) -> tuple[int, int]:
-    """(width, height), halves rounded to even as OpenCV does."""
+    """(width, height); halves are rounded to even, as in OpenCV."""
     return int(np.rint(image.shape[1] * scale)), int(np.rint(image.shape[0] * scale))
 
 

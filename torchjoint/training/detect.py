@@ -1,4 +1,4 @@
-"""A forest's evaluation in NumPy: the slow, obvious twin of the detector, which OpenCV runs."""
+"""Evaluates a forest in NumPy: a slow, simple reference for OpenCV's detector."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from torchjoint.training.features import Ints, feature_values, sites
 
 
 def detect(forest: Forest, image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Boundary strength [H, W] of an image [H, W, 3] RGB in [0, 1], as ``detectEdges`` of OpenCV gives it.
+    """Computes boundary strength [H, W] of an image [H, W, 3] RGB in [0, 1], equal to OpenCV's ``detectEdges``.
 
-    At every site some of the trees vote for the pixels of their leaf's boundary; votes are added up and smoothed.
+    At each site some of the trees vote for the boundary pixels of their leaf; votes are summed and smoothed.
     """
     channels = image_channels(image)
     rows, columns = sites(channels)
     votes = np.zeros(image.shape[:2], np.int64)
     num_trees = len(forest.children)
     for tree in range(num_trees):
-        turn = (tree - (rows + columns) % (2 * forest.trees_at_a_site)) % num_trees < forest.trees_at_a_site
+        turn = (tree - (rows + columns) % (2 * forest.trees_per_site)) % num_trees < forest.trees_per_site
         _vote(votes, forest, tree, channels, rows[turn], columns[turn])
-    vote = np.float32(2 * SHRINK**2 / LABEL_SIZE**2 / forest.trees_at_a_site)
+    vote = np.float32(2 * SHRINK**2 / LABEL_SIZE**2 / forest.trees_per_site)
     return triangle_filter(votes.astype(np.float32) * vote, 1)
 
 
@@ -39,7 +39,7 @@ def _vote(votes: Ints, forest: Forest, tree: int, channels: Channels, rows: Ints
 
 
 def _leaves(forest: Forest, tree: int, channels: Channels, rows: Ints, columns: Ints) -> Ints:
-    """The node at which each patch ends."""
+    """The leaf that each patch reaches."""
     nodes = np.zeros(len(rows), np.int64)
     active = np.arange(len(rows))
     while len(active):

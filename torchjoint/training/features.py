@@ -1,4 +1,4 @@
-"""Features of a patch: values of the channels, and differences of a channel between two cells of a coarse grid."""
+"""Features of a patch: channel values, and differences of a channel between two cells of a coarse grid."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from torchjoint.training.channels import NUM_CHANNELS, Channels
 Ints = NDArray[np.int64]
 T = TypeVar("T", bound=np.generic)
 
-#: Side of a patch, in cells of the channels of two pixels each.
+#: Side of a patch, in channel cells; a cell is two pixels wide.
 PATCH_CELLS = 16
-#: Features below this number are single values: (channel, column, row) of the patch, the row fastest.
+#: Features below this number are single values: (channel, column, row) of the patch; the row varies fastest.
 NUM_REGULAR = NUM_CHANNELS * PATCH_CELLS**2
 
-#: Rows, and columns, of the 5 x 5 cells whose differences are features: (channel, pair a < b), cells column by column.
+#: Rows and columns of the 5 x 5 cells whose differences are features: (channel, pair a < b), cells column by column.
 _GRID = np.array([1, 4, 8, 11, 14])
 _CELLS = np.array([(row, column) for column in _GRID for row in _GRID])
 _FIRST, _SECOND = np.triu_indices(len(_CELLS), 1)
@@ -27,20 +27,20 @@ assert NUM_REGULAR + NUM_CHANNELS * NUM_PAIRS == NUM_FEATURES
 
 
 def sites(channels: Channels) -> tuple[Ints, Ints]:
-    """First cells (rows, columns) of all patches that OpenCV's detector looks at."""
+    """Returns the first cells (rows, columns), [S] each, of all patches that OpenCV's detector evaluates."""
     height, width = (max(0, size - PATCH_CELLS) for size in channels.regular.shape[1:])
     rows, columns = np.divmod(np.arange(height * width), max(width, 1))
     return rows, columns
 
 
 def feature_channels(features: Ints) -> Ints:
-    """The kind of value that each feature is: a channel (0-12), or a channel's differences (13-25)."""
+    """Returns the kind of each feature: a channel (0-12), or differences of a channel (13-25)."""
     similarity = NUM_CHANNELS + (features - NUM_REGULAR) // NUM_PAIRS
     return np.where(features < NUM_REGULAR, features // PATCH_CELLS**2, similarity)
 
 
 def regular_values(channels: NDArray[T], rows: Ints, columns: Ints, features: Ints) -> NDArray[T]:
-    """Values of features below NUM_REGULAR of `channels` [13, H, W]; the other arguments are broadcast together."""
+    """Returns values of features below NUM_REGULAR in `channels` [13, H, W]; the other arguments are broadcast."""
     height, width = channels.shape[1:]
     channel, cell = np.divmod(features, PATCH_CELLS**2)
     column, row = np.divmod(cell, PATCH_CELLS)
@@ -48,7 +48,7 @@ def regular_values(channels: NDArray[T], rows: Ints, columns: Ints, features: In
 
 
 def similarity_values(channels: NDArray[np.float32], rows: Ints, columns: Ints, features: Ints) -> NDArray[np.float32]:
-    """Values of features from NUM_REGULAR on, likewise."""
+    """Returns values of features from NUM_REGULAR on; arguments as for :func:`regular_values`."""
     height, width = channels.shape[1:]
     channel, pair = np.divmod(features - NUM_REGULAR, NUM_PAIRS)
     values = channels.reshape(-1)
@@ -59,7 +59,7 @@ def similarity_values(channels: NDArray[np.float32], rows: Ints, columns: Ints, 
 
 
 def feature_values(channels: Channels, rows: Ints, columns: Ints, features: Ints) -> NDArray[np.float32]:
-    """Values of any features, one at each of the sites (rows, columns): all [S]."""
+    """Returns values of any features, one feature at each of the sites (rows, columns): all [S]."""
     values = np.empty(len(features), np.float32)
     is_regular = features < NUM_REGULAR
     for mine, maps, function in (

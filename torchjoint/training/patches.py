@@ -1,4 +1,4 @@
-"""Training samples: patches of annotated images, as codes of their features, and the segmentation in their middle."""
+"""Samples training patches from annotated images: quantised features, and the segmentation in the patch's middle."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from torchjoint.datasets.bsds import BsdsImage
 from torchjoint.images.forest import LABEL_SIZE, NUM_FEATURES
-from torchjoint.images.structured_forest import widened
+from torchjoint.images.structured_forest import padded
 from torchjoint.training.channels import NUM_CHANNELS, SHRINK, Channels, image_channels
 from torchjoint.training.features import (
     NUM_REGULAR,
@@ -23,27 +23,27 @@ from torchjoint.training.features import (
     sites,
 )
 
-#: A site whose middle is closer than this to a boundary is a positive one, pixels.
+#: A site is positive if the distance from its middle to a boundary is smaller than this, pixels.
 POSITIVE_DISTANCE = 8
-#: Values are told apart by this many codes; borders between codes are what thresholds can be.
+#: Number of quantisation codes of a feature value; the borders between codes are the possible thresholds.
 NUM_CODES = 256
-#: Steps of the table that codes differences, over the range of the borders.
+#: Size of the lookup table that quantises differences, over the range of the borders.
 _TABLE_SIZE = 2**14
 _SITES_FOR_BORDERS = 2000
 
 
 class Samples(NamedTuple):
-    """S patches; label pixels are ordered column by column, as OpenCV has them."""
+    """S patches; label pixels are in column-major order, as in OpenCV."""
 
     codes: NDArray[np.uint8]  #: [F, S] of the features
-    segments: NDArray[np.uint16]  #: [S, 256] segment of each label pixel
+    segments: NDArray[np.uint16]  #: [S, 256] segment id of each label pixel
 
 
 class FeatureCodes:
-    """Codes of feature values: how many of 255 borders they reach.
+    """Quantises feature values: the code of a value is the number of borders (of 255) that are at most the value.
 
     Attributes:
-        borders: [26, 255] float32, ascending, for the values of the 13 channels and for the differences in them.
+        borders: [26, 255] float32, ascending, for the values of the 13 channels, then for the differences in each.
     """
 
     def __init__(self, borders: NDArray[np.float32]) -> None:
@@ -55,10 +55,10 @@ class FeatureCodes:
 
     @classmethod
     def of_images(cls, images: Sequence[BsdsImage], rng: np.random.Generator) -> FeatureCodes:
-        """Borders that part the values seen in some of the images into equally many."""
+        """Computes borders as quantiles of the values in some of the images, so that codes are equally frequent."""
         found: list[list[NDArray[np.float32]]] = [[] for _ in range(2 * NUM_CHANNELS)]
         for image in images[:: max(1, len(images) // 50)]:
-            channels = image_channels(widened(_pixels(image)))
+            channels = image_channels(padded(_pixels(image)))
             rows, columns = sites(channels)
             for kind, values in enumerate(found):
                 some = rng.integers(0, len(rows), _SITES_FOR_BORDERS)
@@ -69,11 +69,11 @@ class FeatureCodes:
         return cls(np.stack([np.quantile(np.concatenate(values), shares) for values in found]).astype(np.float32))
 
     def thresholds(self, features: Ints, codes: Ints) -> NDArray[np.float32]:
-        """What a feature is less than where its code is at most that code."""
+        """Returns thresholds in feature values: a value is below the threshold if its code is at most `codes`."""
         return self.borders[feature_channels(features), np.minimum(codes, NUM_CODES - 2)]
 
     def of_sites(self, channels: Channels, rows: Ints, columns: Ints, features: Ints) -> NDArray[np.uint8]:
-        """[F, S] codes of features, which are ascending, at sites."""
+        """Returns codes [F, S] of `features` [F], ascending, at the sites (rows, columns), [S] each."""
         regular, similarity = np.split(features, [np.searchsorted(features, NUM_REGULAR)])
         maps = [_codes(border, values) for border, values in zip(self.borders, channels.regular, strict=False)]
         codes = np.empty((len(features), len(rows)), np.uint8)
@@ -97,25 +97,25 @@ def draw_samples(
     rng: np.random.Generator,
     each_image: Callable[[], object] = lambda: None,
 ) -> Samples:
-    """About `count` patches, half of them near boundaries, spread evenly over images and their annotators.
+    """Samples about `count` patches, half of them near boundaries, spread evenly over images and their annotators.
 
-    Each image is mirrored or not, at random. Where an annotator has not enough of a kind, fewer are drawn.
+    Each image is mirrored with probability 1/2. If an annotator has too few sites of a kind, fewer are drawn.
 
     Args:
-        images: what to draw from.
-        codes: how to code features.
-        features: [F] numbers of the features, ascending.
-        count: S, at the most.
-        rng: for everything that is random.
-        each_image: called when an image is done.
+        images: images to sample from.
+        codes: quantises features.
+        features: [F] indices of the features, ascending.
+        count: largest number of samples, S.
+        rng: source of all random choices.
+        each_image: called after each image.
     """
     all_codes = np.empty((len(features), count), np.uint8)
     segments = []
     done = 0
     for index, image in enumerate(images):
         mirror = rng.random() < 0.5
-        channels = image_channels(widened(_mirrored(_pixels(image), mirror)))
-        maps = [widened(_mirrored(one.numpy().astype(np.uint16), mirror)) for one in image.segmentations]
+        channels = image_channels(padded(_mirrored(_pixels(image), mirror)))
+        maps = [padded(_mirrored(one.numpy().astype(np.uint16), mirror)) for one in image.segmentations]
         budget = (count - done) // (len(images) - index)
         drawn = [_draw_sites(one, channels, budget // len(maps) // 2, rng) for one in maps]
         for one, (rows, columns) in zip(maps, drawn, strict=True):
@@ -128,7 +128,7 @@ def draw_samples(
 
 
 def segmentation_boundaries(segments: NDArray[np.generic]) -> NDArray[np.bool_]:
-    """Pixels whose neighbours to both sides, or above and below, lie in different segments: lines of two pixels."""
+    """Returns [H, W] bool: left and right, or upper and lower, neighbours differ in segment: lines of two pixels."""
     padded = np.pad(segments, 1, mode="edge")
     across = padded[1:-1, 2:] != padded[1:-1, :-2]
     down = padded[2:, 1:-1] != padded[:-2, 1:-1]
@@ -136,7 +136,7 @@ def segmentation_boundaries(segments: NDArray[np.generic]) -> NDArray[np.bool_]:
 
 
 def segmentation_lines(segments: NDArray[np.generic]) -> NDArray[np.bool_]:
-    """Pixels that lie in another segment than the one to the right or below: lines of one pixel."""
+    """Returns [H, W] bool: the right or lower neighbour is in another segment: lines of one pixel."""
     lines = np.zeros(segments.shape, bool)
     lines[:, :-1] |= segments[:, :-1] != segments[:, 1:]
     lines[:-1] |= segments[:-1] != segments[1:]
@@ -146,7 +146,7 @@ def segmentation_lines(segments: NDArray[np.generic]) -> NDArray[np.bool_]:
 def _draw_sites(
     segments: NDArray[np.uint16], channels: Channels, count: int, rng: np.random.Generator
 ) -> tuple[Ints, Ints]:
-    """(rows, columns) of `count` sites near a boundary, then of as many that are near none."""
+    """(rows, columns) of `count` sites near a boundary, then of `count` sites far from boundaries."""
     rows, columns = sites(channels)
     distance = cv2.distanceTransform((~segmentation_boundaries(segments)).astype(np.uint8), cv2.DIST_L2, 5)
     middle = LABEL_SIZE // 2

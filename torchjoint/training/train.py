@@ -1,4 +1,4 @@
-"""Training a forest: trees one by one, each in a process of its own, each kept when it is done."""
+"""Trains a forest: one tree per process at a time; each finished tree is saved."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from tqdm import tqdm
 
 from torchjoint.datasets.bsds import BsdsImage
 from torchjoint.images.forest import LABEL_SIZE, NUM_FEATURES, Forest, read_forest, write_forest
-from torchjoint.runtime.files import replacing
+from torchjoint.runtime.files import atomic_write
 from torchjoint.training.patches import FeatureCodes, draw_samples, segmentation_lines
 from torchjoint.training.tree import TreeOptions, grow_tree
 
 
 @dataclass(frozen=True)
 class TrainingOptions:
-    """What a forest is trained with.
+    """Options of the training.
 
     Attributes:
-        trees: how many; a site is looked at by `trees_at_a_site` of them.
-        trees_at_a_site: more smooths, and takes longer.
-        samples: patches that a tree is grown from.
+        trees: number of trees; `trees_per_site` of them are evaluated at each site.
+        trees_per_site: a larger number gives smoother boundaries, but takes longer.
+        samples: number of training patches per tree.
         feature_share: share of all features that a tree may use.
-        seed: of everything that is random; each tree has its own stream.
-        tree: how a tree grows.
+        seed: of all random choices; each tree has its own random stream.
+        tree: options of a tree.
     """
 
     trees: int = 8
-    trees_at_a_site: int = 4
+    trees_per_site: int = 4
     samples: int = 500_000
     feature_share: float = 0.5
     seed: int = 0
@@ -46,19 +46,19 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         for name, value, least in (
-            ("trees", self.trees, 1), ("trees_at_a_site", self.trees_at_a_site, 1), ("samples", self.samples, 1000),
+            ("trees", self.trees, 1), ("trees_per_site", self.trees_per_site, 1), ("samples", self.samples, 1000),
             ("seed", self.seed, 0),
         ):  # fmt: skip
             if not isinstance(value, int) or value < least:
                 raise ValueError(f"{name}: expected a whole number >= {least}, got {value!r}")
-        if self.trees_at_a_site > self.trees:
-            raise ValueError(f"trees_at_a_site: expected at most trees = {self.trees}, got {self.trees_at_a_site}")
+        if self.trees_per_site > self.trees:
+            raise ValueError(f"trees_per_site: expected at most trees = {self.trees}, got {self.trees_per_site}")
         if not 0 < self.feature_share <= 1:
             raise ValueError(f"feature_share: expected a number in (0, 1], got {self.feature_share}")
 
 
 class GrownTree(NamedTuple):
-    """A tree as the forest has it."""
+    """A tree in the format of the forest."""
 
     children: NDArray[np.int32]
     features: NDArray[np.int32]
@@ -70,17 +70,18 @@ class GrownTree(NamedTuple):
 def train_boundaries(
     images: Sequence[BsdsImage], out: Path, options: TrainingOptions = TrainingOptions(), *, workers: int = 2
 ) -> Forest:
-    """Trains a forest and writes it for OpenCV.
+    """Trains a forest and writes it in OpenCV's format.
 
-    Trees that are done are kept beside, in ``OUT.trees``, until all are: a run that was stopped goes on from there.
+    Finished trees are saved in ``OUT.trees`` until the forest is complete: an interrupted run continues from there.
 
     Args:
-        images: to learn from.
+        images: training images.
         out: file for the forest, ``NAME.yml.gz``.
-        options: same images and options make the same file, however many workers.
-        workers: processes; each takes about 6 kB of memory a sample with the default `feature_share`.
+        options: the same images and options make the same file, whatever the number of workers.
+        workers: number of processes; each takes about 6 kB of memory per sample with the default `feature_share`.
 
     Raises:
+        FileExistsError: ``OUT.trees`` exists, but not from an earlier training.
         ValueError: no images, or a name that does not end in .yml.gz.
     """
     if not images:
@@ -98,7 +99,7 @@ def train_boundaries(
             pool.shutdown(cancel_futures=True)
             raise
     trees = [_load_tree(folder / _tree_name(index)) for index in range(options.trees)]
-    forest = _forest(trees, options.trees_at_a_site)
+    forest = _forest(trees, options.trees_per_site)
     write_forest(out, forest)
     read_forest(out)
     shutil.rmtree(folder)
@@ -106,7 +107,7 @@ def train_boundaries(
 
 
 def _tree_folder(out: Path, images: Sequence[BsdsImage], options: TrainingOptions) -> Path:
-    """Where trees of this very training are; those of another are thrown away."""
+    """The folder with the trees of this training; deletes trees of a training with other images or options."""
     record = json.dumps([[image.name for image in images], dataclasses.asdict(options)])
     key = hashlib.sha256(record.encode()).hexdigest()
     folder = out.with_name(f"{out.name}.trees")
@@ -127,14 +128,14 @@ def _tree_name(index: int) -> str:
 def _make_tree(folder: Path, images: Sequence[BsdsImage], options: TrainingOptions, index: int, row: int) -> None:
     from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(1):  # sums of matrix products depend on the number of threads
-        tree = _grown(images, options, index, row)
-    with replacing(folder / _tree_name(index)) as partial:
+    with threadpool_limits(1):  # sums in matrix products depend on the number of threads
+        tree = _grow(images, options, index, row)
+    with atomic_write(folder / _tree_name(index)) as partial:
         np.savez(partial, **tree._asdict())
 
 
-def _grown(images: Sequence[BsdsImage], options: TrainingOptions, index: int, row: int) -> GrownTree:
-    codes = FeatureCodes.of_images(images, np.random.default_rng(options.seed))  # the same for all trees
+def _grow(images: Sequence[BsdsImage], options: TrainingOptions, index: int, row: int) -> GrownTree:
+    codes = FeatureCodes.of_images(images, np.random.default_rng(options.seed))  # equal for all trees
     rng = np.random.default_rng([options.seed, index])
     chosen = np.sort(rng.choice(NUM_FEATURES, round(NUM_FEATURES * options.feature_share), replace=False))
     with tqdm(total=len(images), desc=f"tree {index}: patches", unit="image", position=row, leave=False) as bar:
@@ -162,7 +163,7 @@ def _load_tree(path: Path) -> GrownTree:
         return GrownTree(**{name: arrays[name] for name in GrownTree._fields})
 
 
-def _forest(trees: Sequence[GrownTree], trees_at_a_site: int) -> Forest:
+def _forest(trees: Sequence[GrownTree], trees_per_site: int) -> Forest:
     nodes = max(len(tree.children) for tree in trees)
 
     def stacked(name: str) -> NDArray[Any]:
@@ -175,5 +176,5 @@ def _forest(trees: Sequence[GrownTree], trees_at_a_site: int) -> Forest:
         stacked("thresholds"),
         stacked("boundary_counts"),
         np.concatenate([tree.boundary_pixels for tree in trees]),
-        trees_at_a_site,
+        trees_per_site,
     )

@@ -1,8 +1,8 @@
-"""Growing one structured tree: nodes part patches whose segmentations differ.
+"""Grows one structured tree: nodes split patches with different segmentations.
 
-At each node random pairs of label pixels are compared (same segment or not); the sign of the first principal component
-of these bits makes two classes, and the feature and threshold are taken that part the classes best (Gini). P. Dollár
-and C. L. Zitnick, "Fast Edge Detection Using Structured Forests" (PAMI 2015), sections 3 and 4.
+At each node, random pairs of label pixels are compared (same segment or not). The sign of the first principal component
+of these bits divides the patches into two classes. The node gets the feature and threshold that best separate the
+classes (Gini). P. Dollár and C. L. Zitnick, "Fast Edge Detection Using Structured Forests" (PAMI 2015), sections 3, 4.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _POWER_ITERATIONS = 8
 
 @dataclass(frozen=True)
 class TreeOptions:
-    """How a tree grows.
+    """Options of a tree.
 
     Attributes:
-        min_child: fewest samples of a node.
-        max_depth: of the tree.
-        features_tried: at a node.
-        pairs: of label pixels that are compared at a node.
-        node_samples: a node with more samples is split by so many of them, taken at random.
+        min_child: smallest number of samples of a node.
+        max_depth: largest depth of the tree.
+        features_tried: number of features tried at a node.
+        pairs: number of pairs of label pixels compared at a node.
+        node_samples: a node with more samples chooses its split on a random subset of this size.
     """
 
     min_child: int = 8
@@ -44,12 +44,12 @@ class TreeOptions:
 
 
 class Tree(NamedTuple):
-    """A tree of N nodes, L of them leaves."""
+    """A tree of N nodes; L of them are leaves."""
 
-    children: NDArray[np.int32]  #: [N] 0 at a leaf, else 1 + the left child's place; the right one follows
+    children: NDArray[np.int32]  #: [N] 0 at a leaf, else 1 + index of the left child; the right child follows
     features: NDArray[np.int32]  #: [N] row of the samples' codes
     codes: NDArray[np.int32]  #: [N] samples with at most this code go left
-    segments: NDArray[np.uint16]  #: [L, 256] of the most typical sample of each leaf, in the order of nodes
+    segments: NDArray[np.uint16]  #: [L, 256] segments of each leaf's most typical sample, in the order of nodes
 
 
 def grow_tree(
@@ -58,7 +58,7 @@ def grow_tree(
     options: TreeOptions,
     settled: Callable[[int], object] = lambda count: None,
 ) -> Tree:
-    """Grows a tree; `settled` is called with the number of samples that have come to rest in a leaf."""
+    """Grows a tree; `settled` is called with the number of samples in each finished leaf."""
     nodes = [(0, 0, 0)]
     leaves: dict[int, NDArray[np.uint16]] = {}
     waiting = [(0, 0, np.arange(samples.codes.shape[1], dtype=np.int32))]
@@ -84,7 +84,7 @@ def grow_tree(
 def _split(
     samples: Samples, members: Ints, some: Ints, bits: Bits, rng: np.random.Generator, options: TreeOptions
 ) -> tuple[int, int, NDArray[np.bool_]] | None:
-    """(feature, code, which members go left), or None where nothing parts them."""
+    """(feature, code, mask of the members that go left), or None if no split separates them."""
     if len(members) < 2 * options.min_child:
         return None
     classes = _two_classes(bits, rng)
@@ -103,14 +103,14 @@ def _split(
 
 
 def _pair_bits(segments: NDArray[np.uint16], members: Ints, rng: np.random.Generator, count: int) -> Bits:
-    """[S, count]: 1 where two label pixels, the same two for all samples, lie in one segment."""
+    """[S, count]: 1 if a pair of label pixels lies in one segment; all samples use the same pairs."""
     pairs = rng.integers(0, len(_FIRST), count)
-    pixels = segments[members].T.copy()  # rows are gathered faster than columns
+    pixels = segments[members].T.copy()  # gathering rows is faster than gathering columns
     return (pixels[_FIRST[pairs]] == pixels[_SECOND[pairs]]).T.astype(np.float32)
 
 
 def _two_classes(bits: Bits, rng: np.random.Generator) -> NDArray[np.bool_] | None:
-    """Side of the mean along the first principal component, [S]; None where all samples are alike."""
+    """[S]: side of the mean along the first principal component; None if all samples are equal."""
     centered = bits - bits.mean(axis=0)
     direction = rng.standard_normal(bits.shape[1], np.float32)
     for _ in range(_POWER_ITERATIONS):
@@ -123,9 +123,9 @@ def _two_classes(bits: Bits, rng: np.random.Generator) -> NDArray[np.bool_] | No
 
 
 def _best_split(codes: NDArray[np.uint8], classes: NDArray[np.bool_], min_child: float) -> tuple[int, int] | None:
-    """(row, code) of the split of [F, S] codes with the least Gini impurity; the first of equals.
+    """(row, code) of the split of [F, S] codes with the smallest Gini impurity; of equals the first.
 
-    None where no split leaves `min_child` samples on both sides and makes them purer.
+    None if no split leaves `min_child` samples on both sides and lowers the impurity.
     """
     rows = len(codes)
     keys = codes + (NUM_CODES * classes).astype(np.int32) + (2 * NUM_CODES * np.arange(rows, dtype=np.int32))[:, None]
@@ -134,7 +134,7 @@ def _best_split(codes: NDArray[np.uint8], classes: NDArray[np.bool_], min_child:
     total = left[:1, :, -1:]
     right = total - left
     num_left, num_right = left.sum(axis=1), right.sum(axis=1)
-    # Twice the Gini impurity, weighted by size, is the size less this: the squares of each side's counts over its size.
+    # Twice the size-weighted Gini impurity is the size minus purity: each side's sum of squared counts over its size.
     purity = (left**2).sum(axis=1) / num_left.clip(min=1) + (right**2).sum(axis=1) / num_right.clip(min=1)
     purity[(num_left < min_child) | (num_right < min_child)] = 0
     row, code = divmod(int(purity.argmax()), NUM_CODES)
@@ -143,5 +143,5 @@ def _best_split(codes: NDArray[np.uint8], classes: NDArray[np.bool_], min_child:
 
 
 def _most_typical(bits: Bits) -> int:
-    """The sample nearest to the mean."""
+    """Index of the sample nearest to the mean."""
     return int(((bits - bits.mean(axis=0)) ** 2).sum(axis=1).argmin())

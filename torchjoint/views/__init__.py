@@ -1,1 +1,1 @@
-"""Steps 4 and 5: which points an image sees, what it says about them, and whether its pose can be right."""
+"""Steps 4 and 5: the points that an image sees, its evidence about them, and checks of its pose."""

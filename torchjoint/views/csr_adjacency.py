@@ -1,4 +1,8 @@
-"""The edges of the point graph by their first end (compressed sparse rows)."""
+"""Step 5: the edges of the point graph in CSR form (compressed sparse rows).
+
+CSR means here: the edges are sorted by their first point i, and ``start[i] : start[i + 1]`` are the places of the edges
+of point i in this order. Each undirected edge occurs once, with i < j.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +13,20 @@ from torch import Tensor
 
 
 class CsrAdjacency(NamedTuple):
-    """The edges of a graph by their first end: an image need only look at the edges of the points it sees."""
+    """CSR adjacency of a graph: gives the edges of the points that an image sees, without a pass over all edges."""
 
-    order: Tensor  #: [E] int32, the edges sorted by their first end
-    other_end: Tensor  #: [E] int32, the second end of each of them
-    start: Tensor  #: [N + 1] int32, where in `order` those of each point start
+    order: Tensor  #: [E] int32, edge numbers, sorted by the edges' first points
+    other_end: Tensor  #: [E] int32, the second point of each edge, in the same order
+    start: Tensor  #: [N + 1] int32, the place in `order` where the edges of each point start
 
     @classmethod
     def of(cls, edge_index: Tensor, num_points: int) -> CsrAdjacency:
-        """Sorts the edges of a graph."""
+        """Sorts the edges of a graph.
+
+        Args:
+            edge_index: [2, E] int64, each undirected edge once.
+            num_points: N.
+        """
         order = torch.argsort(edge_index[0], stable=True)
         start = torch.zeros(num_points + 1, dtype=torch.int32)
         start[1:] = torch.cumsum(torch.bincount(edge_index[0], minlength=num_points), 0)

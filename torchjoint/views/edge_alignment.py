@@ -1,9 +1,10 @@
-"""Whether the depth edges of a LiDAR scan fall on edges of an image: what tells a wrong pose without any colours.
+"""Check before step 4: do the depth edges of a LiDAR scan fall on image edges? It finds wrong poses without colours.
 
-After J. Levinson and S. Thrun, "Automatic Online Calibration of Cameras and Lasers", RSS 2013. Where a scan's depth
-jumps, one thing ends before another, and mostly the image has an edge there. So how far it jumps between neighbouring
-points goes with how strong the image's edges are between them. If the pose is right, that is much less so as soon as
-the image is shifted a little, which is what turning the camera a little does. If it is wrong, it makes no difference.
+After J. Levinson and S. Thrun, "Automatic Online Calibration of Cameras and Lasers", RSS 2013. Where the depth of a
+scan jumps, an object ends in front of another, and the image usually has an edge there. So depth jumps between
+neighbouring points correlate with the strength of the image edges between them. If the pose is right, a small shift of
+the image (which acts like a small rotation of the camera) lowers this correlation clearly. If the pose is wrong, a
+shift makes no difference.
 """
 
 from __future__ import annotations
@@ -26,28 +27,28 @@ from torchjoint.scene import Frame, Scene
 from torchjoint.views.projection import Projection, project
 from torchjoint.views.visibility import visible_points
 
-#: Images are looked at with their longer side this long, pixels; the other lengths here are pixels of that image.
+#: Longer side of the resized image, pixels; the other lengths in this file are pixels of the resized image.
 SIDE = 640
 
-#: Blur of the edges, about what calibrations are off by; and of the mean that they are compared with.
+#: Standard deviations of the Gaussian that blurs the edges (about the error of a calibration), and of their local mean.
 BLUR, SURROUNDINGS = 2.5, 10.0
 
-#: Neighbours of a point, and how far they may be: the gap between two beams of a coarse LiDAR.
+#: Number of neighbours of a point, and their largest distance: the gap between two beams of a coarse LiDAR.
 NEIGHBORS, REACH = 6, 16.0
 
-#: Change of depth at which a jump begins to count, and further change until it counts in full; logarithms.
+#: Change of log depth from which a jump counts, and the further change until it counts fully.
 SMALLEST_JUMP, JUMP_RANGE = 0.05, 0.2
 
-#: Jumps there have to be in view for a verdict, and points whose neighbours are looked at.
+#: Smallest sum of jumps in view for a verdict, and largest number of points whose neighbours are searched.
 MIN_JUMPS, MAX_QUERIES = 800.0, 20_000
 
-#: Standard deviation that edge strength must have, from 0 to 1, in an image that shows something.
+#: Smallest standard deviation of the edge strength (0 to 1) in an image that is not blank.
 MIN_CONTRAST = 0.01
 
-#: Share of the points in view that must be in plain sight for a scan.
+#: Smallest share of the points in view that is visible if the cloud is one scan.
 MIN_VISIBLE = 0.95
 
-#: The shifts that the pose is compared with, (down, right): far enough for edges to part, and all around.
+#: The shifts (down, right) to compare with: in all directions, and far enough that shifted edges do not overlap.
 SHIFTS = [
     (round(radius * math.sin(angle)), round(radius * math.cos(angle)))
     for ring, radius in enumerate((30, 45, 60, 75))
@@ -56,11 +57,11 @@ SHIFTS = [
 
 
 class EdgeAlignment(NamedTuple):
-    """How well depth edges and image edges agree, mean over the frames.
+    """Agreement of depth edges and image edges, mean over the frames.
 
     Attributes:
-        correlation: of depth jumps and image edges, -1 to 1, at the pose given.
-        significance: by how much that is better than with shifted images, in standard deviations of those.
+        correlation: correlation of depth jumps and image edges at the given pose, -1 to 1.
+        significance: (correlation - mean correlation with shifted images) / standard deviation of the latter.
     """
 
     correlation: float
@@ -70,17 +71,17 @@ class EdgeAlignment(NamedTuple):
 def edge_alignment(
     scene: Scene, frames: Sequence[Frame], spacing: Tensor, config: VisibilityConfig
 ) -> EdgeAlignment | None:
-    """Compares depth edges and image edges of a cloud that was taken from about one place, as a LiDAR scan is.
+    """Compares depth edges and image edges of a cloud that was recorded from about one position, such as a LiDAR scan.
 
     Args:
-        scene: its points.
-        frames: of the scene; at the poses they have.
-        spacing: [N] metres, of the points.
+        scene: the points.
+        frames: frames of the scene, with the poses to check.
+        spacing: [N] metres, spacing of the points.
         config: near and far.
 
     Returns:
-        None where that tells nothing: the cloud is no scan, there are hardly any jumps of depth in view, or the images
-        are blank.
+        None if no verdict is possible: the cloud is not a scan, too few depth jumps are in view, or the images are
+        blank.
     """
     with one_thread_per_operation():
         rows = parallel_map(lambda frame: _correlations(scene, frame, spacing, config), frames)
@@ -93,7 +94,7 @@ def edge_alignment(
 
 
 def _correlations(scene: Scene, frame: Frame, spacing: Tensor, config: VisibilityConfig) -> Tensor | None:
-    """[1 + shifts] float64, the first without a shift."""
+    """The correlations [1 + number of SHIFTS] float64; the first is without shift."""
     projection = project(scene.points, frame.intrinsics, frame.world_to_camera, frame.size, config)
     if len(projection.point) <= NEIGHBORS or not _is_scan(scene, frame, spacing, config, projection):
         return None
@@ -112,14 +113,14 @@ def _correlations(scene: Scene, frame: Frame, spacing: Tensor, config: Visibilit
 
 
 def _is_scan(scene: Scene, frame: Frame, spacing: Tensor, config: VisibilityConfig, projection: Projection) -> bool:
-    """Whether hardly any point hides another: in a cloud of many views, what is behind is there, too."""
+    """Whether hardly any point hides another point. A cloud of many views also has the points behind the surface."""
     thin = replace(config, method="zbuffer", footprint=0.1)
     visible = visible_points(scene.points, spacing, frame.intrinsics, frame.world_to_camera, frame.size, thin)
     return len(visible.point) >= MIN_VISIBLE * len(projection.point)
 
 
 def _image_edges(image: Tensor) -> tuple[Tensor | None, float]:
-    """Edge strength [h, w] against its surroundings, None in a blank image; and its size in proportion to the image."""
+    """Edge strength [h, w] relative to its surroundings (None for a blank image), and the scale of the resizing."""
     scale = SIDE / max(image.shape[1:])
     size = [max(1, round(side * scale)) for side in image.shape[1:]]
     small = torch.nn.functional.interpolate(image[None], size, mode="bilinear", antialias=True)
@@ -131,10 +132,10 @@ def _image_edges(image: Tensor) -> tuple[Tensor | None, float]:
 
 
 def _depth_jumps(projection: Projection, scale: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Row and column between points that are neighbours in the image, and from 0 to 1 whether depth jumps there."""
+    """Row and column halfway between points that are neighbours in the image, and the depth jump there, 0 to 1."""
     place = (np.stack([projection.v.numpy(), projection.u.numpy()], axis=1).astype(np.float64) + 0.5) * scale - 0.5
     first = np.arange(0, len(place), -(-len(place) // MAX_QUERIES))
-    # A point's nearest is itself, or one at the same place.
+    # The nearest neighbour of a point is the point itself, or a duplicate.
     distance, second = cKDTree(place).query(place[first], k=NEIGHBORS + 1, distance_upper_bound=REACH)
     near = np.isfinite(distance[:, 1:])
     first, second = np.repeat(first[:, None], NEIGHBORS, axis=1)[near], second[:, 1:][near]

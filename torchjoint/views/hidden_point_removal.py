@@ -7,22 +7,24 @@ from torch import Tensor
 
 
 def hidden_point_removal(points: Tensor, center: Tensor, radius_factor: float) -> Tensor:
-    """Visibility of a point set by spherical flipping and a convex hull (Katz, Tal, Basri 2007).
+    """Visibility of a point set by spherical flipping and a convex hull.
 
-    The sphere's radius is max |p - C| x N x `radius_factor`: a larger sphere keeps more points, hidden ones among
-    them, and the denser the cloud the larger it must be.
+    S. Katz, A. Tal, R. Basri, "Direct Visibility of Point Sets", SIGGRAPH 2007. The sphere's radius is
+    max |p - C| x N x `radius_factor`. A larger sphere keeps more points, hidden points among them. A denser cloud needs
+    a larger sphere.
 
     Args:
-        points: [N, 3] world frame; none at the camera itself (the frustum's near plane sees to that).
-        center: [3] the camera's.
+        points: [N, 3] metres, world frame; none at the camera's position (the frustum's near plane guarantees this).
+        center: [3] metres, C, the camera's position.
+        radius_factor: see above.
 
     Returns:
-        [N] bool.
+        [N] bool, True for visible points.
     """
     visible = torch.zeros(points.shape[0], dtype=torch.bool)
-    # Copies of a point would all be on the hull or none, at random: keep the first, let the others follow it.
+    # With duplicate points it is random which of them are on the hull: test one of them, and use its result for all.
     unique, inverse = torch.unique(points, dim=0, return_inverse=True)
-    if unique.shape[0] < 5:  # no hull of the flipped points and the centre: nothing hides so few
+    if unique.shape[0] < 5:  # too few for a hull of the flipped points and the centre: so few points hide nothing
         return ~visible
     from open3d import geometry, utility
 
@@ -30,7 +32,7 @@ def hidden_point_removal(points: Tensor, center: Tensor, radius_factor: float) -
     distance = (unique.double() - center).norm(dim=1)
     try:
         _, kept = cloud.hidden_point_removal(center.numpy(), float(distance.max()) * unique.shape[0] * radius_factor)
-    except RuntimeError:  # qhull: all points in one plane through the camera, seen edge-on
+    except RuntimeError:  # qhull fails: all points lie in one plane through the camera, which is seen edge-on
         return ~visible
     visible_unique = torch.zeros(unique.shape[0], dtype=torch.bool)
     visible_unique[torch.tensor(kept, dtype=torch.int64)] = True

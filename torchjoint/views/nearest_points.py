@@ -1,4 +1,4 @@
-"""Of the points that fall in one cell of an image, the nearest to the camera."""
+"""Steps 6-8: finds the point nearest to the camera in each cell of an image."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from torchjoint.runtime.sorted_groups import starts_group
 
 
 def nearest_in_cells(cell: Tensor, z: Tensor) -> Tensor:
-    """For each cell that is not empty its nearest point; of equally near ones the first.
+    """The nearest point of each cell that is not empty; of equally near points the first.
 
     Args:
         cell: [M] int64, the cell of each point.
-        z: [M], metres along the optical axis.
+        z: [M] metres along the optical axis.
 
     Returns:
-        [C] int64 places in the arguments, in ascending order of the cells.
+        [C] int64 indices into the arguments, one per cell, in ascending order of the cells.
     """
     order = torch.argsort(z, stable=True)
     order = order[torch.argsort(cell[order], stable=True)]

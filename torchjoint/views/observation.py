@@ -1,4 +1,4 @@
-"""What one frame contributes: its initial segments and the points that it sees."""
+"""What steps 6-8 need of one frame: its initial segments and the points that it sees (results of steps 1, 2 and 4)."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from torchjoint.views.visibility import Visible
 
 @dataclass(frozen=True)
 class Observation:
-    """One frame as it was seen; 8 bits a channel are enough for step 7 and keep long sequences small."""
+    """What is stored of one frame. Images have 8 bits per channel: enough for step 7, and small for long sequences."""
 
     name: str
-    labels: Tensor  #: [H, W] int32, the initial segmentation, dense, -1 = none
+    labels: Tensor  #: [H, W] int32, the initial segmentation, labels 0, 1, ... without gaps, -1 = none
     visible: Visible
     image: Tensor  #: [3, H, W] uint8
     boundary: Tensor  #: [H, W] uint8, boundary strength x 255
 
     def labelled_points(self) -> tuple[Tensor, Tensor]:
-        """The visible points whose pixel has a label, and that label, both [L] int64."""
+        """The visible points in pixels with a label, and these labels, both [L] int64."""
         label = self.labels[self.visible.row, self.visible.column].long()
         has_label = label >= 0
         return self.visible.point[has_label], label[has_label]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain tensors and strings, for torch.save and safe loading."""
+        """A dict of tensors and strings, for torch.save and loading with ``weights_only=True``."""
         return vars(self) | {"visible": tuple(self.visible)}
 
     @classmethod

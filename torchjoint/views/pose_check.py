@@ -1,4 +1,4 @@
-"""Whether poses and intrinsics can be right: wrong ones are the commonest mistake with data of one's own."""
+"""Check before step 4: are the poses and intrinsics plausible? Wrong ones are the most common error with new data."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from torch import Tensor
 
 from torchjoint.config import VisibilityConfig
 from torchjoint.scene import Frame, Scene
-from torchjoint.scene.subset import spread_indices
+from torchjoint.scene.subset import evenly_spaced_indices
 from torchjoint.views.edge_alignment import EdgeAlignment, edge_alignment
 from torchjoint.views.projection import project
 from torchjoint.views.visibility import visible_points
 
-#: Frames looked at, evenly spread over the sequence.
+#: Number of frames that are checked, evenly spread over the sequence.
 NUM_FRAMES = 6
 
-#: Significance of the edges' alignment below which it is taken for chance; right poses of LiDARs have 2.6 and more.
+#: An edge alignment of less significance counts as chance. Correct poses of LiDARs have 2.6 and more.
 CHANCE = 0.5
 
 
 class PoseWarning(UserWarning):
-    """Poses or intrinsics look wrong."""
+    """The poses or intrinsics look wrong."""
 
 
 class Agreement(NamedTuple):
-    """How well poses fit the cloud, mean over a few frames.
+    """Agreement of poses and cloud, mean over a few frames.
 
     Attributes:
-        in_view: share of the cloud's points inside the frame, before occlusion.
+        in_view: share of the cloud's points inside the frame, before the visibility test.
         depth_residual: median |z of visible points - depth image| / depth; NaN without depth.
-        color_residual: mean |colour of visible points - image|, RGB in [0, 1]; NaN where the points have no colours.
+        color_residual: mean |colour of visible points - image|, RGB in [0, 1]; NaN if the points have no colours.
     """
 
     in_view: float
@@ -51,12 +51,19 @@ class Agreement(NamedTuple):
 def check_poses(
     scene: Scene, spacing: Tensor, config: VisibilityConfig, frames: Sequence[Frame] | None = None
 ) -> Agreement | None:
-    """Compares what a few frames see with what they should see, and warns (PoseWarning) where it cannot be right.
+    """Compares a few frames with the cloud, and warns if the poses or intrinsics cannot be right.
 
     Args:
-        scene: with frames; without any, None is returned.
-        spacing: [N] metres, of the points.
-        frames: those of its frames to look at; default: :func:`frames_to_check`.
+        scene: points and frames.
+        spacing: [N] metres, spacing of the points.
+        config: parameters of the visibility.
+        frames: frames of the scene to check; default: :func:`frames_to_check`.
+
+    Returns:
+        the agreement at the given poses; None for a scene without frames.
+
+    Warns:
+        PoseWarning: one for each problem found.
     """
     if not len(scene.frames):
         return None
@@ -68,7 +75,7 @@ def check_poses(
     )
     off_center = max(_off_center(frame) for frame in frames)
     complaints = _complaints(given, inverted, off_center)
-    if math.isnan(given.depth_residual) and math.isnan(given.color_residual):  # nothing else tells small errors
+    if math.isnan(given.depth_residual) and math.isnan(given.color_residual):  # no other check finds small errors
         complaints += _edge_complaints(edge_alignment(scene, frames, spacing, config))
     for message in complaints:
         warnings.warn(f"{scene.name or 'scene'}: {message}", PoseWarning, stacklevel=3)
@@ -76,8 +83,8 @@ def check_poses(
 
 
 def frames_to_check(scene: Scene) -> dict[int, Frame]:
-    """A few frames of a scene, by their places: NUM_FRAMES of them, evenly spread."""
-    return {index: scene.frames[index] for index in spread_indices(len(scene.frames), NUM_FRAMES)}
+    """At most NUM_FRAMES frames of a scene, evenly spread: index -> frame."""
+    return {index: scene.frames[index] for index in evenly_spaced_indices(len(scene.frames), NUM_FRAMES)}
 
 
 def _agreement(scene: Scene, spacing: Tensor, frame: Frame, pose: Tensor, config: VisibilityConfig) -> Agreement:
@@ -100,7 +107,7 @@ def _mean(rows: list[Agreement]) -> Agreement:
 
 
 def _off_center(frame: Frame) -> float:
-    """How far the principal point is from the image's centre, in image sizes."""
+    """Distance of the principal point from the image's centre, as a share of the image's size."""
     height, width = frame.size
     x, y = float(frame.intrinsics[0, 2]), float(frame.intrinsics[1, 2])
     return max(abs(x - (width - 1) / 2) / width, abs(y - (height - 1) / 2) / height)
@@ -118,7 +125,7 @@ def _edge_complaints(alignment: EdgeAlignment | None) -> list[str]:
 
 def _complaints(given: Agreement, inverted: Agreement, off_center: float) -> list[str]:
     complaints = []
-    # NaN compares False: a clue that is missing says nothing.
+    # Comparisons with NaN are False, so a missing residual has no effect.
     depth_says = inverted.depth_residual < 0.05 and not given.depth_residual < 0.05
     color_says = inverted.color_residual < 0.7 * given.color_residual and not given.depth_residual < 0.05
     view_says = given.in_view * 5 < inverted.in_view and not inverted.depth_residual > 0.1

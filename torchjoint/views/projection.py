@@ -1,4 +1,4 @@
-"""Step 4: points in an image, hidden or not."""
+"""Step 4: projection of points into an image; hidden points are not removed here."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from torchjoint.scene import Frame
 
 
 class Projection(NamedTuple):
-    """Points in front of a camera, in its image."""
+    """Points that project into an image."""
 
     point: Tensor  #: [M] int64, ascending
-    u: Tensor  #: [M] float32, column in pixels; pixel centres at integers
+    u: Tensor  #: [M] float32, column in pixels; pixel centres have integer coordinates
     v: Tensor  #: [M] float32, row in pixels
     z: Tensor  #: [M] float32, metres along the optical axis
 
@@ -35,10 +35,15 @@ def project(
     config: VisibilityConfig,
     margin: float = 0.0,
 ) -> Projection:
-    """Projects points into an image and keeps those between near and far and inside the frame.
+    """Projects points into an image; keeps the points between near and far and inside the image frame.
 
     Args:
-        margin: how much larger than the image the frame is taken on each side, image widths.
+        points: [N, 3] metres, world frame.
+        intrinsics: [3, 3] pixels.
+        world_to_camera: [4, 4].
+        size: (H, W) pixels.
+        config: near and far.
+        margin: width added to the image frame on each side, in image widths.
     """
     camera = (world_to_camera.double(), intrinsics.double())
     return Projection(*ops.project(points, *camera, config.near, config.far, *size, margin * size[1]))
@@ -55,12 +60,12 @@ def _inside(u: Tensor, v: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def in_any_view(points: Tensor, frames: Iterable[Frame], config: VisibilityConfig | None = None) -> Tensor:
-    """Whether a point is inside the frame of any camera, and in front of it; hidden ones count.
+    """Whether each point is inside the view frustum of at least one camera; hidden points count, too.
 
     Args:
-        points: [N, 3].
+        points: [N, 3] metres, world frame.
         frames: any number.
-        config: near and far; default: the default's.
+        config: near and far; default: ``VisibilityConfig()``.
 
     Returns:
         [N] bool.

@@ -1,7 +1,7 @@
-"""Step 5: what the image segmentations say about each edge of the point graph.
+"""Step 5: the evidence of the image segmentations for each edge of the point graph (eq. 5-6).
 
-The evidence is two plain sums over images, v and the sum of overlaps, so frames can come in any order, be spread
-over processes, and be added up.
+The evidence consists of two sums over images: the number of views v, and the sum of overlaps. So frames can come in any
+order, and the sums of several processes can be added.
 """
 
 from __future__ import annotations
@@ -13,44 +13,48 @@ from torchjoint.config import PropagationConfig
 from torchjoint.views.csr_adjacency import CsrAdjacency
 from torchjoint.views.visibility import Visible
 
-#: Overlaps are rounded to multiples of this before they are summed: sums of up to 2^29 of them are then exact in
-#: float64, so that the order of the frames cannot change a single bit.
+#: Overlaps are rounded to multiples of this before they are summed. Sums of up to 2^29 overlaps are then exact in
+#: float64, so the order of the frames does not change a single bit.
 OVERLAP_RESOLUTION = 2.0**-24
 
 
 def edge_overlaps(edges: CsrAdjacency, visible: Visible, labels: Tensor, window: int) -> tuple[Tensor, Tensor]:
-    """One image's contribution to the sums: the overlap of the t x t windows around the pixels of each edge's ends.
+    """One image's contribution to the sums: the overlap of the t x t windows around the pixels of an edge's two ends.
 
-    Overlap is histogram intersection over the smaller window's size (eq. 5). Windows are clipped at the image's border;
-    pixels without a label are left out of them.
+    The overlap is the histogram intersection divided by the size of the smaller window (eq. 5). Windows are clipped at
+    the image border. Pixels without a label do not count.
 
     Args:
+        edges: CSR adjacency of the point graph.
+        visible: the points that the image sees.
         labels: [H, W] int32, -1 = none.
-        window: t, odd.
+        window: t, pixels, odd.
 
     Returns:
-        ([S] int64, [S] float64): the edges that the image has something to say about (both ends are visible and have
-        a label in their windows), each once, and their overlaps in [0, 1], rounded to OVERLAP_RESOLUTION.
+        ([S] int64, [S] float64): the edges for which the image has evidence (both ends are visible and have a labelled
+        pixel in their windows), each once; and their overlaps in [0, 1], rounded to OVERLAP_RESOLUTION.
     """
     edge, overlap = ops.window_overlaps(*edges, visible.point, visible.row, visible.column, labels, window)
     return edge, round_overlaps(overlap)
 
 
 def round_overlaps(overlap: Tensor) -> Tensor:
-    """Overlaps, float64, rounded to multiples of OVERLAP_RESOLUTION: their sums are exact, in any order."""
+    """Rounds overlaps [S] float64 to multiples of OVERLAP_RESOLUTION, so that their sums are exact in any order."""
     return (overlap / OVERLAP_RESOLUTION).round_() * OVERLAP_RESOLUTION
 
 
 def disagreement(views: Tensor, overlap_sum: Tensor, num_images: int, config: PropagationConfig) -> Tensor:
-    """The images' disagreement r of each edge (eq. 6), in [0, 1]; 1 - r_o where no image sees both ends.
+    """The images' disagreement r of each edge (eq. 6), in [0, 1]; r = 1 - r_o if no image sees both ends.
 
-    With `normalization: all` the paper's letter, r = 1 - r_o + (v r_o - sum o) / L with L = `num_images`. In hundreds
-    of images v / L is tiny and r nearly constant; `saturating` is r = 1 - r_o + min(v / s, 1) (r_o - sum o / v).
+    `normalization: all` is eq. 6 as in the paper: r = 1 - r_o + (v r_o - sum o) / L with L = `num_images`. With
+    hundreds of images v / L is tiny and r is nearly constant. `normalization: saturating` avoids this:
+    r = 1 - r_o + min(v / s, 1) (r_o - sum o / v).
 
     Args:
-        views: [E] v, number of images that see both ends.
-        overlap_sum: [E] float64, sum of their overlaps.
+        views: [E] int64, v, number of images that see both ends of the edge.
+        overlap_sum: [E] float64, sum of the overlaps in these images.
         num_images: L, the number of images.
+        config: r_o, s and the normalization.
 
     Returns:
         [E] float32.
@@ -62,4 +66,4 @@ def disagreement(views: Tensor, overlap_sum: Tensor, num_images: int, config: Pr
     else:
         trust = (v / config.saturation).clamp(max=1)
         r = neutral + trust * (config.overlap_threshold - overlap_sum / v.clamp(min=1))
-    return r.clamp(0, 1).float()  # but for rounding it is in there
+    return r.clamp(0, 1).float()  # only rounding can leave [0, 1]

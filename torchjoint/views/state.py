@@ -1,6 +1,6 @@
-"""What a segmenter has seen so far: sums over frames, and of each frame what steps 7 and 8 will need.
+"""The evidence that a segmenter has collected in steps 1-5: sums over frames, and an observation per frame.
 
-States of the same cloud can be added: that is all it takes to spread frames over processes or machines.
+States of the same cloud can be added. So frames can be distributed over processes or machines.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from torchjoint.views.observation import Observation
 
 @dataclass
 class JointState:
-    """Sums over the frames seen so far, exact in any order of the frames.
+    """Sums over the frames seen so far; the sums are exact, in any order of the frames.
 
     Attributes:
-        views: [E] int64, v of eq. 6: images that see both ends of an edge.
-        overlap_sum: [E] float64, sum of overlaps of eq. 5.
-        facing: [N] int64: images whose camera is on the side the point's normal shows to, less the others.
-        observations: one a frame, in the order in which they came.
+        views: [E] int64, v of eq. 6: number of images that see both ends of an edge.
+        overlap_sum: [E] float64, sum of the overlaps of eq. 5.
+        facing: [N] int64: number of cameras on the side to which the point's normal points, minus the number of
+            cameras on the other side.
+        observations: one per frame, in the order in which the frames were added.
     """
 
     views: Tensor
@@ -31,7 +32,7 @@ class JointState:
 
     @classmethod
     def empty(cls, num_edges: int, num_points: int) -> JointState:
-        """The state before any frame."""
+        """The state before the first frame, for E = `num_edges` and N = `num_points`."""
         return cls(
             torch.zeros(num_edges, dtype=torch.int64),
             torch.zeros(num_edges, dtype=torch.float64),
@@ -39,7 +40,11 @@ class JointState:
         )
 
     def __add__(self, other: JointState) -> JointState:
-        """The state of a segmenter that saw the frames of both."""
+        """The state of a segmenter that saw the frames of both states.
+
+        Raises:
+            ValueError: the states belong to different clouds.
+        """
         if self.views.shape != other.views.shape or self.facing.shape != other.facing.shape:
             raise ValueError(
                 f"other: expected a state of the same cloud ({self.facing.shape[0]} points, {self.views.shape[0]} "

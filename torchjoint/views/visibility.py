@@ -1,4 +1,4 @@
-"""Step 4: which points an image sees, and in which pixels."""
+"""Step 4: the points that an image sees, and their pixels."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from torchjoint.views.projection import Projection, _inside, _nearest_pixel, pro
 
 
 class Visible(NamedTuple):
-    """The points one image sees, and where: sparse (point, pixel) pairs, one a point."""
+    """The points that one image sees, and their pixels: sparse (point, pixel) pairs, one per point."""
 
     point: Tensor  #: [M] int64, ascending
-    row: Tensor  #: [M] int64, of the pixel the point falls in
-    column: Tensor  #: [M] int64
-    u: Tensor  #: [M] float32, exact column
-    v: Tensor  #: [M] float32, exact row
+    row: Tensor  #: [M] int64, row of the pixel that contains the point
+    column: Tensor  #: [M] int64, column of this pixel
+    u: Tensor  #: [M] float32, exact column, pixels
+    v: Tensor  #: [M] float32, exact row, pixels
     z: Tensor  #: [M] float32, metres along the optical axis
 
 
@@ -36,11 +36,12 @@ def visible_points(
     """The points that one camera sees: in front of it, inside the frame, and not hidden by other points.
 
     Args:
-        points: [N, 3] float32, world frame.
-        spacing: [N] metres, distance of a point to its neighbours (z-buffer only).
-        intrinsics: [3, 3].
+        points: [N, 3] float32 metres, world frame.
+        spacing: [N] metres, distance of a point to its neighbours (method zbuffer only).
+        intrinsics: [3, 3] pixels.
         world_to_camera: [4, 4].
         size: (H, W) pixels.
+        config: the method and its parameters.
     """
     margin = config.margin if config.method == "hidden_point_removal" else 0.0
     projected = project(points, intrinsics, world_to_camera, size, config, margin)
@@ -57,17 +58,25 @@ def visible_points(
 def zbuffer_visible(
     projected: Projection, spacing: Tensor, focal: float, size: tuple[int, int], config: VisibilityConfig
 ) -> Tensor:
-    """Visibility by a z-buffer in which every point is a square as wide as its own spacing.
+    """Visibility by a z-buffer in which every point is a square of a size proportional to the point's spacing.
 
-    One width for all points would see through the sparse parts of a cloud, or fatten the dense ones.
+    With one size for all points, hidden points would be seen through sparse parts of a cloud, or dense parts would hide
+    too much.
+
+    Args:
+        projected: M points in the image.
+        spacing: [N] metres.
+        focal: focal length, pixels.
+        size: (H, W) pixels.
+        config: footprint and tolerances.
 
     Returns:
-        [M] bool.
+        [M] bool, True for visible points.
     """
     width = spacing[projected.point]
     reach = (config.footprint * width * focal / projected.z).round().clamp(max=config.max_footprint).to(torch.int64)
     row, column = _nearest_pixel(projected.v), _nearest_pixel(projected.u)
     nearest = ops.splat_depth(row, column, projected.z, reach, *size)
-    # On a slanted surface the splat of a neighbour may lie in front of a point by as much as their distance.
+    # On a slanted surface a neighbour's splat can be in front of a point by as much as the distance between the two.
     tolerance = config.depth_tolerance + config.slant_tolerance * width
     return projected.z <= nearest[row, column] + tolerance

@@ -1,1 +1,1 @@
-"""What other methods write, read as segmentations: to be scored beside ours."""
+"""Reads results of the baselines as segmentations, so that they can be scored."""

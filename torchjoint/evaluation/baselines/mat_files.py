@@ -1,7 +1,7 @@
-"""Matrices of numbers in MATLAB's .mat files of versions 5 to 7.
+"""Reads numeric matrices from MATLAB's .mat files, versions 5 to 7.
 
-Read here and not by SciPy, which a damaged file can crash, and a few packed bytes make unpack to gigabytes. Written
-from "MAT-File Format" (The MathWorks): elements of a type, a length and data; a matrix is an element of elements.
+SciPy is not used: a damaged file can crash SciPy, or make it unpack a few bytes to gigabytes. Written from "MAT-File
+Format" (The MathWorks): an element has a type, a length and data; a matrix is an element that contains elements.
 """
 
 from __future__ import annotations
@@ -19,37 +19,37 @@ _HEADER_BYTES = 128
 _ORDERS = {b"IM": "<", b"MI": ">"}
 _MATRIX, _COMPRESSED = 14, 15
 
-#: Types of data.
+#: NumPy types by the number of a data type.
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _INT8, _INT32, _UINT32 = 1, 5, 6
 
-#: Classes of arrays: double, single, and integers of 8 to 64 bits.
+#: Numbers of array classes: double, single, and integers of 8 to 64 bits.
 _NUMERIC = range(6, 16)
 _IS_COMPLEX = 0x0800
 
-#: A variable's name and sizes take less than this.
+#: Upper bound for the bytes of a variable's name and shape.
 _START_BYTES = 4096
 
 
 class _Variable(NamedTuple):
-    """What stands before a variable's numbers."""
+    """The header of a variable."""
 
     name: str
     shape: tuple[int, ...]
-    is_real: bool  #: real numbers, not text, cells, ...
-    start: int  #: of the numbers
+    is_real: bool  #: real numbers; False for text, cells, ...
+    start: int  #: byte offset of the numbers
 
 
 def read_matrices(path: Path, max_count: int) -> dict[str, npt.NDArray[Any]]:
-    """The variables of a file that are matrices [H, W] of real numbers; all others are skipped.
+    """Reads the variables of a file that are matrices [H, W] of real numbers; skips all other variables.
 
     Args:
         path: the file.
-        max_count: the most numbers that a matrix may have.
+        max_count: largest number of elements of a matrix.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: truncated, of another version, or a matrix that is too large.
+        ValueError: a truncated file, another version, or a matrix that is too large.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a .mat file")
@@ -82,7 +82,7 @@ def read_matrices(path: Path, max_count: int) -> dict[str, npt.NDArray[Any]]:
 
 
 def _unpack(packed: bytes, most: int, order: str) -> bytes:
-    """The first bytes, at the most so many, of the matrix in a compressed element."""
+    """Decompresses at most the first `most` bytes of the matrix in a compressed element."""
     unpacked = zlib.decompressobj().decompress(packed, most + 8)
     (kind,) = struct.unpack_from(f"{order}I", unpacked)
     if kind != _MATRIX:
@@ -108,10 +108,10 @@ def _read_numbers(body: bytes, variable: _Variable, order: str) -> npt.NDArray[A
 
 
 def _element(body: bytes, place: int, expected: int | None, order: str) -> tuple[npt.NDArray[Any], int]:
-    """The numbers of an element, and where the next one starts."""
+    """The numbers of an element, and the byte offset of the next element."""
     kind, count = struct.unpack_from(f"{order}2I", body, place)
     start = place + 8
-    if kind >> 16:  # up to 4 bytes stand in the place of their number
+    if kind >> 16:  # small element: up to 4 bytes of data are stored in the header
         kind, count, start = kind & 0xFFFF, kind >> 16, place + 4
     if kind not in _TYPES or expected not in (None, kind) or (start == place + 4 and count > 4):
         raise ValueError(f"an element of type {kind} and {count} bytes")

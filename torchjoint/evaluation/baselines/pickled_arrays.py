@@ -1,8 +1,8 @@
-"""Pickles of arrays and numbers, read without what makes pickles dangerous: nothing that they name is ever called.
+"""Reads pickles of arrays and numbers safely: a function that a pickle names is never called.
 
-A pickle is a program that may name any function and have it called. This is a machine of its own for the few
-instructions that lists of plain arrays need; the functions among them are names for what is done here.
-Everything else is refused. Each value costs about as much memory as the file has bytes for it.
+A pickle is a program that may name any function and call it. This module has its own virtual machine, which supports
+only the few instructions for lists of plain arrays; it implements the functions that they need itself.
+All other instructions are rejected. A value takes about as much memory as its bytes in the file.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 _NAMES = {"numpy dtype": "dtype", "numpy ndarray": "ndarray", "_codecs encode": "encode"}
-for _core in ("core", "_core"):  # before and since NumPy 2
+for _core in ("core", "_core"):  # before NumPy 2, and since NumPy 2
     _NAMES |= {f"numpy.{_core}.multiarray {name}": name for name in ("_reconstruct", "scalar")}
     _NAMES |= {f"numpy.{_core}.numeric _frombuffer": "_frombuffer"}
 _LITERALS = (
@@ -27,7 +27,7 @@ _CONSTANTS = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False, "EMPTY_TUPLE": (
 _TUPLES = {"TUPLE1": 1, "TUPLE2": 2, "TUPLE3": 3}
 _NUMBERS = ("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8")
 
-#: NumPy's own bound.
+#: NumPy's own limit.
 _MOST_AXES = 64
 
 
@@ -35,11 +35,11 @@ def read_pickled_arrays(path: Path) -> list[Any]:
     """Reads a pickle of one array, or of a list or tuple of arrays, numbers and bytes (protocol 2 or later).
 
     Returns:
-        Its items; those of the first axis, if it is one array.
+        The items of the list or tuple; for a single array, the items of its first axis.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: truncated, of another form, or with anything in it that arrays do not need.
+        ValueError: a truncated file, or a pickle with any other content.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a pickle of arrays")
@@ -52,11 +52,11 @@ def read_pickled_arrays(path: Path) -> list[Any]:
 
 
 class _Name(str):
-    """A function that a pickle names; it is not there."""
+    """The name of a function in a pickle; the function itself is never looked up."""
 
 
 class _Type:
-    """A NumPy type of plain numbers, in the making."""
+    """A NumPy type of plain numbers, while it is built."""
 
     def __init__(self, code: str) -> None:
         if code not in _NUMBERS:
@@ -76,7 +76,7 @@ class _Type:
 
 
 class _Array:
-    """A NumPy array, in the making."""
+    """A NumPy array, while it is built."""
 
     value: npt.NDArray[Any]
 
@@ -92,7 +92,7 @@ class _Array:
 
 
 class _Machine:
-    """Carries out a pickle's instructions (https://docs.python.org/3/library/pickletools.html)."""
+    """Executes a pickle's instructions (https://docs.python.org/3/library/pickletools.html)."""
 
     def __init__(self) -> None:
         self._stack: list[Any] = []
@@ -108,7 +108,7 @@ class _Machine:
         raise ValueError("truncated")
 
     def _value(self, name: str, argument: Any) -> bool:
-        """Instructions that put values, lists and tuples on the stack, and take them from the memo."""
+        """Executes an instruction that pushes values, lists and tuples, or uses the memo; False for others."""
         stack = self._stack
         if name in _LITERALS:
             stack.append(argument)
@@ -136,7 +136,7 @@ class _Machine:
         return True
 
     def _call(self, name: str, argument: Any) -> bool:
-        """Instructions that name functions, call them and set objects' states."""
+        """Executes an instruction that names or calls a function, or sets an object's state; False for others."""
         stack = self._stack
         if name == "GLOBAL":
             stack.append(_named(argument))
@@ -168,9 +168,9 @@ def _named(name: str) -> _Name:
 
 
 def _called(function: _Name, arguments: tuple[Any, ...]) -> object:
-    if function == "_reconstruct":  # an empty array: its state comes later
+    if function == "_reconstruct":  # an empty array: BUILD sets its state later
         return _Array()
-    if function == "_frombuffer":  # the same in one step, of protocol 5
+    if function == "_frombuffer":  # the same in one step, since protocol 5
         data, dtype, shape, order = arguments
         array = _Array()
         array.fill(shape, dtype, order == "F", data)
@@ -185,7 +185,7 @@ def _called(function: _Name, arguments: tuple[Any, ...]) -> object:
 
 
 def _shown(value: object) -> str:
-    """For messages. Of lists and tuples the type alone: they may hold each other beyond what memory can show."""
+    """Text for messages. For lists and tuples only the type: they may contain each other without end."""
     return repr(value)[:100] if isinstance(value, (str, int)) else type(value).__name__
 
 

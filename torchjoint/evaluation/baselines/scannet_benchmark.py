@@ -1,4 +1,4 @@
-"""Instances as ScanNet's benchmark takes them: text files with a number for each vertex of a scan's mesh.
+"""Reads instances in the format of ScanNet's benchmark: text files with one number per vertex of a scan's mesh.
 
 http://kaldir.vc.in.tum.de/scannet_benchmark/documentation
 """
@@ -24,13 +24,13 @@ class InstanceMasks(NamedTuple):
 
 
 def read_instance_masks(path: Path, num_points: int) -> InstanceMasks:
-    """Reads a prediction: a line for each instance, "relative/path.txt class confidence".
+    """Reads a prediction: one line per instance, "relative/path.txt class confidence".
 
-    Each of these files has a number for each vertex, 0 = not the instance.
+    Each of these files has one number per vertex, 0 = not the instance.
 
     Raises:
         FileNotFoundError: a file is missing.
-        ValueError: naming the file and what is wrong with it; also a path out of the folder, or one that comes twice.
+        ValueError: naming the file and its error; also for a path out of the folder, or a path that occurs twice.
     """
     folder = path.parent.resolve()
     masks: dict[Path, Tensor] = {}

@@ -1,4 +1,4 @@
-"""Segmentations of images by SceneCut: a map of an image's size for each, every distinct value a region, 0 = none.
+"""Reads SceneCut's image segmentations: one map per image, of its size; each distinct value is a region, 0 = none.
 
 T. Pham et al., "SceneCut: Joint Geometric and Object Segmentation for Indoor Scenes" (ICRA 2018).
 """
@@ -20,13 +20,13 @@ SUFFIXES = (".mat", ".npy")
 
 
 def read_region_map(path: Path) -> Tensor:
-    """Reads a map, a .npy file or the only numeric matrix of a .mat file (versions 5 to 7).
+    """Reads a map: a .npy file, or the only numeric matrix of a .mat file (versions 5 to 7).
 
     Returns:
         [H, W] int64: regions 0, 1, ... by ascending value, -1 = none.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and what is wrong with it.
+        FileNotFoundError, ValueError: naming the file and its error.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a map of regions, .mat or .npy")
@@ -40,11 +40,11 @@ def read_region_map(path: Path) -> Tensor:
 
 
 def find_region_map(folder: Path, name: str) -> Path:
-    """The file of a frame's map, NAME.mat or NAME.npy.
+    """Finds the map of a frame, NAME.mat or NAME.npy.
 
     Raises:
-        FileNotFoundError: there is none.
-        ValueError: there are two.
+        FileNotFoundError: there is no map.
+        ValueError: there are two maps.
     """
     found = [file for suffix in SUFFIXES if (file := folder / f"{name}{suffix}").is_file()]
     if not found:

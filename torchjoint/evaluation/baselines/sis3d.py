@@ -1,13 +1,15 @@
-"""Results of 3D-SIS: detections in voxels, as its `main.py` writes them in test and benchmark mode, a folder a scan.
+"""Reads results of 3D-SIS: detections in voxels, a folder per scan, as its `main.py` writes them in test mode.
 
 J. Hou, A. Dai, M. Niessner, "3D-SIS: 3D Semantic Instance Segmentation of RGB-D Scans" (CVPR 2019).
 
 pred_box.npy      [K, 6] boxes in voxels of the scene: x y z x y z
 pred_class.npy    [K] classes; 0 = background
 pred_conf.npy     [K] confidences
-pred_mask_index   pickle: K bools, whether a box is confident enough to have a mask
-pred_mask         pickle: the masks of those boxes, [x, y, z] of 0 and 1, of the boxes' sizes when rounded
-scene.npy         the scene's occupied voxels, which are not needed here
+pred_mask_index   pickle: K bools, True if a box is confident enough to have a mask
+pred_mask         pickle: the masks of these boxes, [x, y, z] of 0 and 1; their sizes are the rounded boxes' sizes
+scene.npy         the scene's occupied voxels, not used here
+
+The benchmark mode of `main.py` writes the same files.
 """
 
 from __future__ import annotations
@@ -34,14 +36,14 @@ class Detections(NamedTuple):
 
 
 def read_detections(folder: Path) -> Detections:
-    """Reads a result's detections, but those of the background.
+    """Reads the detections of a result, except the background's.
 
     Raises:
         FileNotFoundError: a file is missing.
-        ValueError: naming the file and what is wrong with it; also files that do not fit one another.
+        ValueError: naming the file and its error; also for files that do not fit each other.
     """
     boxes = read_array(folder / "pred_box.npy").double()
-    if boxes.ndim != 2 or boxes.shape[1] < 6 or not (boxes.abs() < 2**31).all():  # NaN, too
+    if boxes.ndim != 2 or boxes.shape[1] < 6 or not (boxes.abs() < 2**31).all():  # NaN is rejected, too
         raise ValueError(f"{folder / 'pred_box.npy'}: expected boxes in voxels, [K, 6], got {list(boxes.shape)}")
     classes = _one_each(folder / "pred_class.npy", len(boxes)).long()
     scores = _one_each(folder / "pred_conf.npy", len(boxes)).double()
@@ -57,16 +59,16 @@ def read_detections(folder: Path) -> Detections:
 
 
 def detection_labels(detections: Detections, points: Tensor, world_to_scene: Tensor) -> Tensor:
-    """Detections as a segmentation of points: each belongs to the detection whose mask its voxel is in.
+    """Converts detections to point labels: a point gets the detection whose mask contains the point's voxel.
 
     Args:
-        detections: K of them.
+        detections: K detections.
         points: [N, 3] metres, world frame.
         world_to_scene: [4, 4], see :func:`torchjoint.datasets.voxels.read_world_to_scene`.
 
     Returns:
         [N] int64: of several detections the most confident one, then the first; -1 where nothing was detected, that is
-        outside of what the paper calls P_D.
+        outside of the paper's set P_D.
     """
     weakest_first = sorted(range(len(detections.masks)), key=lambda k: (float(detections.scores[k]), -k))
     return label_voxels(voxels_of(points, world_to_scene), detections.corners, detections.masks, weakest_first)

@@ -1,4 +1,4 @@
-"""The slow, obvious twins of the compiled operators: the tests' oracle, and the place to read what they compute."""
+"""Slow and simple Python versions of the compiled operators: the reference for tests, and easy to read."""
 
 from torchjoint.ops.reference.graphs import (
     felzenszwalb_reference,

@@ -1,4 +1,4 @@
-"""The twins of the graph algorithms."""
+"""Reference versions of the graph algorithms (steps 2, 6 and 7); shapes and units are those of the operators."""
 
 from __future__ import annotations
 
@@ -56,9 +56,17 @@ def felzenszwalb_reference(
 
 
 def quantise_reference(capacity: Tensor, source_capacity: Tensor, sink_capacity: Tensor) -> tuple[list[int], list[int]]:
-    """The integers that :func:`torchjoint.ops.min_cut` calculates with: the capacities of the edges, and at each node
-    source minus sink capacity. The latter is not limited here: Python's integers do not overflow.
-    """  # noqa: D205
+    """The integer capacities that :func:`torchjoint.ops.min_cut` uses: of the edges, and source minus sink per node.
+
+    The differences are not limited here, because Python's integers do not overflow.
+
+    Args:
+        capacity: ``[E]``, finite, >= 0.
+        source_capacity, sink_capacity: ``[N]``, >= 0, may be infinite.
+
+    Returns:
+        E and N integers, in a unit that is a power of two.
+    """
     largest = max(capacity.tolist(), default=0.0)
     unit_exponent = min(60 - len(capacity).bit_length() - math.frexp(largest)[1], 1000)
     unit = math.ldexp(1.0, unit_exponent)
@@ -78,7 +86,7 @@ def quantise_reference(capacity: Tensor, source_capacity: Tensor, sink_capacity:
 def min_cut_reference(
     edge_index: Tensor, capacity: Tensor, source_capacity: Tensor, sink_capacity: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """What :func:`torchjoint.ops.min_cut` computes, by the shortest augmenting paths of Edmonds and Karp.
+    """What :func:`torchjoint.ops.min_cut` computes, by shortest augmenting paths (Edmonds and Karp).
 
     Shapes, units and meaning are those of the operator; the arguments are not checked.
 
@@ -108,7 +116,7 @@ def min_cut_reference(
         add_arc(node, sink, max(-difference, 0))
 
     def reach() -> dict[int, int]:
-        """Every node the source reaches, with the node before it."""
+        """The nodes that the source reaches, each with its predecessor."""
         before = {source: source}
         queue = deque([source])
         while queue:

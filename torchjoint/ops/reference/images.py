@@ -1,4 +1,4 @@
-"""The twins of the loops over the pixels of an image."""
+"""Reference versions of the operators on images (steps 1, 7 and 8); shapes and units are those of the operators."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-#: The two regions that a border parts, each named by its lowest pixel.
+#: The two regions on the sides of a region boundary, each named by its lowest pixel.
 Sides = frozenset[tuple[int, int]]
 
 
@@ -31,12 +31,12 @@ def segment_graphs_reference(
                 if there not in number:
                     continue
                 red, green, blue = (colors[:, *here] - colors[:, *there]).square().numpy()
-                distance = np.sqrt((red + green) + blue)  # numpy's is correctly rounded; torch's, through MKL, is not
+                distance = np.sqrt((red + green) + blue)  # correctly rounded, unlike torch's sqrt (from MKL)
                 weakest = min(boundary[here].numpy(), boundary[there].numpy())
                 own.append(float(np.float32(color_weight) * distance + np.float32(boundary_weight) * weakest))
                 edges.append((i, number[there]))
         total = 0.0
-        for weight in own:  # not sum(), which from Python 3.12 on is more precise than adding
+        for weight in own:  # not sum(): since Python 3.12 it is more precise than plain addition
             total += weight
         mean = total / max(len(own), 1)
         weights += [weight / mean if mean > 0 else weight for weight in own]

@@ -1,4 +1,7 @@
-"""The twins of the loops over points and the pixels they fall in."""
+"""Reference versions of the operators on points and pixels (steps 3, 4, 5 and 7).
+
+Shapes and units are those of the operators.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ def neighbor_edges_reference(neighbors: Tensor) -> Tensor:
     num_points, count = neighbors.shape
     neighbors = neighbors.long()
     source = torch.arange(num_points)[:, None].expand(-1, count)
-    # (i, j) with i > j is the second mention of an edge if j names i as well.
+    # (i, j) with i > j is the second occurrence of an edge if i is also in the row of j.
     backward = source > neighbors
     rows, targets = source[backward], neighbors[backward]
     keep = source != neighbors
@@ -32,7 +35,7 @@ def neighbor_edges_reference(neighbors: Tensor) -> Tensor:
 def fit_normals_reference(points: Tensor, neighbors: Tensor) -> Tensor:
     """What :func:`torchjoint.ops.fit_normals` computes; the arguments are not checked.
 
-    Where a neighbourhood has no one direction in which it varies least, any of them may come.
+    If a neighbourhood varies least in more than one direction, the result may be any of these directions.
 
     Example:
         >>> points = torch.tensor([[0.0, 0, 0], [0, 0, 1], [0, 2, 0]])
@@ -116,7 +119,7 @@ def window_overlaps_reference(
 def pair_counts_reference(
     u: Tensor, v: Tensor, pixel: Tensor, segment: Tensor, label: Tensor, radius: float
 ) -> tuple[Tensor, Tensor]:
-    """What :func:`torchjoint.ops.pair_counts` computes, by looking at all pairs; the arguments are not checked."""
+    """What :func:`torchjoint.ops.pair_counts` computes, by testing all pairs; the arguments are not checked."""
     counts: Counter[tuple[int, ...]] = Counter()
     points = list(zip(u.tolist(), v.tolist(), pixel.tolist(), segment.tolist(), label.tolist(), strict=True))
     for (u1, v1, pixel1, segment1, label1), (u2, v2, pixel2, segment2, label2) in combinations(points, 2):

@@ -1,4 +1,4 @@
-"""The twins of the operators on regions."""
+"""Reference versions of the operators on regions (step 6); shapes and units are those of the operators."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def merge_regions_reference(
         >>> merge_regions_reference(edge_index, torch.tensor([0.0, 0.2, 0.1, 0.9]), torch.ones(3).long(), 0.3)
         tensor([0, 0, 1])
     """
-    group = [[region] for region in range(len(size))]  # of each region, those it has become one with
-    costs: dict[frozenset[int], list[float]] = {}  # of each border, by the first regions of the groups it parts
+    group = [[region] for region in range(len(size))]  # for each region, the regions merged into it
+    costs: dict[frozenset[int], list[float]] = {}  # costs of each boundary, by the first regions of its two groups
     for (a, b), value in zip(edge_index.t().tolist(), cost.double().tolist(), strict=True):
         if a != b:
             costs.setdefault(frozenset((a, b)), []).append(round(value * 2**20) / 2**20)
@@ -41,14 +41,14 @@ def merge_regions_reference(
 
     for is_small in (False, True):
         while True:
-            may_go = [
+            may_merge = [
                 sides
                 for sides in costs
                 if (any(total(region) < min_size for region in sides) if is_small else mean(sides) <= threshold)
             ]
-            if not may_go:
+            if not may_merge:
                 break
-            merge(min(may_go, key=lambda sides: (mean(sides), number[sides])))
+            merge(min(may_merge, key=lambda sides: (mean(sides), number[sides])))
     labels = torch.empty(len(size), dtype=torch.int64)
     for label, members in enumerate(members for members in group if members):
         labels[members] = label
@@ -60,7 +60,7 @@ def region_planes_reference(
 ) -> tuple[Tensor, Tensor]:
     """What :func:`torchjoint.ops.region_planes` computes; the arguments are not checked.
 
-    Where a neighbourhood has no one direction in which it varies least, any of them may come.
+    If a neighbourhood varies least in more than one direction, the result may be any of these directions.
 
     Example:
         >>> points = torch.tensor([[0.0, 0, 0], [0, 1, 0], [0, 0, 1]])

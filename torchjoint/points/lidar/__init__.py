@@ -1,1 +1,1 @@
-"""Step 6 for one LiDAR scan: the ground, and what stands on it."""
+"""Step 6, method scan: the ground of one LiDAR scan, and the objects on it."""

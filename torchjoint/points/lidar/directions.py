@@ -1,4 +1,4 @@
-"""Where a LiDAR sees points: directions and ranges."""
+"""Step 6, method scan: directions and ranges of points as a LiDAR sees them."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-#: Ranges below this count as this: at the sensor itself directions and logarithms mean nothing.
+#: Smallest range, metres; shorter ranges are set to it, because a range of 0 has no direction and no logarithm.
 LEAST_RANGE = 1e-3
 
 
 class Directions(NamedTuple):
-    """Where points are seen from the sensor; z is up."""
+    """Spherical coordinates of points relative to the sensor; z is up."""
 
     azimuth: Tensor  #: [N] float64 radians about z, in [-pi, pi], 0 = along x
-    elevation: Tensor  #: [N] float64 radians, in [-pi/2, pi/2], 0 = level
-    distance: Tensor  #: [N] float64 metres, on the level
+    elevation: Tensor  #: [N] float64 radians, in [-pi/2, pi/2], 0 = horizontal
+    distance: Tensor  #: [N] float64 metres, horizontal
     range: Tensor  #: [N] float64 metres, at least `LEAST_RANGE`
 
 
@@ -25,7 +25,7 @@ def directions(points: Tensor, sensor: Tensor | None = None) -> Directions:
 
     Args:
         points: [N, 3] metres, z up.
-        sensor: [3] metres, where it stands; default: the origin.
+        sensor: [3] metres, position of the sensor; default: the origin.
     """
     x, y, z = _seen_from(points, sensor).unbind(1)
     distance = (x.square() + y.square()).sqrt()

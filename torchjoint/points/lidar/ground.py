@@ -1,7 +1,8 @@
-"""The ground of a LiDAR scan: followed outward from the sensor, column by column.
+"""Step 6, method scan: finds the ground of a LiDAR scan, from the sensor outward in each azimuth column.
 
 M. Himmelsbach et al., "Fast Segmentation of 3D Point Clouds for Ground Vehicles" (IV 2010), fit lines to the lowest
-points of such cells; here a profile goes from one to the next, and is compared with those beside it.
+points of the cells of a column. Here a height profile connects these lowest points, and neighbouring profiles are
+compared.
 """
 
 from __future__ import annotations
@@ -17,26 +18,31 @@ from torchjoint.points.lidar.directions import Directions, directions
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene.checks import as_float, as_points, check_shape
 
-#: Metres around the sensor in which its height over the ground is looked for.
+#: Horizontal distance from the sensor, metres, within which the sensor's height above the ground is estimated.
 NEAR = 20.0
 
-#: Columns on each side that a profile is compared with.
+#: Number of columns on each side with which a profile is compared.
 SIDES = 4
 
-#: More metres than any ground reaches: columns are laid end to end.
+#: Larger than any distance, metres: one sorted tensor holds all columns, one after the other, at offsets of FAR.
 FAR = 1e5
 
 
 class Profile(NamedTuple):
-    """The ground's height at some places of each of C columns, by column, then by distance, from below the sensor."""
+    """The ground's height at some places of C columns, sorted by column, then by distance (the first is 0)."""
 
     column: Tensor  #: [M] int64
-    distance: Tensor  #: [M] float64 metres from the sensor, on the level
-    height: Tensor  #: [M] float64 metres over the sensor
-    num_columns: int  #: C, all around
+    distance: Tensor  #: [M] float64 metres from the sensor, horizontal
+    height: Tensor  #: [M] float64 metres above the sensor (negative below it)
+    num_columns: int  #: C, of all 360 degrees
 
     def at(self, column: Tensor, distance: Tensor) -> Tensor:
-        """The heights [...] at places in columns [...]: on a line between two places, level beyond the last."""
+        """Heights [...] at distances in columns: linear between two places, constant beyond the last.
+
+        Args:
+            column: [...] int64, any integer; taken modulo C.
+            distance: [...] float64 metres.
+        """
         column = column % self.num_columns
         after = torch.searchsorted(self.column * FAR + self.distance, column * FAR + distance.clamp(max=FAR / 2))
         below = torch.maximum(after - 1, torch.searchsorted(self.column, column))
@@ -47,15 +53,15 @@ class Profile(NamedTuple):
 
 
 def ground(points: Tensor, config: ScanConfig | None = None, sensor: Tensor | None = None) -> Tensor:
-    """Which points of a scan lie on the ground: lower than `config.ground_height` over it.
+    """Which points of a scan belong to the ground: those lower than `config.ground_height` above it.
 
     Args:
         points: [N, 3] metres, z up.
         config: see :class:`ScanConfig`.
-        sensor: [3] metres, where the LiDAR stood; default: the origin.
+        sensor: [3] metres, position of the LiDAR; default: the origin.
 
     Returns:
-        [N] bool.
+        [N] bool, True for ground.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -65,13 +71,14 @@ def ground(points: Tensor, config: ScanConfig | None = None, sensor: Tensor | No
 
 
 def height_over_ground(points: Tensor, config: ScanConfig | None = None, sensor: Tensor | None = None) -> Tensor:
-    """How high the points of a scan are over the ground, [N] float64 metres; arguments are those of :func:`ground`.
+    """Heights of the points of a scan above the ground, [N] float64 metres; arguments and errors as in :func:`ground`.
 
-    Cells of azimuth and elevation give their lowest points. Each column of cells is walked outward: it starts from the
-    median of the columns' lowest points near the sensor, and goes on to the next lowest point if it is farther out and
-    no steeper to reach than `max_slope` and a `max_step`. What of these profiles rises by more than `max_bump` over the
-    median of those beside it is left out: the foot of something that hides the ground before it. Between two places of
-    a profile, and between two columns, the ground is a straight line.
+    Each cell of azimuth and elevation contributes its lowest point. A profile follows each column of cells outward. It
+    starts below the sensor, at the median of the columns' lowest points near the sensor. It goes on to a cell's lowest
+    point if this point is farther out, and if the change of height is at most `max_step` plus `max_slope` times the
+    way. Parts of a profile more than `max_bump` above the median of the neighbouring profiles are removed: there an
+    object hides the ground in front of it. Between two places of a profile, and between two columns, the height is
+    interpolated linearly.
     """
     points = as_points(points)
     sensor = torch.zeros(3) if sensor is None else as_float(sensor, "sensor", torch.float64)
@@ -80,18 +87,22 @@ def height_over_ground(points: Tensor, config: ScanConfig | None = None, sensor:
     with torch.no_grad(), one_thread_per_operation():
         seen, height = directions(points, sensor), points[:, 2].double() - sensor[2]
         profile = _without_bumps(ground_profile(seen, height, config), config.max_bump)
-        place = _column_place(seen.azimuth, profile.num_columns) - 0.5  # columns are known at their middles
+        place = _column_place(seen.azimuth, profile.num_columns) - 0.5  # a column's profile holds at its middle
         before = place.floor()
         left, right = (profile.at(before.long() + side, seen.distance) for side in (0, 1))
         return height - (left + (place - before) * (right - left))
 
 
 def ground_profile(seen: Directions, height: Tensor, config: ScanConfig) -> Profile:
-    """Walks outward along each column, over the lowest points of its cells.
+    """Follows each column outward, over the lowest points of its cells.
 
     Args:
-        seen: N points.
-        height: [N] float64 metres over the sensor.
+        seen: directions of N points.
+        height: [N] float64 metres above the sensor.
+        config: cells, slope and step.
+
+    Returns:
+        one profile per column.
     """
     num_columns = max(1, round(360 / config.azimuth_cell))
     column = _column_place(seen.azimuth, num_columns).long().clamp(max=num_columns - 1)
@@ -113,7 +124,7 @@ def ground_profile(seen: Directions, height: Tensor, config: ScanConfig) -> Prof
 
 
 def _walk(exists: Tensor, distances: Tensor, heights: Tensor, start: float, config: ScanConfig) -> Tensor:
-    """[R, C] bool, which cells' lowest points the walks go over; all columns take each step, a row, at once."""
+    """[R, C] bool, the cells whose lowest points belong to the profiles; each step handles one row of all columns."""
     slope = math.tan(math.radians(config.max_slope))
     taken = torch.zeros_like(exists)
     distance, height = torch.zeros_like(distances[0]), torch.full_like(heights[0], start)
@@ -127,7 +138,7 @@ def _walk(exists: Tensor, distances: Tensor, heights: Tensor, start: float, conf
 
 
 def _without_bumps(profile: Profile, max_bump: float) -> Profile:
-    """What does not rise over the median of the profiles beside it."""
+    """Removes the places that are more than `max_bump` above the median of the neighbouring profiles."""
     sides = torch.arange(-SIDES, SIDES + 1)[:, None]
     around = profile.at(profile.column + sides, profile.distance.expand(len(sides), -1))
     stays = profile.height - around.median(dim=0).values <= max_bump
@@ -137,12 +148,12 @@ def _without_bumps(profile: Profile, max_bump: float) -> Profile:
 
 
 def _column_place(azimuth: Tensor, num_columns: int) -> Tensor:
-    """[N] float64 in [0, num_columns]: the column, and where in it."""
+    """[N] float64 in [0, num_columns]: the column, and the position within it as the fraction."""
     return (azimuth + math.pi) / (2 * math.pi) * num_columns
 
 
 def _lowest(height: Tensor, cell: Tensor, num_cells: int) -> Tensor:
-    """[num_cells] int64, the lowest point of each cell; ties: the first; N = none."""
+    """[num_cells] int64, the lowest point of each cell (ties: the first point); N = none."""
     lowest = torch.full((num_cells,), torch.inf, dtype=height.dtype).scatter_reduce(0, cell, height, "amin")
     candidate = torch.where(height == lowest[cell], torch.arange(len(height)), len(height))
     return torch.full((num_cells,), len(height)).scatter_reduce(0, cell, candidate, "amin")

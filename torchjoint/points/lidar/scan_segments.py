@@ -1,7 +1,7 @@
-"""A LiDAR scan in segments: the ground, and what stands on it in one piece.
+"""Step 6, method scan: segments a LiDAR scan into the ground and the connected objects on it.
 
-The same graph framework as elsewhere, with weights of its own: an edge weighs its length in units of the gap that is
-allowed at its distance from the sensor. What edges of weight up to 1 hold together is a segment.
+It uses a neighbour graph like step 3, with other weights: the weight of an edge is its length divided by the gap that
+is allowed at its range. The segments are the connected components of the edges with weight <= 1.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene.checks import as_points
 
-#: Metres over the ground: what a foot belongs to has points lower than this.
+#: Height above the ground, metres: a foot is joined to an object only at points lower than this.
 FOOT_HEIGHT = 0.4
 
 
 def segment_scan(points: Tensor, config: ScanConfig | None = None, sensor: Tensor | None = None) -> Tensor:
     """Segments one scan of a LiDAR, without training, colours or normals.
 
-    Points on the :func:`~torchjoint.points.lidar.ground.ground` are one segment, but for the feet of what stands on
-    it. The others are joined to their nearest neighbours; edges of :func:`gap_weights` up to 1 make segments, and those of
-    fewer than `config.min_size` points are joined to the neighbour that the lightest edge leads to, if it is no heavier than
-    `config.joining_gap`.
+    Points on the :func:`~torchjoint.points.lidar.ground.ground` are one segment, except for the feet of objects. All
+    other points are nodes of a graph of nearest neighbours, with weights from :func:`gap_weights`. Its connected
+    components with weights <= 1 are segments. A segment of fewer than `config.min_size` points is joined to the
+    neighbour along its lightest edge, if the weight of this edge is at most `config.joining_gap`.
 
     Args:
         points: [N, 3] metres, z up.
         config: see :class:`ScanConfig`.
-        sensor: [3] metres, where the LiDAR stood; default: the origin.
+        sensor: [3] metres, position of the LiDAR; default: the origin.
 
     Returns:
-        [N] int64 labels 0, 1, 2, ... in the order of their first points. The same points have the same labels, whatever
-        the number of threads.
+        [N] int64 labels 0, 1, 2, ... in the order of their first points. The labels do not depend on the number of
+        threads.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -58,17 +58,18 @@ def segment_scan(points: Tensor, config: ScanConfig | None = None, sensor: Tenso
 
 
 def foot_edges(points: Tensor, height: Tensor, config: ScanConfig) -> Tensor:
-    """Edges from feet to what they carry: the ground cuts off tyres and shoes at a height where it is never certain.
+    """Edges from feet to their objects: `ground_height` alone would cut off tyres and shoes, where ground is uncertain.
 
-    A foot is a point between half of `ground_height` and that, and at most `foot_distance` on the level away from what
-    stands and is lower than `FOOT_HEIGHT`; the nearest such point is what it belongs to.
+    A foot is a point whose height is between `ground_height` / 2 and `ground_height`, at a horizontal distance of at
+    most `foot_distance` from a point between `ground_height` and `FOOT_HEIGHT`. It is joined to the nearest such point.
 
     Args:
-        points: [N, 3] metres.
-        height: [N] float64 metres over the ground.
+        points: [N, 3] metres, z up.
+        height: [N] float64 metres above the ground.
+        config: `ground_height` and `foot_distance`.
 
     Returns:
-        [2, F] int64, feet and the points that they belong to.
+        [2, F] int64: feet, and the points to which they are joined.
     """
     low = torch.nonzero((height >= config.ground_height) & (height < FOOT_HEIGHT)).flatten()
     feet = torch.nonzero((height > config.ground_height / 2) & (height < config.ground_height)).flatten()
@@ -82,12 +83,13 @@ def foot_edges(points: Tensor, height: Tensor, config: ScanConfig) -> Tensor:
 
 
 def gap_weights(points: Tensor, edges: Tensor, config: ScanConfig, sensor: Tensor | None = None) -> Tensor:
-    """Length over the gap that is allowed: w = |p_u - p_v| / (gap + gap_growth min(r_u, r_v)), r the range.
+    """Length of each edge divided by the allowed gap: w = |p_u - p_v| / (gap + gap_growth min(r_u, r_v)), r = range.
 
     Args:
         points: [N, 3] metres.
-        edges: [2, E].
-        sensor: [3] metres; default: the origin.
+        edges: [2, E] int64.
+        config: gap and gap_growth.
+        sensor: [3] metres, position of the LiDAR; default: the origin.
 
     Returns:
         [E] float32.
@@ -100,9 +102,9 @@ def gap_weights(points: Tensor, edges: Tensor, config: ScanConfig, sensor: Tenso
 
 
 def _components(edges: Tensor, weight: Tensor, on_ground: Tensor, config: ScanConfig) -> Tensor:
-    """Components of edges of weight up to 1, and the ground; small ones join the neighbour by the lightest edge.
+    """Connected components of edges with weight <= 1, and the ground; small ones are joined along their lightest edge.
 
-    That is what Felzenszwalb's and Huttenlocher's two passes do with k = 0, where what is up to 1 weighs nothing.
+    The two passes of Felzenszwalb-Huttenlocher do this with k = 0, if the weights are max(0, w - 1).
     """
     near = weight <= config.joining_gap
     of_ground = torch.nonzero(on_ground).flatten()

@@ -1,4 +1,5 @@
-// Regions and the borders between them, which are merged one by one, the weakest border first.
+// A region adjacency graph: regions and the boundaries between them (`RegionBoundary`). Repeatedly merges the two regions with
+// the lowest mean boundary cost (average linkage).
 #pragma once
 
 #include <algorithm>
@@ -12,21 +13,21 @@ namespace torchjoint {
 
 constexpr int32_t kNone = -1;
 
-// What parts two regions: how many edges cross it, and the sum of their costs.
-struct Border {
+// The boundary between two regions: the number of edges that cross it, and the sum of their costs.
+struct RegionBoundary {
   int32_t region[2];
   double sum;
   int64_t count;
-  int32_t first_part, last_part;  // of the list of original borders it is made of
+  int32_t first_part, last_part;  // list of the original boundaries that were joined into it
 
   double mean() const { return sum / static_cast<double>(count); }
 };
 
-// Numbers by key; a key is never 0, and none is ever taken out. Open addressing: what is looked up next is mostly nowhere
-// near what was looked up last, so that each miss of the cache counts.
-class NumberOf {
+// A hash map from keys to numbers; a key is never 0, and no key is ever removed. It uses open addressing, because
+// consecutive look-ups are mostly far apart in memory, so each cache miss counts.
+class NumberMap {
  public:
-  // The number of a key, which is `number` if there was none before.
+  // The number of a key; a new key gets `number`.
   int32_t& operator()(uint64_t key, int32_t number) {
     if (2 * count_ >= slots_.size()) grow();
     Slot& slot = slot_of(key);
@@ -60,16 +61,17 @@ class NumberOf {
   std::vector<Slot> slots_ = std::vector<Slot>(1 << 10);
 };
 
-// Of equally weak borders the one with the lowest number comes first; borders are numbered as they come, and keep the
-// lower number when they join. Sums are exact, so that they do not depend on the order, as long as they are whole numbers below 2^53.
-class BorderGraph {
+// Of boundaries with equal means the one with the lowest number is merged first. Boundaries are numbered in the order
+// in which they are added; a joined boundary keeps the lower number. Costs must be whole numbers with sums below 2^53:
+// then sums are exact and do not depend on the order.
+class RegionAdjacencyGraph {
  public:
-  explicit BorderGraph(int64_t num_regions) : borders_around_(num_regions) {}
+  explicit RegionAdjacencyGraph(int64_t num_regions) : borders_around_(num_regions) {}
 
   size_t num_borders() const { return borders_.size(); }
-  const Border& border(int32_t number) const { return borders_[number]; }
+  const RegionBoundary& border(int32_t number) const { return borders_[number]; }
 
-  // Adds an edge to the border between a and b, which are two regions; returns its number. Not once any were merged.
+  // Adds an edge to the boundary between two regions a != b; returns the boundary's number. Only before merging.
   int32_t add(int32_t a, int32_t b, double cost) {
     const int32_t number = number_of_(key(a, b), static_cast<int32_t>(borders_.size()));
     if (number == static_cast<int32_t>(borders_.size())) {
@@ -80,52 +82,52 @@ class BorderGraph {
     return number;
   }
 
-  // Merges the two regions of the weakest border that may go, again and again, until none may. Whether `may_go(border)`
-  // must not become true for a border unless it is joined with another; `on_merge(number)` is called before each merge.
-  // Afterwards a border's `region` are the two that are left of what it once parted.
-  template <typename MayGo, typename OnMerge>
-  void merge_weakest(const MayGo& may_go, const OnMerge& on_merge) {
+  // Repeatedly merges the two regions of the weakest boundary with `may_merge(border)`, until there is none. `may_merge` of a
+  // boundary may change from false to true only when the boundary is joined with another one. `on_merge(number)` is
+  // called before each merge. Afterwards `region` of a boundary holds the merged regions on its two sides.
+  template <typename MayMerge, typename OnMerge>
+  void merge_weakest(const MayMerge& may_merge, const OnMerge& on_merge) {
     if (is_gone_.empty()) list_borders();
     std::vector<Waiting> may;
     for (size_t number = 0; number < borders_.size(); ++number) {
-      if (!is_gone_[number] && may_go(borders_[number])) {
+      if (!is_gone_[number] && may_merge(borders_[number])) {
         may.emplace_back(borders_[number].mean(), static_cast<int32_t>(number));
       }
     }
     Queue waiting(std::greater<>(), std::move(may));
     const auto on_join = [&](int32_t number) {
-      if (may_go(borders_[number])) waiting.emplace(borders_[number].mean(), number);
+      if (may_merge(borders_[number])) waiting.emplace(borders_[number].mean(), number);
     };
     while (!waiting.empty()) {
       const auto [mean, number] = waiting.top();
       waiting.pop();
-      if (is_gone_[number] || mean != borders_[number].mean() || !may_go(borders_[number])) continue;
+      if (is_gone_[number] || mean != borders_[number].mean() || !may_merge(borders_[number])) continue;
       on_merge(number);
       is_gone_[number] = true;
       merge(borders_[number].region[0], borders_[number].region[1], on_join);
     }
   }
 
-  // Calls `function(original border)` for all that a border was joined from.
+  // Calls `function(original boundary)` for each boundary that was joined into boundary `number`.
   template <typename Function>
   void for_each_part(int32_t number, const Function& function) const {
     for (int32_t part = borders_[number].first_part; part != kNone; part = next_part_[part]) function(part);
   }
 
  private:
-  using Waiting = std::pair<double, int32_t>;  // mean and number; stale where the mean is another by now
+  using Waiting = std::pair<double, int32_t>;  // mean and number; outdated if the mean has changed since
   using Queue = std::priority_queue<Waiting, std::vector<Waiting>, std::greater<>>;
 
   static uint64_t key(int32_t a, int32_t b) {
     return static_cast<uint64_t>(std::min(a, b)) << 32 | static_cast<uint64_t>(std::max(a, b));
   }
 
-  // Once all borders are there: those around each region.
+  // Lists the boundaries around each region; called once, after all boundaries were added.
   void list_borders() {
     is_gone_.resize(borders_.size(), false);
     next_part_.resize(borders_.size(), kNone);
     std::vector<int32_t> count(borders_around_.size(), 0);
-    for (const Border& border : borders_) ++count[border.region[0]], ++count[border.region[1]];
+    for (const RegionBoundary& border : borders_) ++count[border.region[0]], ++count[border.region[1]];
     for (size_t region = 0; region < count.size(); ++region) borders_around_[region].reserve(count[region]);
     for (size_t number = 0; number < borders_.size(); ++number) {
       for (const int32_t region : borders_[number].region) {
@@ -134,7 +136,7 @@ class BorderGraph {
     }
   }
 
-  // The region with fewer borders gives them to the other one.
+  // The region with fewer boundaries passes its boundaries to the other region.
   template <typename OnJoin>
   void merge(int32_t kept, int32_t given, const OnJoin& on_join) {
     if (borders_around_[kept].size() < borders_around_[given].size()) std::swap(kept, given);
@@ -162,10 +164,10 @@ class BorderGraph {
     return a;
   }
 
-  std::vector<Border> borders_;
+  std::vector<RegionBoundary> borders_;
   std::vector<uint8_t> is_gone_;
-  std::vector<int32_t> next_part_;  // of each original border
-  NumberOf number_of_;  // a border by its two regions
+  std::vector<int32_t> next_part_;  // of each original boundary
+  NumberMap number_of_;  // number of a boundary by its two regions
   std::vector<std::vector<int32_t>> borders_around_;
 };
 

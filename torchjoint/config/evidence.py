@@ -1,4 +1,7 @@
-"""Parameters that can still be changed when all frames have been seen: what was seen does not depend on them."""
+"""Parameters of steps 3 and 5-8 that can still be changed after all frames were seen.
+
+What a segmenter stores of the frames does not depend on these parameters.
+"""
 
 from __future__ import annotations
 
@@ -28,19 +31,19 @@ AFTERWARDS = {
 }
 
 
-def what_is_seen(config: Config) -> Config:
-    """The config with its afterwards parameters at their defaults: equal ones see the same."""
+def evidence_config(config: Config) -> Config:
+    """The config with the AFTERWARDS parameters at their defaults: two configs with equal results store the same."""
     default = Config().to_dict()
-    if config.point_segments.method == "scan":  # for which no graph is made, and so no evidence of images is gathered
+    if config.point_segments.method == "scan":  # it builds no graph, so it collects no evidence from images
         default["point_segments"]["method"] = "scan"
     return config.replace(
         {stage: {name: default[stage][name] for name in names} for stage, names in AFTERWARDS.items()}
     )
 
 
-def seen_otherwise(first: Config, second: Config) -> list[str]:
-    """The parameters, as stage.parameter, in which two configs see different things."""
-    one, other = what_is_seen(first), what_is_seen(second)
+def evidence_differences(first: Config, second: Config) -> list[str]:
+    """Names (stage.parameter) of the parameters that differ and on which the stored observations depend."""
+    one, other = evidence_config(first), evidence_config(second)
     return [
         f"{stage.name}.{spec.name}"
         for stage in dataclasses.fields(one)

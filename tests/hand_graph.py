@@ -1,0 +1,21 @@
+"""A graph of points by hand."""
+
+import torch
+
+from torchjoint.points.graph import PointGraph
+from torchjoint.views.csr_adjacency import CsrAdjacency
+
+
+def graph_of(points, edges, normals, colors=None):
+    """Points a metre apart with edges [[i, j], ...], normals of known sign, and no neighbours to fit planes to."""
+    edge_index = torch.tensor(edges).t()
+    return PointGraph(
+        points=points,
+        colors=colors,
+        normals=normals,
+        has_given_normals=True,
+        spacing=torch.ones(len(points)),
+        edge_index=edge_index,
+        adjacency=CsrAdjacency.of(edge_index, len(points)),
+        neighbors=torch.empty(len(points), 0).int(),
+    )

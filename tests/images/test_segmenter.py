@@ -1,0 +1,69 @@
+"""Networks of the caller's: run in evaluation mode, and given back in the modes in which they came."""
+
+import pytest
+import torch
+from torch import nn
+
+import torchjoint as tj
+from torchjoint.images._eval_mode import eval_mode
+
+
+class Network(nn.Module):
+    """In train mode, but for a part that its owner has frozen. It notes the modes in which it runs."""
+
+    def __init__(self, output):
+        super().__init__()
+        self.norm = nn.BatchNorm2d(3)
+        self.frozen = nn.BatchNorm2d(3)
+        self.output = output
+        self.ran_in = []
+        self.train()
+        self.frozen.eval()
+
+    def modes(self):
+        return {name: part.training for name, part in self.named_modules()}
+
+    def forward(self, images):
+        self.ran_in.append(self.modes())
+        return self.output(self.frozen(self.norm(images)))
+
+
+FOUND = {"": True, "norm": True, "frozen": False}
+ROLES = {
+    "boundary": lambda images: images[:, 0].sigmoid(),
+    "image_segmenter": lambda images: (images[:, 0] > 0.5).long(),
+}
+
+
+@pytest.fixture(scope="module")
+def scene(scene_of):
+    return scene_of(3).scene.select_frames([0, 1])
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_a_network_runs_in_eval_mode_and_is_found_in_its_own(scene, role):
+    network = Network(ROLES[role])
+    assert network.modes() == FOUND
+    tj.JointSegmenter(**{role: network})(scene)
+    assert network.ran_in
+    assert all(not any(modes.values()) for modes in network.ran_in)
+    assert network.modes() == FOUND
+    assert int(network.norm.num_batches_tracked) == 0  # no statistics of the frames were taken
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_also_after_an_error(scene, role):
+    def fails(images):
+        raise KeyError("in the network")
+
+    network = Network(fails)
+    with pytest.raises(KeyError, match="in the network"):
+        tj.JointSegmenter(**{role: network})(scene)
+    assert network.modes() == FOUND
+
+
+def test_a_network_in_eval_mode_stays_there():
+    network = Network(torch.Tensor.clone).eval()
+    with eval_mode(network):
+        assert not any(network.modes().values())
+    assert not any(network.modes().values())

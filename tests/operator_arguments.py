@@ -1,0 +1,100 @@
+"""Every operator with arguments that are right, and how much memory a process has."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchjoint.ops import (
+    felzenszwalb,
+    felzenszwalb_image,
+    fit_normals,
+    match_pixels,
+    merge_regions,
+    min_cut,
+    neighbor_edges,
+    pair_counts,
+    project,
+    propagate_labels,
+    region_planes,
+    segment_graphs,
+    splat_depth,
+    ultrametric_contours,
+    window_overlaps,
+)
+
+EDGES = torch.tensor([[0, 1, 2], [1, 2, 3]])
+VALUES = torch.tensor([0.1, 5.0, 0.2])
+SOURCE = torch.tensor([torch.inf, 0.0, 0.0, 0.0])
+SINK = torch.tensor([0.0, 0.0, 0.0, 2.0])
+NAN = float("nan")
+
+FELZENSZWALB = {"edge_index": EDGES, "weight": VALUES, "num_nodes": 4, "scale": 1.0, "min_size": 0}
+IMAGES = torch.arange(48.0).view(2, 3, 2, 4) / 48
+POINTS = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]])
+NEIGHBORS = torch.tensor([[1, 2], [0, 2], [0, 1], [1, 2]])
+
+EYE = torch.eye(4, dtype=torch.float64)
+PIXELS = torch.tensor([0, 1, 2])
+POSITIONS = torch.tensor([0.0, 1.0, 2.0])
+LABELS = torch.tensor([[0, 0, 1, -1], [0, 1, 1, 1], [1, 1, 0, 0]], dtype=torch.int32)
+PROJECT = {
+    "points": torch.tensor([[0.0, 0.0, 2.0], [1.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), "camera_from_world": EYE,
+    "intrinsics": EYE[:3, :3] * 4, "near": 0.1, "far": 9.0, "height": 4, "width": 6, "margin": 1.0,
+}  # fmt: skip
+SPLAT_DEPTH = {
+    "row": PIXELS, "column": PIXELS, "depth": POSITIONS, "reach": torch.tensor([0, 1, 2]), "height": 3, "width": 4,
+}  # fmt: skip
+WINDOW_OVERLAPS = {
+    "order": torch.tensor([0, 1, 2], dtype=torch.int32), "other_end": torch.tensor([1, 2, 3], dtype=torch.int32),
+    "start": torch.tensor([0, 1, 2, 3, 3], dtype=torch.int32), "point": torch.tensor([0, 1, 3]), "row": PIXELS,
+    "column": PIXELS, "labels": LABELS, "window": 3,
+}  # fmt: skip
+PAIR_COUNTS = {
+    "u": POSITIONS, "v": POSITIONS, "pixel": PIXELS, "segment": torch.tensor([0, 0, -1]),
+    "label": torch.tensor([3, 4, 3]), "radius": 2.0,
+}  # fmt: skip
+SEGMENT_GRAPHS = {
+    "labels": LABELS, "chosen": torch.tensor([False, True]), "colors": torch.rand(3, 3, 4),
+    "boundary": torch.rand(3, 4), "color_weight": 1.0, "boundary_weight": 0.5,
+}  # fmt: skip
+MATCH_PIXELS = {"pred": LABELS > 0, "target": LABELS == 0, "radius": 1.5}
+PROPAGATE_LABELS = {
+    "markers": LABELS, "colors": torch.rand(3, 3, 4), "boundary": torch.rand(3, 4), "color_weight": 9.0,
+    "boundary_weight": 2.0,
+}  # fmt: skip
+MERGE_REGIONS = {
+    "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
+}  # fmt: skip
+REGION_PLANES = {
+    "points": POINTS, "neighbors": NEIGHBORS, "region": torch.tensor([0, 0, 0, 1]), "normals": POINTS + 1,
+    "min_points": 3,
+}  # fmt: skip
+#: Every operator, with arguments that are right.
+VALID: dict[Callable[..., Any], dict[str, Any]] = {
+    felzenszwalb: FELZENSZWALB,
+    felzenszwalb_image: {"images": IMAGES, "boundaries": IMAGES[:, 0], "scale": 1.0},
+    min_cut: {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK},
+    neighbor_edges: {"neighbors": NEIGHBORS},
+    fit_normals: {"points": POINTS, "neighbors": NEIGHBORS},
+    project: PROJECT,
+    splat_depth: SPLAT_DEPTH,
+    window_overlaps: WINDOW_OVERLAPS,
+    pair_counts: PAIR_COUNTS,
+    segment_graphs: SEGMENT_GRAPHS,
+    match_pixels: MATCH_PIXELS,
+    propagate_labels: PROPAGATE_LABELS,
+    merge_regions: MERGE_REGIONS,
+    region_planes: REGION_PLANES,
+    ultrametric_contours: {"boundary": IMAGES[0, 0], "relief": IMAGES[0, 1]},
+}
+
+
+def resident_memory() -> int:
+    """Bytes of this process in memory."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
