@@ -39,7 +39,7 @@ PUBLIC = {
     "torchjoint.datasets": """
         colmap folder kitti lidar_image list_scenes load_scene nerfstudio nuscenes organized_pcd scannet sis3d tum
     """,
-    "torchjoint.synthetic": "SyntheticScene make_scene",
+    "torchjoint.synthetic": "DOMAINS DomainSettings SyntheticScene domain_settings make_domain_scene make_scene",
     "torchjoint.transforms": "AddSuperpoints transfer_labels",
 }
 

@@ -2,7 +2,7 @@
 
 >>> import torchjoint as tj
 >>> synthetic = tj.synthetic.make_scene(seed=0)
->>> result = tj.JointSegmenter.from_preset("indoor")(synthetic.scene)
+>>> result = tj.JointSegmenter()(synthetic.scene)
 >>> result.points.shape, result.images[0].shape
 (torch.Size([6000]), torch.Size([120, 160]))
 """

@@ -70,7 +70,7 @@ class JointSegmenter(nn.Module):
 
     @classmethod
     def from_preset(cls, name: str) -> JointSegmenter:
-        """A segmenter with one of the package's presets, e.g. ``"indoor"`` or ``"paper"``, or a YAML file.
+        """A segmenter with one of the package's presets, e.g. ``"tabletop"`` or ``"paper"``, or a YAML file.
 
         Raises:
             ValueError, TypeError: an unknown preset, or a bad file; the message names it.

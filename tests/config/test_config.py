@@ -7,14 +7,14 @@ from torchjoint.config import STAGES, Config, PropagationConfig, RefinementConfi
 
 
 def test_presets_load_and_round_trip():
-    assert set(presets()) == {"indoor", "tabletop", "lidar", "paper"}
+    assert set(presets()) == {"default", "indoor", "tabletop", "lidar", "paper"}
     for name in presets():
         config = Config.from_preset(name)
         assert Config.from_dict(yaml.safe_load(yaml.safe_dump(config.to_dict()))) == config
 
 
-def test_indoor_is_the_default():
-    assert Config.from_preset("indoor") == Config()
+def test_the_default_preset_is_the_default():
+    assert Config.from_preset("default") == Config()
 
 
 def test_the_paper_preset_is_the_letter():
@@ -32,7 +32,13 @@ def test_the_paper_preset_is_the_letter():
 
 def test_each_preset_has_its_method_of_step_6():
     methods = {name: Config.from_preset(name).point_segments.method for name in presets()}
-    assert methods == {"indoor": "regions", "tabletop": "regions", "lidar": "scan", "paper": "edges"}
+    assert methods == {
+        "default": "regions",
+        "indoor": "regions",
+        "tabletop": "regions",
+        "lidar": "scan",
+        "paper": "edges",
+    }
     tabletop = Config.from_preset("tabletop")
     assert tabletop.occlusion_bridging.min_votes is not None
     assert tabletop.image_support.min_size == 0
@@ -115,7 +121,7 @@ def test_yaml_errors_name_the_file(tmp_path):
 
 
 def test_unknown_preset():
-    with pytest.raises(ValueError, match=r"preset: expected one of indoor, lidar, paper.*got 'nope'"):
+    with pytest.raises(ValueError, match=r"preset: expected one of default, indoor, lidar, paper.*got 'nope'"):
         Config.from_preset("nope")
 
 

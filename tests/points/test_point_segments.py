@@ -19,7 +19,7 @@ from torchjoint.views.propagation import disagreement
 from torchjoint.views.state import JointState
 
 #: Those whose step 6 is another one; the tabletop's is the one that bridges.
-PRESETS = {name: tj.Config.from_preset(name) for name in ("indoor", "tabletop", "paper")}
+PRESETS = {name: tj.Config.from_preset(name) for name in ("default", "indoor", "tabletop", "paper")}
 
 
 @pytest.fixture(scope="module")
@@ -293,6 +293,9 @@ def table():
 class TestThingsOnATable:
     """What no geometry can see: only images tell flat things from what they lie on."""
 
+    #: Images weigh much here. With the default they do not find what lies flat: on real data prints would count, too.
+    CONFIG = PRESETS["indoor"]
+
     @staticmethod
     def best_iou(labels, truth, instance):
         thing = truth == instance
@@ -301,16 +304,15 @@ class TestThingsOnATable:
     @pytest.mark.parametrize("method", ["regions", "edges"])
     def test_images_find_the_magazine(self, table, method):
         truth, graph, state = table
-        config = tj.Config().set([f"point_segments.method={method}"])
-        combined_costs = segment_points(graph, state, config)
-        assert self.best_iou(combined_costs, truth, 1) > 0.8
+        config = self.CONFIG.set([f"point_segments.method={method}"])
+        assert self.best_iou(segment_points(graph, state, config), truth, 1) > 0.8
         without = segment_points(graph, state, config.set(["propagation.weight=0"]))
         assert without.max() == 0
 
     def test_images_confirm_the_pen(self, table):
         truth, graph, state = table
-        assert int((truth == 2).sum()) < tj.Config().image_support.min_size
-        labels = segment_points(graph, state, tj.Config())
+        assert int((truth == 2).sum()) < self.CONFIG.image_support.min_size
+        labels = segment_points(graph, state, self.CONFIG)
         assert self.best_iou(labels, truth, 2) > 0.8
         # Where each image sees stripes of three kinds, none of them is the pen.
         stripe = torch.arange(120)[:, None] // 2 % 3
@@ -318,6 +320,6 @@ class TestThingsOnATable:
             dataclasses.replace(o, labels=torch.where(o.labels == 2, 2 + stripe, o.labels).int())
             for o in state.observations
         ]
-        without = segment_points(graph, dataclasses.replace(state, observations=torn), tj.Config())
+        without = segment_points(graph, dataclasses.replace(state, observations=torn), self.CONFIG)
         assert torch.equal(without, torch.where(labels == labels[truth == 2].mode().values, 0, labels))
         assert self.best_iou(without, truth, 1) > 0.9  # large enough to need no image

@@ -46,7 +46,7 @@ class Suite:
     tuning: Callable[[Path | None], Scenes]
     checking: Callable[[Path | None], Scenes]
     config: Config
-    preset: str = "indoor"
+    preset: str = "default"
     needs_data: bool = True
     tuned_as: str = ""
 
@@ -84,7 +84,9 @@ def _place(name: str) -> str:
     return re.sub(r"(scene\d{4})_\d\d", r"\1", name)
 
 
-def _folder_suite(name: str, what: str, load: Callable[[Path], Scene], config: Config, preset: str = "indoor") -> Suite:
+def _folder_suite(
+    name: str, what: str, load: Callable[[Path], Scene], config: Config, preset: str = "default"
+) -> Suite:
     return Suite(name, what, partial(_every_other, 0, load), partial(_every_other, 1, load), config, preset)
 
 

@@ -16,7 +16,7 @@ from torchjoint.config import Config
 class Parameters:
     """Parameters of the method."""
 
-    preset: str = "indoor"
+    preset: str = "default"
     """A preset that comes with the package, or a YAML file of your own."""
     set: tuple[str, ...] = ()
     """Single parameters: --set propagation.weight=0.2 refinement.merge_ratio=0.95"""

@@ -43,7 +43,7 @@ class PointGraphConfig(Stage):
         low=0,
     )  # fmt: skip
     convex_factor: float = parameter(
-        0.06,
+        0.05,
         "regions, edges: factor on the angle where the surface is convex and the normals are oriented; less keeps "
         "convex objects whole, because boundaries between objects are mostly concave; 1: eq. 3 as in the paper",
         low=0,

@@ -41,16 +41,16 @@ class RegionMergingConfig(Stage):
     """Step 6, method regions: region merging by mean boundary cost (average linkage)."""
 
     threshold: float = parameter(
-        0.41, "tau, mean boundary cost up to which regions merge; more gives larger segments; a concave right angle "
+        0.42, "tau, mean boundary cost up to which regions merge; more gives larger segments; a concave right angle "
         "costs 1; a flat edge that no image sees costs w_r (1 - r_o), which should be below tau", low=0, high=2,
         sensible="0.2-0.5",
     )  # fmt: skip
     agreement: float = parameter(
-        0.45, "a, share of a crease's cost that is removed where images see one segment on both sides; more lets "
+        0.22, "a, share of a crease's cost that is removed where images see one segment on both sides; more lets "
         "images join parts across creases; 0: never", low=0, high=1, sensible="0-0.7",
     )  # fmt: skip
     min_size: int = parameter(
-        8, "smallest segment; smaller segments are joined to a neighbour; has no effect below `pieces.min_size` if "
+        20, "smallest segment; smaller segments are joined to a neighbour; has no effect below `pieces.min_size` if "
         "pieces are used", unit="points", low=0, sensible="3-500",
     )  # fmt: skip
 
@@ -60,11 +60,11 @@ class ImageSupportConfig(Stage):
     """Step 6, method regions: image support, a small segment stays only if an image has a matching segment."""
 
     min_size: int = parameter(
-        500, "smaller segments need image support, or they are joined to a neighbour (if there are images); more "
+        100, "smaller segments need image support, or they are joined to a neighbour (if there are images); more "
         "removes more fragments; 0: no segment needs support", unit="points", low=0, sensible="0-1000",
     )  # fmt: skip
     overlap: float = parameter(
-        0.72, "smallest intersection over union, in points, of a segment and an image segment that supports it; more "
+        0.62, "smallest intersection over union, in points, of a segment and an image segment that supports it; more "
         "asks for better support", low=0, high=1, sensible="0.4-0.8",
     )  # fmt: skip
 
@@ -74,7 +74,7 @@ class OcclusionBridgingConfig(Stage):
     """Step 6, method regions: occlusion bridging, joins the parts of a surface that an occluder separates."""
 
     min_votes: int | None = parameter(
-        None, "smallest number of image lines across an occluder on which one plane continues on both sides; the two "
+        4, "smallest number of image lines across an occluder on which one plane continues on both sides; the two "
         "segments are then joined; more joins fewer; null: never", low=1, sensible="null, or 3-10",
     )  # fmt: skip
     share: float = parameter(

@@ -76,6 +76,6 @@ class PropagationConfig(Stage):
         unit="views", low=1, sensible="1-10",
     )  # fmt: skip
     weight: float = parameter(
-        0.9, "w_r, weight of the images' disagreement r; more cuts where images show different segments; 0: images do "
+        0.3, "w_r, weight of the images' disagreement r; more cuts where images show different segments; 0: images do "
         "not affect the point segments, cameras only orient the normals", low=0, high=1000, sensible="0.05-1",
     )  # fmt: skip
