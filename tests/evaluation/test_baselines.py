@@ -372,7 +372,7 @@ class TestBenchmark:
 
 
 def write_everything(folder):
-    """A small output of every rival; how to read each."""
+    """A small output of every baseline; how to read each."""
     masks = [np.ones((1, 2, 1), dtype=np.float32), np.arange(8, dtype=np.float32).reshape(2, 2, 2) % 2]
     write_detections(folder / "sis3d", [[0, 0, 0, 1, 2, 1], [1, 1, 1, 3, 3, 3]], [3, 4], [0.9, 0.8], masks)
     values = np.arange(48).reshape(6, 8) // 10

@@ -35,7 +35,7 @@ def synthetic():
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory, synthetic):
-    """ScanNet's scans, one as a stream and one exported, and both rivals' results."""
+    """ScanNet's scans, one as a stream and one exported, and both baselines' results."""
     root = tmp_path_factory.mktemp("data")
     for scan, one in synthetic.items():
         folder = root / "scans" / scan
@@ -49,7 +49,7 @@ def data(tmp_path_factory, synthetic):
         write_mesh(folder / f"{scan}_vh_clean_2.ply", one.scene.points, (one.scene.colors * 255).round())
         write_point_truth(folder, scan, one.point_labels)
         write_image_truth(folder, one.image_labels)
-        write_rivals(root, scan, one)
+        write_baselines(root, scan, one)
     return root
 
 
@@ -57,7 +57,7 @@ def largest(synthetic, count=5):
     return synthetic.point_labels.bincount().argsort(descending=True)[:count].tolist()
 
 
-def write_rivals(root, scan, one):
+def write_baselines(root, scan, one):
     """3D-SIS finds the five largest objects; SceneCut tells the image's halves apart."""
     boxes, masks = boxes_of(one.scene.points, one.point_labels, largest(one))
     write_detections(root / "3dsis" / scan, boxes, [3] * 5, [0.9] * 5, masks, protocol=3)
@@ -79,8 +79,8 @@ def read_rows(file):
 
 @pytest.fixture(scope="module")
 def out(data, run):
-    rivals = ["--sis3d", data / "3dsis", "--scenecut", data / "scenecut"]
-    run("paper-tables", data, "-o", data / "out", *rivals, "--max-frames", 2, *SMALL)
+    baselines = ["--sis3d", data / "3dsis", "--scenecut", data / "scenecut"]
+    run("paper-tables", data, "-o", data / "out", *baselines, "--max-frames", 2, *SMALL)
     return data / "out"
 
 
@@ -143,8 +143,8 @@ def test_results_that_are_there_already(data, out, run, tmp_path):
     for scan in SCANS:
         source = data / "scans" / scan
         run("segment", source, "-o", tmp_path / "results" / scan, "--max-frames", 2, *SMALL)
-    rivals = ["--sis3d", data / "3dsis", "--scenecut", data / "scenecut"]
-    run("paper-tables", data, "-o", tmp_path / "out", *rivals, "--results", tmp_path / "results")
+    baselines = ["--sis3d", data / "3dsis", "--scenecut", data / "scenecut"]
+    run("paper-tables", data, "-o", tmp_path / "out", *baselines, "--results", tmp_path / "results")
     assert (tmp_path / "out" / "tables.csv").read_text() == (out / "tables.csv").read_text()
     (tmp_path / "results" / SCANS[0] / "images" / "9.png").write_bytes(b"")
     shutil.copytree(tmp_path / "results" / SCANS[1], tmp_path / "wrong" / SCANS[0])
@@ -158,7 +158,7 @@ def test_results_that_are_there_already(data, out, run, tmp_path):
     assert not (tmp_path / "x").exists()
 
 
-def test_rows_of_rivals_that_are_missing(data, run, tmp_path, capsys):
+def test_rows_of_baselines_that_are_missing(data, run, tmp_path, capsys):
     scan = data / "scans" / SCANS[0]
     run("paper-tables", scan, "-o", tmp_path / "out", "--max-frames", 1, *SMALL)
     assert list(read_rows(tmp_path / "out" / "tables.csv")) == [
@@ -169,8 +169,8 @@ def test_rows_of_rivals_that_are_missing(data, run, tmp_path, capsys):
     assert "3D-SIS on P: nothing to score; the row is left out" in printed
     assert "SceneCut on images: nothing to score; the row is left out" in printed
     (tmp_path / "empty").mkdir()
-    rivals = ["--sis3d", tmp_path / "empty", "--scenecut", tmp_path / "empty", "--max-frames", 1]
-    run("paper-tables", scan, "-o", tmp_path / "out", *rivals, *SMALL, "--overwrite")
+    baselines = ["--sis3d", tmp_path / "empty", "--scenecut", tmp_path / "empty", "--max-frames", 1]
+    run("paper-tables", scan, "-o", tmp_path / "out", *baselines, *SMALL, "--overwrite")
     assert "scene0011_00: no result of 3D-SIS" in capsys.readouterr().out
 
 
@@ -236,12 +236,12 @@ def test_a_table_of_one_row():
 
 def test_means_are_of_the_same_scenes():
     one, two, three = (Scores(*[value] * len(Scores._fields)) for value in (0.1, 0.2, 0.3))
-    initial, final, rival, points = ROWS[4], ROWS[5], ROWS[6], ROWS[1]
+    initial, final, baseline, points = ROWS[4], ROWS[5], ROWS[6], ROWS[1]
     found = {
-        "a": {initial: one, final: one, rival: one, points: one},
+        "a": {initial: one, final: one, baseline: one, points: one},
         "b": {initial: two, final: two, points: two},
-        "c": {initial: three, final: three, rival: three},
+        "c": {initial: three, final: three, baseline: three},
     }
     rows = comparable(found)
-    assert rows == {points: [one, two], initial: [one, three], final: [one, three], rival: [one, three]}
+    assert rows == {points: [one, two], initial: [one, three], final: [one, three], baseline: [one, three]}
     assert comparable({"a": {initial: one}, "b": {final: two}}) == {initial: [one], final: [two]}

@@ -98,7 +98,7 @@ def test_seeds_and_domains_differ() -> None:
     assert len({domain_settings(domain, seed) for domain in DOMAINS for seed in range(5)}) == 5 * len(DOMAINS)
 
 
-def test_a_street_is_one_sweep_without_colours() -> None:
+def test_a_street_is_one_scan_without_colours() -> None:
     made = scene_of("street")
     assert made.scene.colors is None
     assert made.scene.frames[0].depth is None

@@ -14,10 +14,10 @@ from torchjoint.synthetic import (
     bleeding,
     desks,
     kitchens,
+    lidar_scan,
     rooms,
     shelves,
     streets,
-    sweep,
     tabletop,
     trajectory,
     workshops,
@@ -63,11 +63,11 @@ def make_domain_scene(
     in them, across the borders of things, so that colours bleed as in real fused clouds.
 
     Args:
-        domain: a name of :data:`DOMAINS`. A "street" is one sweep of a turning LiDAR at the origin, without colours;
+        domain: a name of :data:`DOMAINS`. A "street" is one scan of a turning LiDAR at the origin, without colours;
             its ``point_labels`` know every surface, its scene's truth only ground, vehicles, people and poles.
         seed: decides everything else.
         num_views: images; drawn if None.
-        num_points: points; drawn if None. Of a street the most: its sweep has as many as return.
+        num_points: points; drawn if None. Of a street the most: its scan has as many as return.
         models: a folder of Sweet Home 3D catalogues (``*.sh3f``), or of OBJ and GLB files: half of the things are
             models of it, one model an instance. None: built-in shapes only.
         held_out: takes only those kinds of models that False never takes (a fifth of the kinds of things).
@@ -92,7 +92,7 @@ def make_domain_scene(
     shots, truths = _shoot(renderer, of_views, true_poses, poses, intrinsics, settings)
     colors: Array | None = None
     if domain == "street":
-        points, labels = _at_most(of_cloud, *sweep.turn(of_cloud, renderer, settings), settings.num_points)
+        points, labels = _at_most(of_cloud, *lidar_scan.turn(of_cloud, renderer, settings), settings.num_points)
         known = np.isin(np.array(world.names), streets.KNOWN)
     else:
         seen = bleeding.observe(of_cloud, shots, intrinsics, layout.crop if settings.cropped else None)

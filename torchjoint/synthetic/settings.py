@@ -26,7 +26,7 @@ class DomainSettings(NamedTuple):
         height, width: of the images, pixels.
         field_of_view: of the images, degrees, horizontal.
         num_points: most points of the cloud.
-        spacing: side of the cells that the cloud is thinned to, metres (of a sweep: 0).
+        spacing: side of the cells that the cloud is thinned to, metres (of a LiDAR scan: 0).
         depth_noise: standard deviation at 1 m, metres; of a LiDAR at every range.
         depth_ripple: of the part that neighbours share (structured light), metres at 1 m.
         depth_step: rounding of depths at 1 m, metres.

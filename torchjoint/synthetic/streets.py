@@ -19,7 +19,7 @@ from torchjoint.synthetic.stage import Stage
 from torchjoint.synthetic.tabletop import Layout
 from torchjoint.synthetic.world import Item, Light
 
-#: What a sweep's truth knows, as SemanticKITTI's does; vegetation, buildings and fences are void there.
+#: What the truth of a scan knows, as SemanticKITTI's does; vegetation, buildings and fences are void there.
 KNOWN = ("ground", "car", "van", "person", "bicycle", "cyclist", "pole")
 #: The ground reaches so far, metres.
 _REACH = 85.0
