@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from torchjoint.ops import (
+    boosted_trees,
     felzenszwalb,
     felzenszwalb_image,
     fit_normals,
@@ -74,6 +75,15 @@ REGION_PLANES = {
     "points": POINTS, "neighbors": NEIGHBORS, "region": torch.tensor([0, 0, 0, 1]), "normals": POINTS + 1,
     "min_points": 3,
 }  # fmt: skip
+BOOSTED_TREES = {
+    "values": torch.tensor([[0.5, 2.0], [0.6, NAN], [NAN, 1.0]]),
+    "feature": torch.tensor([[0, 0, 0], [1, 0, 0]], dtype=torch.int32),
+    "threshold": torch.tensor([[0.5, 0.0, 0.0], [1.5, 0.0, 0.0]], dtype=torch.float64),
+    "missing_left": torch.tensor([[True, False, False], [False, False, False]]),
+    "left": torch.tensor([[1, -1, -1], [2, -1, -1]], dtype=torch.int32),
+    "right": torch.tensor([[2, -1, -1], [1, -1, -1]], dtype=torch.int32),
+    "leaf_value": torch.tensor([[0.0, -1.0, 2.0], [0.0, 0.25, 0.5]], dtype=torch.float64),
+}
 #: Every operator, with arguments that are right.
 VALID: dict[Callable[..., Any], dict[str, Any]] = {
     felzenszwalb: FELZENSZWALB,
@@ -90,6 +100,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     propagate_labels: PROPAGATE_LABELS,
     merge_regions: MERGE_REGIONS,
     region_planes: REGION_PLANES,
+    boosted_trees: BOOSTED_TREES,
     ultrametric_contours: {"boundary": IMAGES[0, 0], "relief": IMAGES[0, 1]},
 }
 

@@ -19,6 +19,7 @@ from torchjoint.labels.image_labels import label_image
 from torchjoint.labels.joint_ids import separate_private_ids
 from torchjoint.points.graph import PointGraph, build_edgeless_graph, build_point_graph
 from torchjoint.points.orientation import orientation_votes
+from torchjoint.points.scales import measure_scales
 from torchjoint.points.segments import segment_points
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.stopwatch import Stopwatch
@@ -129,7 +130,8 @@ class JointSegmenter(nn.Module):
 
         Args:
             points: [N, 3] metres, world frame.
-            colors: optional [N, 3] RGB in [0, 1], used only by method edges with a color_weight > 0.
+            colors: optional [N, 3] RGB in [0, 1], used only by method learned, and by method edges with a
+                color_weight > 0.
             normals: optional [N, 3], estimated if absent; a normal is turned to the cameras that see its point.
 
         Raises:
@@ -138,10 +140,12 @@ class JointSegmenter(nn.Module):
         cloud = Scene(points, colors=colors, normals=normals)
         self.stopwatch = Stopwatch()
         with one_thread_per_operation(), self.stopwatch("point graph"):
-            if self.config.point_segments.method == "scan":
+            method = self.config.point_segments.method
+            if method == "scan":
                 self._graph = build_edgeless_graph(cloud)
             else:
-                self._graph = build_point_graph(cloud, self.config.point_graph)
+                scales = measure_scales(cloud.points) if method == "learned" else None
+                self._graph = build_point_graph(cloud, self.config.point_graph, scales)
         self._state = JointState.empty(self._graph.edge_index.shape[1], self._graph.num_points)
 
     @torch.no_grad()

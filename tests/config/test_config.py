@@ -64,7 +64,7 @@ def test_each_preset_has_its_method_of_step_6():
         ({"visibility": {"near": 3, "far": 2}}, r"visibility\.far: expected more than near \(3\.0\), got 2\.0"),
         (
             {"point_segments": {"method": "magic"}},
-            r"point_segments\.method: expected one of regions, edges, scan, got",
+            r"point_segments\.method: expected one of regions, edges, learned, scan, got",
         ),
         ({"region_merging": {"agreement": 1.1}}, r"region_merging\.agreement: expected <= 1, got 1\.1"),
         ({"region_merging": {"threshold": None}}, r"region_merging\.threshold: expected float, got null"),

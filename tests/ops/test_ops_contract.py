@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 import torch
 from operator_arguments import (
+    BOOSTED_TREES,
     EDGES,
     EYE,
     IMAGES,
@@ -36,6 +37,7 @@ from operator_arguments import (
 )
 
 from torchjoint.ops import (
+    boosted_trees,
     felzenszwalb,
     felzenszwalb_image,
     fit_normals,
@@ -256,6 +258,67 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
         ValueError,
         "relief: expected shape [H, W] = [2, 4], got [4, 2]",
     ),
+    (
+        boosted_trees,
+        {"values": BOOSTED_TREES["values"].double()},
+        TypeError,
+        "values: expected dtype torch.float32, got",
+    ),
+    (boosted_trees, {"values": VALUES}, ValueError, "values: expected shape [B, F], got [3]"),
+    (
+        boosted_trees,
+        {"values": BOOSTED_TREES["values"][:, :1]},
+        ValueError,
+        "numbers in [0, 1), got 1 at node 0 of tree 1",
+    ),
+    (boosted_trees, {"feature": BOOSTED_TREES["left"].long()}, TypeError, "feature: expected dtype torch.int32, got"),
+    (boosted_trees, {"feature": BOOSTED_TREES["left"][0]}, ValueError, "feature: expected shape [T, M], got [3]"),
+    (
+        boosted_trees,
+        {"feature": BOOSTED_TREES["left"]},
+        ValueError,
+        "feature: expected numbers in [0, 2), got -1 at node",
+    ),
+    (boosted_trees, {"threshold": VALUES.double()}, ValueError, "threshold: expected shape [T, M] = [2, 3], got [3]"),
+    (
+        boosted_trees,
+        {"threshold": changed(BOOSTED_TREES["threshold"], torch.inf, 1, 0)},
+        ValueError,
+        "threshold: expected finite numbers, got inf at node 0 of tree 1",
+    ),
+    (boosted_trees, {"missing_left": BOOSTED_TREES["left"]}, TypeError, "missing_left: expected dtype torch.bool, got"),
+    (
+        boosted_trees,
+        {"left": changed(BOOSTED_TREES["left"], 0, 0, 0)},
+        ValueError,
+        "left: expected -1 or places after the node's, below 3, got 0 at node 0 of tree 0",
+    ),
+    (
+        boosted_trees,
+        {"left": changed(BOOSTED_TREES["left"], 3, 1, 0)},
+        ValueError,
+        "below 3, got 3 at node 0 of tree 1",
+    ),
+    (
+        boosted_trees,
+        {"left": BOOSTED_TREES["left"][:1]},
+        ValueError,
+        "left: expected shape [T, M] = [2, 3], got [1, 3]",
+    ),
+    (boosted_trees, {"right": changed(BOOSTED_TREES["right"], -2, 0, 1)}, ValueError, "right: expected -1 or places"),
+    (
+        boosted_trees,
+        {"right": changed(BOOSTED_TREES["right"], -1, 0, 0)},
+        ValueError,
+        "right: expected -1 exactly where left is -1, got -1 at node 0 of tree 0",
+    ),
+    (boosted_trees, {"leaf_value": VALUES}, TypeError, "leaf_value: expected dtype torch.float64, got torch.float32"),
+    (
+        boosted_trees,
+        {"leaf_value": BOOSTED_TREES["leaf_value"] * NAN},
+        ValueError,
+        "leaf_value: expected finite numbers",
+    ),
     (ultrametric_contours, {"relief": changed(IMAGES[0, 0], NAN, 1, 1)}, ValueError, "expected no NaN, got NaN at 5"),
 ]
 
@@ -311,6 +374,11 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (region_planes, {"region": PIXELS}),
         (region_planes, {"normals": EYE[:, :3]}),
         (region_planes, {"min_points": 2}),
+        (boosted_trees, {"values": VALUES}),
+        (boosted_trees, {"feature": PIXELS}),
+        (boosted_trees, {"feature": torch.empty(2, 0, dtype=torch.int32)}),
+        (boosted_trees, {"threshold": BOOSTED_TREES["leaf_value"][:1]}),
+        (boosted_trees, {"leaf_value": BOOSTED_TREES["leaf_value"].float()}),
         (match_pixels, {"pred": LABELS}),
         (match_pixels, {"target": LABELS.T > 0}),
         (match_pixels, {"radius": NAN}),
@@ -381,6 +449,8 @@ def test_no_gradient_flows() -> None:
     assert not merge_regions(**MERGE_REGIONS | {"cost": weight}).requires_grad
     with_grad = {name: REGION_PLANES[name].clone().requires_grad_() for name in ("points", "normals")}
     assert not any(result.requires_grad for result in region_planes(**REGION_PLANES | with_grad))
+    values = BOOSTED_TREES["values"].clone().requires_grad_()
+    assert not boosted_trees(**BOOSTED_TREES | {"values": values}).requires_grad
     assert not propagate_labels(**PROPAGATE_LABELS | {"boundary": torch.rand(3, 4).requires_grad_()}).requires_grad
 
 
@@ -448,6 +518,7 @@ LONG_OPERATORS = (
     merge_regions,
     region_planes,
     propagate_labels,
+    boosted_trees,
 )
 
 
@@ -470,6 +541,17 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
             region = torch.arange(len(points)) % 2
             return lambda: region_planes(points, neighbors, region, points)
         return lambda: op(**{"points": points} if op is fit_normals else {}, neighbors=neighbors)
+    if op is boosted_trees:
+        places = torch.arange(1, 64, dtype=torch.int32).expand(40, -1)
+        left = torch.where((places % 2 == 1) & (places < 63), places, -1)  # of two children the first is a leaf
+        trees = {
+            "feature": torch.zeros_like(left), "threshold": torch.zeros(left.shape, dtype=torch.float64),
+            "missing_left": torch.zeros_like(left, dtype=torch.bool), "left": left,
+            "right": torch.where(left > 0, left + 1, -1),
+            "leaf_value": torch.rand(left.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0)),
+        }  # fmt: skip
+        values = torch.rand(int(200_000 * share), 2, generator=torch.Generator().manual_seed(0))
+        return lambda: boosted_trees(values, **trees)
     if op is merge_regions:
         edges, cost = large_graph(int(100_000 * share))
         return lambda: merge_regions(edges, cost, torch.ones(len(cost), dtype=torch.int64), 0.4, 2)

@@ -19,10 +19,11 @@ from torchjoint.cli.segment import segment
 from torchjoint.cli.show import show
 from torchjoint.cli.superpoints import superpoints
 from torchjoint.cli.train_boundaries import train_boundaries
+from torchjoint.cli.train_boundary_model import train_boundary_model
 
 INTERRUPTED = (
-    "torchjoint: interrupted; `segment`, `benchmark --tuning` and `train-boundaries` go on where they were when "
-    "started again"
+    "torchjoint: interrupted; `segment`, `benchmark --tuning`, `train-boundaries` and `train-borders` go on where they "
+    "were when started again"
 )
 
 
@@ -37,6 +38,7 @@ def main() -> None:
             "evaluate": evaluate,
             "benchmark": benchmark,
             "train-boundaries": train_boundaries,
+            "train-borders": train_boundary_model,
             "evaluate-boundaries": evaluate_boundaries,
             "paper-tables": paper_tables,
             "show": show,

@@ -34,8 +34,9 @@ AFTERWARDS = {
 def evidence_config(config: Config) -> Config:
     """The config with the AFTERWARDS parameters at their defaults: two configs with equal results store the same."""
     default = Config().to_dict()
-    if config.point_segments.method == "scan":  # it builds no graph, so it collects no evidence from images
-        default["point_segments"]["method"] = "scan"
+    # Scan builds no graph, so it collects no evidence from images. Learned chooses the neighbours of the graph itself.
+    if config.point_segments.method in ("scan", "learned"):
+        default["point_segments"]["method"] = config.point_segments.method
     return config.replace(
         {stage: {name: default[stage][name] for name in names} for stage, names in AFTERWARDS.items()}
     )

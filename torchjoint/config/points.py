@@ -19,15 +19,15 @@ def reach_parameter() -> Any:
 
 @dataclass(frozen=True)
 class PointGraphConfig(Stage):
-    """Step 3, eq. 3-4, methods regions and edges: the k-nearest-neighbour graph and its geometric edge weights."""
+    """Step 3, eq. 3-4, all methods but scan: the k-nearest-neighbour graph and its geometric edge weights."""
 
     neighbors: int = parameter(
         16, "K, neighbours of a point in the graph; more bridges gaps and takes longer", low=1, high=200,
         sensible="8-30",
     )  # fmt: skip
     normal_neighbors: int = parameter(
-        45, "neighbours to which a point's normal is fitted; more suits noisy clouds, but rounds edges", low=3,
-        high=500, sensible="10-80",
+        45, "regions, edges: neighbours to which a point's normal is fitted; more suits noisy clouds, but rounds edges",
+        low=3, high=500, sensible="10-80",
     )  # fmt: skip
     reach: float = reach_parameter()
     plane_neighbors: int = parameter(
@@ -62,8 +62,9 @@ class PointSegmentsConfig(Stage):
 
     method: str = parameter(
         "regions", "regions: region merging by mean boundary cost; edges: as in the paper, Felzenszwalb-Huttenlocher "
-        "with the weights of eq. 3; scan: ground and objects of one LiDAR scan (z up, sensor at the origin), without "
-        "evidence from images", choices=("regions", "edges", "scan"), renamed={"sweep": "scan"},
+        "with the weights of eq. 3; learned: regions merge where a learned model says that they belong to one object "
+        "(no parameter of step 6 counts); scan: ground and objects of one LiDAR scan (z up, sensor at the origin), "
+        "without evidence from images", choices=("regions", "edges", "learned", "scan"), renamed={"sweep": "scan"},
     )  # fmt: skip
     scale: float = parameter(
         4.5, "edges: k of Felzenszwalb-Huttenlocher; more gives larger segments", unit="weight x points", low=0

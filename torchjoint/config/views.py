@@ -57,7 +57,7 @@ class VisibilityConfig(Stage):
 
 @dataclass(frozen=True)
 class PropagationConfig(Stage):
-    """Step 5, eq. 5-6, methods regions and edges: the images' evidence r for each edge of the point graph."""
+    """Step 5, eq. 5-6, all methods but scan: the images' evidence r for each edge of the point graph."""
 
     window: int = parameter(
         1, "t, side of the window around a point's pixel (odd); more tolerates pose errors, but blurs boundaries",

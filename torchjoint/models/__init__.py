@@ -1,1 +1,1 @@
-"""The forest that comes with the package, and its card."""
+"""The trained models that come with the package, and their cards."""

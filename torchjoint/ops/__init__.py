@@ -5,6 +5,7 @@ Slow and simple Python versions are in :mod:`torchjoint.ops.reference`.
 """
 
 from torchjoint.ops import _extension  # noqa: F401  must come first: it registers the operators
+from torchjoint.ops.boosted_trees import boosted_trees
 from torchjoint.ops.felzenszwalb import felzenszwalb
 from torchjoint.ops.felzenszwalb_image import felzenszwalb_image
 from torchjoint.ops.fit_normals import fit_normals
@@ -22,6 +23,7 @@ from torchjoint.ops.ultrametric_contours import ultrametric_contours
 from torchjoint.ops.window_overlaps import window_overlaps
 
 __all__ = [
+    "boosted_trees",
     "felzenszwalb",
     "felzenszwalb_image",
     "fit_normals",

@@ -11,9 +11,15 @@ from torchjoint import ops
 from torchjoint.config import PointGraphConfig
 from torchjoint.points.neighbors import SPACING_NEIGHBORS, nearest_neighbors, neighbor_tables
 from torchjoint.points.normals import estimate_normals
+from torchjoint.points.scales import Scales
 from torchjoint.runtime.threads import all_threads
 from torchjoint.scene import Scene
 from torchjoint.views.csr_adjacency import CsrAdjacency
+
+#: With measured scales, planes are fitted to this many times as many neighbours as normals, because only a part of them
+#: is in the point's region; at least 40, at most 128.
+PLANE_SHARE = 1.5
+PLANE_NEIGHBORS = (40, 128)
 
 
 class PointGraph(NamedTuple):
@@ -27,6 +33,7 @@ class PointGraph(NamedTuple):
     edge_index: Tensor  #: [2, E] int64, each edge once
     adjacency: CsrAdjacency  #: CSR adjacency of the edges
     neighbors: Tensor  #: [N, K] int32, nearest first; planes are fitted to them
+    scales: Scales | None = None  #: noise and spacing, method learned only
 
     @property
     def num_points(self) -> int:
@@ -38,15 +45,23 @@ class PointGraph(NamedTuple):
         return torch.equal(self.points, other.points) and torch.equal(self.normals, other.normals)
 
 
-def build_point_graph(cloud: Scene, config: PointGraphConfig) -> PointGraph:
+def build_point_graph(cloud: Scene, config: PointGraphConfig, scales: Scales | None = None) -> PointGraph:
     """Builds the point graph of a cloud: neighbours, edges and normals (eq. 3-4); frames are ignored.
 
     Args:
         cloud: points [N, 3], optional colours and normals.
         config: numbers of neighbours and their reach.
+        scales: the scales of the cloud; if given, the numbers of neighbours of normals and planes follow from them
+            instead of the config.
     """
-    for_normals = config.normal_neighbors if cloud.normals is None else 0
-    counts = (config.neighbors, for_normals, config.plane_neighbors)
+    for_normals, for_planes = config.normal_neighbors, config.plane_neighbors
+    if scales is not None:
+        few, many = PLANE_NEIGHBORS
+        for_normals = scales.normal_neighbors
+        for_planes = min(many, max(few, round(PLANE_SHARE * for_normals)))
+    if cloud.normals is not None:
+        for_normals = 0
+    counts = (config.neighbors, for_normals, for_planes)
     table, spacing = neighbor_tables(cloud.points, counts, config.reach)
     normals = cloud.normals
     if normals is None:
@@ -60,7 +75,8 @@ def build_point_graph(cloud: Scene, config: PointGraphConfig) -> PointGraph:
         spacing,
         edge_index,
         CsrAdjacency.of(edge_index, len(cloud.points)),
-        table[config.plane_neighbors].contiguous(),
+        table[for_planes].contiguous(),
+        scales,
     )
 
 

@@ -7,8 +7,11 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import Config
+from torchjoint.points.agglomeration import segment_learned
+from torchjoint.points.boundary_model import load_boundary_model
 from torchjoint.points.edge_costs import combined_costs, crease_costs
 from torchjoint.points.edge_weights import geometric_weights
+from torchjoint.points.evidence import gather_evidence
 from torchjoint.points.graph import PointGraph
 from torchjoint.points.image_support import best_overlaps
 from torchjoint.points.lidar.scan_segments import segment_scan
@@ -31,9 +34,16 @@ def segment_points(graph: PointGraph, state: JointState, config: Config) -> Tens
 
     Returns:
         [N] int64 labels 0, 1, ...
+
+    Raises:
+        ValueError: method learned, but the graph was built without scales.
     """
     if config.point_segments.method == "scan":
         return segment_scan(graph.points, config.scan)
+    if config.point_segments.method == "learned":
+        if graph.scales is None:
+            raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
+        return segment_learned(gather_evidence(graph, graph.scales, state, config), load_boundary_model())
     normals, oriented = orient_normals(graph, state.facing)
     r = None
     if state.observations and config.propagation.weight > 0:

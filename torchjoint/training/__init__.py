@@ -1,10 +1,31 @@
-"""Trains the boundary detector: structured forests on images with human segmentations.
+"""Trains the boundary detector of images, and the model of boundaries between regions of points.
+
+The detector: structured forests on images with human segmentations.
 
 Modules in the order of the data flow: :mod:`channels` of an image, :mod:`features` of a patch, :mod:`patches` sampled
 from all images, one :mod:`tree` grown from the samples, and :mod:`train` for all trees. :mod:`detect` runs a forest.
+
+The model: :mod:`boundary_model` trains it on labelled scenes; :mod:`evidence_files` keeps prepared scenes.
 """
 
+from torchjoint.points.boundary_model import load_boundary_model, save_boundary_model
+from torchjoint.training.boundary_model import (
+    BoundaryModelOptions,
+    fit_boundary_model,
+    labelled_evidence,
+    train_boundary_model,
+)
 from torchjoint.training.train import TrainingOptions, train_boundaries
 from torchjoint.training.tree import TreeOptions
 
-__all__ = ["TrainingOptions", "TreeOptions", "train_boundaries"]
+__all__ = [
+    "BoundaryModelOptions",
+    "TrainingOptions",
+    "TreeOptions",
+    "fit_boundary_model",
+    "labelled_evidence",
+    "load_boundary_model",
+    "save_boundary_model",
+    "train_boundaries",
+    "train_boundary_model",
+]

@@ -23,8 +23,10 @@ from torchjoint.ops.reference.regions import (
     merge_regions_reference,
     region_planes_reference,
 )
+from torchjoint.ops.reference.trees import boosted_trees_reference
 
 __all__ = [
+    "boosted_trees_reference",
     "felzenszwalb_reference",
     "fit_normals_reference",
     "match_pixels_reference",

@@ -1,0 +1,144 @@
+"""Step 6, method learned: merging by hand, the rounds, and the method as a whole with a model by hand."""
+
+import pytest
+import torch
+
+import torchjoint as tj
+from torchjoint.points import segments
+from torchjoint.points.agglomeration import merge_by_probability, segment_learned
+from torchjoint.points.boundary_features import FEATURE_NAMES, boundary_features
+from torchjoint.points.evidence import gather_evidence
+from torchjoint.views.state import JointState
+
+LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
+
+
+class ByCrease:
+    """A model by hand: creases are boundaries. It remembers what it was asked."""
+
+    def __init__(self, *thresholds):
+        self.thresholds = thresholds
+        self.asked = []
+
+    def probability(self, number, values):
+        self.asked.append((number, len(values)))
+        return values[:, FEATURE_NAMES.index("crease_mean")].double().clamp(0, 1)
+
+
+@pytest.fixture(scope="module")
+def scene(scene_of):
+    return scene_of(3).scene
+
+
+def segmenter_of(scene, order=None):
+    segmenter = tj.JointSegmenter(LEARNED)
+    segmenter.reset(scene.points, scene.colors)
+    segmenter.update([scene.frames[index] for index in order or range(len(scene.frames))])
+    return segmenter
+
+
+@pytest.fixture(scope="module")
+def segmenter(scene):
+    return segmenter_of(scene)
+
+
+@pytest.fixture(scope="module")
+def evidence(segmenter):
+    graph = segmenter._require_graph()
+    return gather_evidence(graph, graph.scales, segmenter.state, LEARNED)
+
+
+class TestMerging:
+    def test_nothing_and_everything(self, evidence):
+        piece, pairs = evidence.piece, evidence.pairs
+        half = torch.full((pairs.shape[1],), 0.5, dtype=torch.float64)
+        assert torch.equal(merge_by_probability(evidence, piece, pairs, half, 0.49), piece)
+        merged = merge_by_probability(evidence, piece, pairs, half, 0.5)
+        assert merged.max() < 20  # only what no edge connects stays apart
+        first, second = merged[piece.new_tensor([(piece == p).nonzero()[0, 0] for p in pairs.flatten()])].view(2, -1)
+        assert torch.equal(first, second)
+
+    def test_one_pair(self, evidence):
+        for chosen in (0, 17, evidence.pairs.shape[1] - 1):
+            probability = torch.ones(evidence.pairs.shape[1], dtype=torch.float64)
+            probability[chosen] = 0.1
+            a, b = evidence.pairs[:, chosen].tolist()
+            merged = merge_by_probability(evidence, evidence.piece, evidence.pairs, probability, 0.2)
+            expected = torch.where(evidence.piece == b, a, evidence.piece)
+            assert torch.equal(merged, torch.where(expected > b, expected - 1, expected))
+
+
+class TestRounds:
+    def test_each_round_asks_about_larger_regions(self, evidence):
+        model = ByCrease(0.1, 0.2, 0.3)
+        labels = segment_learned(evidence, model)
+        numbers, boundaries = zip(*model.asked, strict=True)
+        assert numbers == (0, 1, 2, 2)
+        assert list(boundaries) == sorted(boundaries, reverse=True)
+        assert boundaries[0] == evidence.pairs.shape[1]
+        region = evidence.piece
+        for threshold in (0.1, 0.2, 0.3, 0.3):
+            pairs, values = boundary_features(evidence, region)
+            region = merge_by_probability(evidence, region, pairs, model.probability(0, values), threshold)
+        assert torch.equal(labels, region)
+
+    def test_labels_are_numbered_by_first_appearance(self, evidence):
+        labels = segment_learned(evidence, ByCrease(0.1, 0.3))
+        first = [int((labels == label).nonzero()[0]) for label in range(int(labels.max()) + 1)]
+        assert first == sorted(first)
+        assert labels.dtype == torch.int64
+        assert labels.shape == evidence.piece.shape
+
+    def test_stops_when_no_boundary_is_left(self, evidence):
+        model = ByCrease(1.0, 1.0, 1.0)
+        labels = segment_learned(evidence, model)
+        assert boundary_features(evidence, labels).pairs.shape[1] == 0
+        assert len(model.asked) == 1
+
+
+class TestMethod:
+    @pytest.fixture(autouse=True)
+    def _model(self, monkeypatch):
+        monkeypatch.setattr(segments, "load_boundary_model", lambda: ByCrease(0.1, 0.2, 0.3))
+
+    def test_is_the_rounds(self, segmenter, evidence):
+        expected = segment_learned(evidence, ByCrease(0.1, 0.2, 0.3))
+        result = segmenter.compute()
+        assert torch.equal(result.points, expected)
+        assert expected.max() > 3
+        assert len(result.images) == 6
+
+    def test_neither_order_nor_threads_matter(self, scene, segmenter, set_threads):
+        expected = segmenter.compute(images=False).points
+        for threads in (1, 3):
+            set_threads(threads)
+            assert torch.equal(segmenter_of(scene, [5, 3, 1, 0, 2, 4]).compute(images=False).points, expected)
+
+    @pytest.mark.parametrize("count", [1, 2, 5, 40])
+    def test_tiny_clouds(self, count):
+        points = torch.rand(count, 3, generator=torch.Generator().manual_seed(0))
+        for colors in (None, points):
+            segmenter = tj.JointSegmenter(LEARNED)
+            segmenter.reset(points, colors)
+            assert segmenter.compute().points.shape == (count,)
+
+    def test_needs_the_scales(self, segmenter):
+        graph = segmenter._require_graph()._replace(scales=None)
+        with pytest.raises(ValueError, match="graph: method learned needs a graph that was built with the scales"):
+            segments.segment_points(graph, JointState.empty(graph.edge_index.shape[1], graph.num_points), LEARNED)
+
+    def test_no_parameter_of_step_6_counts(self, segmenter):
+        other = LEARNED.set(["regions.scale=0", "region_merging.threshold=0.9", "pieces.min_size=3"])
+        expected = segmenter.compute(images=False).points
+        assert torch.equal(segmenter.with_config(other).compute(images=False).points, expected)
+
+    @pytest.mark.parametrize("method", ["regions", "edges", "scan"])
+    def test_another_method_needs_another_graph(self, scene, segmenter, method):
+        message = r"config: what was seen depends on point_segments\.method; see the frames again"
+        other = LEARNED.set([f"point_segments.method={method}"])
+        with pytest.raises(ValueError, match=message):
+            segmenter.with_config(other)
+        seen = tj.JointSegmenter(other)
+        seen.reset(scene.points)
+        with pytest.raises(ValueError, match=message):  # nor the other way round
+            seen.with_config(LEARNED)

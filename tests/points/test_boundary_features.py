@@ -1,0 +1,251 @@
+"""Step 6, method learned: features by hand, what is missing, and what must not matter."""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+
+import torchjoint as tj
+from torchjoint.points.boundary_features import FEATURE_NAMES, BoundaryFeatures, boundary_features
+from torchjoint.points.evidence import Evidence, gather_evidence
+from torchjoint.points.graph import build_point_graph
+from torchjoint.points.group_summaries import Measure, summarize
+from torchjoint.points.image_agreement import image_agreement
+from torchjoint.points.image_evidence import contours_across, segments_of_pieces
+from torchjoint.points.region_statistics import axes, covariance_of_unions, pooled, statistics_of_points
+from torchjoint.points.scales import measure_scales
+from torchjoint.scene import Scene
+from torchjoint.views.state import JointState
+
+LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
+OF_COLORS = {"lightness_difference", "chroma_difference", "color_contrast"} | {
+    name for name in FEATURE_NAMES if name.startswith(("color_spread", "color_step"))
+}
+OF_IMAGES = {"seen_share", "log_views", "overlap_gain", "better_overlap", "worse_overlap"} | {
+    name for name in FEATURE_NAMES if name.startswith(("disagreement", "contour", "agreement"))
+}
+
+
+def value(features: BoundaryFeatures, name: str, row: int = 0) -> float:
+    return features.values[row, FEATURE_NAMES.index(name)].item()
+
+
+def missing(features: BoundaryFeatures) -> set[str]:
+    """The features that no boundary has."""
+    return {name for name, column in zip(FEATURE_NAMES, features.values.T, strict=True) if column.isnan().all()}
+
+
+def corner(step=0.01, side=20):
+    """A floor, and a wall that stands on it: points, and normals that point into the room."""
+    along, out = torch.meshgrid(torch.arange(2 * side) * step, (torch.arange(side) + 0.5) * step, indexing="ij")
+    floor = torch.stack([out, along, torch.zeros_like(out)], -1).view(-1, 3)
+    wall = torch.stack([torch.zeros_like(out), along, out], -1).view(-1, 3)
+    up, sideways = torch.tensor([0.0, 0, 1]).expand_as(floor), torch.tensor([1.0, 0, 0]).expand_as(wall)
+    return torch.cat([floor, wall]), torch.cat([up, sideways])
+
+
+def evidence_of(points, normals=None, colors=None) -> Evidence:
+    """Without images."""
+    scales = measure_scales(points)
+    graph = build_point_graph(Scene(points, colors=colors, normals=normals), LEARNED.point_graph, scales)
+    return gather_evidence(graph, scales, JointState.empty(graph.edge_index.shape[1], len(points)), LEARNED)
+
+
+class TestCorner:
+    def test_two_planes_that_meet(self):
+        points, normals = corner()
+        evidence = evidence_of(points, normals)
+        half = len(points) // 2
+        assert evidence.piece.tolist() == [0] * half + [1] * half
+        features = boundary_features(evidence, evidence.piece)
+        assert features.pairs.tolist() == [[0], [1]]
+        assert features.values.shape == (1, len(FEATURE_NAMES))
+        assert features.values.dtype == torch.float32
+        side, step = 20, 0.01
+        deviations = [step * math.sqrt((count**2 - 1) / 12) for count in (side, 2 * side)]
+        expected = {
+            **{f"{name}_{part}": 1 for name in ("crease", "bend") for part in ("mean", "low", "median", "high")},
+            "unoriented_share": 0,
+            "log_points_small": math.log(half),
+            "log_points_large": math.log(half),
+            "thickness_small": 0,
+            "flatness_large": 1,
+            "elongation_small": deviations[1] / deviations[0],
+            "width_large": deviations[0] / evidence.statistics.spacing[1].item(),
+            "extent_ratio": 1,
+            "normals_cosine": 0,
+            "side_of_large": side / 2 * step / deviations[1],
+            "side_of_small": side / 2 * step / deviations[1],
+            "center_distance": math.sqrt(2) * side / 2 * step / (2 * math.hypot(*deviations)),
+            "perimeter_share_small": 1,
+            "log_neighbors_small": 0,
+            "crease_above_mean_of_small": 0,
+            "crease_above_least_of_large": 0,
+        }
+        assert {name: value(features, name) for name in expected} == pytest.approx(expected, abs=2e-3)
+        count = len(evidence.edges.pair)
+        assert value(features, "boundary_share") == pytest.approx(count / (count + half))
+        assert value(features, "boundary_per_perimeter_large") == pytest.approx(count / math.sqrt(half))
+
+    def test_no_colours_and_no_images(self):
+        points, normals = corner()
+        evidence = evidence_of(points, normals)
+        assert missing(boundary_features(evidence, evidence.piece)) == OF_COLORS | OF_IMAGES
+        colors = torch.where(normals > 0.5, 0.2, 0.7)
+        evidence = evidence_of(points, normals, colors)
+        features = boundary_features(evidence, evidence.piece)
+        assert missing(features) == OF_IMAGES
+        assert value(features, "color_spread_small") == pytest.approx(0, abs=1e-3)
+        assert value(features, "color_step_low") == pytest.approx(value(features, "color_step_high"))
+        difference = math.hypot(value(features, "lightness_difference"), value(features, "chroma_difference"))
+        assert difference == pytest.approx(value(features, "color_step_mean"), rel=1e-5)
+        assert value(features, "color_contrast") == pytest.approx(difference / 2, rel=1e-3)
+        assert value(features, "color_step_ratio") == pytest.approx(difference / 0.5, rel=1e-5)  # most steps are 0
+
+    def test_one_region_has_no_boundary(self):
+        evidence = evidence_of(*corner())
+        features = boundary_features(evidence, torch.zeros_like(evidence.piece))
+        assert features.pairs.shape == (2, 0)
+        assert features.values.shape == (0, len(FEATURE_NAMES))
+
+
+class TestSummaries:
+    def test_mean_and_quantiles_by_hand(self):
+        values = torch.tensor([5.0, 1, 3, torch.nan, 2, 4, 7, torch.nan])
+        edges = torch.tensor([0, 1, 2, 3, 4, 5, 7])
+        group = torch.tensor([0, 0, 0, 0, 0, 2, 1])
+        result = summarize(Measure.of(values), edges, group, 3)
+        # 1 2 3 5: places 0.3, 1.5 and 2.7 are rounded to 0, 2 and 3.
+        assert result[0].tolist() == [11 / 4, 1, 3, 5]
+        assert result[1].isnan().all()
+        assert result[2].tolist() == [4, 4, 4, 4]
+
+    def test_regions_of_pieces_are_regions_of_points(self):
+        generator = torch.Generator().manual_seed(0)
+        points, normals, lab = (torch.randn(60, 3, generator=generator) for _ in range(3))
+        noise, spacing = torch.rand(2, 60, generator=generator)
+        piece = torch.arange(60) % 12
+        of_piece = torch.arange(12) // 4
+        pieces = statistics_of_points(piece, points + 100, normals, noise, spacing, lab)
+        expected = statistics_of_points(of_piece[piece], points + 100, normals, noise, spacing, lab)
+        for found, wanted in zip(pooled(pieces, of_piece, 3), expected, strict=True):
+            torch.testing.assert_close(found, wanted)
+        union = covariance_of_unions(expected, torch.tensor([0]), torch.tensor([2]))
+        both = (points + 100)[of_piece[piece] != 1].double()
+        torch.testing.assert_close(union[0], torch.cov(both.T, correction=0))
+        torch.testing.assert_close(axes(union)[0, 2].square(), torch.linalg.eigvalsh(union[0])[-1])
+
+
+#: Piece 0 has points 0-3, piece 1 has 4-9, piece 2 has 10-12.
+PIECES = torch.tensor([0] * 4 + [1] * 6 + [2] * 3)
+PAIRS = torch.tensor([[0, 0, 1], [1, 2, 2]])
+
+
+class TestImages:
+    def agreement(self, *observations, of_piece=(0, 1, 2), pairs=PAIRS):
+        images = segments_of_pieces(PIECES, observations)
+        return image_agreement(images, torch.tensor(of_piece), max(of_piece) + 1, pairs)
+
+    def test_by_hand(self, seen):
+        # Shares of piece 0: label 1: 1/2, label 2: 1/2. Piece 1: 2: 1/2, 3: 1/2. Piece 2: 3: 1.
+        first = seen(range(13), [1, 1, 2, 2] + [2] * 3 + [3] * 3 + [3] * 3)
+        second = seen(range(10), [0] * 10)  # piece 2 is hidden
+        result = self.agreement(first, second)
+        total = (0.5 * 24 + 1 * 24) / 48
+        # Best overlaps: piece 0 with label 1: 2 of 4, or with label 0: 4 of 10; piece 1: 6 of 10. Union: 10 of 10.
+        assert result[0].tolist() == pytest.approx([total, 0.75, 0.25, math.log(3), 1 - 0.6, 0.6, 0.5, 0.5])
+        assert result[1, :3].tolist() == [0, 0, 0]
+        # Piece 2 with label 3: 3 of 6; the union of 1 and 2: 6 of 9.
+        assert result[2].tolist() == pytest.approx([0.5, 0.5, 0, math.log(2), 2 / 3 - 0.6, 0.6, 0.5, 0])
+
+    def test_pieces_add_up(self, seen):
+        view = seen(range(13), [1, 1, 2, 2] + [2] * 3 + [3] * 3 + [3] * 3)
+        merged = self.agreement(view, of_piece=(0, 1, 1), pairs=torch.tensor([[0], [1]]))
+        assert merged[0, 0].item() == pytest.approx(1 / 3)  # label 2 has 3 of 9 points of the merged region
+
+    def test_two_points_are_too_few(self, seen):
+        result = self.agreement(seen([0, 1, 4, 5, 6], [1] * 5))
+        assert result[0, [0, 1, 2, 7]].isnan().all()
+        # Piece 1 alone has 3 of the segment's 5 points.
+        assert result[0, 3:7].tolist() == pytest.approx([0, -3 / 5, 3 / 5, 0])
+
+    def test_nothing_seen(self, seen):
+        result = self.agreement(seen([], []), seen([0, 5], [-1, -1]))
+        assert result[:, [0, 1, 2, 7]].isnan().all()
+        assert (result[:, 3:7] == 0).all()
+
+    def test_contours_by_hand(self, seen):
+        view = seen([0, 2, 3], [0, 0, 0])  # in columns 0, 1, 2
+        view.boundary[0, 1] = 51
+        edges = torch.tensor([[0, 0, 2, 0], [2, 3, 3, 1]])
+        strength, views = contours_across(edges, 4, [view, view])
+        assert views.tolist() == [2, 2, 2, 0]
+        assert strength[:3].tolist() == pytest.approx([0.2] * 3)
+        assert strength[3].isnan()
+
+
+@pytest.fixture(scope="module")
+def scene(scene_of):
+    return scene_of(3).scene
+
+
+def seen_by_learned(scene, order=None) -> tuple[tj.JointSegmenter, Evidence, BoundaryFeatures]:
+    # A tolerance in metres would see other points of a larger scene.
+    config = LEARNED.set(["visibility.depth_tolerance=1e-9"])
+    segmenter = tj.JointSegmenter(config)
+    segmenter.reset(scene.points, scene.colors)
+    segmenter.update([scene.frames[index] for index in order or range(len(scene.frames))])
+    graph = segmenter._require_graph()
+    assert graph.scales is not None
+    evidence = gather_evidence(graph, graph.scales, segmenter.state, config)
+    return segmenter, evidence, boundary_features(evidence, evidence.piece)
+
+
+@pytest.fixture(scope="module")
+def reference(scene):
+    return seen_by_learned(scene)
+
+
+class TestInvariance:
+    def test_a_scene_has_all_features(self, reference):
+        _, evidence, features = reference
+        assert features.values.shape[0] > 50
+        assert missing(features) == set()
+        assert torch.equal(features.pairs, evidence.pairs)
+        assert not features.values.isinf().any()
+
+    def test_order_of_frames(self, scene, reference):
+        _, evidence, features = seen_by_learned(scene, order=[4, 0, 5, 2, 1, 3])
+        assert torch.equal(evidence.piece, reference[1].piece)
+        assert torch.equal(features.values.nan_to_num(-9), reference[2].values.nan_to_num(-9))
+
+    def test_threads(self, scene, reference, set_threads):
+        for threads in (1, 3):
+            set_threads(threads)
+            _, evidence, features = seen_by_learned(scene)
+            assert torch.equal(evidence.piece, reference[1].piece)
+            assert torch.equal(features.values.nan_to_num(-9), reference[2].values.nan_to_num(-9))
+
+    def test_units(self, scene, reference):
+        frames = []
+        for frame in scene.frames:
+            world_to_camera = frame.world_to_camera.clone()
+            world_to_camera[:3, 3] *= 2
+            frames.append(dataclasses.replace(frame, world_to_camera=world_to_camera))
+        larger = Scene(2 * scene.points, frames, colors=scene.colors)
+        _, evidence, features = seen_by_learned(larger)
+        assert torch.equal(evidence.piece, reference[1].piece)
+        torch.testing.assert_close(features.values, reference[2].values, rtol=1e-4, atol=1e-4, equal_nan=True)
+
+    def test_without_weight_images_do_not_count(self, reference):
+        segmenter, _, _ = reference
+        graph = segmenter._require_graph()
+        config = LEARNED.set(["propagation.weight=0"])
+        evidence = gather_evidence(graph, graph.scales, segmenter.state, config)
+        assert evidence.images is None
+        assert missing(boundary_features(evidence, evidence.piece)) == OF_IMAGES
+
+
+def test_names_are_unique():
+    assert len(set(FEATURE_NAMES)) == len(FEATURE_NAMES) == 80

@@ -1,0 +1,111 @@
+// The sum of the leaf values that each row reaches in boosted decision trees.
+#include "common.h"
+
+#include <cmath>
+
+namespace torchjoint {
+namespace {
+
+// Rows that go through one tree after the other together, so that a tree is in the cache for all of them. The result of
+// a row never depends on it.
+constexpr int64_t kRowsPerBlock = 256;
+
+// A leaf has left < 0. The value is the threshold of an inner node, or the value of a leaf.
+struct Node {
+  double value;
+  int32_t feature;
+  int32_t left, right;
+  bool missing_left;
+};
+
+struct Trees {
+  Trees(const Tensor& feature, const Tensor& threshold, const Tensor& missing_left, const Tensor& left,
+        const Tensor& right, const Tensor& leaf_value, int64_t num_features)
+      : count(feature.size(0)), length(feature.size(1)) {
+    const int32_t* features = feature.const_data_ptr<int32_t>();
+    const double* thresholds = threshold.const_data_ptr<double>();
+    const bool* missing = missing_left.const_data_ptr<bool>();
+    const int32_t *lefts = left.const_data_ptr<int32_t>(), *rights = right.const_data_ptr<int32_t>();
+    const double* values = leaf_value.const_data_ptr<double>();
+    nodes.reserve(count * length);
+    for (int64_t i = 0; i < count * length; ++i) {
+      const int64_t tree = i / length, place = i % length;
+      check(std::isfinite(thresholds[i]), "threshold: expected finite numbers, got ", thresholds[i], " at node ", place,
+            " of tree ", tree);
+      check(std::isfinite(values[i]), "leaf_value: expected finite numbers, got ", values[i], " at node ", place,
+            " of tree ", tree);
+      check(features[i] >= 0 && (features[i] < num_features || lefts[i] < 0), "feature: expected numbers in [0, ",
+            num_features, "), got ", features[i], " at node ", place, " of tree ", tree);
+      check_child(lefts[i], "left", place, tree);
+      check_child(rights[i], "right", place, tree);
+      check((lefts[i] < 0) == (rights[i] < 0), "right: expected -1 exactly where left is -1, got ", rights[i],
+            " at node ", place, " of tree ", tree);
+      nodes.push_back({lefts[i] < 0 ? values[i] : thresholds[i], features[i], lefts[i], rights[i], missing[i]});
+    }
+  }
+
+  // A child comes after its parent, so there are no circles.
+  void check_child(int32_t child, const char* name, int64_t place, int64_t tree) const {
+    check(child == -1 || (child > place && child < length), name, ": expected -1 or places after the node's, below ",
+          length, ", got ", child, " at node ", place, " of tree ", tree);
+  }
+
+  double leaf(int64_t tree, const float* row) const {
+    const Node* const root = nodes.data() + tree * length;
+    const Node* node = root;
+    while (node->left >= 0) {
+      const double value = row[node->feature];
+      const bool goes_left = std::isnan(value) ? node->missing_left : value <= node->value;
+      node = root + (goes_left ? node->left : node->right);
+    }
+    return node->value;
+  }
+
+  int64_t count, length;
+  std::vector<Node> nodes;
+};
+
+Tensor boosted_trees(const Tensor& values, const Tensor& feature, const Tensor& threshold, const Tensor& missing_left,
+                     const Tensor& left, const Tensor& right, const Tensor& leaf_value) {
+  const Tensor rows = checked_array(values, ScalarType::Float, {-1, -1}, "values");
+  const int64_t num_rows = rows.size(0), num_features = rows.size(1);
+  check(num_features <= kMaxCount, "values: expected at most 2^31 - 1 features, got ", num_features);
+  const Tensor features = checked_array(feature, ScalarType::Int, {-1, -1}, "feature");
+  const int64_t count = features.size(0), length = features.size(1);
+  check(length >= 1 && length <= kMaxCount, "feature: expected 1 to 2^31 - 1 nodes in a tree, got ", length);
+  const Tensor thresholds = checked_array(threshold, ScalarType::Double, {count, length}, "threshold");
+  const Tensor missing = checked_array(missing_left, ScalarType::Bool, {count, length}, "missing_left");
+  const Tensor lefts = checked_array(left, ScalarType::Int, {count, length}, "left");
+  const Tensor rights = checked_array(right, ScalarType::Int, {count, length}, "right");
+  const Tensor leaves = checked_array(leaf_value, ScalarType::Double, {count, length}, "leaf_value");
+  const Trees trees(features, thresholds, missing, lefts, rights, leaves, num_features);
+
+  Tensor result = torch::stable::new_empty(rows, {num_rows}, ScalarType::Double);
+  const float* const data = rows.const_data_ptr<float>();
+  double* const sums = result.mutable_data_ptr<double>();
+  std::fill_n(sums, num_rows, 0.0);
+  const int64_t blocks = (num_rows + kRowsPerBlock - 1) / kRowsPerBlock;
+  torch::stable::parallel_for(0, blocks, 1, [&](int64_t begin, int64_t end) {
+    for (int64_t block = begin; block < end; ++block) {
+      const int64_t first = block * kRowsPerBlock, last = std::min(first + kRowsPerBlock, num_rows);
+      for (int64_t tree = 0; tree < trees.count; ++tree) {
+        for (int64_t row = first; row < last; ++row) sums[row] += trees.leaf(tree, data + row * num_features);
+      }
+    }
+  });
+  return result;
+}
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
+  m.def(
+      "boosted_trees(Tensor values, Tensor feature, Tensor threshold, Tensor missing_left, Tensor left, Tensor right,"
+      " Tensor leaf_value) -> Tensor");
+}
+
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
+  m.impl("boosted_trees", TORCH_BOX(&boosted_trees));
+}
+
+}  // namespace torchjoint

@@ -1,0 +1,288 @@
+"""Step 6, method learned: the trained model of the boundary between two regions, and its file.
+
+In each round of merging the model says how probable it is that two neighbouring regions belong to different objects.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.points.boundary_features import FEATURE_NAMES
+from torchjoint.runtime.files import atomic_write
+
+#: The model that comes with the package, in torchjoint/models/.
+PACKAGED = "boundaries.npz"
+#: A model's file is refused if its arrays take more than so many bytes; the packaged model takes less than 2 MB.
+LARGEST = 1 << 28
+#: The version of the file's layout, stored in the file.
+_FORMAT = 1
+_MOST_ROUNDS = 100
+_DTYPES = {
+    "feature": torch.int32,
+    "threshold": torch.float64,
+    "missing_left": torch.bool,
+    "left": torch.int32,
+    "right": torch.int32,
+    "leaf_value": torch.float64,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class BoostedTrees:
+    """T decision trees, all padded to M nodes; the arguments of :func:`torchjoint.ops.boosted_trees`.
+
+    Attributes:
+        feature: [T, M] int32, the feature that an inner node tests.
+        threshold: [T, M] float64; a row whose feature is at most the threshold goes left.
+        missing_left: [T, M] bool, whether a row without the feature goes left.
+        left, right: [T, M] int32, places of the children in the tree; -1 at a leaf.
+        leaf_value: [T, M] float64.
+        baseline: the sum starts from this number.
+    """
+
+    feature: Tensor
+    threshold: Tensor
+    missing_left: Tensor
+    left: Tensor
+    right: Tensor
+    leaf_value: Tensor
+    baseline: float = 0.0
+
+    def arrays(self) -> tuple[Tensor, ...]:
+        """The tensors, in the order of the operator's arguments."""
+        return tuple(getattr(self, name) for name in _DTYPES)
+
+    def score(self, values: Tensor) -> Tensor:
+        """The baseline plus the sum over the trees: the log odds of rows [B, F] float32; returns [B] float64."""
+        return self.baseline + ops.boosted_trees(values, *self.arrays())
+
+
+def no_calibration() -> Tensor:
+    """The calibration that changes nothing: [2, 2] float64."""
+    return torch.tensor([[0.0, 1.0], [0.0, 1.0]], dtype=torch.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class BoundaryModel:
+    """A model for K rounds of merging.
+
+    Attributes:
+        thresholds: K numbers in [0, 1]; a round merges regions up to this mean probability.
+        feature_names: the F features of a boundary, in the order of the columns.
+        rounds: K ensembles of trees, one for each round.
+        calibrations: K maps of the trees' probability, each [2, C] float64: C >= 2 knots x (ascending) and y (not
+            descending), both in [0, 1]. Between the knots the map is linear, beyond them constant. Empty: no map.
+
+    Raises:
+        TypeError, ValueError: the arrays do not fit together; the message names round and array.
+    """
+
+    thresholds: tuple[float, ...]
+    feature_names: tuple[str, ...]
+    rounds: tuple[BoostedTrees, ...]
+    calibrations: tuple[Tensor, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.calibrations:
+            object.__setattr__(self, "calibrations", tuple(no_calibration() for _ in self.rounds))
+        if not 1 <= len(self.rounds) <= _MOST_ROUNDS:
+            raise ValueError(f"rounds: expected 1 to {_MOST_ROUNDS}, got {len(self.rounds)}")
+        for name, of_rounds in (("thresholds", self.thresholds), ("calibrations", self.calibrations)):
+            if len(of_rounds) != len(self.rounds):
+                raise ValueError(f"{name}: expected one for each of {len(self.rounds)} rounds, got {len(of_rounds)}")
+        if not all(0 <= threshold <= 1 for threshold in self.thresholds):
+            raise ValueError(f"thresholds: expected numbers in [0, 1], got {list(self.thresholds)}")
+        no_rows = torch.empty(0, len(self.feature_names))
+        for number, (trees, calibration) in enumerate(zip(self.rounds, self.calibrations, strict=True)):
+            try:
+                if not math.isfinite(trees.baseline):
+                    raise ValueError(f"baseline: expected a finite number, got {trees.baseline}")
+                trees.score(no_rows)  # the operator checks the arrays
+                _check_calibration(calibration)
+            except (TypeError, ValueError) as error:
+                raise type(error)(f"round{number}_{error}") from error
+
+    def probability(self, number: int, values: Tensor) -> Tensor:
+        """The probability that two regions belong to different objects.
+
+        Args:
+            number: of the round, from 0.
+            values: [B, F] float32, the features of each boundary; NaN = missing.
+
+        Returns:
+            [B] float64 in [0, 1].
+
+        Raises:
+            TypeError, ValueError: `values` has another dtype, or another number of features than the model.
+        """
+        if values.dim() != 2 or values.shape[1] != len(self.feature_names):
+            raise ValueError(f"values: expected shape [B, {len(self.feature_names)}], got {list(values.shape)}")
+        return calibrated(torch.sigmoid(self.rounds[number].score(values)), self.calibrations[number])
+
+
+def calibrated(probability: Tensor, calibration: Tensor) -> Tensor:
+    """Maps probabilities [B] float64 by a calibration [2, C] float64: linear between its knots, constant beyond."""
+    x, y = calibration
+    probability = probability.clamp(float(x[0]), float(x[-1]))
+    right = torch.searchsorted(x.contiguous(), probability).clamp(1, len(x) - 1)
+    share = (probability - x[right - 1]) / (x[right] - x[right - 1])
+    return torch.lerp(y[right - 1], y[right], share)
+
+
+def save_boundary_model(path: Path, model: BoundaryModel) -> None:
+    """Writes a model as an .npz file of plain arrays, atomically; equal models make equal files."""
+    arrays: dict[str, NDArray[Any]] = {
+        "format": np.array([_FORMAT]),
+        "feature_names": np.array(model.feature_names, dtype=np.str_),
+        "thresholds": np.array(model.thresholds, dtype=np.float64),
+        "baselines": np.array([trees.baseline for trees in model.rounds], dtype=np.float64),
+    }
+    for number, (trees, calibration) in enumerate(zip(model.rounds, model.calibrations, strict=True)):
+        for name, array in zip(_DTYPES, trees.arrays(), strict=True):
+            arrays[f"round{number}_{name}"] = array.numpy()
+        arrays[f"round{number}_calibration"] = calibration.numpy()
+    with atomic_write(path) as partial, zipfile.ZipFile(partial, "w") as archive:
+        for name, values in arrays.items():
+            content = io.BytesIO()
+            np.lib.format.write_array(content, np.ascontiguousarray(values), version=(1, 0), allow_pickle=False)
+            # np.savez would store the time of writing.
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+            entry.compress_type, entry.create_system, entry.external_attr = zipfile.ZIP_DEFLATED, 3, 0o644 << 16
+            archive.writestr(entry, content.getvalue(), compresslevel=9)
+
+
+def load_boundary_model(path: Path | None = None) -> BoundaryModel:
+    """Reads and checks a model.
+
+    The file may come from anyone: it can run no code, and takes no more memory than a model may have.
+
+    Args:
+        path: a file of :func:`save_boundary_model`; None: the model that comes with the package, which is read only
+            once in a process.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is incomplete, damaged, or for other features; the message names the file and the array.
+    """
+    if path is None:
+        return _packaged_model()
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a model of `torchjoint train-borders`, NAME.npz")
+    try:
+        return _model(_read_arrays(path))
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path}: not a model of boundaries: {error}") from error
+
+
+@lru_cache(maxsize=1)
+def _packaged_model() -> BoundaryModel:
+    place = files("torchjoint.models") / PACKAGED
+    if not place.is_file():
+        raise FileNotFoundError(
+            f"torchjoint/models/{PACKAGED}: this installation has no trained model; train one with "
+            "`torchjoint train-borders`"
+        )
+    with as_file(place) as path:
+        return load_boundary_model(path)
+
+
+def _model(arrays: dict[str, NDArray[Any]]) -> BoundaryModel:
+    def take(name: str, kind: str, dimensions: int) -> NDArray[Any]:
+        if name not in arrays:
+            raise ValueError(f"{name}: missing")
+        array = arrays.pop(name)
+        if array.dtype.kind != kind or array.ndim != dimensions:
+            raise ValueError(f"{name}: expected {dimensions} dimensions of kind {kind!r}, got {array.dtype} "
+                             f"{list(array.shape)}")  # fmt: skip
+        return array
+
+    version = take("format", "i", 1).tolist()
+    if version != [_FORMAT]:
+        raise ValueError(f"format: expected [{_FORMAT}], got {version[:3]}; from another version of torchjoint?")
+    names = tuple(take("feature_names", "U", 1).tolist())
+    if names != FEATURE_NAMES:
+        raise ValueError(_other_features(names))
+    thresholds = tuple(take("thresholds", "f", 1).tolist())
+    baselines = take("baselines", "f", 1).tolist()
+    if not 1 <= len(thresholds) <= _MOST_ROUNDS or len(baselines) != len(thresholds):
+        raise ValueError(f"baselines: expected one for each of {len(thresholds)} rounds, got {len(baselines)}")
+    rounds, calibrations = [], []
+    for number, baseline in enumerate(baselines):
+        of_round = {}
+        for name, dtype in _DTYPES.items():
+            kind = "b" if dtype == torch.bool else "f" if dtype.is_floating_point else "i"
+            of_round[name] = torch.from_numpy(take(f"round{number}_{name}", kind, 2))
+        rounds.append(BoostedTrees(**of_round, baseline=baseline))
+        calibrations.append(torch.from_numpy(take(f"round{number}_calibration", "f", 2)))
+    if arrays:
+        raise ValueError(f"{min(arrays)}: unexpected array")
+    return BoundaryModel(thresholds, names, tuple(rounds), tuple(calibrations))
+
+
+def _other_features(names: tuple[str, ...]) -> str:
+    pairs = zip(names, FEATURE_NAMES, strict=False)
+    place = next((i for i, (have, want) in enumerate(pairs) if have != want), min(len(names), len(FEATURE_NAMES)))
+    have, want = (repr(all_[place][:80]) if place < len(all_) else "none" for all_ in (names, FEATURE_NAMES))
+    return (
+        f"feature_names: trained on other features than this version computes ({len(names)} instead of "
+        f"{len(FEATURE_NAMES)}; number {place} is {have} instead of {want}); train it again"
+    )
+
+
+def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of an .npz file by name; checks every declared size before it allocates memory."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+            if sum(entry.file_size for entry in entries) > LARGEST:
+                raise ValueError(f"expected arrays of at most {LARGEST >> 20} MB")
+            return {entry.filename.removesuffix(".npy"): _read_array(archive, entry) for entry in entries}
+    except ValueError:
+        raise
+    except Exception as error:  # zipfile and zlib raise many kinds of errors when a file is damaged
+        raise ValueError(f"not a whole .npz file ({' '.join(str(error).split())})") from error
+
+
+def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
+    # numpy would allocate what the header declares, before it finds that there is less.
+    with archive.open(entry) as file:
+        content = io.BytesIO(file.read(LARGEST))
+    try:
+        if np.lib.format.read_magic(content) != (1, 0):
+            raise ValueError("expected version 1.0 of the .npy format")
+        shape, in_columns, dtype = np.lib.format.read_array_header_1_0(content)
+        count = math.prod(shape)
+        if dtype.hasobject or dtype.fields is not None or dtype.itemsize == 0 or not dtype.isnative:
+            raise ValueError(f"expected plain numbers or names, got {dtype}")
+        left = len(content.getbuffer()) - content.tell()
+        if in_columns or min(shape, default=0) < 0 or count * dtype.itemsize != left:
+            raise ValueError(f"expected {list(shape)} of {dtype} by rows, got {left} bytes")
+        values = np.frombuffer(content.getbuffer()[content.tell() :], dtype) if left else np.empty(count, dtype)
+        return values.reshape(shape).copy()
+    except Exception as error:  # reading the header of a damaged array can raise anything
+        raise ValueError(f"{entry.filename.removesuffix('.npy')}: {' '.join(str(error).split())}") from error
+
+
+def _check_calibration(calibration: Tensor) -> None:
+    if calibration.dtype != torch.float64:
+        raise TypeError(f"calibration: expected dtype torch.float64, got {calibration.dtype}")
+    if calibration.dim() != 2 or calibration.shape[0] != 2 or calibration.shape[1] < 2:
+        raise ValueError(f"calibration: expected shape [2, C] with C >= 2, got {list(calibration.shape)}")
+    if not bool(((calibration >= 0) & (calibration <= 1)).all()):
+        raise ValueError("calibration: expected numbers in [0, 1]")
+    x, y = calibration.diff(dim=1)
+    if not bool((x > 0).all() and (y >= 0).all()):
+        raise ValueError("calibration: expected ascending x, and y that do not descend")

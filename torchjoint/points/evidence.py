@@ -1,0 +1,186 @@
+"""Step 6, method learned: the evidence from which a model judges boundaries between regions, computed once per cloud.
+
+The points are first grouped into small pieces, which are never split again. Only edges between two pieces can be part
+of a boundary, so only these are measured.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import kornia
+import torch
+from torch import Tensor
+
+from torchjoint.config import Config, RegionsConfig
+from torchjoint.points._vectors import dot, length, rows_of
+from torchjoint.points.edge_costs import combined_costs, crease_costs
+from torchjoint.points.edge_weights import map_edges
+from torchjoint.points.graph import PointGraph
+from torchjoint.points.group_summaries import Measure
+from torchjoint.points.image_evidence import ImageEvidence, contours_across, segments_of_pieces
+from torchjoint.points.normals import angle_between, is_convex
+from torchjoint.points.orientation import orient_normals
+from torchjoint.points.region_merging import merge
+from torchjoint.points.region_statistics import RegionStatistics, statistics_of_points
+from torchjoint.points.regions import Planes, one_sided_planes, small_regions
+from torchjoint.points.scales import Scales
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.views.propagation import disagreement
+from torchjoint.views.state import JointState
+
+# The model was trained on boundaries between these pieces. With other pieces its probabilities would be wrong, so these
+# numbers are no parameters of the config.
+
+#: The smooth regions within which planes are fitted.
+SMOOTH_REGIONS = RegionsConfig(scale=0.003, min_size=15)
+#: Factor on the cost of a crease where the surface is convex.
+CONVEX_FACTOR = 0.05
+#: Weight of the images' disagreement in an edge's cost.
+IMAGE_WEIGHT = 0.3
+#: Share of a crease's cost that the images' agreement removes.
+AGREEMENT = 0.22
+#: Weight of the colour step in an edge's cost.
+COLOR_WEIGHT = 0.3
+#: A colour step of this many median colour steps has the full weight.
+LARGE_COLOR_STEP = 6
+#: Smallest median colour step by which others are divided, units of Lab: smaller steps are noise of the camera. For
+#: the cost of edges, and for the model.
+SMALLEST_MEDIAN = 1.0
+SMALLEST_TYPICAL = 0.5
+#: Mean boundary cost up to which points merge into pieces.
+THRESHOLD = 0.05
+#: Smallest piece, points.
+MIN_SIZE = 8
+
+
+class BoundaryEdges(NamedTuple):
+    """Measures of the C edges of the point graph that connect two pieces, in the order of the graph."""
+
+    pair: Tensor  #: [C] int64, index into Evidence.pairs
+    crease: Measure  #: angle between the planes of the two ends, in right angles, negative where convex
+    bend: Measure  #: angle between the normals of the two ends, in right angles
+    offset: Measure  #: distance of one end's plane to the mean of the other, in multiples of the noise: the smaller one
+    larger_offset: Measure  #: the larger one
+    gap: Measure  #: length, in multiples of the spacing
+    unoriented: Tensor  #: [C] bool, whether the normal of an end is not oriented
+    color_step: Measure | None  #: distance of the colours of the two ends, units of Lab
+    disagreement: Measure | None  #: r of eq. 6, missing if no image has evidence
+    contour: Measure | None  #: strength of the images' boundaries across the edge
+    views: Tensor | None  #: [C] int64, number of images that see both ends
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is known about a cloud, its pieces and the edges between them.
+
+    Attributes:
+        piece: [N] int64, piece of each point, 0 ... P - 1, numbered by first appearance.
+        pairs: [2, Q] int64, the pairs of pieces a < b that edges connect, in ascending order.
+        edges: the edges between pieces.
+        statistics: statistics of the pieces' points.
+        typical_color_step: median colour step of all edges, units of Lab; None without colours.
+        images: the image segments in which the pieces lie; None without images.
+    """
+
+    piece: Tensor
+    pairs: Tensor
+    edges: BoundaryEdges
+    statistics: RegionStatistics
+    typical_color_step: float | None
+    images: ImageEvidence | None
+
+    def regions_of_pieces(self, region: Tensor) -> Tensor:
+        """The region of each piece, [P] int64, of regions [N] that are unions of pieces."""
+        of_piece = torch.empty(len(self.statistics.size), dtype=torch.int64)
+        of_piece[self.piece] = region
+        return of_piece
+
+
+def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config: Config) -> Evidence:
+    """Groups the points into pieces, and measures the edges between the pieces.
+
+    Args:
+        graph: the point graph.
+        scales: noise and spacing of the points.
+        state: the evidence of the images; its observations do not count if propagation.weight is 0.
+        config: step 5's parameters; no parameter of step 6 counts.
+    """
+    normals, oriented = orient_normals(graph, state.facing)
+    planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
+    observations = state.observations if config.propagation.weight > 0 else []
+    r = None
+    if observations:
+        r = disagreement(state.views, state.overlap_sum, len(observations), config.propagation)
+    lab = None if graph.colors is None else _to_lab(graph.colors)
+    color_step = median = None
+    if lab is not None:
+        color_step = _color_steps(lab, graph.edge_index)
+        median = float(color_step.median()) if len(color_step) else 0.0
+    cost = _edge_costs(crease_costs(graph.edge_index, planes, oriented, CONVEX_FACTOR), r, color_step, median)
+    piece = merge(torch.arange(graph.num_points), graph.edge_index, cost, THRESHOLD, MIN_SIZE)
+    first, second = piece[graph.edge_index]
+    across = torch.nonzero(first != second).squeeze(1)
+    num_pieces = int(piece.max()) + 1
+    low, high = torch.minimum(first, second)[across], torch.maximum(first, second)[across]
+    key, pair = torch.unique(low * num_pieces + high, return_inverse=True)
+    ends = graph.edge_index[:, across]
+    geometry = _geometry(graph.points, ends, normals, oriented, planes, scales)
+    contour = views = None
+    if r is not None:
+        contour, views = contours_across(ends, graph.num_points, observations)
+        r = torch.where(state.views[across] > 0, r[across], torch.nan)
+    if color_step is not None:
+        color_step = color_step[across]
+    crease, bend, offset, larger_offset, gap = parallel_map(Measure.of, geometry)
+    color, overlap, strength = (None if values is None else Measure.of(values) for values in (color_step, r, contour))
+    unoriented = ~(oriented[ends[0]] & oriented[ends[1]])
+    return Evidence(
+        piece,
+        torch.stack([key // num_pieces, key % num_pieces]),
+        BoundaryEdges(pair, crease, bend, offset, larger_offset, gap, unoriented, color, overlap, strength, views),
+        statistics_of_points(piece, graph.points, planes.normal, scales.noise, scales.spacing, lab),
+        None if median is None else max(median, SMALLEST_TYPICAL),
+        segments_of_pieces(piece, observations) if observations else None,
+    )
+
+
+def _edge_costs(crease: Tensor, r: Tensor | None, color_step: Tensor | None, median: float | None) -> Tensor:
+    """Costs [E] of edges from creases, disagreement of the images, and colour steps with their median."""
+    cost = crease if r is None else combined_costs(crease, r, IMAGE_WEIGHT, AGREEMENT)
+    if color_step is None or median is None:
+        return cost
+    large = LARGE_COLOR_STEP * max(median, SMALLEST_MEDIAN)
+    return cost + COLOR_WEIGHT * (1 - crease) * (color_step / large).clamp(max=1)
+
+
+def _geometry(
+    points: Tensor, edge_index: Tensor, normals: Tensor, oriented: Tensor, planes: Planes, scales: Scales
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """The measures crease, bend, offset, larger_offset and gap of BoundaryEdges, each [C] float32."""
+    i, j = edge_index
+    both = oriented[i] & oriented[j]
+    right_angles = 2 / math.pi
+    one, other = rows_of(planes.normal, i), rows_of(planes.normal, j)
+    between = rows_of(planes.mean, j) - rows_of(planes.mean, i)
+    angle = angle_between(one, other, both) * right_angles
+    crease = torch.where(both & is_convex(between, other - one), -angle, angle)
+    bend = angle_between(rows_of(normals, i), rows_of(normals, j), both) * right_angles
+    off_one, off_other = dot(between, one).abs(), dot(between, other).abs()
+    noise = torch.maximum(scales.noise[i], scales.noise[j])
+    spacing = torch.maximum(scales.spacing[i], scales.spacing[j])
+    gap = length(rows_of(points, j) - rows_of(points, i)) / spacing
+    return crease, bend, torch.minimum(off_one, off_other) / noise, torch.maximum(off_one, off_other) / noise, gap
+
+
+def _to_lab(colors: Tensor) -> Tensor:
+    """Colours [N, 3] RGB in [0, 1] -> [N, 3] Lab."""
+    lab: Tensor = kornia.color.rgb_to_lab(colors.T[None, :, :, None].contiguous())
+    return lab[0, :, :, 0].T
+
+
+def _color_steps(lab: Tensor, edge_index: Tensor) -> Tensor:
+    """Distances [E] of the Lab colours of the two ends of each edge."""
+    return map_edges(lambda ends: length(rows_of(lab, ends[0]) - rows_of(lab, ends[1])), edge_index)

@@ -1,0 +1,127 @@
+"""Step 6, method learned: whether the images see two regions in the same image segments.
+
+Points of two regions agree in an image to the extent to which they lie in the same segments: with a region's visible
+points spread over the image's segments in shares, the agreement is the sum of the smaller shares (histogram
+intersection).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchjoint.points.group_summaries import sum_by
+from torchjoint.points.image_evidence import ImageEvidence
+from torchjoint.views.propagation import OVERLAP_RESOLUTION
+
+#: An image counts for a region only if it sees at least this many points of the region.
+MIN_POINTS = 3
+#: Number of values of :func:`image_agreement`.
+NUM_VALUES = 8
+
+
+def image_agreement(images: ImageEvidence, of_piece: Tensor, num_regions: int, pairs: Tensor) -> Tensor:
+    """How far the images see pairs of regions as one.
+
+    Args:
+        images: the image segments in which the pieces lie.
+        of_piece: [P] int64, region of each piece.
+        num_regions: R.
+        pairs: [2, B] int64, pairs of regions.
+
+    Returns:
+        [B, NUM_VALUES] float64: agreement over all images, weighted by the products of visible points; its mean over
+        the images; its standard deviation; log(1 + number of images that see both); the gain of the union in best
+        overlap (intersection over union) with an image segment, over the better region; best overlap of the better
+        region, and of the other; range of the agreement. NaN where no image sees both regions.
+    """
+    num_segments, num_frames, num_pairs = len(images.segment_size), images.num_frames, pairs.shape[1]
+    # Rows (region, segment) and views (region, frame), both sorted. All counts are whole numbers, so sums are exact.
+    row, inverse = torch.unique(of_piece[images.piece] * num_segments + images.segment, return_inverse=True)
+    count = sum_by(inverse, images.num_points, len(row))
+    of_region, segment = row // max(num_segments, 1), row % max(num_segments, 1)
+    frame = images.frame_of_segment[segment]
+    view, of_view = torch.unique(of_region * num_frames + frame, return_inverse=True)
+    seen_in_view = sum_by(of_view, count, len(view))
+    seen = seen_in_view[of_view]
+    size = images.segment_size[segment]
+    overlap = torch.where(seen >= MIN_POINTS, count.double() / (seen + size - count), 0.0)
+    best = torch.zeros(num_regions, dtype=torch.float64).scatter_reduce_(0, of_region, overlap, "amax")
+
+    # Of each pair, the rows of the region with fewer rows are looked up among those of the other region.
+    num_rows = torch.bincount(of_region, minlength=num_regions)
+    fewer = num_rows[pairs[0]] > num_rows[pairs[1]]
+    one, other = torch.where(fewer, pairs[1], pairs[0]), torch.where(fewer, pairs[0], pairs[1])
+
+    pair, first = _members(num_rows, one)
+    second, found = _find(row, other[pair] * num_segments + segment[first])
+    pair, first, second = pair[found], first[found], second[found]
+    enough = (seen[first] >= MIN_POINTS) & (seen[second] >= MIN_POINTS)
+    pair, first, second = pair[enough], first[enough], second[enough]
+    common = torch.minimum(count[first] * seen[second], count[second] * seen[first])
+    both = count[first] + count[second]
+    union = both.double() / (seen[first] + seen[second] + size[first] - both)
+    best_union = torch.zeros(num_pairs, dtype=torch.float64).scatter_reduce_(0, pair, union, "amax")
+
+    view_pair, view_first = _members(torch.bincount(view // num_frames, minlength=num_regions), one)
+    view_second, found = _find(view, other[view_pair] * num_frames + view[view_first] % num_frames)
+    found = found & (seen_in_view[view_first] >= MIN_POINTS)
+    found = torch.nonzero(found).squeeze(1)
+    found = found[seen_in_view[view_second[found]] >= MIN_POINTS]
+    view_pair, view_first, view_second = view_pair[found], view_first[found], view_second[found]
+    product = seen_in_view[view_first] * seen_in_view[view_second]
+    # Sorted by pair and frame, because the views of each region are.
+    key = view_pair * num_frames + view[view_first] % num_frames
+    in_view, _ = _find(key, pair * num_frames + frame[first])
+    common_in_view = sum_by(in_view, common, len(key))
+
+    agreement = common_in_view.double() / product
+    views = torch.bincount(view_pair, minlength=num_pairs).double()
+    # Whole multiples of the resolution, so that the sums are exact in any order of the frames.
+    rounded = (agreement / OVERLAP_RESOLUTION).round().long()
+    mean, mean_square = (
+        sum_by(view_pair, rounded**power, num_pairs).double() * OVERLAP_RESOLUTION**power / views for power in (1, 2)
+    )
+    total = sum_by(view_pair, common_in_view, num_pairs).double() / sum_by(view_pair, product, num_pairs)
+    nothing = torch.full((num_pairs,), torch.nan, dtype=torch.float64)
+    low, high = (
+        nothing.scatter_reduce(0, view_pair, agreement, reduce, include_self=False) for reduce in ("amin", "amax")
+    )
+    better, worse = torch.maximum(*best[pairs]), torch.minimum(*best[pairs])
+    return torch.stack(
+        [
+            total,
+            mean,
+            (mean_square - mean.square()).clamp(min=0).sqrt(),
+            torch.log1p(views),
+            best_union - better,
+            better,
+            worse,
+            high - low,
+        ],
+        dim=1,
+    )
+
+
+def _members(size: Tensor, groups: Tensor) -> tuple[Tensor, Tensor]:
+    """Lists the members of groups, where the members of all groups are numbered consecutively, group by group.
+
+    Args:
+        size: [G] int64, number of members of each group.
+        groups: [B] int64, the groups to list; a group may occur several times.
+
+    Returns:
+        [M] int64, index into `groups`, ascending; and [M] int64, number of the member.
+    """
+    count = size[groups]
+    index = torch.repeat_interleave(torch.arange(len(groups)), count)
+    shift = (size.cumsum(0) - size)[groups] - (count.cumsum(0) - count)
+    return index, torch.arange(len(index)) + shift[index]
+
+
+def _find(ascending: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
+    """Looks up numbers [M] in an ascending list [n]: their places [M] int64, and whether they are in it, [M] bool."""
+    if not len(ascending):
+        return torch.zeros_like(wanted), torch.zeros_like(wanted, dtype=torch.bool)
+    place = torch.searchsorted(ascending, wanted).clamp_(max=len(ascending) - 1)
+    return place, ascending[place] == wanted

@@ -1,0 +1,113 @@
+"""Step 6, method learned: statistics of the points of each region: shape, normal, noise, spacing and colour.
+
+They are computed once from the points of small pieces. A region is a union of pieces, so its statistics follow from
+those of its pieces.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.points.group_summaries import sum_by
+
+
+class RegionStatistics(NamedTuple):
+    """Statistics of R regions, all float64."""
+
+    size: Tensor  #: [R] points
+    mean: Tensor  #: [R, 3] metres
+    covariance: Tensor  #: [R, 3, 3] square metres
+    normal: Tensor  #: [R, 3] mean of the points' unit normals: short if the surface turns
+    noise: Tensor  #: [R] metres, mean
+    spacing: Tensor  #: [R] metres, mean
+    color: Tensor | None  #: [R, 3] mean Lab colour
+    color_variance: Tensor | None  #: [R, 3] of each channel of Lab
+
+
+def statistics_of_points(
+    region: Tensor, points: Tensor, normals: Tensor, noise: Tensor, spacing: Tensor, lab: Tensor | None
+) -> RegionStatistics:
+    """The statistics of each region of points.
+
+    Args:
+        region: [N] int64, 0 ... R - 1, each with at least one point.
+        points: [N, 3] metres.
+        normals: [N, 3] unit length.
+        noise, spacing: [N] metres.
+        lab: [N, 3] Lab colours, or None.
+    """
+    size = int(region.max()) + 1
+    count = torch.bincount(region, minlength=size).double()
+
+    def mean_of(values: Tensor) -> Tensor:
+        return sum_by(region, values.double(), size) / count.view(-1, *[1] * (values.ndim - 1))
+
+    mean = mean_of(points)
+    away = points.double() - mean[region]
+    color = variance = None
+    if lab is not None:
+        color = mean_of(lab)
+        variance = mean_of((lab.double() - color[region]).square())
+    return RegionStatistics(
+        count,
+        mean,
+        mean_of(_outer(away)),
+        mean_of(normals),
+        mean_of(noise),
+        mean_of(spacing),
+        color,
+        variance,
+    )
+
+
+def pooled(parts: RegionStatistics, of_part: Tensor, num_regions: int) -> RegionStatistics:
+    """The statistics of regions that consist of parts.
+
+    Args:
+        parts: statistics of P parts.
+        of_part: [P] int64, region of each part, 0 ... R - 1, each with at least one part.
+        num_regions: R.
+    """
+    count = sum_by(of_part, parts.size, num_regions)
+
+    def mean_of(values: Tensor) -> Tensor:
+        ones = [1] * (values.ndim - 1)
+        return sum_by(of_part, parts.size.view(-1, *ones) * values, num_regions) / count.view(-1, *ones)
+
+    mean = mean_of(parts.mean)
+    # Squares relative to the mean: sums of squares of coordinates would cancel out for flat regions.
+    covariance = mean_of(parts.covariance + _outer(parts.mean - mean[of_part]))
+    color = variance = None
+    if parts.color is not None and parts.color_variance is not None:
+        color = mean_of(parts.color)
+        variance = mean_of(parts.color_variance + (parts.color - color[of_part]).square())
+    normal, noise, spacing = (mean_of(values) for values in (parts.normal, parts.noise, parts.spacing))
+    return RegionStatistics(count, mean, covariance, normal, noise, spacing, color, variance)
+
+
+def covariance_of_unions(regions: RegionStatistics, first: Tensor, second: Tensor) -> Tensor:
+    """The covariance of each union of two regions.
+
+    Args:
+        regions: statistics of R regions.
+        first, second: [B] int64, the two regions of each union.
+
+    Returns:
+        [B, 3, 3] float64 square metres.
+    """
+    one, other = (regions.size[which][:, None, None] for which in (first, second))
+    total = one + other
+    within = (one * regions.covariance[first] + other * regions.covariance[second]) / total
+    return within + one * other / total.square() * _outer(regions.mean[first] - regions.mean[second])
+
+
+def axes(covariance: Tensor) -> Tensor:
+    """Standard deviations along the principal axes, [R, 3] ascending, metres, of covariances [R, 3, 3]."""
+    return torch.linalg.eigvalsh(covariance).clamp(min=0).sqrt()
+
+
+def _outer(vectors: Tensor) -> Tensor:
+    return vectors[:, :, None] * vectors[:, None, :]

@@ -1,0 +1,71 @@
+"""Step 3, method learned: the scales of a cloud, its noise and its spacing, measured at each point.
+
+A model can only judge clouds of different sensors if distances are measured in multiples of the cloud's own noise and
+spacing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.points._vectors import dot, length
+from torchjoint.points.neighbors import nearest_neighbors
+from torchjoint.runtime.threads import all_threads, parallel_map
+
+#: Number of neighbours to which the plane of a point is fitted, and around which the noise is measured.
+NEIGHBORS = 24
+#: Smallest number of points to which a plane is fitted; a point with fewer has no residual.
+MIN_POINTS = 6
+#: The noise at a point is this quantile of the residuals around it: points at creases have large residuals, not noise.
+NOISE_QUANTILE = 0.3
+#: Largest error of a normal, radians. With k neighbours it is about noise / (radius x sqrt(k)), and the radius of these
+#: neighbours grows with sqrt(k). So k must be sqrt(24) x noise / (error x radius of 24 neighbours).
+NORMAL_ERROR = 0.03
+#: Range of the number of neighbours of a normal: fewer are not robust, more round off small objects.
+NORMAL_NEIGHBORS = (16, 128)
+#: Smallest noise and spacing, metres: clouds without noise exist, and both are divisors.
+SMALLEST = 1e-6
+#: Number of points processed at a time, because torch.quantile accepts at most 2^24 numbers.
+POINTS = 1 << 16
+
+
+class Scales(NamedTuple):
+    """The scales of a cloud."""
+
+    noise: Tensor  #: [N] float32 metres, typical distance of the points to the surface, >= 1e-6
+    spacing: Tensor  #: [N] float32 metres, mean distance to the four nearest neighbours, >= 1e-6
+    normal_neighbors: int  #: number of neighbours that suffice for normals in spite of the noise, 16 ... 128
+
+
+def measure_scales(points: Tensor) -> Scales:
+    """Measures noise and spacing at each point, and derives the number of neighbours to which normals are fitted.
+
+    The residual of a point is its distance to the plane of itself and its NEIGHBORS nearest neighbours. The noise at
+    a point is a low quantile of the residuals of these neighbours.
+
+    Args:
+        points: [N, 3] float32 metres.
+    """
+    indices, spacing = nearest_neighbors(points, NEIGHBORS)
+    few, many = NORMAL_NEIGHBORS
+    if indices.shape[1] == 0:  # a single point
+        return Scales(torch.full_like(spacing, SMALLEST), spacing.clamp(min=SMALLEST), few)
+    one_region, upwards = torch.zeros(len(points), dtype=torch.int64), torch.zeros_like(points)
+    upwards[:, 2] = 1
+    with all_threads():
+        mean, normal = ops.region_planes(points, indices.contiguous(), one_region, upwards, MIN_POINTS)
+    residual = dot(points - mean, normal).abs()
+
+    def noise_at(start: int) -> Tensor:
+        around = residual[indices[start : start + POINTS].long()]
+        return around.quantile(NOISE_QUANTILE, dim=1)
+
+    noise = torch.cat(parallel_map(noise_at, range(0, len(points), POINTS)))
+    radius = length(points[indices[:, -1].long()] - points).clamp(min=SMALLEST)
+    needed = float((math.sqrt(NEIGHBORS) * noise / (NORMAL_ERROR * radius)).median())
+    return Scales(noise.clamp(min=SMALLEST), spacing.clamp(min=SMALLEST), min(many, max(few, round(needed))))

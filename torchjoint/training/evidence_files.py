@@ -1,0 +1,59 @@
+"""The prepared evidence of labelled scenes on disk, so that an interrupted training continues."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import overload
+
+import torch
+
+from torchjoint.points.evidence import BoundaryEdges, Evidence
+from torchjoint.points.group_summaries import Measure
+from torchjoint.points.image_evidence import ImageEvidence
+from torchjoint.points.region_statistics import RegionStatistics
+from torchjoint.runtime.files import atomic_write
+from torchjoint.training.boundary_model import LabelledEvidence
+
+#: The types that a file may contain besides tensors and numbers; none of them runs code when it is made.
+_TYPES = (LabelledEvidence, Evidence, BoundaryEdges, Measure, RegionStatistics, ImageEvidence)
+
+
+def save_evidence(path: Path, prepared: LabelledEvidence) -> None:
+    """Writes the evidence of one scene, atomically."""
+    with atomic_write(path) as partial:
+        torch.save(prepared, partial)
+
+
+def load_evidence(path: Path) -> LabelledEvidence:
+    """Reads what :func:`save_evidence` wrote; the file cannot run code.
+
+    Raises:
+        ValueError: the file is damaged, or contains something else.
+    """
+    try:
+        with torch.serialization.safe_globals(list(_TYPES)):
+            prepared = torch.load(path, weights_only=True)
+        if not isinstance(prepared, LabelledEvidence) or not isinstance(prepared.evidence, Evidence):
+            raise TypeError(f"expected the evidence of a scene, got {type(prepared).__name__}")
+    except Exception as error:  # a damaged file can raise anything
+        first = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ValueError(f"{path}: damaged; delete it and start again ({first})") from error
+    return prepared
+
+
+class EvidenceFiles(Sequence[LabelledEvidence]):
+    """The evidence of many scenes, read from disk at each access, so that only one is in memory."""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self._paths = list(paths)
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+    @overload
+    def __getitem__(self, index: int) -> LabelledEvidence: ...
+    @overload
+    def __getitem__(self, index: slice) -> EvidenceFiles: ...
+    def __getitem__(self, index: int | slice) -> LabelledEvidence | EvidenceFiles:
+        return EvidenceFiles(self._paths[index]) if isinstance(index, slice) else load_evidence(self._paths[index])
