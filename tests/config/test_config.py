@@ -7,7 +7,7 @@ from torchjoint.config import STAGES, Config, PropagationConfig, RefinementConfi
 
 
 def test_presets_load_and_round_trip():
-    assert set(presets()) == {"default", "indoor", "tabletop", "lidar", "paper"}
+    assert set(presets()) == {"default", "indoor", "learned", "tabletop", "lidar", "paper"}
     for name in presets():
         config = Config.from_preset(name)
         assert Config.from_dict(yaml.safe_load(yaml.safe_dump(config.to_dict()))) == config
@@ -35,6 +35,7 @@ def test_each_preset_has_its_method_of_step_6():
     assert methods == {
         "default": "regions",
         "indoor": "regions",
+        "learned": "learned",
         "tabletop": "regions",
         "lidar": "scan",
         "paper": "edges",
@@ -121,7 +122,7 @@ def test_yaml_errors_name_the_file(tmp_path):
 
 
 def test_unknown_preset():
-    with pytest.raises(ValueError, match=r"preset: expected one of default, indoor, lidar, paper.*got 'nope'"):
+    with pytest.raises(ValueError, match=r"preset: expected one of default, indoor, learned, lidar, paper.*got 'nope'"):
         Config.from_preset("nope")
 
 
