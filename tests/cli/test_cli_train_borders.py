@@ -9,7 +9,7 @@ import pytest
 from torchjoint import training
 from torchjoint.cli import train_boundary_model as command
 from torchjoint.points.boundary_model import load_boundary_model
-from torchjoint.training import boundary_model
+from torchjoint.training import boundary_examples
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def test_an_interrupted_run_goes_on(small_scenes, tmp_path, run, capsys, monkeyp
     assert "merging up to 0.15: " in printed
     assert "4 rounds from 2 scenes in " in printed
     assert list(tmp_path.iterdir()) == [out]
-    assert len(load_boundary_model(out).rounds) == len(boundary_model.BoundaryModelOptions().thresholds)
+    assert len(load_boundary_model(out).rounds) == len(boundary_examples.BoundaryModelOptions().thresholds)
     with pytest.raises(SystemExit, match=r"model\.npz: exists already"):
         run(*arguments)
 

@@ -12,6 +12,7 @@ from torchjoint.points.boundary_model import calibrated, load_boundary_model
 from torchjoint.scene import Scene, Truth
 from torchjoint.training import (
     BoundaryModelOptions,
+    boundary_examples,
     boundary_model,
     fit_boundary_model,
     labelled_evidence,
@@ -29,38 +30,40 @@ def prepared(scene_of):
 
 
 def test_columns_of_images_and_colours():
-    images, colors = (set(boundary_model.feature_columns(p)) for p in
-                      (boundary_model.IMAGE_FEATURES, boundary_model.COLOR_FEATURES))  # fmt: skip
+    images, colors = (set(boundary_examples.feature_columns(p)) for p in
+                      (boundary_examples.IMAGE_FEATURES, boundary_examples.COLOR_FEATURES))  # fmt: skip
     assert not images & colors
     others = {FEATURE_NAMES[i] for i in set(range(len(FEATURE_NAMES))) - images - colors}
     assert not [name for name in others if any(word in name for word in ("color", "chroma", "agreement", "view"))]
     with pytest.raises(ValueError, match="no name begins with 'smell'"):
-        boundary_model.feature_columns(("smell",))
+        boundary_examples.feature_columns(("smell",))
 
 
 def test_features_that_are_missing_without_images_and_colours_are_those_listed(scene_of):
     """The model learns to do without exactly what a bare cloud does not have."""
     scene = scene_of(0).scene
-    columns = set(boundary_model.feature_columns(boundary_model.IMAGE_FEATURES + boundary_model.COLOR_FEATURES))
+    columns = set(
+        boundary_examples.feature_columns(boundary_examples.IMAGE_FEATURES + boundary_examples.COLOR_FEATURES)
+    )
     bare = labelled_evidence(Scene(scene.points, truth=scene.truth))
-    values = boundary_model.boundary_features(bare.evidence, bare.evidence.piece).values
+    values = boundary_examples.boundary_features(bare.evidence, bare.evidence.piece).values
     assert {i for i in range(len(FEATURE_NAMES)) if values[:, i].isnan().all()} == columns
 
 
 def test_labels_and_weights(prepared):
     evidence, instance = prepared[0]
     piece = evidence.piece
-    exact = boundary_model._boundaries(evidence, piece, piece)
+    exact = boundary_examples.boundary_examples(evidence, piece, piece)
     assert exact.is_border.all()
     assert np.isclose(exact.weight.sum(), len(exact.weight) ** 0.5)
     smaller = torch.bincount(piece)[exact.pairs].amin(0).double().sqrt().numpy()
     np.testing.assert_allclose(exact.weight / exact.weight[0], smaller / smaller[0])
-    void = boundary_model._boundaries(evidence, piece, torch.where(piece == 0, -1, piece))
+    void = boundary_examples.boundary_examples(evidence, piece, torch.where(piece == 0, -1, piece))
     touches = (exact.pairs == 0).any(0).numpy()
     assert touches.any()
     assert not void.weight[touches].any()
     assert (void.weight[~touches] > 0).all()
-    one = boundary_model._boundaries(evidence, piece, torch.full_like(instance, 7))
+    one = boundary_examples.boundary_examples(evidence, piece, torch.full_like(instance, 7))
     assert not one.is_border.any()
 
 
@@ -77,7 +80,7 @@ def test_calibration_maps_shares():
 
 
 def test_rows_of_one_kind_make_no_trees():
-    sample = boundary_model._Sample(np.zeros((8, 80), np.float32), np.zeros(8, bool), np.ones(8))
+    sample = boundary_examples.Sample(np.zeros((8, 80), np.float32), np.zeros(8, bool), np.ones(8))
     trees = boundary_model._grow([sample], QUICK)
     torch.testing.assert_close(trees.score(torch.zeros(2, 80)).sigmoid(), torch.full((2,), 0.1, dtype=torch.float64))
 
@@ -87,8 +90,8 @@ def test_evidence_on_disk(prepared, tmp_path):
     save_evidence(path, prepared[0])
     (again,) = EvidenceFiles([path])
     assert torch.equal(again.instance, prepared[0].instance)
-    expected = boundary_model.boundary_features(prepared[0].evidence, prepared[0].evidence.piece).values
-    found = boundary_model.boundary_features(again.evidence, again.evidence.piece).values
+    expected = boundary_examples.boundary_features(prepared[0].evidence, prepared[0].evidence.piece).values
+    found = boundary_examples.boundary_features(again.evidence, again.evidence.piece).values
     torch.testing.assert_close(found, expected, rtol=0, atol=0, equal_nan=True)
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(ValueError, match=r"scene\.pt: damaged"):

@@ -17,7 +17,8 @@ from torchjoint.cli.arguments import check_max_frames
 from torchjoint.scene import Scene
 
 if TYPE_CHECKING:
-    from torchjoint.training.boundary_model import LabelledEvidence, RoundScores
+    from torchjoint.training.boundary_examples import LabelledEvidence
+    from torchjoint.training.boundary_model import RoundScores
 
 
 class _Source(NamedTuple):
@@ -129,7 +130,7 @@ def _generated(domains: Sequence[str], seeds: tuple[int, int], models: Path | No
 
 def _folder(out: Path, sources: Sequence[_Source]) -> Path:
     """The folder with the evidence of these scenes; deletes that of other scenes."""
-    from torchjoint.training.boundary_model import learned_config
+    from torchjoint.training.boundary_examples import learned_config
 
     record = json.dumps([version("torchjoint"), learned_config().to_dict(), [source.key for source in sources]])
     key = hashlib.sha256(record.encode()).hexdigest()
@@ -148,7 +149,7 @@ def _prepare(folder: Path, sources: Sequence[_Source]) -> Sequence[LabelledEvide
     """Collects the evidence of all scenes that are not in the folder yet; returns it lazily, one file a scene."""
     from tqdm import tqdm
 
-    from torchjoint.training.boundary_model import labelled_evidence
+    from torchjoint.training.boundary_examples import labelled_evidence
     from torchjoint.training.evidence_files import EvidenceFiles, save_evidence
 
     paths = [folder / f"scene-{index:05d}.pt" for index in range(len(sources))]

@@ -5,16 +5,13 @@ The detector: structured forests on images with human segmentations.
 Modules in the order of the data flow: :mod:`channels` of an image, :mod:`features` of a patch, :mod:`patches` sampled
 from all images, one :mod:`tree` grown from the samples, and :mod:`train` for all trees. :mod:`detect` runs a forest.
 
-The model: :mod:`boundary_model` trains it on labelled scenes; :mod:`evidence_files` keeps prepared scenes.
+The model: :mod:`boundary_examples` makes examples of labelled scenes, :mod:`boundary_model` trains on them;
+:mod:`evidence_files` keeps prepared scenes.
 """
 
 from torchjoint.points.boundary_model import load_boundary_model, save_boundary_model
-from torchjoint.training.boundary_model import (
-    BoundaryModelOptions,
-    fit_boundary_model,
-    labelled_evidence,
-    train_boundary_model,
-)
+from torchjoint.training.boundary_examples import BoundaryModelOptions, labelled_evidence
+from torchjoint.training.boundary_model import fit_boundary_model, train_boundary_model
 from torchjoint.training.train import TrainingOptions, train_boundaries
 from torchjoint.training.tree import TreeOptions
 

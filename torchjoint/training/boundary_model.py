@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,77 +17,24 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchjoint.config import Config
-from torchjoint.joint import JointSegmenter
 from torchjoint.points.agglomeration import merge_by_probability
-from torchjoint.points.boundary_features import FEATURE_NAMES, boundary_features
+from torchjoint.points.boundary_features import FEATURE_NAMES
 from torchjoint.points.boundary_model import BoostedTrees, BoundaryModel, calibrated, no_calibration
-from torchjoint.points.evidence import Evidence, gather_evidence
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Scene
+from torchjoint.training.boundary_examples import (
+    BoundaryExamples,
+    BoundaryModelOptions,
+    LabelledEvidence,
+    Sample,
+    boundary_examples,
+    draw_sample,
+    join_samples,
+    labelled_evidence,
+)
 
-#: How the names of the features begin that need images, and of those that need colours.
-IMAGE_FEATURES = (
-    "disagreement_", "contour_", "seen_share", "log_views", "agreement", "overlap_gain", "better_overlap",
-    "worse_overlap",
-)  # fmt: skip
-COLOR_FEATURES = ("color_", "lightness_difference", "chroma_difference")
-#: Number of frames held in memory at a time.
-FRAMES = 4
 #: Largest number of knots of a calibration.
 KNOTS = 64
-#: A region counts as an object's if more than this share of its points is labelled.
-LEAST_KNOWN = 0.5
-
-
-@dataclass(frozen=True)
-class BoundaryModelOptions:
-    """Options of the training.
-
-    Attributes:
-        thresholds: one round for each: regions merge up to this mean probability of a border; ascending.
-        folds: number of parts of the scenes; each part is judged by trees that were trained on the other parts.
-        trees: number of trees in a round.
-        leaves: largest number of leaves of a tree.
-        learning_rate: factor on the value of each leaf.
-        max_boundaries: number of boundaries of a scene and round that are used to grow trees, at random, if there are
-            more.
-        drop_images_share: share of the boundaries that the trees see a second time without features of images, so that
-            they can judge clouds without images.
-        drop_colors_share: the same without features of colours.
-        seed: of all random choices.
-    """
-
-    thresholds: tuple[float, ...] = (0.15, 0.25, 0.35, 0.5)
-    folds: int = 4
-    trees: int = 120
-    leaves: int = 20
-    learning_rate: float = 0.1
-    max_boundaries: int = 1500
-    drop_images_share: float = 0.25
-    drop_colors_share: float = 0.15
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name, least in (("folds", 2), ("trees", 1), ("leaves", 2), ("max_boundaries", 1), ("seed", 0)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < least:
-                raise ValueError(f"{name}: expected a whole number >= {least}, got {value!r}")
-        for name in ("drop_images_share", "drop_colors_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name}: expected a number in [0, 1], got {getattr(self, name)}")
-        if not 0 < self.learning_rate <= 1:
-            raise ValueError(f"learning_rate: expected a number in (0, 1], got {self.learning_rate}")
-        if not self.thresholds or not all(0 < threshold <= 1 for threshold in self.thresholds):
-            raise ValueError(f"thresholds: expected numbers in (0, 1], got {list(self.thresholds)}")
-        if list(self.thresholds) != sorted(self.thresholds):
-            raise ValueError(f"thresholds: expected ascending numbers, got {list(self.thresholds)}")
-
-
-class LabelledEvidence(NamedTuple):
-    """What the training needs of a scene."""
-
-    evidence: Evidence
-    instance: Tensor  #: [N] int64, true instance of each point, -1 = void
 
 
 class Bin(NamedTuple):
@@ -108,47 +54,9 @@ class RoundScores(NamedTuple):
     bins: tuple[Bin, ...]  #: five
 
 
-class _Boundaries(NamedTuple):
-    """The boundaries between the regions of one scene, B of them."""
-
-    pairs: Tensor  # [2, B] int64
-    values: Tensor  # [B, F] float32
-    is_border: NDArray[np.bool_]  # [B], whether the two regions belong to different objects
-    weight: NDArray[np.float64]  # [B], 0 where a region is void
-
-
-def learned_config(config: Config | None = None) -> Config:
-    """The config (default: the package's) with step 6 by the method that this module trains."""
-    return (config or Config()).set(["point_segments.method=learned"])
-
-
-@torch.no_grad()
-def labelled_evidence(scene: Scene, config: Config | None = None) -> LabelledEvidence:
-    """Runs steps 1-5 on a labelled scene and collects what the features of boundaries are computed from.
-
-    Args:
-        scene: with ``truth.points``.
-        config: parameters of the steps 1-5.
-
-    Raises:
-        ValueError: the instance of no point is known.
-    """
-    if scene.truth is None or scene.truth.points is None or not scene.truth.has_points:
-        raise ValueError(f"scenes: {scene.name or 'a scene'} has no true instances of points to learn from")
-    segmenter = JointSegmenter(learned_config(config))
-    segmenter.reset(scene.points, scene.colors, scene.normals)
-    for start in range(0, len(scene.frames), FRAMES):
-        segmenter.update([scene.frames[i] for i in range(start, min(start + FRAMES, len(scene.frames)))])
-    graph = segmenter._require_graph()
-    assert graph.scales is not None
-    with one_thread_per_operation():
-        evidence = gather_evidence(graph, graph.scales, segmenter.state, segmenter.config)
-    return LabelledEvidence(evidence, scene.truth.points.long())
-
-
 def train_boundary_model(
     scenes: Iterable[Scene],
-    options: BoundaryModelOptions = BoundaryModelOptions(),
+    options: BoundaryModelOptions | None = None,
     *,
     config: Config | None = None,
     report: Callable[[RoundScores], None] | None = None,
@@ -166,6 +74,7 @@ def train_boundary_model(
     Raises:
         ValueError: fewer than two scenes, or one without true instances.
     """
+    options = options or BoundaryModelOptions()
     prepared = [
         labelled_evidence(scene, config) for scene in tqdm(scenes, desc="evidence", unit="scene", disable=not progress)
     ]
@@ -175,7 +84,7 @@ def train_boundary_model(
 @torch.no_grad()
 def fit_boundary_model(
     scenes: Sequence[LabelledEvidence],
-    options: BoundaryModelOptions = BoundaryModelOptions(),
+    options: BoundaryModelOptions | None = None,
     *,
     report: Callable[[RoundScores], None] | None = None,
     progress: bool = False,
@@ -188,6 +97,7 @@ def fit_boundary_model(
         report: called after each round.
         progress: show progress bars.
     """
+    options = options or BoundaryModelOptions()
     if len(scenes) < 2:
         raise ValueError(f"scenes: expected at least two, got {len(scenes)}")
     rng = np.random.default_rng(options.seed)
@@ -195,7 +105,7 @@ def fit_boundary_model(
     regions: list[Tensor] = []
     rounds: list[BoostedTrees] = []
     calibrations: list[Tensor] = []
-    boundaries: list[_Boundaries] = []
+    boundaries: list[BoundaryExamples] = []
     judged: list[Tensor] = []  # of each scene: the probability [B] of its boundaries
     for number, threshold in enumerate(options.thresholds):
         before, boundaries = boundaries, []
@@ -208,8 +118,8 @@ def fit_boundary_model(
                 elif before[i].pairs.shape[1]:
                     merge_up_to = options.thresholds[number - 1]
                     regions[i] = merge_by_probability(evidence, regions[i], before[i].pairs, judged[i], merge_up_to)
-                boundaries.append(_boundaries(evidence, regions[i], instance))
-        samples = [_sample(one, rng, options) for one in boundaries]
+                boundaries.append(boundary_examples(evidence, regions[i], instance))
+        samples = [draw_sample(one, rng, options) for one in boundaries]
         parts = sorted(set(fold.tolist()))
         *of_parts, final = _fit_all(samples, fold, parts, options, f"{name}: trees" if progress else None)
         rounds.append(final)
@@ -251,77 +161,8 @@ def trees_of_classifier(classifier: Any) -> BoostedTrees:
     )
 
 
-def _boundaries(evidence: Evidence, region: Tensor, instance: Tensor) -> _Boundaries:
-    """The boundaries of a scene with their features, and whether they are borders of objects."""
-    if int(region.max()) == 0:
-        return _Boundaries(
-            torch.empty(2, 0, dtype=torch.int64), torch.empty(0, len(FEATURE_NAMES)), np.empty(0, bool), np.empty(0)
-        )
-    pairs, values = boundary_features(evidence, region)
-    instances, of_point = torch.unique(instance.clamp(min=-1), return_inverse=True)
-    num_regions = int(region.max()) + 1
-    counts = torch.bincount(region * len(instances) + of_point, minlength=num_regions * len(instances))
-    counts = counts.view(num_regions, len(instances)).double()
-    size = counts.sum(1)
-    counts = counts[:, instances >= 0]
-    most, majority = counts.max(1)
-    known = counts.sum(1)
-    purity = most / known.clamp(min=1)
-    a, b = pairs
-    weight = purity[a] * purity[b] * torch.minimum(size[a], size[b]).sqrt()
-    has_majority = known > LEAST_KNOWN * size
-    weight = weight * (has_majority[a] & has_majority[b])
-    # Large scenes count more than small ones, but less than in proportion to their boundaries.
-    weight *= math.sqrt(int((weight > 0).sum())) / max(float(weight.sum()), 1e-9)
-    return _Boundaries(pairs, values, (majority[a] != majority[b]).numpy(), weight.numpy())
-
-
-class _Sample(NamedTuple):
-    """Rows from which trees are grown."""
-
-    values: NDArray[np.float32]
-    is_border: NDArray[np.bool_]
-    weight: NDArray[np.float64]
-
-
-def _sample(boundaries: _Boundaries, rng: np.random.Generator, options: BoundaryModelOptions) -> _Sample:
-    """Some of the boundaries, and copies of some of these without images or colours."""
-    rows = np.flatnonzero(boundaries.weight > 0)
-    total = len(rows)
-    if total > options.max_boundaries:
-        rows = np.sort(rng.choice(rows, options.max_boundaries, replace=False))
-    values, is_border = boundaries.values.numpy()[rows], boundaries.is_border[rows]
-    weight = boundaries.weight[rows] * (total / max(len(rows), 1))
-    parts = [_Sample(values, is_border, weight)]
-    for share, prefixes in (
-        (options.drop_images_share, IMAGE_FEATURES), (options.drop_colors_share, COLOR_FEATURES),
-    ):  # fmt: skip
-        copied = rng.random(len(rows)) < share
-        without = values[copied]
-        without[:, feature_columns(prefixes)] = np.nan
-        parts.append(_Sample(without, is_border[copied], weight[copied]))
-    return _joined(parts)
-
-
-def feature_columns(prefixes: tuple[str, ...]) -> list[int]:
-    """The columns of the features whose names begin with one of the prefixes.
-
-    Raises:
-        ValueError: no feature's name begins with one of them.
-    """
-    for prefix in prefixes:
-        if not any(name.startswith(prefix) for name in FEATURE_NAMES):
-            raise ValueError(f"features: no name begins with {prefix!r}")
-    return [column for column, name in enumerate(FEATURE_NAMES) if name.startswith(prefixes)]
-
-
-def _joined(samples: Sequence[_Sample]) -> _Sample:
-    values, is_border, weight = (np.concatenate(parts) for parts in zip(*samples, strict=True))
-    return _Sample(values, is_border, weight)
-
-
 def _fit_all(
-    samples: Sequence[_Sample],
+    samples: Sequence[Sample],
     fold: NDArray[np.int64],
     parts: Sequence[int],
     options: BoundaryModelOptions,
@@ -345,11 +186,11 @@ def _fit_all(
         return parallel_map(fit, [*parts, None])
 
 
-def _grow(samples: Sequence[_Sample], options: BoundaryModelOptions) -> BoostedTrees:
+def _grow(samples: Sequence[Sample], options: BoundaryModelOptions) -> BoostedTrees:
     """Boosted trees fitted to the rows of all samples; no tree at all if all rows have the same answer."""
     from sklearn.ensemble import HistGradientBoostingClassifier
 
-    values, is_border, weight = _joined(samples)
+    values, is_border, weight = join_samples(samples)
     borders = int(is_border.sum())
     if borders in (0, len(is_border)):
         return _constant(math.log((borders + 1) / (len(is_border) - borders + 1)))

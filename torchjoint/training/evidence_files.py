@@ -13,7 +13,7 @@ from torchjoint.points.group_summaries import Measure
 from torchjoint.points.image_evidence import ImageEvidence
 from torchjoint.points.region_statistics import RegionStatistics
 from torchjoint.runtime.files import atomic_write
-from torchjoint.training.boundary_model import LabelledEvidence
+from torchjoint.training.boundary_examples import LabelledEvidence
 
 #: The types that a file may contain besides tensors and numbers; none of them runs code when it is made.
 _TYPES = (LabelledEvidence, Evidence, BoundaryEdges, Measure, RegionStatistics, ImageEvidence)
