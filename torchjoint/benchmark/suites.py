@@ -95,7 +95,7 @@ def _synthetic(name: str, what: str, every: int = 1, tuned_as: str = "") -> Suit
         return {str(seed): partial(_make, seed, every) for seed in seeds}
 
     halves = partial(scenes, range(100, 104)), partial(scenes, range(10))
-    return Suite(name, what, *halves, Config(), needs_data=False, tuned_as=tuned_as)
+    return Suite(name, what, *halves, Config(), "indoor", needs_data=False, tuned_as=tuned_as)
 
 
 def _make(seed: int, every: int) -> Scene:
