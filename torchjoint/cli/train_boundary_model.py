@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import time
@@ -131,18 +130,10 @@ def _generated(domains: Sequence[str], seeds: tuple[int, int], models: Path | No
 def _folder(out: Path, sources: Sequence[_Source]) -> Path:
     """The folder with the evidence of these scenes; deletes that of other scenes."""
     from torchjoint.training.boundary_examples import learned_config
+    from torchjoint.training.resumable_folder import resumable_folder
 
     record = json.dumps([version("torchjoint"), learned_config().to_dict(), [source.key for source in sources]])
-    key = hashlib.sha256(record.encode()).hexdigest()
-    folder = out.with_name(f"{out.name}.partial")
-    key_file = folder / "key"
-    if folder.exists() and not key_file.is_file():
-        raise FileExistsError(f"{folder}: is in the way and not of an earlier training; move it, or choose another OUT")
-    if folder.exists() and key_file.read_text() != key:
-        shutil.rmtree(folder)
-    folder.mkdir(exist_ok=True)
-    key_file.write_text(key)
-    return folder
+    return resumable_folder(out.with_name(f"{out.name}.partial"), record)
 
 
 def _prepare(folder: Path, sources: Sequence[_Source]) -> Sequence[LabelledEvidence]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import shutil
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ from torchjoint.datasets.bsds import BsdsImage
 from torchjoint.images.forest import LABEL_SIZE, NUM_FEATURES, Forest, read_forest, write_forest
 from torchjoint.runtime.files import atomic_write
 from torchjoint.training.patches import FeatureCodes, draw_samples, segmentation_lines
+from torchjoint.training.resumable_folder import resumable_folder
 from torchjoint.training.tree import TreeOptions, grow_tree
 
 
@@ -109,16 +109,7 @@ def train_boundaries(
 def _tree_folder(out: Path, images: Sequence[BsdsImage], options: TrainingOptions) -> Path:
     """The folder with the trees of this training; deletes trees of a training with other images or options."""
     record = json.dumps([[image.name for image in images], dataclasses.asdict(options)])
-    key = hashlib.sha256(record.encode()).hexdigest()
-    folder = out.with_name(f"{out.name}.trees")
-    key_file = folder / "key"
-    if folder.exists() and not key_file.is_file():
-        raise FileExistsError(f"{folder}: is in the way and not of an earlier training; move it, or choose another OUT")
-    if folder.exists() and key_file.read_text() != key:
-        shutil.rmtree(folder)
-    folder.mkdir(exist_ok=True)
-    key_file.write_text(key)
-    return folder
+    return resumable_folder(out.with_name(f"{out.name}.trees"), record)
 
 
 def _tree_name(index: int) -> str:
