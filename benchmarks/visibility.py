@@ -46,7 +46,7 @@ def main() -> None:
                 seconds[name] += time.perf_counter() - start
                 seen = torch.zeros(len(noisy.scene.points), dtype=torch.bool)
                 seen[visible.point] = True
-                inside = project(noisy.scene.points, *camera)
+                inside = project(noisy.scene.points, *camera[:3])
                 row, column = (inside.v + 0.5).long(), (inside.u + 0.5).long()
                 truth = inside.z <= exact.depth[row, column] + 0.03
                 judged = ~near_edge[row, column] & (exact.depth[row, column] > 0)

@@ -19,8 +19,8 @@ from torchjoint.labels.image_labels import label_image
 from torchjoint.labels.joint_ids import separate_private_ids
 from torchjoint.points.graph import PointGraph, build_edgeless_graph, build_point_graph
 from torchjoint.points.orientation import orientation_votes
-from torchjoint.points.scales import measure_scales
 from torchjoint.points.segments import segment_points
+from torchjoint.points.working_cloud import working_cloud
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
@@ -67,6 +67,7 @@ class JointSegmenter(nn.Module):
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
         self._graph: PointGraph | None = None
+        self._of_point: Tensor | None = None  # [N] the graph's point of each given point; None = itself
         self._state: JointState | None = None
 
     @classmethod
@@ -101,7 +102,9 @@ class JointSegmenter(nn.Module):
         """
         self.reset(scene.points, scene.colors, scene.normals)
         checked = frames_to_check(scene)
-        check_poses(scene, self._require_graph().spacing, self.config.visibility, list(checked.values()))
+        graph = self._require_graph()
+        cloud = Scene(graph.points, scene.frames, colors=graph.colors, name=scene.name)
+        check_poses(cloud, graph.spacing, self.config.visibility, list(checked.values()))
         num_frames = len(scene.frames)
         if checkpoint is not None:
             self.state = checkpoint.load() or self.state
@@ -140,12 +143,14 @@ class JointSegmenter(nn.Module):
         cloud = Scene(points, colors=colors, normals=normals)
         self.stopwatch = Stopwatch()
         with one_thread_per_operation(), self.stopwatch("point graph"):
-            method = self.config.point_segments.method
+            method, self._of_point = self.config.point_segments.method, None
             if method == "scan":
                 self._graph = build_edgeless_graph(cloud)
+            elif method == "learned":
+                working, scales, self._of_point = working_cloud(cloud)
+                self._graph = build_point_graph(working, self.config.point_graph, scales)
             else:
-                scales = measure_scales(cloud.points) if method == "learned" else None
-                self._graph = build_point_graph(cloud, self.config.point_graph, scales)
+                self._graph = build_point_graph(cloud, self.config.point_graph)
         self._state = JointState.empty(self._graph.edge_index.shape[1], self._graph.num_points)
 
     @torch.no_grad()
@@ -189,8 +194,9 @@ class JointSegmenter(nn.Module):
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
                 point_labels = segment_points(self._require_graph(), state, self.config)
+            given_points = point_labels if self._of_point is None else point_labels[self._of_point]
             if not images:
-                return Segmentation(point_labels, (), seconds=dict(self.stopwatch.seconds))
+                return Segmentation(given_points, (), seconds=dict(self.stopwatch.seconds))
             sizes = torch.bincount(point_labels)
             bar = tqdm(total=len(state.observations), desc="images", unit="frame", disable=not progress)
 
@@ -203,7 +209,7 @@ class JointSegmenter(nn.Module):
             with bar:
                 refined = parallel_map(refine, state.observations)
         return Segmentation(
-            points=point_labels,
+            points=given_points,
             images=LabelImages(separate_private_ids(refined, state.observations, sizes.shape[0])),
             initial_images=LabelImages([o.labels for o in state.observations]),
             names=tuple(o.name for o in state.observations),
@@ -259,6 +265,7 @@ class JointSegmenter(nn.Module):
         modules = self.image_segmenter
         other = JointSegmenter(config, boundary=modules.boundary, image_segmenter=modules.segmenter)
         other._graph = graph = self._require_graph()
+        other._of_point = self._of_point
         other._state = self.state + JointState.empty(graph.edge_index.shape[1], graph.num_points)  # a copy
         return other
 

@@ -61,8 +61,6 @@ def test_each_preset_has_its_method_of_step_6():
         ({"propagation": {"window": 4}}, r"propagation\.window: expected an odd number, got 4"),
         ({"propagation": {"overlap_threshold": 1.5}}, r"propagation\.overlap_threshold: expected <= 1, got 1\.5"),
         ({"visibility": {"method": "magic"}}, r"visibility\.method: expected one of zbuffer, hidden.*, got 'magic'"),
-        ({"visibility": {"near": 0}}, r"visibility\.near: expected > 0, got 0"),
-        ({"visibility": {"near": 3, "far": 2}}, r"visibility\.far: expected more than near \(3\.0\), got 2\.0"),
         (
             {"point_segments": {"method": "magic"}},
             r"point_segments\.method: expected one of regions, edges, learned, scan, got",

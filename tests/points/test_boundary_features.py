@@ -191,9 +191,7 @@ def scene(scene_of):
 
 
 def seen_by_learned(scene, order=None) -> tuple[tj.JointSegmenter, Evidence, BoundaryFeatures]:
-    # A tolerance in metres would see other points of a larger scene.
-    config = LEARNED.set(["visibility.depth_tolerance=1e-9"])
-    segmenter = tj.JointSegmenter(config)
+    segmenter = tj.JointSegmenter(LEARNED)
     segmenter.reset(scene.points, scene.colors)
     segmenter.update([scene.frames[index] for index in order or range(len(scene.frames))])
     graph = segmenter._require_graph()
@@ -248,4 +246,4 @@ class TestInvariance:
 
 
 def test_names_are_unique():
-    assert len(set(FEATURE_NAMES)) == len(FEATURE_NAMES) == 80
+    assert len(set(FEATURE_NAMES)) == len(FEATURE_NAMES) == 84

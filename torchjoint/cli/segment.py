@@ -55,7 +55,7 @@ def segment(
         if max_frames is not None:
             loaded = loaded.sample_frames(max_frames)
         if in_view:
-            loaded = loaded.select_points(in_any_view(loaded.points, loaded.frames, config.visibility))
+            loaded = loaded.select_points(in_any_view(loaded.points, loaded.frames))
         if thin is not None:
             loaded = loaded.select_points(voxel_subsample(loaded.points, thin))
         checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view} {thin}", config))

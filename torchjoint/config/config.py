@@ -64,10 +64,6 @@ class Config:
                 raise TypeError(f"{spec.name}: expected a {expected.__name__}, got {came}")
         if self.propagation.window % 2 == 0:
             raise ValueError(f"propagation.window: expected an odd number, got {self.propagation.window}")
-        if self.visibility.far <= self.visibility.near:
-            raise ValueError(
-                f"visibility.far: expected more than near ({self.visibility.near}), got {self.visibility.far}"
-            )
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any] | None) -> Config:

@@ -16,8 +16,6 @@ class VisibilityConfig(Stage):
         "al. 2007)",
         choices=("zbuffer", "hidden_point_removal"),
     )  # fmt: skip
-    near: float = parameter(0.05, "smallest depth (camera z) of a visible point", unit="m", above=0)
-    far: float = parameter(100.0, "largest depth (camera z) of a visible point", unit="m", above=0)
     footprint: float = parameter(
         0.5,
         "zbuffer: half width of a point's splat in units of the point's spacing; more closes holes in surfaces, but "
@@ -31,12 +29,12 @@ class VisibilityConfig(Stage):
         low=0, high=100, sensible="4-20",
     )  # fmt: skip
     depth_tolerance: float = parameter(
-        0.02,
-        "zbuffer: a point is visible up to this far behind the nearest splat; about the noise of the points; more lets "
-        "hidden points through",
-        unit="m",
+        0.01,
+        "zbuffer: a point is visible up to this far behind the nearest splat; more tolerates noise and errors of "
+        "poses, but lets hidden points through",
+        unit="of the point's depth",
         above=0,
-        sensible="0.01-0.05 indoors, 0.2-1 outdoors",
+        sensible="0.005-0.02",
     )
     slant_tolerance: float = parameter(
         2.0,

@@ -18,8 +18,8 @@ from torchjoint.points.image_agreement import NUM_VALUES, image_agreement
 from torchjoint.points.region_statistics import RegionStatistics, axes, covariance_of_unions, pooled
 from torchjoint.runtime.threads import parallel_map
 
-#: Smallest length by which others are divided, metres, and smallest sum.
-TINY = 1e-9
+#: Smallest divisor: flat and single points have no width.
+TINY = 1e-30
 #: Added to the spread of colours before a division, units of Lab: colours of one surface differ by about as much.
 COLOR_NOISE = 2.0
 #: A boundary without a value counts as this among the boundaries of a region.
@@ -42,6 +42,7 @@ _SHAPE = ("noise_ratio", "width", "elongation", "thickness", "flatness")
 FEATURE_NAMES: tuple[str, ...] = (
     *_summary("crease"),
     *_summary("bend"),
+    *_summary("wide_bend"),
     *_summary("offset"),
     *_summary("larger_offset"),
     *_summary("gap"),
@@ -124,7 +125,7 @@ def boundary_features(evidence: Evidence, region: Tensor) -> BoundaryFeatures:
     a_is_small = statistics.size[a] <= statistics.size[b]
     small, large = torch.where(a_is_small, a, b), torch.where(a_is_small, b, a)
     edges, images = evidence.edges, evidence.images
-    measures = [edges.crease, edges.bend, edges.offset, edges.larger_offset, edges.gap]
+    measures = [edges.crease, edges.bend, edges.wide_bend, edges.offset, edges.larger_offset, edges.gap]
     optional = [edges.color_step, edges.disagreement, edges.contour]
     missing = boundaries.num_edges.new_full((len(a), 1), torch.nan)
 

@@ -21,7 +21,7 @@ from torchjoint.points.edge_weights import map_edges
 from torchjoint.points.graph import PointGraph
 from torchjoint.points.group_summaries import Measure
 from torchjoint.points.image_evidence import ImageEvidence, contours_across, segments_of_pieces
-from torchjoint.points.normals import angle_between, is_convex
+from torchjoint.points.normals import angle_between, estimate_normals, is_convex
 from torchjoint.points.orientation import orient_normals
 from torchjoint.points.region_merging import merge
 from torchjoint.points.region_statistics import RegionStatistics, statistics_of_points
@@ -62,6 +62,7 @@ class BoundaryEdges(NamedTuple):
     pair: Tensor  #: [C] int64, index into Evidence.pairs
     crease: Measure  #: angle between the planes of the two ends, in right angles, negative where convex
     bend: Measure  #: angle between the normals of the two ends, in right angles
+    wide_bend: Measure  #: the same, with normals fitted to the wider neighbourhoods of the planes
     offset: Measure  #: distance of one end's plane to the mean of the other, in multiples of the noise: the smaller one
     larger_offset: Measure  #: the larger one
     gap: Measure  #: length, in multiples of the spacing
@@ -127,20 +128,20 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
     low, high = torch.minimum(first, second)[across], torch.maximum(first, second)[across]
     key, pair = torch.unique(low * num_pieces + high, return_inverse=True)
     ends = graph.edge_index[:, across]
-    geometry = _geometry(graph.points, ends, normals, oriented, planes, scales)
+    geometry = _geometry(graph, ends, normals, oriented, planes, scales)
     contour = views = None
     if r is not None:
         contour, views = contours_across(ends, graph.num_points, observations)
         r = torch.where(state.views[across] > 0, r[across], torch.nan)
     if color_step is not None:
         color_step = color_step[across]
-    crease, bend, offset, larger_offset, gap = parallel_map(Measure.of, geometry)
+    crease, bend, wide_bend, offset, larger_offset, gap = parallel_map(Measure.of, geometry)
     color, overlap, strength = (None if values is None else Measure.of(values) for values in (color_step, r, contour))
     unoriented = ~(oriented[ends[0]] & oriented[ends[1]])
     return Evidence(
         piece,
         torch.stack([key // num_pieces, key % num_pieces]),
-        BoundaryEdges(pair, crease, bend, offset, larger_offset, gap, unoriented, color, overlap, strength, views),
+        BoundaryEdges(pair, crease, bend, wide_bend, offset, larger_offset, gap, unoriented, color, overlap, strength, views),
         statistics_of_points(piece, graph.points, planes.normal, scales.noise, scales.spacing, lab),
         None if median is None else max(median, SMALLEST_TYPICAL),
         segments_of_pieces(piece, observations) if observations else None,
@@ -157,9 +158,9 @@ def _edge_costs(crease: Tensor, r: Tensor | None, color_step: Tensor | None, med
 
 
 def _geometry(
-    points: Tensor, edge_index: Tensor, normals: Tensor, oriented: Tensor, planes: Planes, scales: Scales
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """The measures crease, bend, offset, larger_offset and gap of BoundaryEdges, each [C] float32."""
+    graph: PointGraph, edge_index: Tensor, normals: Tensor, oriented: Tensor, planes: Planes, scales: Scales
+) -> tuple[Tensor, ...]:
+    """The measures crease, bend, wide_bend, offset, larger_offset and gap of BoundaryEdges, each [C] float32."""
     i, j = edge_index
     both = oriented[i] & oriented[j]
     right_angles = 2 / math.pi
@@ -168,11 +169,14 @@ def _geometry(
     angle = angle_between(one, other, both) * right_angles
     crease = torch.where(both & is_convex(between, other - one), -angle, angle)
     bend = angle_between(rows_of(normals, i), rows_of(normals, j), both) * right_angles
+    wide = estimate_normals(graph.points, graph.neighbors)
+    wide = torch.where(dot(wide, normals)[:, None] < 0, -wide, wide)
+    wide_bend = angle_between(rows_of(wide, i), rows_of(wide, j), both) * right_angles
     off_one, off_other = dot(between, one).abs(), dot(between, other).abs()
     noise = torch.maximum(scales.noise[i], scales.noise[j])
     spacing = torch.maximum(scales.spacing[i], scales.spacing[j])
-    gap = length(rows_of(points, j) - rows_of(points, i)) / spacing
-    return crease, bend, torch.minimum(off_one, off_other) / noise, torch.maximum(off_one, off_other) / noise, gap
+    gap = length(rows_of(graph.points, j) - rows_of(graph.points, i)) / spacing
+    return crease, bend, wide_bend, torch.minimum(off_one, off_other) / noise, torch.maximum(off_one, off_other) / noise, gap
 
 
 def _to_lab(colors: Tensor) -> Tensor:

@@ -6,14 +6,13 @@ spacing.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.points._vectors import dot, length
+from torchjoint.points._vectors import dot
 from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.runtime.threads import all_threads, parallel_map
 
@@ -23,13 +22,15 @@ NEIGHBORS = 24
 MIN_POINTS = 6
 #: The noise at a point is this quantile of the residuals around it: points at creases have large residuals, not noise.
 NOISE_QUANTILE = 0.3
-#: Largest error of a normal, radians. With k neighbours it is about noise / (radius x sqrt(k)), and the radius of these
-#: neighbours grows with sqrt(k). So k must be sqrt(24) x noise / (error x radius of 24 neighbours).
-NORMAL_ERROR = 0.03
+#: Normals are fitted to this many neighbours for each unit of noise / spacing: the error of a normal is about
+#: noise / (radius x sqrt(k)), and the radius of k neighbours grows with spacing x sqrt(k), so k is proportional to
+#: noise / (spacing x error).
+NEIGHBORS_PER_NOISE = 160
 #: Range of the number of neighbours of a normal: fewer are not robust, more round off small objects.
-NORMAL_NEIGHBORS = (16, 128)
-#: Smallest noise and spacing, metres: clouds without noise exist, and both are divisors.
-SMALLEST = 1e-6
+NORMAL_NEIGHBORS = (16, 64)
+#: Smallest noise and spacing, in multiples of the cloud's median spacing: clouds without noise exist, and both are
+#: divisors.
+SMALLEST = 1e-3
 #: Number of points processed at a time, because torch.quantile accepts at most 2^24 numbers.
 POINTS = 1 << 16
 
@@ -37,9 +38,9 @@ POINTS = 1 << 16
 class Scales(NamedTuple):
     """The scales of a cloud."""
 
-    noise: Tensor  #: [N] float32 metres, typical distance of the points to the surface, >= 1e-6
-    spacing: Tensor  #: [N] float32 metres, mean distance to the four nearest neighbours, >= 1e-6
-    normal_neighbors: int  #: number of neighbours that suffice for normals in spite of the noise, 16 ... 128
+    noise: Tensor  #: [N] float32 metres, typical distance of the points to the surface, > 0
+    spacing: Tensor  #: [N] float32 metres, mean distance to the four nearest neighbours, > 0
+    normal_neighbors: int  #: number of neighbours that suffice for normals in spite of the noise, 16 ... 64
 
 
 def measure_scales(points: Tensor) -> Scales:
@@ -54,7 +55,7 @@ def measure_scales(points: Tensor) -> Scales:
     indices, spacing = nearest_neighbors(points, NEIGHBORS)
     few, many = NORMAL_NEIGHBORS
     if indices.shape[1] == 0:  # a single point
-        return Scales(torch.full_like(spacing, SMALLEST), spacing.clamp(min=SMALLEST), few)
+        return Scales(torch.ones_like(spacing), torch.ones_like(spacing), few)
     one_region, upwards = torch.zeros(len(points), dtype=torch.int64), torch.zeros_like(points)
     upwards[:, 2] = 1
     with all_threads():
@@ -66,6 +67,7 @@ def measure_scales(points: Tensor) -> Scales:
         return around.quantile(NOISE_QUANTILE, dim=1)
 
     noise = torch.cat(parallel_map(noise_at, range(0, len(points), POINTS)))
-    radius = length(points[indices[:, -1].long()] - points).clamp(min=SMALLEST)
-    needed = float((math.sqrt(NEIGHBORS) * noise / (NORMAL_ERROR * radius)).median())
-    return Scales(noise.clamp(min=SMALLEST), spacing.clamp(min=SMALLEST), min(many, max(few, round(needed))))
+    smallest = SMALLEST * float(spacing.median()) or torch.finfo(torch.float32).tiny
+    noise, spacing = noise.clamp(min=smallest), spacing.clamp(min=smallest)
+    needed = float((NEIGHBORS_PER_NOISE * noise / spacing).median())
+    return Scales(noise, spacing, min(many, max(few, round(needed))))

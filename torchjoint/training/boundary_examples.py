@@ -85,7 +85,7 @@ class LabelledEvidence(NamedTuple):
     """What the training needs of a scene."""
 
     evidence: Evidence
-    instance: Tensor  #: [N] int64, true instance of each point, -1 = void
+    instance: Tensor  #: [N] int64, true instance of each point of the working cloud, -1 = void
 
 
 class BoundaryExamples(NamedTuple):
@@ -123,7 +123,21 @@ def labelled_evidence(scene: Scene, config: Config | None = None) -> LabelledEvi
     assert graph.scales is not None
     with one_thread_per_operation():
         evidence = gather_evidence(graph, graph.scales, segmenter.state, segmenter.config)
-    return LabelledEvidence(evidence, scene.truth.points.long())
+    instance = scene.truth.points.long()
+    if segmenter._of_point is not None:
+        instance = _majority(instance, segmenter._of_point)
+    return LabelledEvidence(evidence, instance)
+
+
+def _majority(instance: Tensor, of_point: Tensor) -> Tensor:
+    """The most frequent instance [W] of the given points [N] of each working point; of equally many the lowest."""
+    values, number = torch.unique(instance, return_inverse=True)
+    key, count = torch.unique(of_point * len(values) + number, return_counts=True)
+    working, number = key // len(values), key % len(values)
+    most = torch.zeros(int(of_point.max()) + 1, dtype=torch.int64).scatter_reduce(0, working, count, "amax")
+    wins = count == most[working]
+    best = torch.full_like(most, len(values)).scatter_reduce(0, working[wins], number[wins], "amin")
+    return values[best]
 
 
 def boundary_examples(evidence: Evidence, region: Tensor, instance: Tensor) -> BoundaryExamples:

@@ -77,7 +77,7 @@ def edge_alignment(
         scene: the points.
         frames: frames of the scene, with the poses to check.
         spacing: [N] metres, spacing of the points.
-        config: near and far.
+        config: parameters of the visibility.
 
     Returns:
         None if no verdict is possible: the cloud is not a scan, too few depth jumps are in view, or the images are
@@ -95,7 +95,7 @@ def edge_alignment(
 
 def _correlations(scene: Scene, frame: Frame, spacing: Tensor, config: VisibilityConfig) -> Tensor | None:
     """The correlations [1 + number of SHIFTS] float64; the first is without shift."""
-    projection = project(scene.points, frame.intrinsics, frame.world_to_camera, frame.size, config)
+    projection = project(scene.points, frame.intrinsics, frame.world_to_camera, frame.size)
     if len(projection.point) <= NEIGHBORS or not _is_scan(scene, frame, spacing, config, projection):
         return None
     edges, scale = _image_edges(frame.image)

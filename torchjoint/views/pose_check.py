@@ -88,7 +88,7 @@ def frames_to_check(scene: Scene) -> dict[int, Frame]:
 
 
 def _agreement(scene: Scene, spacing: Tensor, frame: Frame, pose: Tensor, config: VisibilityConfig) -> Agreement:
-    in_view = project(scene.points, frame.intrinsics, pose, frame.size, config).point.shape[0] / len(scene.points)
+    in_view = project(scene.points, frame.intrinsics, pose, frame.size).point.shape[0] / len(scene.points)
     visible = visible_points(scene.points, spacing, frame.intrinsics, pose, frame.size, config)
     depth_residual = color_residual = torch.nan
     if visible.z.numel() and frame.depth is not None:

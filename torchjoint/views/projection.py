@@ -9,8 +9,10 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.config import VisibilityConfig
 from torchjoint.scene import Frame
+
+#: Range of the depths of points in front of a camera, in the cloud's unit: any depth, so that the unit has no effect.
+NEAREST, FARTHEST = 1e-9, torch.finfo(torch.float32).max
 
 
 class Projection(NamedTuple):
@@ -32,21 +34,19 @@ def project(
     intrinsics: Tensor,
     world_to_camera: Tensor,
     size: tuple[int, int],
-    config: VisibilityConfig,
     margin: float = 0.0,
 ) -> Projection:
-    """Projects points into an image; keeps the points between near and far and inside the image frame.
+    """Projects points into an image; keeps the points in front of the camera and inside the image frame.
 
     Args:
         points: [N, 3] metres, world frame.
         intrinsics: [3, 3] pixels.
         world_to_camera: [4, 4].
         size: (H, W) pixels.
-        config: near and far.
         margin: width added to the image frame on each side, in image widths.
     """
     camera = (world_to_camera.double(), intrinsics.double())
-    return Projection(*ops.project(points, *camera, config.near, config.far, *size, margin * size[1]))
+    return Projection(*ops.project(points, *camera, NEAREST, FARTHEST, *size, margin * size[1]))
 
 
 def _nearest_pixel(coordinate: Tensor) -> Tensor:
@@ -59,19 +59,17 @@ def _inside(u: Tensor, v: Tensor, size: tuple[int, int]) -> Tensor:
     return (column >= 0) & (column < width) & (row >= 0) & (row < height)
 
 
-def in_any_view(points: Tensor, frames: Iterable[Frame], config: VisibilityConfig | None = None) -> Tensor:
+def in_any_view(points: Tensor, frames: Iterable[Frame]) -> Tensor:
     """Whether each point is inside the view frustum of at least one camera; hidden points count, too.
 
     Args:
         points: [N, 3] metres, world frame.
         frames: any number.
-        config: near and far; default: ``VisibilityConfig()``.
 
     Returns:
         [N] bool.
     """
-    config = config or VisibilityConfig()
     inside = torch.zeros(len(points), dtype=torch.bool)
     for frame in frames:
-        inside[project(points, frame.intrinsics, frame.world_to_camera, frame.size, config).point] = True
+        inside[project(points, frame.intrinsics, frame.world_to_camera, frame.size).point] = True
     return inside

@@ -44,7 +44,7 @@ def visible_points(
         config: the method and its parameters.
     """
     margin = config.margin if config.method == "hidden_point_removal" else 0.0
-    projected = project(points, intrinsics, world_to_camera, size, config, margin)
+    projected = project(points, intrinsics, world_to_camera, size, margin)
     if config.method == "hidden_point_removal":
         center = camera_center(world_to_camera)
         projected = projected.select(hidden_point_removal(points[projected.point], center, config.radius_factor))
@@ -78,5 +78,5 @@ def zbuffer_visible(
     row, column = _nearest_pixel(projected.v), _nearest_pixel(projected.u)
     nearest = ops.splat_depth(row, column, projected.z, reach, *size)
     # On a slanted surface a neighbour's splat can be in front of a point by as much as the distance between the two.
-    tolerance = config.depth_tolerance + config.slant_tolerance * width
+    tolerance = config.depth_tolerance * projected.z + config.slant_tolerance * width
     return projected.z <= nearest[row, column] + tolerance

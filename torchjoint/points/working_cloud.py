@@ -1,0 +1,76 @@
+"""Step 3, method learned: the cloud that the steps work on; a cloud that is much denser than its noise is thinned.
+
+Where points lie closer together than they are exact, neighbours tell little about the surface. The mean of the points
+of a small cell is more exact than each of them, and there are fewer of them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from torchjoint.points.scales import NEIGHBORS_PER_NOISE, Scales, measure_scales
+from torchjoint.scene import Scene
+
+#: A cloud is thinned if normals would need more neighbours than this.
+MAX_NEIGHBORS = 24
+#: Normals of the thinned cloud need about this many neighbours.
+WANTED_NEIGHBORS = 12
+
+
+class WorkingCloud(NamedTuple):
+    """The cloud that the steps work on."""
+
+    cloud: Scene  #: W points
+    scales: Scales  #: of these
+    of_point: Tensor | None  #: [N] int64, the working point of each given point; None: the given points themselves
+
+
+def working_cloud(cloud: Scene) -> WorkingCloud:
+    """Measures the scales of a cloud, and thins the cloud if it is much denser than its noise.
+
+    Args:
+        cloud: points [N, 3], optional colours and normals; frames are ignored.
+    """
+    scales = measure_scales(cloud.points)
+    needed = float((NEIGHBORS_PER_NOISE * scales.noise / scales.spacing).median())
+    if needed <= MAX_NEIGHBORS or len(cloud.points) < 2:
+        return WorkingCloud(cloud, scales, None)
+    # The mean of n points has 1 / sqrt(n) of their noise, and a cell of f times the spacing has f^2 points. So noise /
+    # spacing, and with it the neighbours that are needed, fall with the square of the cells' side.
+    side = float(scales.spacing.median()) * (needed / WANTED_NEIGHBORS) ** 0.5
+    of_point, thinned = cell_means(cloud, side)
+    return WorkingCloud(thinned, measure_scales(thinned.points), of_point)
+
+
+def cell_means(cloud: Scene, side: float) -> tuple[Tensor, Scene]:
+    """One point for each cubic cell: the mean of the cell's points, colours and normals.
+
+    Args:
+        cloud: points [N, 3].
+        side: of a cell, metres; the grid starts at the smallest coordinates of the cloud.
+
+    Returns:
+        [N] int64, the new point of each point, numbered in the order of the cells; and the cloud of the new points.
+    """
+    points = cloud.points.double()
+    cell = ((points - points.amin(0)) / side).floor().long()
+    width = cell.amax(0) + 1
+    key, of_point = torch.unique((cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2], return_inverse=True)
+    count = torch.bincount(of_point, minlength=len(key)).double()[:, None]
+
+    def mean(values: Tensor | None) -> Tensor | None:
+        if values is None:
+            return None
+        return (torch.zeros(len(key), 3, dtype=torch.float64).index_add_(0, of_point, values.double()) / count).float()
+
+    means, normals = mean(cloud.points), mean(cloud.normals)
+    assert means is not None
+    if normals is not None:
+        first = torch.full((len(key),), len(points)).scatter_reduce(0, of_point, torch.arange(len(points)), "amin")
+        opposite = normals.square().sum(1, keepdim=True) < 1e-6  # the mean of opposite normals has no direction
+        normals = normalize(torch.where(opposite, cloud.normals[first], normals), dim=1)  # type: ignore[index]
+    return of_point, Scene(means, colors=mean(cloud.colors), normals=normals)
