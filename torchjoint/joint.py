@@ -17,10 +17,11 @@ from torchjoint.config import Config, evidence_differences
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.labels.image_labels import label_image
 from torchjoint.labels.joint_ids import separate_private_ids
+from torchjoint.labels.piece_images import PieceImages
 from torchjoint.points.graph import PointGraph, build_edgeless_graph, build_point_graph
 from torchjoint.points.orientation import orientation_votes
 from torchjoint.points.scales import measure_scales
-from torchjoint.points.segments import segment_points
+from torchjoint.points.segments import point_hierarchy, segment_points
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
@@ -180,7 +181,8 @@ class JointSegmenter(nn.Module):
             progress: show a progress bar.
 
         Returns:
-            labels of the points [N] and of the frames [H, W], frames in the order in which they were added.
+            labels of the points [N] and of the frames [H, W], frames in the order in which they were added. Method
+            learned also gives all other levels, see :meth:`torchjoint.Segmentation.at`.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
@@ -188,9 +190,12 @@ class JointSegmenter(nn.Module):
         state = self.state
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
-                point_labels = segment_points(self._require_graph(), state, self.config)
+                graph, hierarchy = self._require_graph(), None
+                if self.config.point_segments.method == "learned":
+                    hierarchy = point_hierarchy(graph, state, self.config)
+                point_labels = hierarchy.at() if hierarchy else segment_points(graph, state, self.config)
             if not images:
-                return Segmentation(point_labels, (), seconds=dict(self.stopwatch.seconds))
+                return Segmentation(point_labels, (), seconds=dict(self.stopwatch.seconds), hierarchy=hierarchy)
             sizes = torch.bincount(point_labels)
             bar = tqdm(total=len(state.observations), desc="images", unit="frame", disable=not progress)
 
@@ -202,12 +207,15 @@ class JointSegmenter(nn.Module):
 
             with bar:
                 refined = parallel_map(refine, state.observations)
+        labels = LabelImages(separate_private_ids(refined, state.observations, sizes.shape[0]))
         return Segmentation(
             points=point_labels,
-            images=LabelImages(separate_private_ids(refined, state.observations, sizes.shape[0])),
+            images=labels,
             initial_images=LabelImages([o.labels for o in state.observations]),
             names=tuple(o.name for o in state.observations),
             seconds=dict(self.stopwatch.seconds),
+            hierarchy=hierarchy,
+            piece_images=PieceImages(labels, state.observations, hierarchy, self.config) if hierarchy else (),
         )
 
     @property
