@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import torchjoint as tj
+from torchjoint.labels import piece_images
 from torchjoint.labels.piece_images import piece_image
 
 LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
@@ -46,6 +47,20 @@ def test_pieces_lie_inside_the_segments_of_the_images(result):
         assert torch.equal(of_piece[pieces[own]], labels[own])
         assert pieces.dtype == torch.int64
         assert len(pieces[own].unique()) > len(labels[own].unique())
+
+
+def test_paths_lead_to_pieces_as_to_labels(scene_of, monkeypatch):
+    """Also where paths are equally cheap: only pixels of removed specks need the nearest point of their segment."""
+    corrected = []
+
+    def nearest(seen, pieces_there, of_piece, row, column, segment):
+        corrected.append(len(row))
+        return segment
+
+    monkeypatch.setattr(piece_images, "_nearest_of_segment", nearest)
+    result = tj.JointSegmenter(LEARNED.set(["refinement.min_points=1"]))(scene_of(3).scene)
+    assert len(result.piece_images[:]) == 6
+    assert corrected == [0] * 6
 
 
 def test_levels_of_a_scene_are_nested(result):

@@ -76,11 +76,17 @@ def piece_image(seen: Observation, labels: Tensor, piece: Tensor, of_piece: Tens
     """
     height, width = labels.shape
     pieces_there = piece[seen.visible.point]
-    markers = nearest_labels(seen.visible, pieces_there, (height, width))
-    pieces = ops.propagate_labels(markers, *path_costs(seen, config)).to(torch.int64)
+    # Of equally cheap paths the lowest number counts. In the order of the segments, that is one of the lowest segment,
+    # as for the labels.
+    by_segment = torch.argsort(of_piece, stable=True)
+    place = torch.empty_like(by_segment)
+    place[by_segment] = torch.arange(len(by_segment))
+    markers = nearest_labels(seen.visible, place[pieces_there], (height, width))
+    places = ops.propagate_labels(markers, *path_costs(seen, config)).to(torch.int64)
+    pieces = by_segment[places.clamp(min=0)]
     num_segments = int(of_piece.max()) + 1
     has_segment = (labels >= 0) & (labels < num_segments)
-    wrong = has_segment & ((pieces < 0) | (of_piece[pieces.clamp(min=0)] != labels))
+    wrong = has_segment & ((places < 0) | (of_piece[pieces] != labels))
     row, column = torch.nonzero(wrong, as_tuple=True)
     pieces[row, column] = _nearest_of_segment(seen, pieces_there, of_piece, row, column, labels[row, column])
     return pieces.masked_fill_(~has_segment, -1)

@@ -50,7 +50,8 @@ def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], pi
     def write(index: int) -> None:
         stored = (piece_images[index] + 1).numpy()
         channels = np.stack([stored >> 16, stored >> 8 & 255, stored & 255], axis=-1).astype(np.uint8)
-        Image.fromarray(channels).save(folder / FOLDER / f"{names[index]}.png")
+        # A level of 3 instead of 6 takes half the time, for a fifth more bytes.
+        Image.fromarray(channels).save(folder / FOLDER / f"{names[index]}.png", compress_level=3)
 
     parallel_map(write, range(len(names)))
 
