@@ -97,6 +97,7 @@ class _ScoreCollector:
             out.mkdir(parents=True, exist_ok=True)
             write_csv(out / TABLE, self.rows)
             write_plot(out / PICTURE, self.rows)
+            (out / LEVELS).unlink(missing_ok=True)  # an earlier one would not belong to these scores
             if self.levels:
                 write_levels(out / LEVELS, self.levels)
             print(f"written to {out}: {TABLE}, {PICTURE}{', ' + LEVELS if self.levels else ''}")

@@ -15,7 +15,8 @@ from torchjoint.points.boundary_model import BoundaryModel
 from torchjoint.points.evidence import Evidence
 from torchjoint.scene import Hierarchy
 
-#: Thresholds of the rounds above the model's. At 1, whatever touches has merged.
+#: Thresholds of the rounds above the model's; at 1, whatever touches has merged. There are several, because larger
+#: regions are judged anew, and they cost little, because few regions are left.
 COARSER = (0.65, 0.8, 0.9, 1.0)
 #: Merges of a round are at least this far above the threshold before; probabilities are rounded to it.
 HEIGHT_STEP = 2.0**-20

@@ -47,7 +47,8 @@ class Segmentation:
         hierarchy: all levels of the segmentation, from which :meth:`at` chooses; None if the method makes none. Only
             method learned makes one.
         piece_images: with a hierarchy, a sequence of [H, W] int64, one per frame: the piece of the hierarchy in each
-            pixel with a 3D segment, else -1. Each image is computed when it is first used.
+            pixel with a 3D segment, else -1. Each image is computed when it is first used; the result keeps the frames'
+            observations for that.
     """
 
     points: Tensor
