@@ -215,7 +215,9 @@ class JointSegmenter(nn.Module):
             names=tuple(o.name for o in state.observations),
             seconds=dict(self.stopwatch.seconds),
             hierarchy=hierarchy,
-            piece_images=PieceImages(labels, state.observations, hierarchy, self.config) if hierarchy else (),
+            piece_images=()
+            if hierarchy is None
+            else PieceImages(labels, state.observations, hierarchy, hierarchy.piece, self.config),
         )
 
     @property

@@ -128,6 +128,30 @@ def test_levels_are_nested(seed, one, other, default):
         assert all(torch.equal(a, b) for a, b in zip(again.images, end.images, strict=True))
 
 
+def test_other_points_by_hand():
+    other, number = BY_HAND.transferred(torch.tensor([4, 3, 3, 0, 2]))
+    assert other.piece.tolist() == [0, 1, 1, 2, 3]
+    assert number.tolist() == [2, 3, 1, 0]
+    assert other.merges.tolist() == [[2, 1], [1, 0], [3, 2]]
+    assert other.at(0.5).tolist() == [0, 0, 0, 0, 1]
+    with pytest.raises(ValueError, match="of_point: expected points of all 4 pieces"):
+        BY_HAND.transferred(torch.tensor([0, 1, 2, 3]))
+
+
+@few_and_many(30, 300, seed=st.integers(0, 2**32 - 1), granularity=st.floats(0, 1))
+def test_other_points_have_the_same_levels(seed, granularity):
+    generator = torch.Generator().manual_seed(seed)
+    hierarchy = random_hierarchy(generator, 40, 12)
+    of_point = torch.cat([torch.arange(40), torch.randint(40, (30,), generator=generator)])
+    of_point = of_point[torch.randperm(70, generator=generator)]
+    other, number = hierarchy.transferred(of_point)
+    expected, got = hierarchy.at(granularity)[of_point], other.at(granularity)
+    assert is_inside(got, expected)
+    assert is_inside(expected, got)
+    assert numbered_by_first_appearance(got)
+    assert torch.equal(number[hierarchy.piece[of_point]], other.piece)
+
+
 @few_and_many(30, 300, seed=st.integers(0, 2**32 - 1), granularity=st.floats(0, 1))
 def test_the_default_is_as_it_was(seed, granularity):
     result = random_segmentation(seed)

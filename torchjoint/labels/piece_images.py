@@ -23,15 +23,21 @@ class PieceImages(Sequence[Tensor]):
         images: final labels [H, W] int64 per frame, of the default level.
         observations: the frames.
         hierarchy: all levels.
+        piece: [N] int64, piece of each point that the frames may see.
         config: the refinement, and the smoothing of the image graph.
     """
 
     def __init__(
-        self, images: Sequence[Tensor], observations: Sequence[Observation], hierarchy: Hierarchy, config: Config
+        self,
+        images: Sequence[Tensor],
+        observations: Sequence[Observation],
+        hierarchy: Hierarchy,
+        piece: Tensor,
+        config: Config,
     ) -> None:
         self._images = images
         self._observations = tuple(observations)
-        self._hierarchy = hierarchy
+        self._piece = piece
         self._of_piece = hierarchy.segments_of_pieces(hierarchy.default)
         self._config = config
         self._known: dict[int, Tensor] = {}  # int32, half the memory
@@ -52,7 +58,7 @@ class PieceImages(Sequence[Tensor]):
         if index not in self._known:
             seen, labels = self._observations[index], self._images[index]
             with torch.no_grad(), one_thread_per_operation():
-                pieces = piece_image(seen, labels, self._hierarchy.piece, self._of_piece, self._config)
+                pieces = piece_image(seen, labels, self._piece, self._of_piece, self._config)
             self._known[index] = pieces.to(torch.int32)
         return self._known[index].to(torch.int64)
 

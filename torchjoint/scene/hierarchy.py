@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -105,6 +105,27 @@ class Hierarchy:
             ValueError: a number outside [0, 1].
         """
         return self.cut(self.height_of(granularity))
+
+    def transferred(self, of_point: Tensor) -> tuple[Hierarchy, Tensor]:
+        """The same hierarchy for other points, each of which takes the piece of one of these points.
+
+        Args:
+            of_point: [K] int64, one of the N points for each other point. Every piece must occur.
+
+        Returns:
+            the hierarchy of the K points, with its pieces numbered by first appearance among them; and [P] int64, the
+            new number of each piece.
+
+        Raises:
+            ValueError: a piece does not occur.
+        """
+        piece = self.piece[of_point]
+        first = torch.full((self.num_pieces,), len(piece)).scatter_reduce_(0, piece, torch.arange(len(piece)), "amin")
+        if (first == len(piece)).any():
+            raise ValueError(f"of_point: expected points of all {self.num_pieces} pieces")
+        number = torch.empty_like(first)
+        number[torch.argsort(first)] = torch.arange(self.num_pieces)
+        return replace(self, piece=number[piece], merges=number[self.merges]), number
 
 
 def check_granularity(granularity: float, name: str = "granularity") -> None:
