@@ -21,6 +21,7 @@ from torchjoint.ops import (
     pair_counts,
     project,
     propagate_labels,
+    region_merges,
     region_planes,
     segment_graphs,
     splat_depth,
@@ -71,6 +72,7 @@ PROPAGATE_LABELS = {
 MERGE_REGIONS = {
     "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
 }  # fmt: skip
+REGION_MERGES = {"edge_index": EDGES, "cost": VALUES, "num_regions": 4, "threshold": 0.5}
 REGION_PLANES = {
     "points": POINTS, "neighbors": NEIGHBORS, "region": torch.tensor([0, 0, 0, 1]), "normals": POINTS + 1,
     "min_points": 3,
@@ -99,6 +101,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     match_pixels: MATCH_PIXELS,
     propagate_labels: PROPAGATE_LABELS,
     merge_regions: MERGE_REGIONS,
+    region_merges: REGION_MERGES,
     region_planes: REGION_PLANES,
     boosted_trees: BOOSTED_TREES,
     ultrametric_contours: {"boundary": IMAGES[0, 0], "relief": IMAGES[0, 1]},

@@ -24,11 +24,11 @@ PUBLIC = {
         VisibilityConfig evidence_config evidence_differences parameter_table presets read_assignment read_preset
         read_yaml superpoint_presets superpoint_table
     """,
-    "torchjoint.scene": "Frame LabelImages Scene Segmentation Truth",
+    "torchjoint.scene": "Frame Hierarchy LabelImages Scene Segmentation Truth",
     "torchjoint.ops": """
         boosted_trees felzenszwalb felzenszwalb_image fit_normals match_pixels merge_regions min_cut neighbor_edges
-        pair_counts project propagate_labels region_planes segment_graphs splat_depth ultrametric_contours
-        window_overlaps
+        pair_counts project propagate_labels region_merges region_planes segment_graphs splat_depth
+        ultrametric_contours window_overlaps
     """,
     "torchjoint.metrics": """
         AchievableSegmentationAccuracyMetric AveragePrecision AveragePrecisionObjectsMetric

@@ -17,9 +17,10 @@ from torchjoint.config import Config, evidence_differences
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.labels.image_labels import label_image
 from torchjoint.labels.joint_ids import separate_private_ids
+from torchjoint.labels.piece_images import PieceImages
 from torchjoint.points.graph import PointGraph, build_edgeless_graph, build_point_graph
 from torchjoint.points.orientation import orientation_votes
-from torchjoint.points.segments import segment_points
+from torchjoint.points.segments import point_hierarchy, segment_points
 from torchjoint.points.working_cloud import working_cloud
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.stopwatch import Stopwatch
@@ -185,7 +186,8 @@ class JointSegmenter(nn.Module):
             progress: show a progress bar.
 
         Returns:
-            labels of the points [N] and of the frames [H, W], frames in the order in which they were added.
+            labels of the points [N] and of the frames [H, W], frames in the order in which they were added. Method
+            learned also gives all other levels, see :meth:`torchjoint.Segmentation.at`.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
@@ -193,10 +195,19 @@ class JointSegmenter(nn.Module):
         state = self.state
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
-                point_labels = segment_points(self._require_graph(), state, self.config)
-            given_points = point_labels if self._of_point is None else point_labels[self._of_point]
+                graph, hierarchy, piece = self._require_graph(), None, None
+                if self.config.point_segments.method == "learned":
+                    hierarchy = point_hierarchy(graph, state, self.config)
+                    piece = hierarchy.piece  # of the graph's points
+                    if self._of_point is not None:
+                        hierarchy, number = hierarchy.transferred(self._of_point)
+                        piece = number[piece]
+                    point_labels = hierarchy.segments_of_pieces(hierarchy.default)[piece]
+                    given_points = hierarchy.at()
+                else:
+                    given_points = point_labels = segment_points(graph, state, self.config)
             if not images:
-                return Segmentation(given_points, (), seconds=dict(self.stopwatch.seconds))
+                return Segmentation(given_points, (), seconds=dict(self.stopwatch.seconds), hierarchy=hierarchy)
             sizes = torch.bincount(point_labels)
             bar = tqdm(total=len(state.observations), desc="images", unit="frame", disable=not progress)
 
@@ -208,12 +219,17 @@ class JointSegmenter(nn.Module):
 
             with bar:
                 refined = parallel_map(refine, state.observations)
+        labels = LabelImages(separate_private_ids(refined, state.observations, sizes.shape[0]))
         return Segmentation(
             points=given_points,
-            images=LabelImages(separate_private_ids(refined, state.observations, sizes.shape[0])),
+            images=labels,
             initial_images=LabelImages([o.labels for o in state.observations]),
             names=tuple(o.name for o in state.observations),
             seconds=dict(self.stopwatch.seconds),
+            hierarchy=hierarchy,
+            piece_images=()
+            if hierarchy is None or piece is None
+            else PieceImages(labels, state.observations, hierarchy, piece, self.config),
         )
 
     @property

@@ -29,6 +29,7 @@ from operator_arguments import (
     POINTS,
     POSITIONS,
     PROPAGATE_LABELS,
+    REGION_MERGES,
     REGION_PLANES,
     SINK,
     SOURCE,
@@ -48,6 +49,7 @@ from torchjoint.ops import (
     pair_counts,
     project,
     propagate_labels,
+    region_merges,
     region_planes,
     segment_graphs,
     splat_depth,
@@ -231,6 +233,16 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (merge_regions, {"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
     (merge_regions, {"min_size": 1.5}, TypeError, "min_size: expected int, got float"),
     (merge_regions, {"min_size": -1}, ValueError, "min_size: expected a number >= 0, got -1"),
+    (region_merges, {"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
+    (region_merges, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
+    (region_merges, {"cost": VALUES.double()}, TypeError, "cost: expected dtype torch.float32, got torch.float64"),
+    (region_merges, {"cost": VALUES[:2]}, ValueError, "cost: expected shape [E] = [3], got [2]"),
+    (region_merges, {"cost": changed(VALUES, NAN, 1)}, ValueError, "cost: expected numbers in [0, 1024], got nan at"),
+    (region_merges, {"num_regions": -1}, ValueError, "num_regions: expected a number >= 0, got -1"),
+    (region_merges, {"num_regions": 4.0}, TypeError, "num_regions: expected int, got float"),
+    (region_merges, {"num_regions": 2**31}, ValueError, "num_regions: expected 0 to 2^31 - 1, got 2147483648"),
+    (region_merges, {"threshold": -0.1}, ValueError, "threshold: expected a number >= 0, got -0.1"),
+    (region_merges, {"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
     (region_planes, {"points": EYE[:, :3]}, TypeError, "points: expected dtype torch.float32, got torch.float64"),
     (region_planes, {"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [4, 2]"),
     (region_planes, {"neighbors": NEIGHBORS.short()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
@@ -368,6 +380,10 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (merge_regions, {"size": PIXELS[None]}),
         (merge_regions, {"threshold": NAN}),
         (merge_regions, {"min_size": -1}),
+        (region_merges, {"edge_index": EDGES.t()}),
+        (region_merges, {"cost": VALUES.double()}),
+        (region_merges, {"num_regions": -1}),
+        (region_merges, {"threshold": NAN}),
         (region_planes, {"points": POINTS[:, :2]}),
         (region_planes, {"neighbors": NEIGHBORS[:3]}),
         (region_planes, {"neighbors": NEIGHBORS.float()}),
@@ -447,6 +463,7 @@ def test_no_gradient_flows() -> None:
     assert not any(result.requires_grad for result in min_cut(EDGES, weight, SOURCE, SINK))
     assert not fit_normals(POINTS.clone().requires_grad_(), NEIGHBORS).requires_grad
     assert not merge_regions(**MERGE_REGIONS | {"cost": weight}).requires_grad
+    assert not any(result.requires_grad for result in region_merges(**REGION_MERGES | {"cost": weight}))
     with_grad = {name: REGION_PLANES[name].clone().requires_grad_() for name in ("points", "normals")}
     assert not any(result.requires_grad for result in region_planes(**REGION_PLANES | with_grad))
     values = BOOSTED_TREES["values"].clone().requires_grad_()
@@ -516,6 +533,7 @@ LONG_OPERATORS = (
     neighbor_edges,
     fit_normals,
     merge_regions,
+    region_merges,
     region_planes,
     propagate_labels,
     boosted_trees,
@@ -555,6 +573,9 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
     if op is merge_regions:
         edges, cost = large_graph(int(100_000 * share))
         return lambda: merge_regions(edges, cost, torch.ones(len(cost), dtype=torch.int64), 0.4, 2)
+    if op is region_merges:
+        edges, cost = large_graph(int(100_000 * share))
+        return lambda: region_merges(edges, cost, len(cost), 0.4)
     edges, weight = large_graph(int((3_000_000 if op is felzenszwalb else 1_000_000) * share))
     if op is felzenszwalb:
         return lambda: felzenszwalb(edges, weight, len(weight), 1.0)

@@ -5,8 +5,9 @@ import torch
 
 import torchjoint as tj
 from torchjoint.points import segments
-from torchjoint.points.agglomeration import merge_by_probability, segment_learned
+from torchjoint.points.agglomeration import COARSER, HEIGHT_STEP, build_hierarchy, merge_by_probability
 from torchjoint.points.boundary_features import FEATURE_NAMES, boundary_features
+from torchjoint.points.boundary_model import load_boundary_model
 from torchjoint.points.evidence import gather_evidence
 from torchjoint.views.state import JointState
 
@@ -68,22 +69,68 @@ class TestMerging:
             assert torch.equal(merged, torch.where(expected > b, expected - 1, expected))
 
 
+def after_rounds(evidence, model, *rounds):
+    """The labels after rounds (number, threshold), by the operator that gives labels instead of merges."""
+    region = evidence.piece
+    for number, threshold in rounds:
+        pairs, values = boundary_features(evidence, region)
+        if pairs.shape[1] == 0:
+            break
+        region = merge_by_probability(evidence, region, pairs, model.probability(number, values), threshold)
+    return region
+
+
 class TestRounds:
     def test_each_round_asks_about_larger_regions(self, evidence):
         model = ByCrease(0.1, 0.2, 0.3)
-        labels = segment_learned(evidence, model)
+        build_hierarchy(evidence, model)
         numbers, boundaries = zip(*model.asked, strict=True)
-        assert numbers == (0, 1, 2, 2)
+        assert numbers[:5] == (0, 1, 2, 2, 2)
+        assert set(numbers[5:]) <= {2}
         assert list(boundaries) == sorted(boundaries, reverse=True)
         assert boundaries[0] == evidence.pairs.shape[1]
-        region = evidence.piece
-        for threshold in (0.1, 0.2, 0.3, 0.3):
-            pairs, values = boundary_features(evidence, region)
-            region = merge_by_probability(evidence, region, pairs, model.probability(0, values), threshold)
-        assert torch.equal(labels, region)
+
+    @pytest.mark.parametrize("thresholds", [(0.1, 0.2, 0.3), (0.15, 0.25, 0.35, 0.5), (0.3, 0.1), (0.9,)])
+    def test_the_default_level_is_the_rounds(self, evidence, thresholds):
+        model = ByCrease(*thresholds)
+        hierarchy = build_hierarchy(evidence, model)
+        rounds = [*enumerate(thresholds), (len(thresholds) - 1, thresholds[-1])]
+        assert torch.equal(hierarchy.at(), after_rounds(evidence, model, *rounds))
+        assert hierarchy.default == max(thresholds)
+
+    def test_the_default_level_is_the_rounds_of_the_package_s_model(self, evidence):
+        model = load_boundary_model()
+        rounds = [*enumerate(model.thresholds), (3, 0.5)]
+        assert torch.equal(build_hierarchy(evidence, model).at(0.5), after_rounds(evidence, model, *rounds))
+
+    def test_a_cut_at_a_threshold_is_the_state_after_its_round(self, evidence):
+        model = ByCrease(0.1, 0.2, 0.3)
+        hierarchy = build_hierarchy(evidence, model)
+        rounds = [(0, 0.1), (1, 0.2), (2, 0.3), (2, 0.3), *((2, threshold) for threshold in COARSER)]
+        for last, (_, threshold) in enumerate(rounds):
+            if last != 2:  # the second run of a round goes on below the same threshold
+                expected = after_rounds(evidence, model, *rounds[: last + 1])
+                assert torch.equal(hierarchy.cut(threshold), expected)
+
+    def test_the_ends(self, evidence):
+        hierarchy = build_hierarchy(evidence, ByCrease(0.1, 0.3))
+        assert torch.equal(hierarchy.at(1), evidence.piece)
+        pairs = evidence.pairs
+        together = torch.zeros(pairs.shape[1], dtype=torch.float64)
+        connected = merge_by_probability(evidence, evidence.piece, pairs, together, 1.0)
+        assert torch.equal(hierarchy.at(0), connected)
+
+    def test_heights_never_fall_on_the_way_up(self, evidence):
+        hierarchy = build_hierarchy(evidence, ByCrease(0.1, 0.2, 0.3))
+        assert hierarchy.heights.min() >= HEIGHT_STEP
+        top = [0.0] * hierarchy.num_pieces
+        for (a, b), height in zip(hierarchy.merges.tolist(), hierarchy.heights.tolist(), strict=True):
+            assert height >= max(top[a], top[b])
+            top[a] = height  # each merge names the lowest pieces of the two segments
+        assert len(set(hierarchy.merges[:, 1].tolist())) == len(hierarchy.merges)
 
     def test_labels_are_numbered_by_first_appearance(self, evidence):
-        labels = segment_learned(evidence, ByCrease(0.1, 0.3))
+        labels = build_hierarchy(evidence, ByCrease(0.1, 0.3)).at()
         first = [int((labels == label).nonzero()[0]) for label in range(int(labels.max()) + 1)]
         assert first == sorted(first)
         assert labels.dtype == torch.int64
@@ -91,7 +138,7 @@ class TestRounds:
 
     def test_stops_when_no_boundary_is_left(self, evidence):
         model = ByCrease(1.0, 1.0, 1.0)
-        labels = segment_learned(evidence, model)
+        labels = build_hierarchy(evidence, model).at()
         assert boundary_features(evidence, labels).pairs.shape[1] == 0
         assert len(model.asked) == 1
 
@@ -102,17 +149,20 @@ class TestMethod:
         monkeypatch.setattr(segments, "load_boundary_model", lambda: ByCrease(0.1, 0.2, 0.3))
 
     def test_is_the_rounds(self, segmenter, evidence):
-        expected = segment_learned(evidence, ByCrease(0.1, 0.2, 0.3))
+        expected = build_hierarchy(evidence, ByCrease(0.1, 0.2, 0.3)).at()
         result = segmenter.compute()
         assert torch.equal(result.points, expected)
         assert expected.max() > 3
         assert len(result.images) == 6
 
     def test_neither_order_nor_threads_matter(self, scene, segmenter, set_threads):
-        expected = segmenter.compute(images=False).points
+        expected = segmenter.compute(images=False)
         for threads in (1, 3):
             set_threads(threads)
-            assert torch.equal(segmenter_of(scene, [5, 3, 1, 0, 2, 4]).compute(images=False).points, expected)
+            again = segmenter_of(scene, [5, 3, 1, 0, 2, 4]).compute(images=False)
+            assert torch.equal(again.points, expected.points)
+            assert torch.equal(again.hierarchy.merges, expected.hierarchy.merges)
+            assert torch.equal(again.hierarchy.heights, expected.hierarchy.heights)
 
     @pytest.mark.parametrize("count", [1, 2, 5, 40])
     def test_tiny_clouds(self, count):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchjoint.points.agglomeration import segment_learned
+from torchjoint.points.agglomeration import build_hierarchy
 from torchjoint.points.boundary_features import FEATURE_NAMES
 from torchjoint.points.boundary_model import calibrated, load_boundary_model
 from torchjoint.scene import Scene, Truth
@@ -111,7 +111,7 @@ def test_from_scenes_to_segments(prepared, tmp_path, set_threads):
     save_boundary_model(tmp_path / "a.npz", model)
     loaded = load_boundary_model(tmp_path / "a.npz")
     evidence = prepared[0].evidence
-    segments = segment_learned(evidence, loaded)
+    segments = build_hierarchy(evidence, loaded).at()
     assert 1 < int(segments.max()) + 1 < int(evidence.piece.max()) + 1
     set_threads(1)
     save_boundary_model(tmp_path / "b.npz", fit_boundary_model(prepared, QUICK))

@@ -12,4 +12,5 @@ def summarize(result: Segmentation, out: Path) -> None:
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in result.seconds.items())
     print(f"{len(result.points)} points in {result.num_point_segments} segments, {len(result.images)} images")
     print(f"seconds by stage (added up over threads): {seconds}")
-    print(f"written to {out}: overview.png, points.ply, points.npz, images/, run.yaml")
+    levels = ", hierarchy.npz, pieces/" if result.hierarchy is not None else ""
+    print(f"written to {out}: overview.png, points.ply, points.npz, images/, run.yaml{levels}")

@@ -12,12 +12,14 @@ from tqdm import tqdm
 from torchjoint.cli.arguments import check_output
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.evaluation.evaluate import evaluate as evaluate_prediction
-from torchjoint.evaluation.evaluate import left_out
+from torchjoint.evaluation.evaluate import evaluate_levels, left_out
+from torchjoint.evaluation.levels import level_table, write_levels
 from torchjoint.evaluation.predictions import Prediction, is_result, read_prediction
+from torchjoint.evaluation.scores import Scores
 from torchjoint.evaluation.table import Row, scene_table, write_csv, write_plot
 from torchjoint.scene import Scene
 
-TABLE, PICTURE = "scores.csv", "scores.png"
+TABLE, PICTURE, LEVELS = "scores.csv", "scores.png", "levels.csv"
 
 
 def evaluate(
@@ -29,16 +31,18 @@ def evaluate(
 ) -> None:
     """Scores results against the ground truth of one scene, or of all scenes of a data set.
 
+    If all results have a hierarchy (method learned), they are also scored at all levels.
+
     Args:
         pred: a folder written by `torchjoint segment`; or point labels, .npy or .txt; or, for a data set, a folder of
             such folders or files, named like the scenes.
         scene: a scene with ground truth, or a data set of such scenes; the README lists the supported layouts.
-        out: folder for scores.csv and scores.png.
+        out: folder for scores.csv and scores.png, and for levels.csv if there are levels.
         voxel_size: metres, for fusing a cloud from depth; used only if PRED does not hold the cloud.
         overwrite: replace files in OUT.
     """
     if out is not None:
-        check_output(out, (TABLE, PICTURE), overwrite)
+        check_output(out, (TABLE, PICTURE, LEVELS), overwrite)
     scenes = list_scenes(scene)
     scored = _ScoreCollector()
     try:
@@ -61,10 +65,13 @@ class _ScoreCollector:
 
         self.rows: list[Row] = []
         self.notes: list[str] = []
+        self.levels: dict[str, list[Scores]] = {}
         self.instances = ScannetAveragePrecisionMetric()
 
     def add(self, name: str, scene: Scene, prediction: Prediction) -> None:
         self.rows += evaluate_prediction(prediction, scene, name)
+        if of_levels := evaluate_levels(prediction, scene):
+            self.levels[name] = of_levels
         if partial := left_out(prediction, scene):
             self.notes.append(f"{name}: only {partial} are there to be scored")
         truth = scene.truth.points if scene.truth is not None else None
@@ -79,13 +86,21 @@ class _ScoreCollector:
         if average is not None and not math.isnan(average.ap):
             ap, ap50, ap25 = average
             print(f"ScanNet's class-agnostic AP {ap:.3f}, AP50 {ap50:.3f}, AP25 {ap25:.3f}: 3D, all scenes together")
+        in_3d = {row.scene for row in self.rows if row.space == "3D"}
+        if self.levels and set(self.levels) == in_3d:
+            print(level_table(self.levels))
+        elif self.levels:
+            self.notes.append(f"only {len(self.levels)} of {len(in_3d)} results have levels: no scores of all levels")
         for note in self.notes:
             print(note)
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
             write_csv(out / TABLE, self.rows)
             write_plot(out / PICTURE, self.rows)
-            print(f"written to {out}: {TABLE}, {PICTURE}")
+            (out / LEVELS).unlink(missing_ok=True)  # an earlier one would not belong to these scores
+            if self.levels:
+                write_levels(out / LEVELS, self.levels)
+            print(f"written to {out}: {TABLE}, {PICTURE}{', ' + LEVELS if self.levels else ''}")
 
 
 def _of_scene(pred: Path, name: str) -> Path:

@@ -14,6 +14,7 @@ from torchjoint.datasets.files import fingerprint
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.checkpoint import Checkpoint, run_key
 from torchjoint.results.folder import output_folder, write_result
+from torchjoint.scene.hierarchy import check_granularity
 from torchjoint.scene.thinning import voxel_subsample
 from torchjoint.views.projection import in_any_view
 
@@ -27,6 +28,7 @@ def segment(
     max_frames: int | None = None,
     in_view: bool = False,
     thin: float | None = None,
+    granularity: float | None = None,
 ) -> None:
     """Segments a recording: a folder of posed frames, with or without a point cloud.
 
@@ -34,18 +36,27 @@ def segment(
 
     Args:
         scene: folder of frames; the README lists the supported layouts.
-        out: folder for the result: points.ply, points.npz, images/, overview.png, run.yaml.
+        out: folder for the result: points.ply, points.npz, images/, overview.png, run.yaml; with method learned also
+            hierarchy.npz and pieces/.
         parameters: parameters of the method.
         overwrite: replace OUT if it is an earlier result.
         voxel_size: metres, for fusing a cloud from depth if the recording has no cloud.
         max_frames: number of frames to use, evenly spread over the recording.
         thin: keep one point per voxel of this size, metres; for clouds that are denser than their noise, or too large.
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
+        granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5. All levels are saved in any case.
+            Only point_segments.method learned has levels.
     """
     config = parameters.config()
     check_max_frames(max_frames)
     if thin is not None and not thin > 0:
         raise ValueError(f"--thin: expected more than 0 metres, got {thin}")
+    if granularity is not None:
+        check_granularity(granularity, "--granularity")
+        if config.point_segments.method != "learned":
+            raise ValueError(
+                f"--granularity: method {config.point_segments.method} has one level only; --preset learned has all"
+            )
     if out.resolve() in (scene.resolve(), *scene.resolve().parents):
         raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
     source = f"{fingerprint(scene)} {voxel_size}"
@@ -60,6 +71,8 @@ def segment(
             loaded = loaded.select_points(voxel_subsample(loaded.points, thin))
         checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view} {thin}", config))
         result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
-        write_result(partial, loaded, result, config, str(scene))
+        if granularity is not None:
+            result = result.at(granularity)
+        write_result(partial, loaded, result, config, str(scene), 0.5 if granularity is None else granularity)
         shutil.rmtree(partial / "state")
     summarize(result, out)

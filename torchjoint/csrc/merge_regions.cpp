@@ -1,56 +1,8 @@
 // Region merging by mean boundary cost (average linkage): see region_graph.h.
-#include "region_graph.h"
-#include "common.h"
-
-#include <cmath>
-#include <numeric>
+#include "merged_regions.h"
 
 namespace torchjoint {
 namespace {
-
-// Costs are multiplied by this and rounded to whole numbers, so that sums are exact in any order.
-constexpr double kUnit = 1 << 20;
-constexpr float kLargestCost = 1 << 10;
-
-RegionAdjacencyGraph boundaries_of(const int64_t* edges, const float* cost, int64_t num_edges, int64_t num_regions) {
-  RegionAdjacencyGraph graph(num_regions);
-  for (int64_t e = 0; e < num_edges; ++e) {
-    const int64_t a = edges[e], b = edges[num_edges + e];
-    check_node(a, num_regions, e);
-    check_node(b, num_regions, e);
-    check(cost[e] >= 0 && cost[e] <= kLargestCost, "cost: expected numbers in [0, ", kLargestCost, "], got ", cost[e],
-          " at edge ", e);
-    if (a == b) continue;
-    graph.add(static_cast<int32_t>(a), static_cast<int32_t>(b), std::nearbyint(cost[e] * kUnit));
-  }
-  return graph;
-}
-
-// Union-find of the merged regions, with their sizes.
-class Merged {
- public:
-  Merged(const int64_t* size, int64_t num_regions) : parent_(num_regions), size_(size, size + num_regions) {
-    std::iota(parent_.begin(), parent_.end(), 0);
-  }
-
-  int32_t find(int32_t region) {
-    while (parent_[region] != region) region = parent_[region] = parent_[parent_[region]];
-    return region;
-  }
-
-  int64_t size(int32_t region) { return size_[find(region)]; }
-
-  void join(int32_t a, int32_t b) {
-    a = find(a), b = find(b);
-    if (a == b) return;
-    size_[a] += size_[b];
-    parent_[b] = a;
-  }
-
- private:
-  std::vector<int32_t> parent_;
-  std::vector<int64_t> size_;
-};
 
 Tensor merge_regions(const Tensor& edge_index, const Tensor& cost, const Tensor& size, double threshold,
                      int64_t min_size) {

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from torchjoint.evaluation.levels import score_levels
 from torchjoint.evaluation.predictions import Prediction
-from torchjoint.evaluation.scores import score, score_images
+from torchjoint.evaluation.scores import Scores, score, score_images
 from torchjoint.evaluation.table import Row
 from torchjoint.scene import Scene
 
@@ -33,6 +34,18 @@ def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") 
     if not rows:
         raise ValueError(f"{name}: what is predicted (points, images) is not what there is truth for")
     return rows
+
+
+def evaluate_levels(prediction: Prediction, scene: Scene) -> list[Scores]:
+    """Returns the 3D scores at :data:`~torchjoint.evaluation.levels.GRANULARITIES`.
+
+    They are empty if the prediction has no hierarchy, or the scene no ground truth for its points.
+    """
+    truth = scene.truth
+    if prediction.hierarchy is None or truth is None or truth.points is None:
+        return []
+    known = truth.select_points(prediction.of_points)
+    return score_levels(prediction.hierarchy, known.points) if known.points is not None and known.has_points else []
 
 
 def left_out(prediction: Prediction, scene: Scene) -> str:

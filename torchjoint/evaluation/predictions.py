@@ -13,8 +13,9 @@ from torch import Tensor
 from torchjoint.datasets.files import read_array, read_label_image
 from torchjoint.datasets.lazy import LazySequence
 from torchjoint.results.folder import read_points
+from torchjoint.results.hierarchy_files import FILE, read_hierarchy
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.scene import Scene
+from torchjoint.scene import Hierarchy, Scene
 from torchjoint.scene.checks import as_labels
 
 #: Largest distance between a result's point and its scene point, metres.
@@ -28,6 +29,7 @@ class Prediction(NamedTuple):
     of_points: Tensor  #: [M] int64, indices of the scene's points
     images: Sequence[Tensor]  #: label images [H, W]
     of_frames: Sequence[int]  #: indices of the scene's frames
+    hierarchy: Hierarchy | None = None  #: all levels of the M points, if the method makes them
 
 
 def is_result(path: Path) -> bool:
@@ -51,10 +53,11 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
         return Prediction(as_labels(labels, (len(scene.points),), str(path)), torch.arange(len(labels)), (), ())
     if not path.is_dir():
         raise FileNotFoundError(f"{path}: missing; expected a result of `torchjoint segment`, or labels")
-    points, of_points = None, torch.empty(0, dtype=torch.int64)
+    points, of_points, hierarchy = None, torch.empty(0, dtype=torch.int64), None
     if (path / "points.npz").is_file():
         result = read_points(path)
         points, of_points = result.labels, _places(result.points, scene.points, path / "points.npz")
+        hierarchy = read_hierarchy(path, len(points)) if (path / FILE).is_file() else None
     files = sorted((path / "images").glob("*.png")) if (path / "images").is_dir() else []
     if points is None and not files:
         raise FileNotFoundError(f"{path}: has neither points.npz nor images/*.png; expected a result")
@@ -64,7 +67,7 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
         raise ValueError(f"{unknown[0]}: the scene has no frame of that name; it has {', '.join(list(names)[:3])} ...")
     of_frames = [names[file.stem] for file in files]
     images = LazySequence(len(files), lambda index: read_label_image(files[index]) - 1)
-    return Prediction(points, of_points, images, of_frames)
+    return Prediction(points, of_points, images, of_frames, hierarchy)
 
 
 def _frame_names(scene: Scene) -> dict[str, int]:

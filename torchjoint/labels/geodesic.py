@@ -31,13 +31,17 @@ def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config
     """
     height, width = seen.labels.shape
     markers = nearest_labels(seen.visible, point_labels, (height, width))
-    colors = smooth(seen.image[None].float() / 255, config.image_graph.smoothing)[0].clamp_(0, 1)
-    weights = config.refinement.color_weight, config.refinement.boundary_weight
-    image = colors, seen.boundary.float() / 255, *weights
+    image = path_costs(seen, config)
     labels = ops.propagate_labels(markers, *image)
     if config.refinement.min_points > 1:
         labels = ops.propagate_labels(_without_specks(labels, markers >= 0, config.refinement.min_points), *image)
     return _keep_unseen(labels, markers >= 0, seen.labels, config.refinement.unseen, num_segments)
+
+
+def path_costs(seen: Observation, config: Config) -> tuple[Tensor, Tensor, float, float]:
+    """What paths cost in a frame: colours [3, H, W] and boundaries [H, W], both in [0, 1], and their weights."""
+    colors = smooth(seen.image[None].float() / 255, config.image_graph.smoothing)[0].clamp_(0, 1)
+    return colors, seen.boundary.float() / 255, config.refinement.color_weight, config.refinement.boundary_weight
 
 
 def nearest_labels(visible: Visible, point_labels: Tensor, size: tuple[int, int]) -> Tensor:

@@ -16,6 +16,7 @@ from torchjoint.ops.neighbor_edges import neighbor_edges
 from torchjoint.ops.pair_counts import pair_counts
 from torchjoint.ops.project import project
 from torchjoint.ops.propagate_labels import propagate_labels
+from torchjoint.ops.region_merges import region_merges
 from torchjoint.ops.region_planes import region_planes
 from torchjoint.ops.segment_graphs import segment_graphs
 from torchjoint.ops.splat_depth import splat_depth
@@ -34,6 +35,7 @@ __all__ = [
     "pair_counts",
     "project",
     "propagate_labels",
+    "region_merges",
     "region_planes",
     "segment_graphs",
     "splat_depth",

@@ -1,7 +1,7 @@
 """Step 6, method learned: regions merge in rounds, where a model says that they belong to one object.
 
 In each round the model judges all boundaries anew, because larger regions say more about objects. The first rounds
-merge only what is almost certain.
+merge only what is almost certain. All merges together are a tree, of which the segmentation is one level.
 """
 
 from __future__ import annotations
@@ -13,6 +13,13 @@ from torchjoint import ops
 from torchjoint.points.boundary_features import boundary_features
 from torchjoint.points.boundary_model import BoundaryModel
 from torchjoint.points.evidence import Evidence
+from torchjoint.scene import Hierarchy
+
+#: Thresholds of the rounds above the model's; at 1, whatever touches has merged. There are several, because larger
+#: regions are judged anew, and they cost little, because few regions are left.
+COARSER = (0.65, 0.8, 0.9, 1.0)
+#: Merges of a round are at least this far above the threshold before; probabilities are rounded to it.
+HEIGHT_STEP = 2.0**-20
 
 
 def merge_by_probability(
@@ -32,32 +39,85 @@ def merge_by_probability(
     Returns:
         [N] int64 regions 0, 1, ..., numbered by their first old regions.
     """
-    size = torch.bincount(region)
+    ends, cost, num_regions = _crossing_edges(evidence, region, pairs, probability)
+    return ops.merge_regions(ends, cost, torch.ones(num_regions, dtype=torch.int64), threshold)[region]
+
+
+def _crossing_edges(
+    evidence: Evidence, region: Tensor, pairs: Tensor, probability: Tensor
+) -> tuple[Tensor, Tensor, int]:
+    """The edges [2, C] int64 between regions, their costs [C] float32, and the number of regions."""
+    num_regions = int(region.max()) + 1
     first, second = evidence.regions_of_pieces(region)[evidence.pairs]
     low, high = torch.minimum(first, second), torch.maximum(first, second)
     ends = torch.stack([low, high])[:, evidence.edges.pair]
     across = ends[0] != ends[1]
-    place = torch.searchsorted(pairs[0] * len(size) + pairs[1], low * len(size) + high)
-    cost = probability.float()[place[evidence.edges.pair[across]]]
-    return ops.merge_regions(ends[:, across], cost, size, threshold)[region]
+    place = torch.searchsorted(pairs[0] * num_regions + pairs[1], low * num_regions + high)
+    return ends[:, across], probability.float()[place[evidence.edges.pair[across]]], num_regions
 
 
-def segment_learned(evidence: Evidence, model: BoundaryModel) -> Tensor:
-    """Merges pieces to segments in as many rounds as the model has; the last round runs twice.
+def build_hierarchy(evidence: Evidence, model: BoundaryModel) -> Hierarchy:
+    """Merges pieces in as many rounds as the model has; the last round runs twice, and then up to whatever touches.
+
+    The default level of the hierarchy is the state after the second run of the last round. The cut at a threshold of
+    the model is the state after its round.
 
     Args:
         evidence: the pieces, and what is known about their boundaries.
         model: gives the probability that two regions belong to different objects.
-
-    Returns:
-        [N] int64 labels 0, 1, ..., numbered by first appearance.
     """
+    last = len(model.thresholds) - 1
+    rounds = [*enumerate(model.thresholds), (last, model.thresholds[last])]
+    rounds += [(last, threshold) for threshold in COARSER if threshold > max(model.thresholds)]
+    merges = _Merges(len(evidence.statistics.size))
     region = evidence.piece
-    rounds = range(len(model.thresholds))
-    for index in (*rounds, *rounds[-1:]):
+    for index, threshold in rounds:
         pairs, values = boundary_features(evidence, region)
         if pairs.shape[1] == 0:
             break
-        probability = model.probability(index, values)
-        region = merge_by_probability(evidence, region, pairs, probability, model.thresholds[index])
-    return region
+        ends, cost, num_regions = _crossing_edges(evidence, region, pairs, model.probability(index, values))
+        joined, mean = ops.region_merges(ends, cost, num_regions, threshold)
+        merges.add(evidence.regions_of_pieces(region), joined, mean, threshold)
+        # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect.
+        region = ops.felzenszwalb(joined, torch.zeros(len(mean)), num_regions, scale=1.0)[region]
+    return merges.hierarchy(evidence.piece, max(model.thresholds))
+
+
+class _Merges:
+    """The merges of all rounds, with heights that never fall on the way up."""
+
+    def __init__(self, num_pieces: int) -> None:
+        self._pairs: list[Tensor] = []
+        self._heights: list[float] = []
+        self._top = [0.0] * num_pieces  # of each region, at its lowest piece: the height of its last merge
+        self._below = self._ceiling = 0.0  # the heights of this round are above the one, and up to the other
+
+    def add(self, of_piece: Tensor, joined: Tensor, mean: Tensor, threshold: float) -> None:
+        """Adds a round's merges.
+
+        A later round may find that a boundary is weaker than an earlier round said. Its heights are limited to those
+        above all earlier thresholds, so that a cut at a threshold undoes whole rounds.
+
+        Args:
+            of_piece: [P] int64, region of each piece before the round, numbered by their first pieces.
+            joined: [2, M] int64, the lowest regions of the two groups that merge, in the order of the merges.
+            mean: [M] float64, mean probability of their boundary.
+            threshold: of this round.
+        """
+        if threshold > self._ceiling:
+            self._below, self._ceiling = self._ceiling, threshold
+        num_pieces = len(of_piece)
+        first_piece = torch.full((num_pieces,), num_pieces).scatter_reduce_(
+            0, of_piece, torch.arange(num_pieces), "amin"
+        )
+        pieces = first_piece[joined]
+        self._pairs.append(pieces.t())
+        heights = mean.clamp(min=self._below + HEIGHT_STEP).clamp(max=self._ceiling)
+        for a, b, height in zip(*pieces.tolist(), heights.tolist(), strict=True):
+            self._top[a] = max(height, self._top[a], self._top[b])
+            self._heights.append(self._top[a])
+
+    def hierarchy(self, piece: Tensor, default: float) -> Hierarchy:
+        """The hierarchy of these merges, of pieces [N]."""
+        merges = torch.cat([torch.empty(0, 2, dtype=torch.int64), *self._pairs])
+        return Hierarchy(piece, merges, torch.tensor(self._heights, dtype=torch.float64), default)

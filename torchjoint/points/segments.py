@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import Config
-from torchjoint.points.agglomeration import segment_learned
+from torchjoint.points.agglomeration import build_hierarchy
 from torchjoint.points.boundary_model import load_boundary_model
 from torchjoint.points.edge_costs import combined_costs, crease_costs
 from torchjoint.points.edge_weights import geometric_weights
@@ -20,6 +20,7 @@ from torchjoint.points.orientation import orient_normals
 from torchjoint.points.pieces import piece_disagreement
 from torchjoint.points.region_merging import join_small, merge
 from torchjoint.points.regions import one_sided_planes, small_regions
+from torchjoint.scene import Hierarchy
 from torchjoint.views.propagation import disagreement
 from torchjoint.views.state import JointState
 
@@ -41,9 +42,7 @@ def segment_points(graph: PointGraph, state: JointState, config: Config) -> Tens
     if config.point_segments.method == "scan":
         return segment_scan(graph.points, config.scan)
     if config.point_segments.method == "learned":
-        if graph.scales is None:
-            raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
-        return segment_learned(gather_evidence(graph, graph.scales, state, config), load_boundary_model())
+        return point_hierarchy(graph, state, config).at()
     normals, oriented = orient_normals(graph, state.facing)
     r = None
     if state.observations and config.propagation.weight > 0:
@@ -51,6 +50,22 @@ def segment_points(graph: PointGraph, state: JointState, config: Config) -> Tens
     if config.point_segments.method == "edges":
         return by_edges(graph, normals, oriented, r, config)
     return by_regions(graph, normals, oriented, r, state, config)
+
+
+def point_hierarchy(graph: PointGraph, state: JointState, config: Config) -> Hierarchy:
+    """Method learned: all levels of the segmentation, whatever method the config names.
+
+    Args:
+        graph: the point graph.
+        state: the evidence of the images.
+        config: all parameters.
+
+    Raises:
+        ValueError: the graph was built without scales.
+    """
+    if graph.scales is None:
+        raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
+    return build_hierarchy(gather_evidence(graph, graph.scales, state, config), load_boundary_model())
 
 
 def by_edges(graph: PointGraph, normals: Tensor, oriented: Tensor, r: Tensor | None, config: Config) -> Tensor:

@@ -20,8 +20,10 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.config import Config, read_yaml
-from torchjoint.datasets.files import write_cloud
+from torchjoint.datasets.files import read_label_image, write_cloud
+from torchjoint.datasets.lazy import LazySequence
 from torchjoint.results.figures import overview
+from torchjoint.results.hierarchy_files import FILE, FOLDER, read_hierarchy, read_piece_image, write_hierarchy
 from torchjoint.results.label_colors import label_colors
 from torchjoint.scene import Scene, Segmentation
 
@@ -85,8 +87,13 @@ def _check_replaceable(out: Path, overwrite: bool) -> None:
         raise FileExistsError(f"{out}: is no result of torchjoint (it has no run.yaml) and will not be overwritten")
 
 
-def write_result(folder: Path, scene: Scene, result: Segmentation, config: Config, source: str) -> None:
+def write_result(
+    folder: Path, scene: Scene, result: Segmentation, config: Config, source: str, granularity: float = 0.5
+) -> None:
     """Writes points.ply, points.npz, images/NAME.png, overview.png and run.yaml into a folder.
+
+    A result with a hierarchy also gets hierarchy.npz and pieces/NAME.png, from which any level follows; run.yaml then
+    records the granularity of the labels.
 
     Raises:
         ValueError: a label does not fit 16-bit images, or two frames have the same name.
@@ -97,8 +104,12 @@ def write_result(folder: Path, scene: Scene, result: Segmentation, config: Confi
     )
     np.savez_compressed(folder / "points.npz", **{key: value.numpy() for key, value in arrays.items()})  # type: ignore[arg-type]
     _write_label_images(folder / "images", result)
+    if result.hierarchy is not None:
+        write_hierarchy(folder, result.hierarchy, _image_names(result), result.piece_images)
     overview(scene, result).savefig(folder / "overview.png", dpi=100)
-    (folder / "run.yaml").write_text(yaml.safe_dump(_run_record(scene, result, config, source), sort_keys=False))
+    (folder / "run.yaml").write_text(
+        yaml.safe_dump(_run_record(scene, result, config, source, granularity), sort_keys=False)
+    )
 
 
 def read_points(folder: Path) -> PointResult:
@@ -119,6 +130,30 @@ def read_points(folder: Path) -> PointResult:
         raise ValueError(f"{file}: not a whole result: {error!r}") from error
 
 
+def read_result(folder: Path) -> Segmentation:
+    """Reads a result, with all its levels if it has a hierarchy.
+
+    Images are read when they are used. Images and names are in the order of the names; initial images are not kept.
+
+    Raises:
+        FileNotFoundError: a file is missing.
+        ValueError: a file is damaged; the message names it.
+    """
+    labels = read_points(folder).labels
+    files = sorted((folder / "images").glob("*.png"))
+    images = LazySequence(len(files), lambda index: read_label_image(files[index]) - 1)
+    names = tuple(file.stem for file in files)
+    if not (folder / FILE).is_file():
+        return Segmentation(labels, images, names=names)
+    hierarchy = read_hierarchy(folder, len(labels))
+
+    def pieces(index: int) -> Tensor:
+        return read_piece_image(folder / FOLDER / files[index].name, hierarchy.num_pieces)
+
+    piece_images = LazySequence(len(files), pieces)
+    return Segmentation(labels, images, names=names, hierarchy=hierarchy, piece_images=piece_images)
+
+
 def read_config(folder: Path) -> Config:
     """The parameters of the run that made a result.
 
@@ -132,8 +167,12 @@ def read_config(folder: Path) -> Config:
     return read_yaml(file, lambda record: Config.from_dict(record.get("config")), "a record of a run")
 
 
+def _image_names(result: Segmentation) -> list[str]:
+    return [name or f"{index:06d}" for index, name in enumerate(result.names)]
+
+
 def _write_label_images(folder: Path, result: Segmentation) -> None:
-    names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
+    names = _image_names(result)
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"frames: two have the name {twice!r}, and so would their label images")
@@ -143,15 +182,16 @@ def _write_label_images(folder: Path, result: Segmentation) -> None:
         if int(labels.max()) > MAX_LABEL:
             raise ValueError(
                 f"image segments: ids up to {int(labels.max())} do not fit 16-bit images (at most {MAX_LABEL}); "
-                "raise image_segments.min_size or point_segments.min_size"
+                "raise image_segments.min_size or point_segments.min_size, or choose a lower granularity"
             )
         Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{name}.png")
 
 
-def _run_record(scene: Scene, result: Segmentation, config: Config, source: str) -> dict[str, Any]:
+def _run_record(scene: Scene, result: Segmentation, config: Config, source: str, granularity: float) -> dict[str, Any]:
     packages = ("torchjoint", "torch", "kornia", "numpy", "scipy", "open3d", "opencv-contrib-python-headless")
     return {
         "scene": source,
+        **({} if result.hierarchy is None else {"granularity": granularity}),
         "counts": {
             "points": len(scene.points),
             "frames": len(result.images),

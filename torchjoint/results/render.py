@@ -29,7 +29,7 @@ def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640
     focal = FOCAL * width
     intrinsics = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
     spacing = nearest_neighbors(scene.points, 4).spacing.clamp(min=1e-6)
-    config = VisibilityConfig(near=1e-3, far=1e9, footprint=1.0, depth_tolerance=2 * float(spacing.median()))
+    config = VisibilityConfig(footprint=1.0)
     seen = visible_points(scene.points, spacing, intrinsics, _bird_view(scene), size, config)
     # Draw each point as a square of its own spacing, near points over far points.
     far_first = torch.argsort(seen.z, descending=True, stable=True)

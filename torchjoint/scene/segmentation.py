@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import overload
 
 import torch
 from torch import Tensor
+
+from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.scene.hierarchy import Hierarchy
+from torchjoint.scene.level_images import LevelImages
 
 
 class LabelImages(Sequence[Tensor]):
@@ -40,6 +44,11 @@ class Segmentation:
         initial_images: the initial image segmentations, [H, W] int64 (each frame has its own ids).
         names: the frames' names, in order.
         seconds: wall-clock seconds per stage.
+        hierarchy: all levels of the segmentation, from which :meth:`at` chooses; None if the method makes none. Only
+            method learned makes one.
+        piece_images: with a hierarchy, a sequence of [H, W] int64, one per frame: the piece of the hierarchy in each
+            pixel with a 3D segment, else -1. Each image is computed when it is first used; the result keeps the frames'
+            observations for that.
     """
 
     points: Tensor
@@ -47,8 +56,53 @@ class Segmentation:
     initial_images: Sequence[Tensor] = ()
     names: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
+    hierarchy: Hierarchy | None = None
+    piece_images: Sequence[Tensor] = ()
 
     @property
     def num_point_segments(self) -> int:
         """Number of segments of the cloud."""
         return int(self.points.max()) + 1 if self.points.numel() else 0
+
+    @one_thread_per_operation()
+    def at(self, granularity: float = 0.5) -> Segmentation:
+        """The segmentation at another level: are the drawers parts of their cabinet, or objects of their own?
+
+        Levels are nested: every segment lies inside one segment of each coarser level, in the cloud and in the images.
+        Image segments without points are the same in all levels.
+
+        Args:
+            granularity: from 0, coarse: whatever is connected is one segment, to 1, fine: the smallest pieces. 0.5 is
+                the default level, the labels of :meth:`torchjoint.JointSegmenter.compute`.
+
+        Returns:
+            labels of points and images, numbered as in every segmentation. Images are looked up when they are used.
+
+        Raises:
+            ValueError: there is no hierarchy; or a granularity outside [0, 1].
+            TypeError: a granularity that is not a number.
+        """
+        if self.hierarchy is None:
+            raise ValueError(
+                "hierarchy: there is none, because only point_segments.method learned makes one (preset learned); "
+                "other methods have one level"
+            )
+        of_piece = self.hierarchy.segments_of_pieces(self.hierarchy.height_of(granularity))
+        points = of_piece[self.hierarchy.piece]
+        images: Sequence[Tensor] = ()
+        if len(self.images):
+            images = self._images_at(of_piece, points)
+        return replace(self, points=points, images=images)
+
+    def _images_at(self, of_piece: Tensor, points: Tensor) -> LevelImages:
+        num_before, num_after = self.num_point_segments, int(of_piece.max()) + 1
+        of_segment = torch.zeros(num_before, dtype=torch.int64)
+        of_segment[self.points] = points
+        if torch.equal(of_segment[self.points], points):  # not finer: each segment lies inside one new segment
+            return LevelImages(self.images, num_before, of_segment, num_after)
+        if len(self.piece_images) != len(self.images):
+            raise ValueError(
+                f"piece_images: finer levels need one for each of {len(self.images)} images, got "
+                f"{len(self.piece_images)}"
+            )
+        return LevelImages(self.images, num_before, of_piece, num_after, self.piece_images)

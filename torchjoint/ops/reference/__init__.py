@@ -21,6 +21,7 @@ from torchjoint.ops.reference.points import (
 )
 from torchjoint.ops.reference.regions import (
     merge_regions_reference,
+    region_merges_reference,
     region_planes_reference,
 )
 from torchjoint.ops.reference.trees import boosted_trees_reference
@@ -37,6 +38,7 @@ __all__ = [
     "project_reference",
     "propagate_labels_reference",
     "quantise_reference",
+    "region_merges_reference",
     "region_planes_reference",
     "segment_graphs_reference",
     "splat_depth_reference",

@@ -55,6 +55,39 @@ def merge_regions_reference(
     return labels
 
 
+def region_merges_reference(
+    edge_index: Tensor, cost: Tensor, num_regions: int, threshold: float
+) -> tuple[Tensor, Tensor]:
+    """What :func:`torchjoint.ops.region_merges` computes; the arguments are not checked.
+
+    Example:
+        >>> edge_index = torch.tensor([[0, 1, 0], [1, 2, 2]])
+        >>> region_merges_reference(edge_index, torch.tensor([0.0, 0.25, 0.75]), 3, 1.0)
+        (tensor([[0, 0],
+                [1, 2]]), tensor([0.0000, 0.5000], dtype=torch.float64))
+    """
+    costs: dict[tuple[int, int], list[float]] = {}  # of each boundary, by the lowest regions of its two groups
+    for (a, b), value in zip(edge_index.t().tolist(), cost.double().tolist(), strict=True):
+        if a != b:
+            costs.setdefault((min(a, b), max(a, b)), []).append(round(value * 2**20) / 2**20)
+    number = {pair: i for i, pair in enumerate(costs)}  # of each boundary
+    merges: list[tuple[int, int]] = []
+    means: list[float] = []
+    while costs:
+        mean, _, (kept, given) = min((sum(values) / len(values), number[pair], pair) for pair, values in costs.items())
+        if mean > threshold:
+            break
+        merges.append((kept, given))
+        means.append(mean)
+        del costs[kept, given]
+        for old in [pair for pair in costs if given in pair]:
+            other = old[0] + old[1] - given
+            now = (min(kept, other), max(kept, other))
+            number[now] = min(number[old], number[now]) if now in costs else number[old]
+            costs[now] = costs.get(now, []) + costs.pop(old)
+    return torch.tensor(merges, dtype=torch.int64).view(-1, 2).t(), torch.tensor(means, dtype=torch.float64)
+
+
 def region_planes_reference(
     points: Tensor, neighbors: Tensor, region: Tensor, normals: Tensor, min_points: int = 6
 ) -> tuple[Tensor, Tensor]:

@@ -1,0 +1,219 @@
+"""Levels: by hand, nested in points and images, errors; with pieces, merges and images that are drawn."""
+
+import dataclasses
+
+import pytest
+import torch
+from examples import few_and_many
+from hypothesis import strategies as st
+
+from torchjoint.scene import Hierarchy, LabelImages, Segmentation
+from torchjoint.scene.hierarchy import check_granularity
+
+#: Six points in four pieces; 0 and 2 merge at .25, with 3 at .5; 1 joins at .75.
+BY_HAND = Hierarchy(
+    torch.tensor([0, 0, 1, 2, 3, 2]),
+    torch.tensor([[0, 2], [2, 3], [1, 0]]),
+    torch.tensor([0.25, 0.5, 0.75], dtype=torch.float64),
+)
+
+
+def random_hierarchy(generator, num_points, num_pieces, default=0.5):
+    """Merges of random trees, with heights that never fall on the way up; some heights are equal."""
+    order = torch.randint(num_pieces, (num_points,), generator=generator)
+    number = {}
+    piece = torch.tensor([number.setdefault(int(p), len(number)) for p in order])
+    num_pieces = len(number)
+    merges, heights, group = [], [], list(range(num_pieces))
+    for height in sorted((torch.randint(1, 9, (num_pieces,), generator=generator) / 8).tolist()):
+        a, b = torch.randint(num_pieces, (2,), generator=generator).tolist()
+        if group[a] != group[b]:
+            group = [group[a] if g == group[b] else g for g in group]
+            merges.append((a, b))
+            heights.append(height)
+    merges = torch.tensor(merges, dtype=torch.int64).view(-1, 2)
+    return Hierarchy(piece, merges, torch.tensor(heights, dtype=torch.float64), default)
+
+
+def random_segmentation(seed, num_points=60, num_pieces=20, default=0.5):
+    """Points and two images of the default level; images also have pixels without a label, and ids of their own."""
+    generator = torch.Generator().manual_seed(seed)
+    hierarchy = random_hierarchy(generator, num_points, num_pieces, default)
+    points = hierarchy.at()
+    first_private = int(points.max()) + 1
+    of_piece = hierarchy.segments_of_pieces(default)
+    images, pieces = [], []
+    for private in ([0, 1], [2]):
+        piece = torch.randint(-1, hierarchy.num_pieces, (6, 7), generator=generator)
+        labels = torch.where(piece < 0, -1, of_piece[piece])
+        for number in private:
+            labels[number] = first_private + number
+            piece[number] = -1
+        images.append(labels)
+        pieces.append(piece)
+    return Segmentation(points, LabelImages(images), names=("a", "b"), hierarchy=hierarchy, piece_images=pieces)
+
+
+def is_inside(fine, coarse):
+    """Whether each label of one tensor occurs together with one label of the other only."""
+    return len(torch.unique(torch.stack([fine, coarse]), dim=1).T) == len(torch.unique(fine))
+
+
+def numbered_by_first_appearance(labels):
+    first = [int((labels == label).nonzero()[0]) for label in range(int(labels.max()) + 1)]
+    return first == sorted(first)
+
+
+@pytest.mark.parametrize(
+    ("granularity", "labels"),
+    [
+        (0.0, [0, 0, 0, 0, 0, 0]),
+        (0.25, [0, 0, 0, 0, 0, 0]),
+        (0.26, [0, 0, 1, 0, 0, 0]),
+        (0.5, [0, 0, 1, 0, 0, 0]),
+        (0.51, [0, 0, 1, 0, 2, 0]),
+        (0.75, [0, 0, 1, 0, 2, 0]),
+        (0.76, [0, 0, 1, 2, 3, 2]),
+        (1.0, [0, 0, 1, 2, 3, 2]),
+        (1, [0, 0, 1, 2, 3, 2]),
+    ],
+)
+def test_by_hand(granularity, labels):
+    assert BY_HAND.at(granularity).tolist() == labels
+    assert Segmentation(BY_HAND.at(), (), hierarchy=BY_HAND).at(granularity).points.tolist() == labels
+
+
+def test_another_default():
+    hierarchy = dataclasses.replace(BY_HAND, default=0.3)
+    assert [hierarchy.height_of(g) for g in (0, 0.5, 1)] == [1, 0.3, 0]
+    assert hierarchy.height_of(0.25) == pytest.approx(0.65)
+    assert hierarchy.height_of(0.75) == pytest.approx(0.15)
+    assert hierarchy.at().tolist() == [0, 0, 1, 0, 2, 0]
+    for default in (0.0, 1.0):
+        assert dataclasses.replace(BY_HAND, default=default).height_of(0.5) == default
+
+
+def test_one_piece():
+    hierarchy = Hierarchy(torch.zeros(3, dtype=torch.int64), torch.empty(0, 2).long(), torch.empty(0).double())
+    assert hierarchy.at(0.2).tolist() == [0, 0, 0]
+
+
+@few_and_many(
+    60,
+    600,
+    seed=st.integers(0, 2**32 - 1),
+    one=st.integers(0, 20),
+    other=st.integers(0, 20),
+    default=st.sampled_from([0.5, 0.3, 1.0]),
+)
+def test_levels_are_nested(seed, one, other, default):
+    """In points and images; whether levels come from the default, or from one another."""
+    result = random_segmentation(seed, default=default)
+    num_private = 3
+    coarse, fine = (result.at(step / 20) for step in sorted((one, other)))
+    assert is_inside(fine.points, coarse.points)
+    assert numbered_by_first_appearance(fine.points)
+    everywhere = [torch.cat([level.points, *(image.flatten() for image in level.images)]) for level in (fine, coarse)]
+    assert is_inside(*everywhere)  # one id space
+    for level, labels in zip((fine, coarse), everywhere, strict=True):
+        assert labels.dtype == torch.int64
+        assert int(labels.max()) == level.num_point_segments + num_private - 1  # private ids follow, without gaps
+    for before, after in zip(result.images, coarse.images, strict=True):
+        own = before >= result.num_point_segments
+        assert torch.equal(before[own] - result.num_point_segments, after[own] - coarse.num_point_segments)
+        assert torch.equal(before < 0, after < 0)
+    for start, end in ((fine, coarse), (coarse, fine)):
+        again = start.at(sorted((one, other))[int(end is fine)] / 20)
+        assert torch.equal(again.points, end.points)
+        assert all(torch.equal(a, b) for a, b in zip(again.images, end.images, strict=True))
+
+
+def test_other_points_by_hand():
+    other, number = BY_HAND.transferred(torch.tensor([4, 3, 3, 0, 2]))
+    assert other.piece.tolist() == [0, 1, 1, 2, 3]
+    assert number.tolist() == [2, 3, 1, 0]
+    assert other.merges.tolist() == [[2, 1], [1, 0], [3, 2]]
+    assert other.at(0.5).tolist() == [0, 0, 0, 0, 1]
+    with pytest.raises(ValueError, match="of_point: expected points of all 4 pieces"):
+        BY_HAND.transferred(torch.tensor([0, 1, 2, 3]))
+
+
+@few_and_many(30, 300, seed=st.integers(0, 2**32 - 1), granularity=st.floats(0, 1))
+def test_other_points_have_the_same_levels(seed, granularity):
+    generator = torch.Generator().manual_seed(seed)
+    hierarchy = random_hierarchy(generator, 40, 12)
+    of_point = torch.cat([torch.arange(40), torch.randint(40, (30,), generator=generator)])
+    of_point = of_point[torch.randperm(70, generator=generator)]
+    other, number = hierarchy.transferred(of_point)
+    expected, got = hierarchy.at(granularity)[of_point], other.at(granularity)
+    assert is_inside(got, expected)
+    assert is_inside(expected, got)
+    assert numbered_by_first_appearance(got)
+    assert torch.equal(number[hierarchy.piece[of_point]], other.piece)
+
+
+@few_and_many(30, 300, seed=st.integers(0, 2**32 - 1), granularity=st.floats(0, 1))
+def test_the_default_is_as_it_was(seed, granularity):
+    result = random_segmentation(seed)
+    for level in (result.at(), result.at(0.5), result.at(granularity).at(0.5)):
+        assert torch.equal(level.points, result.points)
+        assert all(torch.equal(a, b) for a, b in zip(level.images, result.images, strict=True))
+        assert level.names == result.names
+
+
+def test_images_are_a_sequence():
+    level = random_segmentation(3).at(0.9)
+    assert len(level.images) == 2
+    assert torch.equal(level.images[-1], level.images[1])
+    assert [image.tolist() for image in level.images[:]] == [image.tolist() for image in level.images]
+    with pytest.raises(IndexError):
+        level.images[2]
+
+
+@pytest.mark.parametrize("granularity", [-0.01, 1.01, float("nan"), float("inf")])
+def test_granularities_out_of_range(granularity):
+    with pytest.raises(ValueError, match=r"granularity: expected a number from 0 \(coarse\) to 1 \(fine\), got"):
+        random_segmentation(0).at(granularity)
+    with pytest.raises(ValueError, match="--granularity: expected a number"):
+        check_granularity(granularity, "--granularity")
+
+
+@pytest.mark.parametrize("granularity", ["0.5", None, True])
+def test_granularities_that_are_no_numbers(granularity):
+    with pytest.raises(TypeError, match="granularity: expected a number from 0"):
+        BY_HAND.at(granularity)
+
+
+def test_without_a_hierarchy():
+    with pytest.raises(ValueError, match=r"hierarchy: there is none, because only point_segments\.method learned"):
+        Segmentation(torch.zeros(3, dtype=torch.int64), ()).at(0.5)
+
+
+def test_finer_images_need_the_pieces():
+    result = dataclasses.replace(random_segmentation(0), piece_images=())
+    result.at(0.1)
+    with pytest.raises(ValueError, match="piece_images: finer levels need one for each of 2 images, got 0"):
+        result.at(1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"piece": BY_HAND.piece.int()}, TypeError, "piece: expected a torch.int64 tensor of 1 dimensions, got"),
+        ({"piece": [0, 1]}, TypeError, "piece: expected a torch.int64 tensor of 1 dimensions, got list"),
+        ({"piece": torch.empty(0).long()}, ValueError, "piece: expected numbers >= 0, of which the first is 0"),
+        ({"piece": BY_HAND.piece - 1}, ValueError, "piece: expected numbers >= 0"),
+        ({"piece": torch.tensor([0, 2, 1, 3])}, ValueError, "piece: expected numbers by first appearance"),
+        ({"merges": BY_HAND.merges[:2]}, ValueError, "merges: expected shape"),
+        ({"merges": BY_HAND.merges.t()}, ValueError, "merges: expected shape"),
+        ({"merges": BY_HAND.merges + 1}, ValueError, r"merges: expected pieces in \[0, 4\)"),
+        ({"piece": torch.tensor([0, 1, 2])}, ValueError, "merges: expected shape .* below 3 pieces"),
+        ({"heights": BY_HAND.heights.float()}, TypeError, "heights: expected a torch.float64 tensor"),
+        ({"heights": BY_HAND.heights * 2}, ValueError, r"heights: expected numbers in \[0, 1\]"),
+        ({"heights": BY_HAND.heights * torch.nan}, ValueError, r"heights: expected numbers in \[0, 1\]"),
+        ({"default": 2.0}, ValueError, r"default: expected a height in \[0, 1\], got 2.0"),
+    ],
+)
+def test_what_is_no_hierarchy(change, error, message):
+    with pytest.raises(error, match=message):
+        dataclasses.replace(BY_HAND, **change)

@@ -1,0 +1,131 @@
+"""Steps 7 and 8 for the levels of a hierarchy: the piece in each pixel, from which any level of an image follows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import overload
+
+import torch
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.config import Config
+from torchjoint.labels.geodesic import nearest_labels, path_costs
+from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.scene import Hierarchy
+from torchjoint.views.observation import Observation
+
+
+class PieceImages(Sequence[Tensor]):
+    """The pieces of a hierarchy in images: a sequence of [H, W] int64, computed when first used, then kept.
+
+    Args:
+        images: final labels [H, W] int64 per frame, of the default level.
+        observations: the frames.
+        hierarchy: all levels.
+        piece: [N] int64, piece of each point that the frames may see.
+        config: the refinement, and the smoothing of the image graph.
+    """
+
+    def __init__(
+        self,
+        images: Sequence[Tensor],
+        observations: Sequence[Observation],
+        hierarchy: Hierarchy,
+        piece: Tensor,
+        config: Config,
+    ) -> None:
+        self._images = images
+        self._observations = tuple(observations)
+        self._piece = piece
+        self._of_piece = hierarchy.segments_of_pieces(hierarchy.default)
+        self._config = config
+        self._known: dict[int, Tensor] = {}  # int32, half the memory
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    @overload
+    def __getitem__(self, index: int) -> Tensor: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Tensor]: ...
+    def __getitem__(self, index: int | slice) -> Tensor | list[Tensor]:
+        if isinstance(index, slice):
+            return [self._pieces(i) for i in range(len(self))[index]]
+        return self._pieces(range(len(self))[index])
+
+    def _pieces(self, index: int) -> Tensor:
+        if index not in self._known:
+            seen, labels = self._observations[index], self._images[index]
+            with torch.no_grad(), one_thread_per_operation():
+                pieces = piece_image(seen, labels, self._piece, self._of_piece, self._config)
+            self._known[index] = pieces.to(torch.int32)
+        return self._known[index].to(torch.int64)
+
+
+def piece_image(seen: Observation, labels: Tensor, piece: Tensor, of_piece: Tensor, config: Config) -> Tensor:
+    """The piece in each pixel, always one inside the pixel's segment.
+
+    It is the piece of the point with the cheapest path to the pixel, as in geodesic label propagation, so pieces meet
+    at edges of the image, too. Where this point is of another segment than the pixel's final label says, the nearest
+    visible point of the pixel's segment counts.
+
+    Args:
+        seen: the frame.
+        labels: [H, W] int64, final labels; -1 = none, labels from S on have no points.
+        piece: [N] int64, piece of each point.
+        of_piece: [P] int64, 3D segment 0 ... S - 1 of each piece.
+        config: the refinement, and the smoothing of the image graph.
+
+    Returns:
+        [H, W] int64, -1 for pixels without a 3D segment.
+    """
+    height, width = labels.shape
+    pieces_there = piece[seen.visible.point]
+    # Of equally cheap paths the lowest number counts. In the order of the segments, that is one of the lowest segment,
+    # as for the labels.
+    by_segment = torch.argsort(of_piece, stable=True)
+    place = torch.empty_like(by_segment)
+    place[by_segment] = torch.arange(len(by_segment))
+    markers = nearest_labels(seen.visible, place[pieces_there], (height, width))
+    places = ops.propagate_labels(markers, *path_costs(seen, config)).to(torch.int64)
+    pieces = by_segment[places.clamp(min=0)]
+    num_segments = int(of_piece.max()) + 1
+    has_segment = (labels >= 0) & (labels < num_segments)
+    wrong = has_segment & ((places < 0) | (of_piece[pieces] != labels))
+    row, column = torch.nonzero(wrong, as_tuple=True)
+    pieces[row, column] = _nearest_of_segment(seen, pieces_there, of_piece, row, column, labels[row, column])
+    return pieces.masked_fill_(~has_segment, -1)
+
+
+def _nearest_of_segment(
+    seen: Observation, pieces_there: Tensor, of_piece: Tensor, row: Tensor, column: Tensor, segment: Tensor
+) -> Tensor:
+    """The piece of the nearest visible point of a given segment, for K pixels.
+
+    Args:
+        seen: the frame.
+        pieces_there: [M] int64, piece of each visible point.
+        of_piece: [P] int64, segment of each piece.
+        row: [K] int64.
+        column: [K] int64.
+        segment: [K] int64, segment whose points count.
+
+    Returns:
+        [K] int64; a segment without a visible point gets its first piece.
+    """
+    first_piece = torch.full((int(of_piece.max()) + 1,), len(of_piece)).scatter_reduce_(
+        0, of_piece, torch.arange(len(of_piece)), "amin"
+    )
+    if not len(row) or not len(pieces_there):
+        return first_piece[segment]
+    from scipy.spatial import cKDTree
+
+    # Segments are layers of a third dimension, farther apart than any two pixels, so the nearest point is of the same
+    # segment if there is one.
+    layer = 2 * (seen.labels.shape[0] + seen.labels.shape[1])
+    points = torch.stack([seen.visible.row, seen.visible.column, of_piece[pieces_there] * layer], dim=1)
+    pixels = torch.stack([row, column, segment * layer], dim=1)
+    distance, nearest = cKDTree(points.double().numpy()).query(pixels.double().numpy())
+    found = pieces_there[torch.from_numpy(nearest)]
+    return torch.where(torch.from_numpy(distance) < layer, found, first_piece[segment])

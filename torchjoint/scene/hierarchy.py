@@ -1,0 +1,136 @@
+"""The levels of a segmentation: a tree of merges from small pieces up to whole connected parts of the cloud."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.runtime.threads import one_thread_per_operation
+
+
+@dataclass(frozen=True)
+class Hierarchy:
+    """All levels of a segmentation of N points: P pieces, and the M merges that join them step by step.
+
+    A level is what all merges up to some height connect. Levels are nested: every segment of a level lies inside one
+    segment of each coarser level.
+
+    Attributes:
+        piece: [N] int64, piece of each point, 0 ... P - 1, numbered by first appearance.
+        merges: [M, 2] int64, M < P: two pieces; a merge joins the segments in which they lie.
+        heights: [M] float64 in [0, 1], mean probability of a boundary between the two segments that merge. It is never
+            below the heights of the merges inside them.
+        default: height of the default level.
+
+    Raises:
+        TypeError, ValueError: naming the attribute, what was expected and what came.
+
+    Example:
+        >>> piece, merges = torch.tensor([0, 0, 1, 2]), torch.tensor([[0, 1], [0, 2]])
+        >>> hierarchy = Hierarchy(piece, merges, torch.tensor([0.3, 0.7], dtype=torch.float64))
+        >>> hierarchy.at(1.0), hierarchy.at(0.5), hierarchy.at(0.0)
+        (tensor([0, 0, 1, 2]), tensor([0, 0, 0, 1]), tensor([0, 0, 0, 0]))
+    """
+
+    piece: Tensor
+    merges: Tensor
+    heights: Tensor
+    default: float = 0.5
+
+    def __post_init__(self) -> None:
+        shapes = {"piece": (torch.int64, 1), "merges": (torch.int64, 2), "heights": (torch.float64, 1)}
+        for name, (dtype, dimensions) in shapes.items():
+            tensor: object = getattr(self, name)
+            if not isinstance(tensor, Tensor) or tensor.dtype != dtype or tensor.dim() != dimensions:
+                got = f"{tensor.dtype} {list(tensor.shape)}" if isinstance(tensor, Tensor) else type(tensor).__name__
+                raise TypeError(f"{name}: expected a {dtype} tensor of {dimensions} dimensions, got {got}")
+        if not len(self.piece) or int(self.piece[0]) != 0 or int(self.piece.min()) < 0:
+            raise ValueError("piece: expected numbers >= 0, of which the first is 0")
+        if (self.piece[1:] > self.piece.cummax(0).values[:-1] + 1).any():
+            raise ValueError("piece: expected numbers by first appearance, 0, 1, ... without gaps")
+        if self.merges.shape != (len(self.heights), 2) or len(self.heights) >= self.num_pieces:
+            raise ValueError(
+                f"merges: expected shape [M, 2] with M = {len(self.heights)} heights below {self.num_pieces} pieces, "
+                f"got {list(self.merges.shape)}"
+            )
+        if self.merges.numel() and not 0 <= int(self.merges.min()) <= int(self.merges.max()) < self.num_pieces:
+            raise ValueError(f"merges: expected pieces in [0, {self.num_pieces})")
+        if not ((self.heights >= 0) & (self.heights <= 1)).all():
+            raise ValueError("heights: expected numbers in [0, 1]")
+        if not 0 <= self.default <= 1:
+            raise ValueError(f"default: expected a height in [0, 1], got {self.default}")
+
+    @cached_property
+    def num_pieces(self) -> int:
+        """P, the number of pieces."""
+        return int(self.piece.max()) + 1
+
+    def height_of(self, granularity: float) -> float:
+        """The height of a level: from 1 for the coarsest (0) through the default (0.5) to 0 for the finest (1).
+
+        Raises:
+            TypeError: not a number.
+            ValueError: a number outside [0, 1].
+        """
+        check_granularity(granularity)
+        if granularity >= 0.5:
+            return 2 * self.default * (1 - granularity)
+        return 1 - 2 * (1 - self.default) * granularity
+
+    @one_thread_per_operation()
+    def segments_of_pieces(self, height: float) -> Tensor:
+        """The segment of each piece, [P] int64, where all merges up to a height have happened."""
+        edges = self.merges[self.heights <= height].t()
+        # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect, and numbers by first appearance.
+        return ops.felzenszwalb(edges, torch.zeros(edges.shape[1]), self.num_pieces, scale=1.0)
+
+    @one_thread_per_operation()
+    def cut(self, height: float) -> Tensor:
+        """Labels [N] int64, where all merges up to a height have happened, numbered by first appearance."""
+        return self.segments_of_pieces(height)[self.piece]
+
+    def at(self, granularity: float = 0.5) -> Tensor:
+        """Labels [N] int64 of a level, numbered by first appearance.
+
+        Args:
+            granularity: from 0, coarse: whatever is connected is one segment, to 1, fine: the pieces. 0.5 is the
+                default level.
+
+        Raises:
+            TypeError: not a number.
+            ValueError: a number outside [0, 1].
+        """
+        return self.cut(self.height_of(granularity))
+
+    def transferred(self, of_point: Tensor) -> tuple[Hierarchy, Tensor]:
+        """The same hierarchy for other points, each of which takes the piece of one of these points.
+
+        Args:
+            of_point: [K] int64, one of the N points for each other point. Every piece must occur.
+
+        Returns:
+            the hierarchy of the K points, with its pieces numbered by first appearance among them; and [P] int64, the
+            new number of each piece.
+
+        Raises:
+            ValueError: a piece does not occur.
+        """
+        piece = self.piece[of_point]
+        first = torch.full((self.num_pieces,), len(piece)).scatter_reduce_(0, piece, torch.arange(len(piece)), "amin")
+        if (first == len(piece)).any():
+            raise ValueError(f"of_point: expected points of all {self.num_pieces} pieces")
+        number = torch.empty_like(first)
+        number[torch.argsort(first)] = torch.arange(self.num_pieces)
+        return replace(self, piece=number[piece], merges=number[self.merges]), number
+
+
+def check_granularity(granularity: float, name: str = "granularity") -> None:
+    """Raises TypeError if it is no number, ValueError if it is outside [0, 1]; the message calls it `name`."""
+    if isinstance(granularity, bool) or not isinstance(granularity, (int, float)):
+        raise TypeError(f"{name}: expected a number from 0 (coarse) to 1 (fine), got {type(granularity).__name__}")
+    if not 0 <= granularity <= 1:
+        raise ValueError(f"{name}: expected a number from 0 (coarse) to 1 (fine), got {granularity}")
