@@ -1,10 +1,12 @@
 """Step 6, method learned: regions merge in rounds, where a model says that they belong to one object.
 
-In each round the model judges all boundaries anew, because larger regions say more about objects. The first rounds
+In each step the model judges all boundaries anew, because larger regions say more about objects. The first steps
 merge only what is almost certain. All merges together are a tree, of which the segmentation is one level.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -20,6 +22,22 @@ from torchjoint.scene import Hierarchy
 COARSER = (0.65, 0.8, 0.9, 1.0)
 #: Merges of a round are at least this far above the threshold before; probabilities are rounded to it.
 HEIGHT_STEP = 2.0**-20
+
+
+def merging_steps(thresholds: Sequence[float]) -> list[tuple[int, float]]:
+    """The steps (round of the model, threshold) of the merging: each round merges halfway first.
+
+    The smaller the steps, the less is merged by probabilities of regions that have grown since. The round of the
+    largest threshold is repeated, until little is left to merge.
+
+    >>> merging_steps((0.2, 0.4))
+    [(0, 0.1), (0, 0.2), (1, 0.3), (1, 0.4), (1, 0.4)]
+    """
+    steps, before = [], 0.0
+    for index, threshold in enumerate(thresholds):
+        steps += [(index, round((before + threshold) / 2, 6)), (index, threshold)]
+        before = threshold
+    return [*steps, steps[-1]]
 
 
 def merge_by_probability(
@@ -57,21 +75,21 @@ def _crossing_edges(
 
 
 def build_hierarchy(evidence: Evidence, model: BoundaryModel) -> Hierarchy:
-    """Merges pieces in as many rounds as the model has; the last round runs twice, and then up to whatever touches.
+    """Merges pieces in the model's steps, and then up to whatever touches.
 
-    The default level of the hierarchy is the state after the second run of the last round. The cut at a threshold of
-    the model is the state after its round.
+    The default level of the hierarchy is the state after the model's last step. The cut at the threshold of a step is
+    the state after this step.
 
     Args:
         evidence: the pieces, and what is known about their boundaries.
         model: gives the probability that two regions belong to different objects.
     """
-    last = len(model.thresholds) - 1
-    rounds = [*enumerate(model.thresholds), (last, model.thresholds[last])]
-    rounds += [(last, threshold) for threshold in COARSER if threshold > max(model.thresholds)]
+    steps = merging_steps(model.thresholds)
+    last, _ = steps[-1]
+    steps += [(last, threshold) for threshold in COARSER if threshold > max(model.thresholds)]
     merges = _Merges(len(evidence.statistics.size))
     region = evidence.piece
-    for index, threshold in rounds:
+    for index, threshold in steps:
         pairs, values = boundary_features(evidence, region)
         if pairs.shape[1] == 0:
             break

@@ -15,10 +15,12 @@ from torch.nn.functional import normalize
 from torchjoint.points.scales import NEIGHBORS_PER_NOISE, Scales, measure_scales
 from torchjoint.scene import Scene
 
-#: A cloud is thinned if normals would need more neighbours than this.
-MAX_NEIGHBORS = 24
-#: Normals of the thinned cloud need about this many neighbours.
-WANTED_NEIGHBORS = 12
+#: The cells are so large that normals of the thinned cloud need about this many neighbours ...
+WANTED_NEIGHBORS = 8
+#: ... but not so large that fewer points than about this remain: small things would be lost, and the cloud is small.
+LEAST_POINTS = 50_000
+#: Cells narrower than this many spacings would hardly thin: the cloud is left as it is.
+NARROWEST = 1.3
 
 
 class WorkingCloud(NamedTuple):
@@ -37,12 +39,12 @@ def working_cloud(cloud: Scene) -> WorkingCloud:
     """
     scales = measure_scales(cloud.points)
     needed = float((NEIGHBORS_PER_NOISE * scales.noise / scales.spacing).median())
-    if needed <= MAX_NEIGHBORS or len(cloud.points) < 2:
+    # The mean of n points has 1 / sqrt(n) of their noise, and a cell f spacings wide has f^2 points. So noise / spacing,
+    # and with it the neighbours that are needed, fall with the square of f.
+    width = min(needed / WANTED_NEIGHBORS, len(cloud.points) / LEAST_POINTS) ** 0.5
+    if width < NARROWEST:
         return WorkingCloud(cloud, scales, None)
-    # The mean of n points has 1 / sqrt(n) of their noise, and a cell of f times the spacing has f^2 points. So noise /
-    # spacing, and with it the neighbours that are needed, fall with the square of the cells' side.
-    side = float(scales.spacing.median()) * (needed / WANTED_NEIGHBORS) ** 0.5
-    of_point, thinned = cell_means(cloud, side)
+    of_point, thinned = cell_means(cloud, width * float(scales.spacing.median()))
     return WorkingCloud(thinned, measure_scales(thinned.points), of_point)
 
 

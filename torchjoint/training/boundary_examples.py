@@ -157,7 +157,7 @@ def boundary_examples(evidence: Evidence, region: Tensor, instance: Tensor) -> B
     known = counts.sum(1)
     purity = most / known.clamp(min=1)
     a, b = pairs
-    weight = purity[a] * purity[b] * torch.minimum(size[a], size[b]).sqrt()
+    weight = purity[a] * purity[b]
     has_majority = known > LEAST_KNOWN * size
     weight = weight * (has_majority[a] & has_majority[b])
     # Large scenes count more than small ones, but less than in proportion to their boundaries.

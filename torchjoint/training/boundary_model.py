@@ -17,9 +17,10 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchjoint.config import Config
-from torchjoint.points.agglomeration import merge_by_probability
-from torchjoint.points.boundary_features import FEATURE_NAMES
+from torchjoint.points.agglomeration import merge_by_probability, merging_steps
+from torchjoint.points.boundary_features import FEATURE_NAMES, boundary_features
 from torchjoint.points.boundary_model import BoostedTrees, BoundaryModel, calibrated, no_calibration
+from torchjoint.points.evidence import Evidence
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Scene
 from torchjoint.training.boundary_examples import (
@@ -106,7 +107,14 @@ def fit_boundary_model(
     rounds: list[BoostedTrees] = []
     calibrations: list[Tensor] = []
     boundaries: list[BoundaryExamples] = []
-    judged: list[Tensor] = []  # of each scene: the probability [B] of its boundaries
+    parts = sorted(set(fold.tolist()))
+    steps = merging_steps(options.thresholds)
+
+    def judge(i: int, number: int, values: Tensor) -> Tensor:
+        """The probability [B] of a scene's boundaries, by trees of this round that were not trained on the scene."""
+        trees = of_parts[parts.index(int(fold[i]))]
+        return calibrated(torch.sigmoid(trees.score(values)), calibrations[number])
+
     for number, threshold in enumerate(options.thresholds):
         before, boundaries = boundaries, []
         name = f"round {number + 1} of {len(options.thresholds)}"
@@ -115,12 +123,13 @@ def fit_boundary_model(
             with one_thread_per_operation():
                 if number == 0:
                     regions.append(evidence.piece)
-                elif before[i].pairs.shape[1]:
-                    merge_up_to = options.thresholds[number - 1]
-                    regions[i] = merge_by_probability(evidence, regions[i], before[i].pairs, judged[i], merge_up_to)
+                else:
+                    up_to = [merge_up_to for index, merge_up_to in steps if index == number - 1]
+                    regions[i] = _merged(
+                        evidence, regions[i], before[i], up_to, lambda values, i=i: judge(i, number - 1, values)
+                    )
                 boundaries.append(boundary_examples(evidence, regions[i], instance))
         samples = [draw_sample(one, rng, options) for one in boundaries]
-        parts = sorted(set(fold.tolist()))
         *of_parts, final = _fit_all(samples, fold, parts, options, f"{name}: trees" if progress else None)
         rounds.append(final)
         scores = [
@@ -134,8 +143,25 @@ def fit_boundary_model(
         calibrations.append(_calibration(probability[known], is_border[known], weight[known]))
         if report is not None:
             report(_scores(threshold, probability[known], is_border[known], weight[known]))
-        judged = [calibrated(score, calibrations[-1]) for score in scores]
     return BoundaryModel(options.thresholds, FEATURE_NAMES, tuple(rounds), tuple(calibrations))
+
+
+def _merged(
+    evidence: Evidence,
+    region: Tensor,
+    boundaries: BoundaryExamples,
+    thresholds: Sequence[float],
+    judge: Callable[[Tensor], Tensor],
+) -> Tensor:
+    """Merges regions [N] up to one threshold after the other; the boundaries are those before the first."""
+    pairs, values = boundaries.pairs, boundaries.values
+    for number, threshold in enumerate(thresholds):
+        if number > 0:
+            pairs, values = boundary_features(evidence, region)
+        if pairs.shape[1] == 0:
+            break
+        region = merge_by_probability(evidence, region, pairs, judge(values), threshold)
+    return region
 
 
 def trees_of_classifier(classifier: Any) -> BoostedTrees:
