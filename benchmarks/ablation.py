@@ -62,7 +62,7 @@ REGIONS = (
     *IMAGE_LABELS,
 )
 SCAN = (
-    Switch("feet", {"scan.foot_distance": 0}),
+    Switch("growth of the ground over what nothing rises from", {"scan.object_height": 0}),
     Switch("removal of bumps from the ground", {"scan.max_bump": 1e3}),
     Switch("the distance limit for joining small segments", {"scan.joining_gap": 1e6}),
     Switch("joining of small segments", {"scan.min_size": 0}),

@@ -55,7 +55,7 @@ SCAN = {
     "scan.max_step": (0, 0.02, 0.05, 0.1, 0.2),
     "scan.max_bump": (0.05, 0.1, 0.2, 0.4, 1),
     "scan.ground_height": (0.05, 0.07, 0.1, 0.15, 0.2, 0.3),
-    "scan.foot_distance": (0, 0.1, 0.2, 0.3, 0.5),
+    "scan.object_height": (0, 0.15, 0.2, 0.25, 0.3, 0.4),
     "scan.neighbors": (4, 8, 12, 16, 24),
     "scan.gap": (0.05, 0.1, 0.2, 0.3, 0.5, 0.8),
     "scan.gap_growth": (0, 0.01, 0.015, 0.02, 0.03, 0.05),

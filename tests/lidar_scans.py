@@ -30,9 +30,14 @@ def box_hits(directions: Tensor, low: tuple[float, float, float], high: tuple[fl
     return torch.where((enter <= leave) & (enter > 0), enter, torch.inf)
 
 
-def scan(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]], slope: float = 0.0, reach: float = 60):
+def scan(
+    *boxes: tuple[tuple[float, float, float], tuple[float, float, float]],
+    slope: float = 0.0,
+    reach: float = 60,
+    beams: int = 40,
+):
     """Points [N, 3] float32, and what each is of, [N]: 0 = the ground, 1, 2, ... = boxes."""
-    directions = rays()
+    directions = rays(beams)
     ranges = torch.stack([plane_hits(directions, slope), *(box_hits(directions, *box) for box in boxes)])
     nearest, what = ranges.min(dim=0)
     seen = nearest < reach

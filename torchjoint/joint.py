@@ -6,6 +6,7 @@ Sequences", ICRA 2021.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
@@ -19,6 +20,7 @@ from torchjoint.labels.image_labels import label_image
 from torchjoint.labels.joint_ids import separate_private_ids
 from torchjoint.labels.piece_images import PieceImages
 from torchjoint.points.graph import PointGraph, build_edgeless_graph, build_point_graph
+from torchjoint.points.method import describe, with_method
 from torchjoint.points.orientation import orientation_votes
 from torchjoint.points.segments import point_hierarchy, segment_points
 from torchjoint.points.working_cloud import working_cloud
@@ -31,6 +33,8 @@ from torchjoint.views.pose_check import check_poses, frames_to_check
 from torchjoint.views.propagation import edge_overlaps
 from torchjoint.views.state import JointState
 from torchjoint.views.visibility import visible_points
+
+logger = logging.getLogger(__name__)
 
 
 class JointSegmenter(nn.Module):
@@ -67,6 +71,7 @@ class JointSegmenter(nn.Module):
         self.config = config or Config()
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
+        self._definite = self.config  # after `reset` without "auto"
         self._graph: PointGraph | None = None
         self._of_point: Tensor | None = None  # [N] the graph's point of each given point; None = itself
         self._state: JointState | None = None
@@ -130,7 +135,9 @@ class JointSegmenter(nn.Module):
 
     @torch.no_grad()
     def reset(self, points: Tensor, colors: Tensor | None = None, normals: Tensor | None = None) -> None:
-        """Forgets all frames and builds the graph of a cloud (step 3).
+        """Forgets all frames, chooses the method of step 6 if it is auto, and builds the graph of a cloud (step 3).
+
+        What was measured and chosen is logged in one line (logger ``torchjoint.joint``, level INFO).
 
         Args:
             points: [N, 3] metres, world frame.
@@ -144,7 +151,8 @@ class JointSegmenter(nn.Module):
         cloud = Scene(points, colors=colors, normals=normals)
         self.stopwatch = Stopwatch()
         with one_thread_per_operation(), self.stopwatch("point graph"):
-            method, self._of_point = self.config.point_segments.method, None
+            self._definite, self._of_point = with_method(self.config, cloud.points), None
+            method = self._definite.point_segments.method
             if method == "scan":
                 self._graph = build_edgeless_graph(cloud)
             elif method == "learned":
@@ -152,6 +160,8 @@ class JointSegmenter(nn.Module):
                 self._graph = build_point_graph(working, self.config.point_graph, scales)
             else:
                 self._graph = build_point_graph(cloud, self.config.point_graph)
+            if logger.isEnabledFor(logging.INFO):
+                logger.info(describe(len(cloud.points), self._graph, self._definite))
         self._state = JointState.empty(self._graph.edge_index.shape[1], self._graph.num_points)
 
     @torch.no_grad()
@@ -196,8 +206,8 @@ class JointSegmenter(nn.Module):
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
                 graph, hierarchy, piece = self._require_graph(), None, None
-                if self.config.point_segments.method == "learned":
-                    hierarchy = point_hierarchy(graph, state, self.config)
+                if self._definite.point_segments.method == "learned":
+                    hierarchy = point_hierarchy(graph, state, self._definite)
                     piece = hierarchy.piece  # of the graph's points
                     if self._of_point is not None:
                         hierarchy, number = hierarchy.transferred(self._of_point)
@@ -205,7 +215,7 @@ class JointSegmenter(nn.Module):
                     point_labels = hierarchy.segments_of_pieces(hierarchy.default)[piece]
                     given_points = hierarchy.at()
                 else:
-                    given_points = point_labels = segment_points(graph, state, self.config)
+                    given_points = point_labels = segment_points(graph, state, self._definite)
             if not images:
                 return Segmentation(given_points, (), seconds=dict(self.stopwatch.seconds), hierarchy=hierarchy)
             sizes = torch.bincount(point_labels)
@@ -276,12 +286,15 @@ class JointSegmenter(nn.Module):
         Raises:
             ValueError: the stored evidence depends on a parameter that differs; the message names the parameter.
         """
-        if different := evidence_differences(self.config, config):
+        graph = self._require_graph()
+        is_decided = self.config.point_segments.method == config.point_segments.method  # from all points, if "auto"
+        definite = config.replace({"point_segments": {"method": self._definite.point_segments.method}})
+        definite = definite if is_decided else with_method(config, graph.points)
+        if different := evidence_differences(self._definite, definite):
             raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
         modules = self.image_segmenter
         other = JointSegmenter(config, boundary=modules.boundary, image_segmenter=modules.segmenter)
-        other._graph = graph = self._require_graph()
-        other._of_point = self._of_point
+        other._graph, other._definite, other._of_point = graph, definite, self._of_point
         other._state = self.state + JointState.empty(graph.edge_index.shape[1], graph.num_points)  # a copy
         return other
 

@@ -63,7 +63,7 @@ def test_each_preset_has_its_method_of_step_6():
         ({"visibility": {"method": "magic"}}, r"visibility\.method: expected one of zbuffer, hidden.*, got 'magic'"),
         (
             {"point_segments": {"method": "magic"}},
-            r"point_segments\.method: expected one of regions, edges, learned, scan, got",
+            r"point_segments\.method: expected one of regions, edges, learned, scan, auto, got",
         ),
         ({"region_merging": {"agreement": 1.1}}, r"region_merging\.agreement: expected <= 1, got 1\.1"),
         ({"region_merging": {"threshold": None}}, r"region_merging\.threshold: expected float, got null"),

@@ -14,7 +14,7 @@ from torchjoint.points.lidar.ground import Profile, ground, ground_profile, heig
 CAR = ((8.0, -1.0, -HEIGHT), (12.0, 1.0, -0.2))
 
 
-@pytest.mark.parametrize("slope", [-0.08, 0.0, 0.05, 0.15])
+@pytest.mark.parametrize("slope", [-0.08, 0.0, 0.05, 0.1])
 def test_a_plane_that_slopes_is_ground(slope):
     points, _ = scan(slope=slope, reach=30)
     assert (~ground(points)).float().mean() < 0.001  # where rays graze it, columns are too wide

@@ -1,13 +1,21 @@
 """A scan's segments."""
 
+import math
+
+import numpy as np
 import pytest
 import torch
 from lidar_scans import HEIGHT, scan
 
 from torchjoint.config import ScanConfig
+from torchjoint.datasets import list_scenes, load_scene
+from torchjoint.datasets.clouds import read_scan
+from torchjoint.evaluation.scores import mean_scores, score
 from torchjoint.metrics import mean_best_iou
 from torchjoint.points.lidar.ground import ground
-from torchjoint.points.lidar.scan_segments import foot_edges, gap_weights, segment_scan
+from torchjoint.points.lidar.recognition import Rings
+from torchjoint.points.lidar.scan_segments import gap_weights, segment_scan, with_near_rings
+from torchjoint.views.projection import in_any_view
 
 BOXES = (
     ((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1)),
@@ -38,23 +46,21 @@ def test_boxes_on_the_ground():
     assert mean_best_iou(labels, what) > 0.9
 
 
-def test_feet_by_hand():
-    config = ScanConfig(ground_height=0.1, foot_distance=0.2)
-    height = torch.tensor([0.0, 0.06, 0.07, 0.04, 0.2, 0.5, 0.15]).double()
-    points = torch.tensor([[0.0, 0], [0.1, 0], [0.31, 0], [0.1, 0], [0.1, 0.1], [0.1, 0.01], [0.1, 0.05]])
-    points = torch.cat([points, height[:, None].float()], 1)
-    # Of 0 and 3 the height, of 2 the distance is another's; 5 is nearest to 1 but too high.
-    assert foot_edges(points, height, config).tolist() == [[1], [6]]
-    assert foot_edges(points, height, ScanConfig(ground_height=0.1, foot_distance=0.3)).tolist() == [[1, 2], [6, 6]]
-    assert foot_edges(points, height, ScanConfig(foot_distance=0)).shape == (2, 0)
-    assert foot_edges(points, height * 0, config).shape == (2, 0)
+def test_rings_are_drawn_together():
+    points = torch.tensor([[10.0, 0, 0], [0, 10 * math.cos(0.2), -10 * math.sin(0.2)]])
+    assert with_near_rings(points, None, ScanConfig()) is points
+    assert with_near_rings(points, Rings(0.004, 64), ScanConfig()) is points  # .02 > 4 x .004
+    drawn = with_near_rings(points, Rings(0.01, 32), ScanConfig())  # to the half
+    expected = torch.tensor([[10.0, 0, 0], [0, 10 * math.cos(0.1), -10 * math.sin(0.1)]])
+    torch.testing.assert_close(drawn, expected)
 
 
-def test_feet_belong_to_what_they_carry():
-    points, what = scan(*BOXES)
-    labels, cut = segment_scan(points), segment_scan(points, ScanConfig(foot_distance=0))
-    assert mean_best_iou(labels, what) > mean_best_iou(cut, what)
-    assert (labels[what == 0] == labels[0]).all()
+@pytest.mark.parametrize("beams", [16, 32, 64])
+def test_few_beams_show_a_car_in_one_piece(beams):
+    points, what = scan(((14.0, -2.0, -HEIGHT), (15.8, 2.0, 0.1)), beams=beams)  # nobody sees its roof
+    labels = segment_scan(points)
+    car = what == 1
+    assert len({int(label) for label in labels[car].unique()} - {int(labels[what == 0].mode().values)}) == 1
 
 
 def test_labels_are_numbered_by_first_points():
@@ -69,7 +75,7 @@ def test_the_gap_parts_and_joins():
     def two(apart):
         boxes = [((10.0, -1.0, -HEIGHT), (11.0, -apart / 2, 0)), ((10.0, apart / 2, -HEIGHT), (11.0, 1.0, 0))]
         points, what = scan(*boxes)
-        labels = segment_scan(points)
+        labels = segment_scan(points, ScanConfig(neighbors=40))  # enough to see each other across the gap
         return labels[what == 1].mode().values == labels[what == 2].mode().values
 
     assert two(0.2)  # .2 + .02 * 10 = .4
@@ -141,11 +147,35 @@ def test_bad_config():
         ScanConfig(joining_gap=0.5)
 
 
-@pytest.mark.parametrize("num_feet", [1, 2])
-@pytest.mark.parametrize("num_low", [1, 2])
-def test_few_feet(num_feet, num_low):
-    points = torch.tensor([[5.0, 0, 0]]).repeat(num_feet + num_low, 1) + torch.rand(num_feet + num_low, 3) / 100
-    height = torch.tensor([0.07] * num_feet + [0.2] * num_low, dtype=torch.float64)
-    edges = foot_edges(points, height, ScanConfig())
-    assert edges[0].tolist() == list(range(num_feet))
-    assert (edges[1] >= num_feet).all()
+class TestRealScans:
+    """What benchmarks/streets.py measures, with some room."""
+
+    def test_the_boxes_of_kitti(self, shared):
+        scores = []
+        for path in list_scenes(shared / "data/kitti/training").values():
+            scene = load_scene(path)
+            scene = scene.select_points(in_any_view(scene.points, scene.frames))
+            scores.append(score(segment_scan(scene.points), scene.truth.points))
+        mean = mean_scores(scores)
+        assert mean.f >= 0.8
+        assert mean.best_iou >= 0.9
+
+    def test_a_whole_annotated_scan(self, shared):
+        """Ground is one region with few crumbs, and every vehicle and person is a segment."""
+        folder = shared / "data/semantickitti"
+        points = read_scan(folder / "000964.bin", 4)[:, :3].contiguous()
+        truth = torch.from_numpy(np.fromfile(folder / "000964.label", dtype=np.uint32).astype(np.int64))
+        kind = truth & 0xFFFF
+        ground = torch.isin(kind, torch.tensor([40, 44, 48, 49, 60, 72]))
+        labels = segment_scan(points)
+        size = torch.bincount(labels)
+        of_ground = torch.bincount(labels[ground], minlength=len(size))
+        assert int((2 * of_ground > size).sum()) - 1 <= 4
+        assert of_ground.max() > 0.98 * ground.sum()
+        best = []
+        for thing in truth[torch.isin(kind, torch.tensor([10, 18, 252]))].unique():
+            of_thing = truth == thing
+            shared_points = torch.bincount(labels[of_thing], minlength=len(size))
+            best.append((shared_points / (size + of_thing.sum() - shared_points)).max())
+        assert len(best) == 15
+        assert torch.stack(best).mean() > 0.9

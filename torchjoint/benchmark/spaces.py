@@ -64,6 +64,7 @@ _COLORED: Space = {
 _SCAN: Space = {
     "scan.azimuth_cell": Choice((1.0, 2.0, 3.0, 4.0)),
     "scan.ground_height": Between(0.06, 0.25),
+    "scan.object_height": Between(0.15, 0.4),
     "scan.max_slope": Between(5, 15),
     "scan.neighbors": Choice((8, 12, 16, 24)),
     "scan.gap": Between(0.1, 0.5),

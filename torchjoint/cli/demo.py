@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from torchjoint import metrics
+from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
 from torchjoint.joint import JointSegmenter
@@ -25,7 +26,8 @@ def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = DEFAULTS, overwr
     synthetic = make_scene(seed=0, size="medium")
     config, source = parameters.config(), "synthetic, seed 0, medium"
     with output_folder(out, source, overwrite=overwrite) as partial:
-        result = JointSegmenter(config)(synthetic.scene, progress=True)
+        with printed_log():
+            result = JointSegmenter(config)(synthetic.scene, progress=True)
         write_result(partial, synthetic.scene, result, config, source)
     summarize(result, out)
     in_3d = metrics.objects_and_parts(result.points, synthetic.point_labels)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import tyro
 
+from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out, check_max_frames
 from torchjoint.datasets import load_scene
@@ -70,7 +71,8 @@ def segment(
         if thin is not None:
             loaded = loaded.select_points(voxel_subsample(loaded.points, thin))
         checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view} {thin}", config))
-        result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
+        with printed_log():
+            result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
         if granularity is not None:
             result = result.at(granularity)
         write_result(partial, loaded, result, config, str(scene), 0.5 if granularity is None else granularity)

@@ -64,7 +64,8 @@ class PointSegmentsConfig(Stage):
         "regions", "regions: region merging by mean boundary cost; edges: as in the paper, Felzenszwalb-Huttenlocher "
         "with the weights of eq. 3; learned: regions merge where a learned model says that they belong to one object "
         "(no parameter of step 6 counts); scan: ground and objects of one LiDAR scan (z up, sensor at the origin), "
-        "without evidence from images", choices=("regions", "edges", "learned", "scan"), renamed={"sweep": "scan"},
+        "without evidence from images; auto: scan if the rings of a turning LiDAR are recognised in the cloud, else "
+        "learned", choices=("regions", "edges", "learned", "scan", "auto"), renamed={"sweep": "scan"},
     )  # fmt: skip
     scale: float = parameter(
         4.5, "edges: k of Felzenszwalb-Huttenlocher; more gives larger segments", unit="weight x points", low=0

@@ -35,9 +35,9 @@ class ScanConfig(Stage):
         0.08, "ground: points lower than this above the ground belong to it; less keeps feet and kerbs, but leaves "
         "fragments of a rough road", unit="m", above=0, sensible="0.05-0.3",
     )  # fmt: skip
-    foot_distance: float = parameter(
-        0.2, "points in the upper half of `ground_height` at most this far (horizontally) from an object belong to its "
-        "foot instead of the ground; more takes more ground for feet; 0: no feet", unit="m", low=0, sensible="0.1-0.3",
+    object_height: float = parameter(
+        0.25, "ground: what is lower than this belongs to it, if nothing rises from it; more takes low objects for "
+        "ground, less leaves fragments of pavements and verges", unit="m", low=0, sensible="0.2-0.4",
     )  # fmt: skip
     neighbors: int = parameter(
         12, "K, neighbours of a point in the graph; more bridges gaps and takes longer", low=1, high=200,
@@ -49,7 +49,7 @@ class ScanConfig(Stage):
     )  # fmt: skip
     gap_growth: float = parameter(
         0.02, "increase of the allowed gap per metre of range; more joins points far from the sensor", unit="m/m",
-        low=0, sensible="0.01-0.04; about twice the angle between two beams, in radians",
+        low=0, sensible="0.01-0.04",
     )  # fmt: skip
     min_size: int = parameter(
         15, "smallest segment; smaller segments are joined to a neighbour within `joining_gap`", unit="points", low=0,

@@ -37,8 +37,10 @@ def segment_points(graph: PointGraph, state: JointState, config: Config) -> Tens
         [N] int64 labels 0, 1, ...
 
     Raises:
-        ValueError: method learned, but the graph was built without scales.
+        ValueError: method learned, but the graph was built without scales; or method auto, which is not definite.
     """
+    if config.point_segments.method == "auto":
+        raise ValueError("config: expected a definite point_segments.method, got auto; see points.method.with_method")
     if config.point_segments.method == "scan":
         return segment_scan(graph.points, config.scan)
     if config.point_segments.method == "learned":

@@ -24,6 +24,10 @@ NEAR = 20.0
 #: Number of columns on each side with which a profile is compared.
 SIDES = 4
 
+#: Share of the distance at which the lowest beam meets level ground, nearer than which nothing is ground; less than 1,
+#: because the ground may rise.
+BLIND = 0.75
+
 #: Larger than any distance, metres: one sorted tensor holds all columns, one after the other, at offsets of FAR.
 FAR = 1e5
 
@@ -74,11 +78,11 @@ def height_over_ground(points: Tensor, config: ScanConfig | None = None, sensor:
     """Heights of the points of a scan above the ground, [N] float64 metres; arguments and errors as in :func:`ground`.
 
     Each cell of azimuth and elevation contributes its lowest point. A profile follows each column of cells outward. It
-    starts below the sensor, at the median of the columns' lowest points near the sensor. It goes on to a cell's lowest
-    point if this point is farther out, and if the change of height is at most `max_step` plus `max_slope` times the
-    way. Parts of a profile more than `max_bump` above the median of the neighbouring profiles are removed: there an
-    object hides the ground in front of it. Between two places of a profile, and between two columns, the height is
-    interpolated linearly.
+    starts where the lowest beam begins to meet the ground, at the median of the columns' lowest points near the sensor.
+    It goes on to a cell's lowest point if this point is farther out, and if the change of height is at most `max_step`
+    plus `max_slope` times the way. Parts of a profile more than `max_bump` above the median of the neighbouring
+    profiles are removed: there an object hides the ground in front of it. Between two places of a profile, and between
+    two columns, the height is interpolated linearly.
     """
     points = as_points(points)
     sensor = torch.zeros(3) if sensor is None else as_float(sensor, "sensor", torch.float64)
@@ -115,7 +119,8 @@ def ground_profile(seen: Directions, height: Tensor, config: ScanConfig) -> Prof
     distances = seen.distance[place].view(num_rows, num_columns)
     heights = height[place].view(num_rows, num_columns)
     start = _start(seen.distance, height, column, num_columns)
-    taken = _walk(exists.view(num_rows, num_columns), distances, heights, start, config)
+    blind = _blind_distance(seen.elevation, start)
+    taken = _walk(exists.view(num_rows, num_columns), distances, heights, start, blind, config)
     distances = torch.cat([torch.zeros_like(distances[:1]), distances])
     heights = torch.cat([torch.full_like(heights[:1], start), heights])
     taken = torch.cat([torch.ones_like(taken[:1]), taken])
@@ -123,11 +128,11 @@ def ground_profile(seen: Directions, height: Tensor, config: ScanConfig) -> Prof
     return Profile(of_column, distances[of_row, of_column], heights[of_row, of_column], num_columns)
 
 
-def _walk(exists: Tensor, distances: Tensor, heights: Tensor, start: float, config: ScanConfig) -> Tensor:
+def _walk(exists: Tensor, distances: Tensor, heights: Tensor, start: float, blind: float, config: ScanConfig) -> Tensor:
     """[R, C] bool, the cells whose lowest points belong to the profiles; each step handles one row of all columns."""
     slope = math.tan(math.radians(config.max_slope))
     taken = torch.zeros_like(exists)
-    distance, height = torch.zeros_like(distances[0]), torch.full_like(heights[0], start)
+    distance, height = torch.full_like(distances[0], blind), torch.full_like(heights[0], start)
     for row in range(len(exists)):
         way = distances[row] - distance
         step = (heights[row] - height).abs()
@@ -165,3 +170,12 @@ def _start(distance: Tensor, height: Tensor, column: Tensor, num_columns: int) -
     lowest = torch.full((num_columns,), torch.inf, dtype=height.dtype)
     lowest = lowest.scatter_reduce(0, column[near], height[near], "amin")
     return float(lowest[lowest < torch.inf].median())
+
+
+def _blind_distance(elevation: Tensor, start: float) -> float:
+    """Distance within which what the sensor sees is no ground: the lowest beam meets the ground farther out.
+
+    Without it, the side of a car beside the sensor, from the lowest beam up, would be ground.
+    """
+    lowest = float(elevation.kthvalue(1 + len(elevation) // 200).values)  # a few returns may come from below the ground
+    return BLIND * start / math.tan(lowest) if start < 0 and lowest < 0 else 0.0

@@ -6,9 +6,7 @@ is allowed at its range. The segments are the connected components of the edges 
 
 from __future__ import annotations
 
-import numpy as np
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
@@ -16,21 +14,24 @@ from torchjoint.config import ScanConfig
 from torchjoint.points.graph import undirected_edges
 from torchjoint.points.lidar.directions import directions
 from torchjoint.points.lidar.ground import height_over_ground
+from torchjoint.points.lidar.ground_growth import grow_ground
+from torchjoint.points.lidar.recognition import Rings, find_rings
 from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene.checks import as_points
 
-#: Height above the ground, metres: a foot is joined to an object only at points lower than this.
-FOOT_HEIGHT = 0.4
+#: So many rings are joined across an allowed gap, without the part of the gap that does not grow with range.
+RINGS_IN_GAP = 4
 
 
 def segment_scan(points: Tensor, config: ScanConfig | None = None, sensor: Tensor | None = None) -> Tensor:
     """Segments one scan of a LiDAR, without training, colours or normals.
 
-    Points on the :func:`~torchjoint.points.lidar.ground.ground` are one segment, except for the feet of objects. All
-    other points are nodes of a graph of nearest neighbours, with weights from :func:`gap_weights`. Its connected
-    components with weights <= 1 are segments. A segment of fewer than `config.min_size` points is joined to the
-    neighbour along its lightest edge, if the weight of this edge is at most `config.joining_gap`.
+    Points on the ground (:func:`~torchjoint.points.lidar.ground_growth.grow_ground`) are one segment. All other points
+    are nodes of a graph of nearest neighbours, with weights from :func:`gap_weights`. Its connected components with
+    weights <= 1 are segments. A segment of fewer than `config.min_size` points is joined to the neighbour along its
+    lightest edge, if the weight of this edge is at most `config.joining_gap`. Neighbours and weights are those of the
+    scan in which rings are drawn together (:func:`with_near_rings`).
 
     Args:
         points: [N, 3] metres, z up.
@@ -44,42 +45,52 @@ def segment_scan(points: Tensor, config: ScanConfig | None = None, sensor: Tenso
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
     """
-    points, config = as_points(points), config or ScanConfig()
-    height = height_over_ground(points, config, sensor)
+    config = config or ScanConfig()
     with torch.no_grad(), one_thread_per_operation():
-        on_ground = height < config.ground_height
-        standing = torch.nonzero(~on_ground).flatten()
-        edges = standing[undirected_edges(nearest_neighbors(points[standing], config.neighbors).indices)]
-        weight = gap_weights(points, edges, config, sensor)
-        feet = foot_edges(points, height, config)
-        on_ground[feet[0]] = False
-        edges, weight = torch.cat([edges, feet], 1), torch.cat([weight, torch.zeros(feet.shape[1])])
-        return _components(edges, weight, on_ground, config)
+        return components(*scan_graph(as_points(points), config, sensor), config)
 
 
-def foot_edges(points: Tensor, height: Tensor, config: ScanConfig) -> Tensor:
-    """Edges from feet to their objects: `ground_height` alone would cut off tyres and shoes, where ground is uncertain.
-
-    A foot is a point whose height is between `ground_height` / 2 and `ground_height`, at a horizontal distance of at
-    most `foot_distance` from a point between `ground_height` and `FOOT_HEIGHT`. It is joined to the nearest such point.
+def scan_graph(points: Tensor, config: ScanConfig, sensor: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    """The graph of what stands on the ground.
 
     Args:
         points: [N, 3] metres, z up.
-        height: [N] float64 metres above the ground.
-        config: `ground_height` and `foot_distance`.
+        config: see :class:`ScanConfig`.
+        sensor: [3] metres, position of the LiDAR; default: the origin.
 
     Returns:
-        [2, F] int64: feet, and the points to which they are joined.
+        [2, E] int64 edges; [E] float32 weights; [N] bool, True for ground.
     """
-    low = torch.nonzero((height >= config.ground_height) & (height < FOOT_HEIGHT)).flatten()
-    feet = torch.nonzero((height > config.ground_height / 2) & (height < config.ground_height)).flatten()
-    if config.foot_distance == 0 or len(low) == 0 or len(feet) == 0:
-        return torch.empty(2, 0, dtype=torch.int64)
-    places = points[:, :2].double().numpy()
-    tree = cKDTree(places[low.numpy()])
-    distance, nearest = tree.query(places[feet.numpy()], distance_upper_bound=config.foot_distance)
-    near = torch.from_numpy(np.isfinite(distance))
-    return torch.stack([feet[near], low[torch.from_numpy(nearest)[near]]])
+    height = height_over_ground(points, config, sensor)
+    from_sensor = points if sensor is None else (points.double() - sensor.double()).float()
+    drawn = with_near_rings(from_sensor, find_rings(from_sensor), config)
+    standing = torch.nonzero(height >= config.ground_height).flatten()
+    edges = standing[undirected_edges(nearest_neighbors(drawn[standing], config.neighbors).indices)]
+    weight = gap_weights(drawn, edges, config)
+    on_ground = grow_ground(points, height, directions(from_sensor), edges[:, weight <= 1], config)
+    above = ~on_ground[edges].any(0)
+    return edges[:, above], weight[above], on_ground
+
+
+def with_near_rings(points: Tensor, rings: Rings | None, config: ScanConfig) -> Tensor:
+    """The points [N, 3] with elevations reduced so far that a step between rings is a quarter of the gap's growth.
+
+    The rings of a sensor with few beams are farther from each other than things are that stand side by side. Drawn
+    together, they are joined by the same gap that separates these things. If rings are already so near, or if no rings
+    are known, the points stay as they are.
+
+    Args:
+        points: [N, 3] metres, z up, the sensor at the origin.
+        rings: of the scan, None: unknown.
+        config: gap_growth.
+    """
+    if rings is None or config.gap_growth >= RINGS_IN_GAP * rings.step:
+        return points
+    seen = directions(points)
+    elevation = seen.elevation * (config.gap_growth / (RINGS_IN_GAP * rings.step))
+    flat = seen.range * elevation.cos()
+    x, y, z = flat * seen.azimuth.cos(), flat * seen.azimuth.sin(), seen.range * elevation.sin()
+    return torch.stack([x, y, z], dim=1).float()
 
 
 def gap_weights(points: Tensor, edges: Tensor, config: ScanConfig, sensor: Tensor | None = None) -> Tensor:
@@ -101,7 +112,7 @@ def gap_weights(points: Tensor, edges: Tensor, config: ScanConfig, sensor: Tenso
     return (length / (config.gap + config.gap_growth * torch.minimum(reach[u], reach[v]))).float()
 
 
-def _components(edges: Tensor, weight: Tensor, on_ground: Tensor, config: ScanConfig) -> Tensor:
+def components(edges: Tensor, weight: Tensor, on_ground: Tensor, config: ScanConfig) -> Tensor:
     """Connected components of edges with weight <= 1, and the ground; small ones are joined along their lightest edge.
 
     The two passes of Felzenszwalb-Huttenlocher do this with k = 0, if the weights are max(0, w - 1).

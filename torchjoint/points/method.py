@@ -1,0 +1,43 @@
+"""Step 6: which method segments a cloud, if the config leaves it to the cloud; and what was measured, in one line."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from torchjoint.config import Config
+from torchjoint.points.graph import PointGraph
+from torchjoint.points.lidar.recognition import find_rings
+
+
+def with_method(config: Config, points: Tensor) -> Config:
+    """The config with a definite method of step 6: auto becomes scan for a scan of a turning LiDAR, else learned.
+
+    Args:
+        config: all parameters.
+        points: [N, 3] metres; of a scan: z up, the sensor at the origin.
+    """
+    if config.point_segments.method != "auto":
+        return config
+    method = "learned" if find_rings(points) is None else "scan"
+    return config.replace({"point_segments": {"method": method}})
+
+
+def describe(num_points: int, graph: PointGraph, config: Config) -> str:
+    """One line that says what was measured of a cloud, and which method segments it.
+
+    Args:
+        num_points: of the cloud as it came.
+        graph: of the cloud.
+        config: with the method of step 6 that :func:`with_method` returned.
+    """
+    method, what = config.point_segments.method, f"points: {num_points}"
+    if graph.num_points < num_points:
+        what += f", much denser than their noise: thinned to {graph.num_points}"
+    if method == "scan":
+        rings = find_rings(graph.points)
+        what += f" of a turning LiDAR with about {rings.number} rings" if rings else ", no rings of a LiDAR found"
+    elif graph.scales is not None:
+        spacing, noise = (1000 * float(of_points.median()) for of_points in (graph.scales.spacing, graph.scales.noise))
+        normals = "given" if graph.has_given_normals else f"from {graph.scales.normal_neighbors} neighbours"
+        what += f", spacing {spacing:.2g} mm, noise {noise:.2g} mm, normals {normals}"
+    return f"{what}; step 6 by method {method}"
