@@ -61,7 +61,7 @@ class PointSegmentsConfig(Stage):
     """Step 6: the method that segments the points."""
 
     method: str = parameter(
-        "regions", "regions: region merging by mean boundary cost; edges: as in the paper, Felzenszwalb-Huttenlocher "
+        "auto", "regions: region merging by mean boundary cost; edges: as in the paper, Felzenszwalb-Huttenlocher "
         "with the weights of eq. 3; learned: regions merge where a learned model says that they belong to one object "
         "(no parameter of step 6 counts); scan: ground and objects of one LiDAR scan (z up, sensor at the origin), "
         "without evidence from images; auto: scan if the rings of a turning LiDAR are recognised in the cloud, else "
