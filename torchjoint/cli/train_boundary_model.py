@@ -36,7 +36,7 @@ def train_boundary_model(
     models: Path | None = None,
     thin: float | None = None,
     max_frames: int | None = None,
-    trees: int = 120,
+    trees: int = 60,
     folds: int = 4,
     seed: int = 0,
     overwrite: bool = False,

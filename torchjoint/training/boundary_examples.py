@@ -57,10 +57,10 @@ class BoundaryModelOptions:
 
     thresholds: tuple[float, ...] = (0.15, 0.25, 0.35, 0.5)
     folds: int = 4
-    trees: int = 120
+    trees: int = 60
     leaves: int = 20
-    learning_rate: float = 0.1
-    max_boundaries: int = 1500
+    learning_rate: float = 0.2
+    max_boundaries: int = 700
     drop_images_share: float = 0.25
     drop_colors_share: float = 0.15
     seed: int = 0
