@@ -21,6 +21,8 @@ WANTED_NEIGHBORS = 8
 LEAST_POINTS = 50_000
 #: Cells narrower than this many spacings would hardly thin: the cloud is left as it is.
 NARROWEST = 1.3
+#: A cloud with more cells than this (most of them empty) is left as it is: they could not be numbered.
+MOST_CELLS = 2.0**62
 
 
 class WorkingCloud(NamedTuple):
@@ -42,9 +44,11 @@ def working_cloud(cloud: Scene) -> WorkingCloud:
     # The mean of n points has 1 / sqrt(n) of their noise, and a cell f spacings wide has f^2 points. So noise / spacing,
     # and with it the neighbours that are needed, fall with the square of f.
     width = min(needed / WANTED_NEIGHBORS, len(cloud.points) / LEAST_POINTS) ** 0.5
-    if width < NARROWEST:
+    side = width * float(scales.spacing.median())
+    extent = (cloud.points.amax(0) - cloud.points.amin(0)).double()
+    if width < NARROWEST or float((extent / side + 1).prod()) > MOST_CELLS:
         return WorkingCloud(cloud, scales, None)
-    of_point, thinned = cell_means(cloud, width * float(scales.spacing.median()))
+    of_point, thinned = cell_means(cloud, side)
     return WorkingCloud(thinned, measure_scales(thinned.points), of_point)
 
 
@@ -57,10 +61,16 @@ def cell_means(cloud: Scene, side: float) -> tuple[Tensor, Scene]:
 
     Returns:
         [N] int64, the new point of each point, numbered in the order of the cells; and the cloud of the new points.
+
+    Raises:
+        ValueError: so many cells that they cannot be numbered.
     """
     points = cloud.points.double()
-    cell = ((points - points.amin(0)) / side).floor().long()
-    width = cell.amax(0) + 1
+    scaled = ((points - points.amin(0)) / side).floor()
+    width = scaled.amax(0) + 1
+    if float(width.prod()) > MOST_CELLS:
+        raise ValueError(f"side: cells of {side} m are too small to be numbered in a cloud this large")
+    cell, width = scaled.long(), width.long()
     key, of_point = torch.unique((cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2], return_inverse=True)
     count = torch.bincount(of_point, minlength=len(key)).double()[:, None]
 
