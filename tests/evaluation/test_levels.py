@@ -12,7 +12,7 @@ from torchjoint.evaluation.scores import score
 from torchjoint.results.folder import read_result
 from torchjoint.scene import Hierarchy
 
-LEARNED = ["--preset", "learned", "--set", "boundary.detector=gradient"]
+LEARNED = ["--set", "boundary.detector=gradient"]
 #: Four pieces of two points. 0 and 1 merge at .4, 2 and 3 at .6, all at .8.
 HIERARCHY = Hierarchy(
     torch.arange(4).repeat_interleave(2),
@@ -95,7 +95,7 @@ def out(recording, run):
 
 class TestCommands:
     def test_segment_writes_the_level_and_all_others(self, out, recording):
-        config = tj.Config.from_preset("learned").set(["boundary.detector=gradient"])
+        config = tj.Config().set(["boundary.detector=gradient"])
         expected = tj.JointSegmenter(config)(tj.load_scene(recording))
         read = read_result(out)
         assert torch.equal(read.points, expected.at(0.7).points)
@@ -150,7 +150,7 @@ class TestCommands:
                 ["--granularity", 0.5, "--preset", "tabletop"],
                 r"--granularity: method regions has one level only; --preset",
             ),
-            (["--granularity", -0.1, "--preset", "learned"], r"--granularity: expected a number from 0 \(coarse\)"),
+            (["--granularity", -0.1], r"--granularity: expected a number from 0 \(coarse\)"),
         ],
     )
     def test_segment_refuses_before_it_runs(self, recording, run, tmp_path, arguments, message):

@@ -46,7 +46,7 @@ def segment(
         thin: keep one point per voxel of this size, metres; for clouds that are denser than their noise, or too large.
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5. All levels are saved in any case.
-            Only point_segments.method learned has levels.
+            Only point_segments.method learned has levels (auto, if the cloud is no scan).
     """
     config = parameters.config()
     check_max_frames(max_frames)
@@ -54,9 +54,9 @@ def segment(
         raise ValueError(f"--thin: expected more than 0 metres, got {thin}")
     if granularity is not None:
         check_granularity(granularity, "--granularity")
-        if config.point_segments.method != "learned":
+        if config.point_segments.method not in ("learned", "auto"):
             raise ValueError(
-                f"--granularity: method {config.point_segments.method} has one level only; --preset learned has all"
+                f"--granularity: method {config.point_segments.method} has one level only; --preset default has all"
             )
     if out.resolve() in (scene.resolve(), *scene.resolve().parents):
         raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
