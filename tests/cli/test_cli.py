@@ -33,7 +33,8 @@ def out(recording, run):
 
 
 def test_what_segment_writes(out, recording, synthetic):
-    assert {path.name for path in out.iterdir()} == {"points.ply", "points.npz", "images", "overview.png", "run.yaml"}
+    files = {"points.ply", "points.npz", "images", "overview.png", "run.yaml", "hierarchy.npz", "pieces"}
+    assert {path.name for path in out.iterdir()} == files
     assert {path.name for path in recording.parent.iterdir()} == {"recording", "out"}
     config = tj.Config().set([*SMALL[1:], "propagation.weight=0.2"])
     expected = tj.JointSegmenter(config)(tj.load_scene(recording))

@@ -7,7 +7,7 @@ from torchjoint.config import STAGES, Config, PropagationConfig, RefinementConfi
 
 
 def test_presets_load_and_round_trip():
-    assert set(presets()) == {"default", "indoor", "learned", "tabletop", "lidar", "paper"}
+    assert set(presets()) == {"default", "regions", "indoor", "tabletop", "lidar", "paper"}
     for name in presets():
         config = Config.from_preset(name)
         assert Config.from_dict(yaml.safe_load(yaml.safe_dump(config.to_dict()))) == config
@@ -33,9 +33,9 @@ def test_the_paper_preset_is_the_letter():
 def test_each_preset_has_its_method_of_step_6():
     methods = {name: Config.from_preset(name).point_segments.method for name in presets()}
     assert methods == {
-        "default": "regions",
+        "default": "auto",
+        "regions": "regions",
         "indoor": "regions",
-        "learned": "learned",
         "tabletop": "regions",
         "lidar": "scan",
         "paper": "edges",
@@ -120,7 +120,7 @@ def test_yaml_errors_name_the_file(tmp_path):
 
 
 def test_unknown_preset():
-    with pytest.raises(ValueError, match=r"preset: expected one of default, indoor, learned, lidar, paper.*got 'nope'"):
+    with pytest.raises(ValueError, match=r"preset: expected one of default, indoor, lidar, paper, regions.*got 'nope'"):
         Config.from_preset("nope")
 
 

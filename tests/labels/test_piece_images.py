@@ -92,6 +92,6 @@ def test_neither_threads_nor_later_frames_matter(scene_of, result, set_threads):
 
 
 def test_other_methods_have_none(scene_of):
-    result = tj.JointSegmenter(tj.Config().set(["boundary.detector=gradient"]))(scene_of(3).scene)
+    result = tj.JointSegmenter(tj.Config.from_preset("regions").set(["boundary.detector=gradient"]))(scene_of(3).scene)
     assert result.hierarchy is None
     assert len(result.piece_images) == 0

@@ -197,13 +197,13 @@ class TestMethod:
 def test_the_model_of_the_package_finds_what_stands_on_a_table():
     """The whole way with the model that is shipped, on a generated scene that it was not trained on."""
     scene = tj.synthetic.make_domain_scene("table", 11, num_views=2).scene
-    segmenter = tj.JointSegmenter.from_preset("learned")
+    segmenter = tj.JointSegmenter()
     result = segmenter(scene)
     assert tj.metrics.mean_best_iou(result.points, scene.truth.points) > 0.5
-    again = tj.JointSegmenter.from_preset("learned")
+    again = tj.JointSegmenter()
     again.reset(scene.points, scene.colors)
     for frame in reversed(scene.frames):
         again.update(frame)
     assert torch.equal(result.points, again.compute(images=False).points)
-    bare = tj.JointSegmenter.from_preset("learned")(tj.Scene(scene.points))
+    bare = tj.JointSegmenter()(tj.Scene(scene.points))
     assert 1 < bare.num_point_segments < 200

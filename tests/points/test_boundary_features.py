@@ -196,7 +196,7 @@ def seen_by_learned(scene, order=None) -> tuple[tj.JointSegmenter, Evidence, Bou
     segmenter.update([scene.frames[index] for index in order or range(len(scene.frames))])
     graph = segmenter._require_graph()
     assert graph.scales is not None
-    evidence = gather_evidence(graph, graph.scales, segmenter.state, config)
+    evidence = gather_evidence(graph, graph.scales, segmenter.state, LEARNED)
     return segmenter, evidence, boundary_features(evidence, evidence.piece)
 
 
