@@ -22,8 +22,9 @@ from typing import NamedTuple
 import numpy as np
 import report
 import torch
-import torchjoint as tj
 from torch import Tensor
+
+import torchjoint as tj
 from torchjoint.benchmark.case import Case
 from torchjoint.benchmark.methods import METHODS
 from torchjoint.benchmark.search import Budget, run_scores, search

@@ -1,4 +1,4 @@
-"""The default has no unit: larger, smaller, sparser, noisier and moved scenes have the same or nearly the same segments."""
+"""The default has no unit: larger, sparser, noisier and moved scenes have the same or nearly the same segments."""
 
 from dataclasses import replace
 

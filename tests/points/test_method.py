@@ -125,7 +125,9 @@ class TestLine:
         assert ", normals given; step 6 by method learned" in self.line(caplog, AUTO, room.points, normals)
 
     def test_of_the_other_methods(self, caplog, room):
-        assert self.line(caplog, tj.Config.from_preset("regions"), room.points) == "points: 6000; step 6 by method regions"
+        assert (
+            self.line(caplog, tj.Config.from_preset("regions"), room.points) == "points: 6000; step 6 by method regions"
+        )
 
 
 def test_the_command_line_prints_it(run, tmp_path, capsys, shared):

@@ -14,7 +14,7 @@ from torchjoint.config import Config
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.scene import Scene
 from torchjoint.scene.thinning import voxel_subsample
-from torchjoint.synthetic import make_scene
+from torchjoint.synthetic import DOMAINS, make_domain_scene, make_scene
 from torchjoint.views.projection import in_any_view
 
 #: Metres between points of a single depth image after thinning.
@@ -103,6 +103,20 @@ def _make(seed: int, every: int) -> Scene:
     return scene.select_points(torch.arange(0, len(scene.points), every))  # the points are in random order
 
 
+def _domain(name: str) -> Suite:
+    """Generated scenes with built-in shapes; the model in the package was trained on other seeds, with other shapes."""
+
+    def scenes(seeds: range, _: Path | None) -> Scenes:
+        return {f"{name} {seed}": partial(_make_of_domain, name, seed) for seed in seeds}
+
+    tuning, checking = partial(scenes, range(20, 24)), partial(scenes, range(10, 14))
+    return Suite(name, f"generated scenes of the domain {name}", tuning, checking, Config(), needs_data=False)
+
+
+def _make_of_domain(name: str, seed: int) -> Scene:
+    return make_domain_scene(name, seed).scene
+
+
 def _load_thinned(path: Path) -> Scene:
     """Thins the cloud: neighbouring pixels of a depth camera are closer to each other than the depth noise."""
     scene = load_scene(path)
@@ -131,9 +145,10 @@ SUITES = {
             "kitti",
             "street LiDAR and one camera, the points in its view",
             _load_in_view,
-            Config().set(["visibility.depth_tolerance=0.3"]),
+            Config(),
             preset="lidar",
         ),
         _folder_suite("scannet", "rooms, up to 20 frames each", _load_some_frames, Config()),
+        *(_domain(name) for name in DOMAINS),
     )
 }

@@ -32,7 +32,24 @@ TABLE, SCORES, PICTURE, SETTINGS = "table.md", "scores.csv", "scores.png", "sett
 
 
 def benchmark(
-    suite: Annotated[Literal["synthetic", "sparse", "mosd", "kitti", "scannet"], tyro.conf.Positional],
+    suite: Annotated[
+        Literal[
+            "synthetic",
+            "sparse",
+            "mosd",
+            "kitti",
+            "scannet",
+            "table",
+            "shelf",
+            "bin",
+            "desk",
+            "kitchen",
+            "room",
+            "workshop",
+            "street",
+        ],
+        tyro.conf.Positional,
+    ],
     data: Path | None = None,
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     methods: tuple[str, ...] = (),
@@ -47,7 +64,7 @@ def benchmark(
     Each method uses one setting for all scenes.
 
     Args:
-        suite: kind of scenes.
+        suite: kind of scenes; the last eight are generated (`tj.synthetic.make_domain_scene`).
         data: folder of the data set; not needed for synthetic scenes.
         out: folder for table.md, scores.csv, scores.png, settings.yaml; default: benchmark-SUITE.
         methods: run only these methods; default: all.

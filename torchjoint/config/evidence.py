@@ -34,8 +34,8 @@ AFTERWARDS = {
 def evidence_config(config: Config) -> Config:
     """The config with the AFTERWARDS parameters at their defaults: two configs with equal results store the same."""
     default = Config().to_dict()
-    # Regions and edges store the same. Scan builds no graph, so it collects no evidence from images. Learned chooses the
-    # neighbours of the graph itself. Auto is one of these two.
+    # Regions and edges store the same. Scan builds no graph, so it collects no evidence from images. Learned chooses
+    # the neighbours of the graph itself. Auto is one of these two.
     method = config.point_segments.method
     default["point_segments"]["method"] = "regions" if method == "edges" else method
     return config.replace(

@@ -141,7 +141,9 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
     return Evidence(
         piece,
         torch.stack([key // num_pieces, key % num_pieces]),
-        BoundaryEdges(pair, crease, bend, wide_bend, offset, larger_offset, gap, unoriented, color, overlap, strength, views),
+        BoundaryEdges(
+            pair, crease, bend, wide_bend, offset, larger_offset, gap, unoriented, color, overlap, strength, views
+        ),
         statistics_of_points(piece, graph.points, planes.normal, scales.noise, scales.spacing, lab),
         None if median is None else max(median, SMALLEST_TYPICAL),
         segments_of_pieces(piece, observations) if observations else None,
@@ -176,7 +178,14 @@ def _geometry(
     noise = torch.maximum(scales.noise[i], scales.noise[j])
     spacing = torch.maximum(scales.spacing[i], scales.spacing[j])
     gap = length(rows_of(graph.points, j) - rows_of(graph.points, i)) / spacing
-    return crease, bend, wide_bend, torch.minimum(off_one, off_other) / noise, torch.maximum(off_one, off_other) / noise, gap
+    return (
+        crease,
+        bend,
+        wide_bend,
+        torch.minimum(off_one, off_other) / noise,
+        torch.maximum(off_one, off_other) / noise,
+        gap,
+    )
 
 
 def _to_lab(colors: Tensor) -> Tensor:

@@ -41,8 +41,8 @@ def working_cloud(cloud: Scene) -> WorkingCloud:
     """
     scales = measure_scales(cloud.points)
     needed = float((NEIGHBORS_PER_NOISE * scales.noise / scales.spacing).median())
-    # The mean of n points has 1 / sqrt(n) of their noise, and a cell f spacings wide has f^2 points. So noise / spacing,
-    # and with it the neighbours that are needed, fall with the square of f.
+    # The mean of n points has 1 / sqrt(n) of their noise, and a cell f spacings wide has f^2 points. So noise /
+    # spacing, and with it the neighbours that are needed, fall with the square of f.
     width = min(needed / WANTED_NEIGHBORS, len(cloud.points) / LEAST_POINTS) ** 0.5
     side = width * float(scales.spacing.median())
     extent = (cloud.points.amax(0) - cloud.points.amin(0)).double()

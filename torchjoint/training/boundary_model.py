@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -125,9 +126,7 @@ def fit_boundary_model(
                     regions.append(evidence.piece)
                 else:
                     up_to = [merge_up_to for index, merge_up_to in steps if index == number - 1]
-                    regions[i] = _merged(
-                        evidence, regions[i], before[i], up_to, lambda values, i=i: judge(i, number - 1, values)
-                    )
+                    regions[i] = _merged(evidence, regions[i], before[i], up_to, partial(judge, i, number - 1))
                 boundaries.append(boundary_examples(evidence, regions[i], instance))
         samples = [draw_sample(one, rng, options) for one in boundaries]
         *of_parts, final = _fit_all(samples, fold, parts, options, f"{name}: trees" if progress else None)
