@@ -5,7 +5,7 @@ import torch
 
 import torchjoint as tj
 from torchjoint.points import segments
-from torchjoint.points.agglomeration import COARSER, HEIGHT_STEP, build_hierarchy, merge_by_probability
+from torchjoint.points.agglomeration import COARSER, HEIGHT_STEP, build_hierarchy, merge_by_probability, merging_steps
 from torchjoint.points.boundary_features import FEATURE_NAMES, boundary_features
 from torchjoint.points.boundary_model import load_boundary_model
 from torchjoint.points.evidence import gather_evidence
@@ -85,8 +85,8 @@ class TestRounds:
         model = ByCrease(0.1, 0.2, 0.3)
         build_hierarchy(evidence, model)
         numbers, boundaries = zip(*model.asked, strict=True)
-        assert numbers[:5] == (0, 1, 2, 2, 2)
-        assert set(numbers[5:]) <= {2}
+        assert numbers[:7] == (0, 0, 1, 1, 2, 2, 2)
+        assert set(numbers[7:]) <= {2}
         assert list(boundaries) == sorted(boundaries, reverse=True)
         assert boundaries[0] == evidence.pairs.shape[1]
 
@@ -94,21 +94,20 @@ class TestRounds:
     def test_the_default_level_is_the_rounds(self, evidence, thresholds):
         model = ByCrease(*thresholds)
         hierarchy = build_hierarchy(evidence, model)
-        rounds = [*enumerate(thresholds), (len(thresholds) - 1, thresholds[-1])]
-        assert torch.equal(hierarchy.at(), after_rounds(evidence, model, *rounds))
+        assert torch.equal(hierarchy.at(), after_rounds(evidence, model, *merging_steps(thresholds)))
         assert hierarchy.default == max(thresholds)
 
     def test_the_default_level_is_the_rounds_of_the_package_s_model(self, evidence):
         model = load_boundary_model()
-        rounds = [*enumerate(model.thresholds), (3, 0.5)]
-        assert torch.equal(build_hierarchy(evidence, model).at(0.5), after_rounds(evidence, model, *rounds))
+        steps = [(0, 0.075), (0, 0.15), (1, 0.2), (1, 0.25), (2, 0.3), (2, 0.35), (3, 0.425), (3, 0.5), (3, 0.5)]
+        assert torch.equal(build_hierarchy(evidence, model).at(0.5), after_rounds(evidence, model, *steps))
 
     def test_a_cut_at_a_threshold_is_the_state_after_its_round(self, evidence):
         model = ByCrease(0.1, 0.2, 0.3)
         hierarchy = build_hierarchy(evidence, model)
-        rounds = [(0, 0.1), (1, 0.2), (2, 0.3), (2, 0.3), *((2, threshold) for threshold in COARSER)]
+        rounds = [*merging_steps(model.thresholds), *((2, threshold) for threshold in COARSER)]
         for last, (_, threshold) in enumerate(rounds):
-            if last != 2:  # the second run of a round goes on below the same threshold
+            if last != 5:  # the second run of a step goes on below the same threshold
                 expected = after_rounds(evidence, model, *rounds[: last + 1])
                 assert torch.equal(hierarchy.cut(threshold), expected)
 
@@ -140,7 +139,8 @@ class TestRounds:
         model = ByCrease(1.0, 1.0, 1.0)
         labels = build_hierarchy(evidence, model).at()
         assert boundary_features(evidence, labels).pairs.shape[1] == 0
-        assert len(model.asked) == 1
+        assert model.asked[-1][1] < evidence.pairs.shape[1]  # halfway, some boundaries are left
+        assert len(model.asked) == 2
 
 
 class TestMethod:

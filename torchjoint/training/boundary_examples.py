@@ -160,6 +160,7 @@ def boundary_examples(evidence: Evidence, region: Tensor, instance: Tensor) -> B
     weight = purity[a] * purity[b]
     has_majority = known > LEAST_KNOWN * size
     weight = weight * (has_majority[a] & has_majority[b])
+    # Small things count as much as large ones: the score of a segmentation counts them alike, too.
     # Large scenes count more than small ones, but less than in proportion to their boundaries.
     weight *= math.sqrt(int((weight > 0).sum())) / max(float(weight.sum()), 1e-9)
     return BoundaryExamples(pairs, values, (majority[a] != majority[b]).numpy(), weight.numpy())
