@@ -5,7 +5,7 @@
 For each kind of data and each training seed, a model is trained on all other kinds, and scored on scenes of the kind
 that it never saw, at the threshold of .5. Beside it: the model that saw scenes of all kinds, the same without images,
 the presets, and the common methods without learning, each at the best setting that a search finds on other scenes of
-the very kind that it is scored on. WORK keeps what is done, so that an interrupted run continues. The tables are
+the very kind that it is scored on. Also: the final images beside the initial ones. WORK keeps what is done, so that an interrupted run continues. The tables are
 written to benchmarks/README.md. Without 3D models, the generated scenes have built-in shapes only.
 """
 
@@ -28,7 +28,7 @@ import torchjoint as tj
 from torchjoint.benchmark.case import Case
 from torchjoint.benchmark.methods import METHODS
 from torchjoint.benchmark.search import Budget, run_scores, search
-from torchjoint.evaluation.scores import score
+from torchjoint.evaluation.scores import score, score_images
 from torchjoint.points.agglomeration import build_hierarchy
 from torchjoint.points.boundary_model import BoundaryModel
 from torchjoint.runtime.files import write_text
@@ -74,7 +74,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5, help="training seeds of each left-out model")
     parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--steps", type=int, default=4)
-    parser.add_argument("--part", choices=("all", "left-out", "others", "tables"), default="all")
+    parser.add_argument("--part", choices=("all", "left-out", "others", "images", "tables"), default="all")
     arguments = parser.parse_args()
     work: Path = arguments.work
     work.mkdir(parents=True, exist_ok=True)
@@ -88,6 +88,9 @@ def main() -> None:
     if arguments.part in ("all", "others"):
         for kind in kinds:
             score_others(work, kind, arguments)
+    if arguments.part in ("all", "images"):
+        for kind in kinds:
+            score_final_images(work, kind, arguments)
     write_tables(work, kinds)
 
 
@@ -218,6 +221,24 @@ def score_others(work: Path, kind: str, arguments: argparse.Namespace) -> None:
     print(kind, {name: np.mean(values, 0).round(3).tolist() for name, values in rows.items()}, flush=True)
 
 
+def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> None:
+    """Scores the default's final images, beside its initial images."""
+    done = work / f"images-{kind}.json"
+    if done.is_file():
+        return
+    rows: dict[str, list[tuple[float, float]]] = {"initial": [], "final": []}
+    for named in scenes(kind, "scoring", arguments):
+        scene = named.load()
+        result = tj.JointSegmenter()(scene)
+        assert scene.truth is not None
+        for name, images in zip(rows, (result.initial_images, result.images), strict=True):
+            judged = score_images(images, scene.truth.images)
+            if judged is not None:
+                rows[name].append((judged.f, judged.best_iou))
+    write_text(done, json.dumps(rows))
+    print(kind, {name: np.mean(values, 0).round(3).tolist() for name, values in rows.items()}, flush=True)
+
+
 def write_tables(work: Path, kinds: Sequence[str]) -> None:
     """Writes the tables of what has been scored so far to benchmarks/README.md."""
     packaged = json.loads((work / "packaged.json").read_text())
@@ -240,6 +261,17 @@ def write_tables(work: Path, kinds: Sequence[str]) -> None:
         cells += [f"{_both(others[simple][None])} ({simple})", _difference(gain)]
         rows.append(cells)
     report.write_part("domains", report.table(columns, rows))
+    rows = []
+    for kind in kinds:
+        if not (work / f"images-{kind}.json").is_file():
+            continue
+        of_images = {n: np.array(v) for n, v in json.loads((work / f"images-{kind}.json").read_text()).items()}
+        initial, final = of_images.values()
+        in_3d = [np.array(packaged[kind][name]) for name in ("default", "default, no images")]
+        cells = [f"{TITLES.get(kind, kind)}, {len(initial)}", *(_both(scores[None]) for scores in (initial, final))]
+        rows.append([*cells, _difference(final - initial), _difference(in_3d[0] - in_3d[1])])
+    columns = ["kind of data, scenes", "initial images", "final images", "final - initial"]
+    report.write_part("images or not", report.table([*columns, "3D: with - without images"], rows))
 
 
 def _both(scores: np.ndarray) -> str:
