@@ -5,8 +5,9 @@
 For each kind of data and each training seed, a model is trained on all other kinds, and scored on scenes of the kind
 that it never saw, at the threshold of .5. Beside it: the model that saw scenes of all kinds, the same without images,
 the presets, and the common methods without learning, each at the best setting that a search finds on other scenes of
-the very kind that it is scored on. Also: the final images beside the initial ones. WORK keeps what is done, so that an interrupted run continues. The tables are
-written to benchmarks/README.md. Without 3D models, the generated scenes have built-in shapes only.
+the very kind that it is scored on. Also: the final images beside the initial ones. WORK keeps what is done, so that
+an interrupted run continues. The tables are written to benchmarks/README.md. Without 3D models, the generated scenes
+have built-in shapes only.
 """
 
 from __future__ import annotations
