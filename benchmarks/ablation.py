@@ -6,11 +6,13 @@ stage. Differences are paired by scene, so that they have standard errors.
 
 import argparse
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from statistics import fmean
-from typing import NamedTuple
+from typing import Any, NamedTuple
+from unittest import mock
 
 import report
 import suite_arguments
@@ -22,7 +24,7 @@ from torchjoint.benchmark.run import compare
 from torchjoint.benchmark.settings import read_settings
 from torchjoint.benchmark.space import Setting
 from torchjoint.benchmark.suites import Suite
-from torchjoint.config import Config
+from torchjoint.config import Config, RegionsConfig
 from torchjoint.evaluation.table import Row, markdown, standard_error, write_csv
 
 #: A weight without effect on decisions, but not 0, which would switch off the images: agreement and image support stay.
@@ -36,17 +38,29 @@ class Switch(NamedTuple):
     off: Setting
     on: Setting | None = None
     changes_points: bool = True
+    constants: Mapping[
+        str, Any
+    ] = {}  #: changed in addition, by their names in the package: "points.segments.MIN_PIECE"
 
 
 IMAGE_LABELS = tuple(
-    Switch(title, {f"refinement.{name}": value for name, value in off.items()}, changes_points=False)
-    for title, off in (
-        ("geodesic label propagation (cuts, as in the paper)", {"method": "cuts"}),
-        ("colours and boundaries in label propagation (nearest point)", {"color_weight": 0, "boundary_weight": 0}),
-        ("colours in label propagation", {"color_weight": 0}),
-        ("boundaries in label propagation", {"boundary_weight": 0}),
-        ("removal of specks in images", {"min_points": 1}),
-        ("separate ids for unseen image segments", {"unseen": 1e9}),
+    Switch(
+        title,
+        {f"refinement.{name}": value for name, value in off.items()},
+        changes_points=False,
+        constants={f"labels.geodesic.{name}": value for name, value in constants.items()},
+    )
+    for title, off, constants in (
+        ("geodesic label propagation (cuts, as in the paper)", {"method": "cuts"}, {}),
+        ("colours and boundaries in label propagation (nearest point)", {"color_weight": 0}, {}),
+        (  # boundaries keep their cost of 50
+            "colours in label propagation",
+            {"color_weight": NEXT_TO_NOTHING},
+            {"BOUNDARY_SHARE": 50 / NEXT_TO_NOTHING},
+        ),
+        ("boundaries in label propagation", {}, {"BOUNDARY_SHARE": 0}),
+        ("removal of specks in images", {}, {"MIN_POINTS": 1}),
+        ("separate ids for unseen image segments", {}, {"UNSEEN": 1e9}),
     )
 )
 REGIONS = (
@@ -58,13 +72,19 @@ REGIONS = (
     Switch("image support", {"image_support.min_size": 0}, {"image_support.min_size": 500}),
     Switch("occlusion bridging", {"occlusion_bridging.min_votes": None}, {"occlusion_bridging.min_votes": 4}),
     Switch("convexity in region merging", {"point_graph.convex_factor": 1}),
-    Switch("small regions (planes are those of all neighbours)", {"regions.scale": 0}),
+    Switch(
+        "small regions (planes are those of all neighbours)",
+        {},
+        constants={"points.segments.SMOOTH_REGIONS": RegionsConfig(scale=0)},
+    ),
     *IMAGE_LABELS,
 )
 SCAN = (
     Switch("growth of the ground over what nothing rises from", {"scan.object_height": 0}),
-    Switch("removal of bumps from the ground", {"scan.max_bump": 1e3}),
-    Switch("the distance limit for joining small segments", {"scan.joining_gap": 1e6}),
+    Switch("removal of bumps from the ground", {}, constants={"points.lidar.ground.MAX_BUMP": 1e3}),
+    Switch(
+        "the distance limit for joining small segments", {}, constants={"points.lidar.scan_segments.JOINING_GAP": 1e6}
+    ),
     Switch("joining of small segments", {"scan.min_size": 0}),
     Switch("growth of the gap with distance", {"scan.gap_growth": 0}),
     *IMAGE_LABELS,
@@ -103,21 +123,27 @@ def variants(suite: Suite) -> tuple[list[Method], Mapping[str, Setting]]:
     """Returns the full method and its ablations, each with its setting; ablations without any effect are left out."""
     preset = Config.from_preset(suite.preset)
     switches = SCAN if preset.point_segments.method == "scan" else REGIONS
-    found = {preset: Method("joint", f"full method, preset {suite.preset}", joint)}
+    found = {(preset, ""): Method("joint", f"full method, preset {suite.preset}", joint)}
     for switch in switches:
         off, on = changed(preset, switch.off), changed(preset, switch.on or {})
-        config, word, setting = (off, "without", switch.off) if off != preset else (on, "with", switch.on or {})
-        if config not in found:
+        is_off = off != preset or switch.constants
+        config, word, setting = (off, "without", switch.off) if is_off else (on, "with", switch.on or {})
+        key = config, str(switch.constants or "")
+        if key not in found:
             like = None if switch.changes_points else "joint"
-            found[config] = Method(switch.title, f"{word} {switch.title}", partial(_run, setting), like=like)
+            run = partial(_run, setting, switch.constants)
+            found[key] = Method(switch.title, f"{word} {switch.title}", run, like=like)
     # The rest sees the scene differently. Only the views of the last config are cached, so the rest comes at the end.
     tuned = read_settings(suite.tuned_as or suite.name).get("edges", {})
     title = f"without {preset.point_segments.method} (edges, as in the paper, at their best setting)"
     return [*found.values(), replace(METHODS["edges"], title=title)], {"edges": tuned}
 
 
-def _run(setting: Setting, case: Case, _: Setting, images: bool) -> Result:
-    return joint(case, setting, images)
+def _run(setting: Setting, constants: Mapping[str, Any], case: Case, _: Setting, images: bool) -> Result:
+    with ExitStack() as stack:
+        for name, value in constants.items():
+            stack.enter_context(mock.patch(f"torchjoint.{name}", value))
+        return joint(case, setting, images)
 
 
 def table(rows: Sequence[Row], methods: Sequence[Method], suite: Suite, half: str) -> str:

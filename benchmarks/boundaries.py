@@ -18,7 +18,7 @@ import report
 import torch
 from torch import nn
 
-from torchjoint.config import BoundaryConfig, ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
+from torchjoint.config import BoundaryConfig, ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.datasets.bsds import BsdsImage, bsds_images
 from torchjoint.evaluation.boundary_scores import evaluate_predictions
 from torchjoint.evaluation.region_scores import RegionScores, RegionSetting, evaluate_regions
@@ -133,15 +133,15 @@ def draw(count: int, way: str, seed: int = 0) -> list[RegionSetting]:
     for _ in range(count):
         min_size = round(between(500, 3000))
         if way == "colours":
-            contours = ContoursConfig(closed=False)
+            contours = None
             graph = ImageGraphConfig(float(random.choice([0.8, 1.0])), color_weight=1.0, boundary_weight=0.0)
             scale = between(1.5, 4.5)
         elif way == "boundaries":
-            contours = ContoursConfig(closed=False)
+            contours = None
             graph = ImageGraphConfig(0.8, color_weight=between(0.3, 30), boundary_weight=1.0)
             scale = graph.color_weight * between(1.5, 10)
         else:
-            contours = ContoursConfig(True, float(random.choice([1.0, 1.5, 2.0])), float(random.choice([2, 3])))
+            contours = float(random.choice([1.0, 1.5, 2.0])), float(random.choice([2, 3]))
             graph = ImageGraphConfig(0.8, color_weight=between(0.03, 0.25), boundary_weight=1.0)
             scale = graph.color_weight * between(50, 1500)
         settings.append(RegionSetting(contours, graph, ImageSegmentsConfig(scale, min_size)))
@@ -154,7 +154,7 @@ def chosen(settings: Sequence[RegionSetting], scores: Sequence[RegionScores]) ->
 
 def described(setting: RegionSetting) -> str:
     contours, graph, segments = setting
-    closed = f"exponent {contours.exponent:g}, smoothing {contours.smoothing:g}; " if contours.closed else ""
+    closed = "" if contours is None else f"exponent {contours[1]:g}, smoothing {contours[0]:g}; "
     return (
         f"{closed}color_weight {graph.color_weight:g}, boundary_weight {graph.boundary_weight:g}, "
         f"smoothing {graph.smoothing:g}, scale {segments.scale:.3g}, min_size {segments.min_size}"

@@ -25,19 +25,13 @@ DOCS = Path(__file__).parent.parent / "docs"
 
 IMAGE_LABELS = {
     "refinement.color_weight": (0, 25, 50, 100, 200, 400),
-    "refinement.boundary_weight": (0, 10, 25, 50, 100, 200),
-    "refinement.min_points": (1, 2, 3, 5),
-    "refinement.unseen": (1, 10, 30, 100, 1000),
 }
 REGIONS = {
     "propagation.weight": (0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.2),
     "propagation.overlap_threshold": (0.3, 0.5, 0.6, 0.7, 0.8, 0.9),
     "propagation.window": (1, 3, 5, 7, 11),
     "image_segments.scale": (0.5, 1, 3, 6, 12, 30),
-    "regions.scale": (0, 0.001, 0.003, 0.01, 0.03, 0.1),
-    "regions.min_size": (2, 3, 5, 8, 15, 30, 60),
     "pieces.threshold": (None, 0.01, 0.02, 0.05, 0.1, 0.2),
-    "pieces.min_size": (2, 5, 15, 30, 60),
     "region_merging.threshold": (0.15, 0.2, 0.3, 0.35, 0.45, 0.5, 0.6),
     "region_merging.agreement": (0, 0.2, 0.4, 0.6, 0.8, 1),
     "region_merging.min_size": (3, 5, 15, 50, 150, 300, 600),
@@ -45,22 +39,13 @@ REGIONS = {
     "image_support.overlap": (0.3, 0.5, 0.6, 0.7, 0.8, 0.9),
     "point_graph.neighbors": (8, 12, 16, 24, 32),
     "point_graph.normal_neighbors": (15, 20, 30, 45, 60, 80),
-    "point_graph.plane_neighbors": (10, 20, 30, 45, 60, 80),
     "point_graph.convex_factor": (0, 0.02, 0.05, 0.1, 0.2, 0.4, 1),
 }
 SCAN = {
-    "scan.azimuth_cell": (0.5, 1, 2, 3, 4, 8),
-    "scan.elevation_cell": (0.2, 0.3, 0.4, 0.6, 1, 2),
-    "scan.max_slope": (3, 5, 7, 10, 15, 25),
-    "scan.max_step": (0, 0.02, 0.05, 0.1, 0.2),
-    "scan.max_bump": (0.05, 0.1, 0.2, 0.4, 1),
-    "scan.ground_height": (0.05, 0.07, 0.1, 0.15, 0.2, 0.3),
     "scan.object_height": (0, 0.15, 0.2, 0.25, 0.3, 0.4),
-    "scan.neighbors": (4, 8, 12, 16, 24),
     "scan.gap": (0.05, 0.1, 0.2, 0.3, 0.5, 0.8),
     "scan.gap_growth": (0, 0.01, 0.015, 0.02, 0.03, 0.05),
     "scan.min_size": (0, 5, 10, 15, 25, 50),
-    "scan.joining_gap": (1, 1.5, 2, 3, 5, 10),
 }
 
 

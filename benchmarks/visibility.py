@@ -7,6 +7,7 @@ the truly hidden points that a method calls visible.
 """
 
 import time
+from unittest import mock
 
 import report
 import torch
@@ -14,16 +15,16 @@ import torch
 import torchjoint as tj
 from torchjoint.config import VisibilityConfig
 from torchjoint.points.neighbors import nearest_neighbors
+from torchjoint.views import visibility
 from torchjoint.views.projection import project
-from torchjoint.views.visibility import visible_points
 
 SEEDS = range(3)
+#: By name: the config, and the factor on the radius of hidden point removal's sphere.
 METHODS = {
-    f"z-buffer, footprint {footprint:g}": VisibilityConfig(footprint=footprint) for footprint in (0.5, 1.0, 1.5, 2.0)
+    f"z-buffer, footprint {footprint:g}": (VisibilityConfig(footprint=footprint), visibility.RADIUS_FACTOR)
+    for footprint in (0.5, 1.0, 1.5, 2.0)
 } | {
-    f"hidden point removal, radius_factor {factor:g}": VisibilityConfig(
-        method="hidden_point_removal", radius_factor=factor
-    )
+    f"hidden point removal, radius_factor {factor:g}": (VisibilityConfig(method="hidden_point_removal"), factor)
     for factor in (0.001, 0.01, 0.1)
 }
 
@@ -39,10 +40,11 @@ def main() -> None:
         for frame, exact in zip(noisy.scene.frames, clean.scene.frames, strict=True):
             num_frames += 1
             near_edge = _near_depth_edge(exact.depth)
-            for name, config in METHODS.items():
+            for name, (config, factor) in METHODS.items():
                 camera = (frame.intrinsics, frame.world_to_camera, frame.size, config)
                 start = time.perf_counter()
-                visible = visible_points(noisy.scene.points, spacing, *camera)
+                with mock.patch.object(visibility, "RADIUS_FACTOR", factor):
+                    visible = visibility.visible_points(noisy.scene.points, spacing, *camera)
                 seconds[name] += time.perf_counter() - start
                 seen = torch.zeros(len(noisy.scene.points), dtype=torch.bool)
                 seen[visible.point] = True

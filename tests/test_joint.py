@@ -8,9 +8,11 @@ import torch
 from torch import nn
 
 import torchjoint as tj
+from torchjoint.points import segments
 from torchjoint.points.lidar.scan_segments import segment_scan
 from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.points.normals import estimate_normals
+from torchjoint.points.regions import SmoothRegions
 from torchjoint.results.checkpoint import Checkpoint, run_key
 from torchjoint.views.pose_check import NUM_FRAMES, PoseWarning
 
@@ -320,10 +322,11 @@ class TestEdges:
         with pytest.raises(ValueError, match="points: expected finite values, got 1 NaN"):
             tj.JointSegmenter(CONFIG).reset(points)
 
-    def test_given_normals_are_used(self, synthetic):
+    def test_given_normals_are_used(self, synthetic, monkeypatch):
+        monkeypatch.setattr(segments, "SMOOTH_REGIONS", SmoothRegions(scale=0))  # each point keeps its normal
         points = synthetic.scene.points
         flat = torch.tensor([0.0, 0.0, 1.0]).expand(len(points), -1)
-        config = CONFIG.set(["propagation.weight=0", "regions.scale=0", "region_merging.min_size=0"])
+        config = CONFIG.set(["propagation.weight=0", "region_merging.min_size=0"])
         result = tj.JointSegmenter(config)(tj.Scene(points, normals=flat))
         assert result.num_point_segments < 10  # all is flat: the segments are the graph's components
 

@@ -20,9 +20,9 @@ PUBLIC = {
     "torchjoint.config": """
         DETECTORS STAGES BoundaryConfig Config ContoursConfig ImageGraphConfig ImageSegmentsConfig
         ImageSupportConfig OcclusionBridgingConfig PiecesConfig PointGraphConfig PointSegmentsConfig
-        PropagationConfig RefinementConfig RegionMergingConfig RegionsConfig ScanConfig SuperpointsConfig
-        VisibilityConfig evidence_config evidence_differences parameter_table presets read_assignment read_preset
-        read_yaml superpoint_presets superpoint_table
+        PropagationConfig RefinementConfig RegionMergingConfig ScanConfig SuperpointsConfig
+        VisibilityConfig evidence_config evidence_differences marked_parameters marked_table parameter_table presets
+        read_assignment read_preset read_yaml superpoint_presets superpoint_table
     """,
     "torchjoint.scene": "Frame Hierarchy LabelImages Scene Segmentation Truth",
     "torchjoint.ops": """

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import torchjoint as tj
-from torchjoint.config import parameter_table, superpoint_table
+from torchjoint.config import marked_table, parameter_table, superpoint_table
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -16,6 +16,11 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 def between(name):
     return re.search(rf"<!-- {name} -->\n(.*?)<!-- end {name} -->", README, flags=re.DOTALL)[1].strip()
+
+
+def test_the_table_of_marked_parameters_is_the_code_s():
+    """If not: `torchjoint parameters` prints it first."""
+    assert between("marked parameters") == marked_table().strip()
 
 
 def test_the_table_of_parameters_is_the_code_s():

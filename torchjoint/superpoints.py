@@ -141,7 +141,9 @@ def _segment(cloud: Cloud, config: SuperpointsConfig) -> Tensor:
     if not oriented:  # convex and concave edges cannot be told apart, so do not test
         config = config.replace({"convex_factor": 1.0})
     all_oriented = torch.full((len(cloud.points),), oriented)
-    weights = geometric_weights(cloud.points, edges, normals, all_oriented, config.point_graph, cloud.colors, turn)
+    weights = geometric_weights(
+        cloud.points, edges, normals, all_oriented, config.point_graph, cloud.colors, turn, config.angle_weight
+    )
     return ops.felzenszwalb(edges, weights, len(cloud.points), config.scale, config.min_size)
 
 

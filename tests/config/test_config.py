@@ -69,8 +69,8 @@ def test_each_preset_has_its_method_of_step_6():
         ({"region_merging": {"threshold": None}}, r"region_merging\.threshold: expected float, got null"),
         ({"image_support": {"overlap": -0.1}}, r"image_support\.overlap: expected >= 0, got -0\.1"),
         ({"occlusion_bridging": {"min_votes": 0}}, r"occlusion_bridging\.min_votes: expected >= 1, got 0"),
-        ({"occlusion_bridging": {"depth_step": 0}}, r"occlusion_bridging\.depth_step: expected > 0, got 0"),
-        ({"regions": {"min_size": 2.5}}, r"regions\.min_size: expected a whole number, got 2\.5"),
+        ({"visibility": {"depth_tolerance": 0}}, r"visibility\.depth_tolerance: expected > 0, got 0"),
+        ({"region_merging": {"min_size": 2.5}}, r"region_merging\.min_size: expected a whole number, got 2\.5"),
         ({"point_graph": {"neighbors": 0}}, r"point_graph\.neighbors: expected >= 1, got 0"),
     ],
 )

@@ -6,11 +6,13 @@ This module has no `from __future__ import annotations`, as a user's own may not
 import dataclasses
 import re
 from dataclasses import dataclass
+from importlib import import_module
 
 import pytest
 
-from torchjoint.config import STAGES, Config, SuperpointsConfig
+from torchjoint.config import STAGES, Config, SuperpointsConfig, marked_parameters, marked_table, parameter_table
 from torchjoint.config.parameter import Stage, parameter
+from torchjoint.config.removed import REMOVED
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,24 @@ def test_a_default_is_sensible(name):
 
 
 def test_most_ranges_are_numbers():
-    assert sum(sensible_range(spec) is not None for spec in PARAMETERS.values()) > 40
+    assert sum(sensible_range(spec) is not None for spec in PARAMETERS.values()) > 20
+
+
+def test_there_are_not_too_many():
+    assert sum(len(dataclasses.fields(stage)) for stage in STAGES.values()) <= 40
+
+
+def test_those_that_a_user_turns():
+    assert len(marked_parameters()) == 5
+    for name in marked_parameters():
+        meta = PARAMETERS[name].metadata
+        assert meta["too_low"]
+        assert meta["too_high"]
+        assert meta["sensible"]
+        assert f"| `{name}` | {PARAMETERS[name].default} |" in marked_table()
+        assert f"| `{name.partition('.')[2]}` |" in parameter_table()
+    others = [spec.metadata for name, spec in PARAMETERS.items() if name not in marked_parameters()]
+    assert not any(meta["too_low"] or meta["too_high"] for meta in others)
 
 
 OLD_STAGES = {
@@ -93,6 +112,32 @@ OLD_STAGES = {
     "confirmation": "image_support",
     "sweep": "scan",
 }
+
+
+class TestRemoved:
+    @pytest.mark.parametrize("name", [name for name in REMOVED if "." in name])
+    def test_parameters(self, tmp_path, name):
+        stage, _, parameter_name = name.partition(".")
+        message = rf"{stage}\.{parameter_name}: this parameter {re.escape(REMOVED[name])}$"
+        with pytest.raises(ValueError, match=f"^{message}"):
+            Config().set([f"{name}=1"])
+        file = tmp_path / "mine.yaml"
+        file.write_text(f"{stage}: {{{parameter_name}: 1}}\n")
+        with pytest.raises(ValueError, match=rf"mine\.yaml: {message}"):
+            Config.from_yaml(file)
+        assert name not in PARAMETERS
+
+    @pytest.mark.parametrize("stage", [name for name in REMOVED if "." not in name])
+    def test_stages(self, stage):
+        for parameters in ({}, {"scale": 1}):
+            with pytest.raises(ValueError, match=rf"^{stage}: this stage {re.escape(REMOVED[stage])}$"):
+                Config.from_dict({stage: parameters})
+        assert stage not in STAGES
+
+    @pytest.mark.parametrize("name", [name for name, reason in REMOVED.items() if "torchjoint/" in reason])
+    def test_constants_are_where_the_message_says(self, name):
+        constant, file = re.search(r"(\w+) in torchjoint/(\S+)\.py$", REMOVED[name]).groups()
+        assert hasattr(import_module(f"torchjoint.{file.replace('/', '.')}"), constant)
 
 
 class TestOldNames:

@@ -5,7 +5,7 @@ import pytest
 import torch
 from bsds_files import write_bsds
 
-from torchjoint.config import ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
+from torchjoint.config import ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.datasets.bsds import bsds_images
 from torchjoint.evaluation.region_scores import (
     WITH_BOUNDARIES,
@@ -34,8 +34,8 @@ def test_boundaries_tell_apart_what_colours_do_not(tmp_path):
     line = torch.zeros(40, 60)
     line[:, 29:31] = 1
     segments = ImageSegmentsConfig(scale=1.0, min_size=100)
-    blind = RegionSetting(ContoursConfig(), ImageGraphConfig(color_weight=0.0, boundary_weight=0.0), segments)
-    seeing = RegionSetting(ContoursConfig(), ImageGraphConfig(color_weight=0.0, boundary_weight=1.0), segments)
+    blind = RegionSetting((1.0, 3.0), ImageGraphConfig(color_weight=0.0, boundary_weight=0.0), segments)
+    seeing = RegionSetting((1.0, 3.0), ImageGraphConfig(color_weight=0.0, boundary_weight=1.0), segments)
     without, with_ = evaluate_regions(lambda record: line * (record.name == "b"), records, [blind, seeing])
     assert without == ((1 + 0.5) / 2, (1 + 0.5) / 2, without.f, 1)
     assert with_.covering > 0.95

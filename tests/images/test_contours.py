@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.config import ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
+from torchjoint.config import ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.images.contours import close_contours
 from torchjoint.images.pixel_graph import segment_image
 from torchjoint.images.segmenter import ImageSegmenter
@@ -29,7 +29,7 @@ def test_the_segmentation_does_not_leak_and_has_no_band():
     open_ = segment_image(image, boundary, graph, segments)
     assert open_[inside] == open_[outside]
     assert open_[band] != open_[inside]
-    closed = segment_image(image, close_contours(boundary[None], ContoursConfig())[0], graph, segments)
+    closed = segment_image(image, close_contours(boundary[None])[0], graph, segments)
     assert closed[inside] != closed[outside]
     assert len(closed.unique()) == 2
 
@@ -38,7 +38,7 @@ def test_strength_is_the_mean_to_the_power():
     boundary = torch.zeros(1, 20, 30)
     boundary[:, :, 14] = 0.5
     for exponent in (1.0, 2.0):
-        contours = close_contours(boundary, ContoursConfig(smoothing=1.0, exponent=exponent))
+        contours = close_contours(boundary, smoothing=1.0, exponent=exponent)
         assert contours.max().item() == pytest.approx(0.5**exponent, abs=1e-4)
         assert (contours > 0).sum() == 40
 
@@ -46,23 +46,23 @@ def test_strength_is_the_mean_to_the_power():
 def test_images_are_independent():
     generator = torch.Generator().manual_seed(0)
     boundaries = torch.rand(3, 30, 41, generator=generator)
-    together = close_contours(boundaries, ContoursConfig())
-    assert torch.equal(together, torch.cat([close_contours(one[None], ContoursConfig()) for one in boundaries]))
+    together = close_contours(boundaries)
+    assert torch.equal(together, torch.cat([close_contours(one[None]) for one in boundaries]))
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (5, 1), (2, 2), (0, 4)])
 @pytest.mark.parametrize("value", [0.0, 1.0])
 def test_any_size_and_nothing_to_see(size, value):
-    contours = close_contours(torch.full((2, *size), value), ContoursConfig())
+    contours = close_contours(torch.full((2, *size), value))
     assert contours.shape == (2, *size)
     assert not contours.any()
 
 
 def test_errors():
     with pytest.raises(ValueError, match=r"boundaries: expected shape \[B, H, W\], got \[3, 4\]"):
-        close_contours(torch.zeros(3, 4), ContoursConfig())
+        close_contours(torch.zeros(3, 4))
     with pytest.raises(ValueError, match=r"boundaries: expected numbers in \[0, 1\], got others in image 0"):
-        close_contours(torch.full((1, 3, 4), 2.0), ContoursConfig())
+        close_contours(torch.full((1, 3, 4), 2.0))
 
 
 class Outline(torch.nn.Module):

@@ -8,6 +8,7 @@ from torch import Tensor
 from torchjoint.benchmark.paint import paint
 from torchjoint.config import Config
 from torchjoint.joint import JointSegmenter
+from torchjoint.labels import geodesic
 from torchjoint.labels.geodesic import nearest_labels, propagate
 from torchjoint.scene import Scene
 from torchjoint.synthetic import make_scene
@@ -41,29 +42,32 @@ def test_the_nearest_point_of_a_pixel_counts() -> None:
     assert nearest_labels(seen.visible, torch.tensor([7, 8, 9, 4]), (2, 2)).tolist() == [[-1, 8], [4, -1]]
 
 
-def test_large_segments_without_a_point_keep_ids_of_their_own() -> None:
+def test_large_segments_without_a_point_keep_ids_of_their_own(monkeypatch) -> None:
     """Where no point is although many should be; in small ones that is chance."""
     initial = torch.zeros(10, 30, dtype=torch.int32)
     initial[:, 10:20], initial[:, 20:], initial[0, 0] = 2, 1, 3
     pixels = [(row, column) for row in range(10) for column in range(2, 10)]
     seen = seen_at(pixels, torch.zeros(3, 10, 30, dtype=torch.uint8), initial)
     at_point = torch.zeros(80, dtype=torch.int64)
-    labels, next_free = propagate(seen, at_point, 4, PLAIN.set(["refinement.unseen=20"]))
+    monkeypatch.setattr(geodesic, "UNSEEN", 20)
+    labels, next_free = propagate(seen, at_point, 4, PLAIN)
     assert labels[0].tolist() == [0] * 10 + [4] * 10 + [5] * 10  # 26.7 expected in each
     assert next_free == 6
-    labels, next_free = propagate(seen, at_point, 4, PLAIN.set(["refinement.unseen=27"]))
+    monkeypatch.setattr(geodesic, "UNSEEN", 27)
+    labels, next_free = propagate(seen, at_point, 4, PLAIN)
     assert not labels.any()
     assert next_free == 4
 
 
-def test_specks_of_a_single_point_are_left_to_their_neighbours() -> None:
+def test_specks_of_a_single_point_are_left_to_their_neighbours(monkeypatch) -> None:
     initial = torch.zeros(5, 6, dtype=torch.int32)
     seen = seen_at([(2, 0), (2, 2), (2, 4), (1, 1)], torch.zeros(3, 5, 6, dtype=torch.uint8), initial)
     at_point = torch.tensor([0, 1, 0, 0])
     assert not propagate(seen, at_point, 2, PLAIN)[0].any()
-    assert propagate(seen, at_point, 2, PLAIN.set(["refinement.min_points=1"]))[0].any()
     alone = seen_at([(2, 2)], torch.zeros(3, 5, 6, dtype=torch.uint8), initial)
     assert propagate(alone, torch.tensor([1]), 2, PLAIN)[0].all()  # nothing else to go by
+    monkeypatch.setattr(geodesic, "MIN_POINTS", 1)
+    assert propagate(seen, at_point, 2, PLAIN)[0].any()
 
 
 def test_without_points_the_initial_segments_stay() -> None:
@@ -94,9 +98,9 @@ def test_better_than_painting_with_the_true_labels() -> None:
 def test_the_method_is_chosen_by_the_config(scene_of) -> None:
     scene: Scene = scene_of(0).scene
     segmenter = JointSegmenter(Config().set(["boundary.detector=gradient"]))
-    geodesic = segmenter(scene)
+    by_paths = segmenter(scene)
     cuts = segmenter.with_config(segmenter.config.set(["refinement.method=cuts"])).compute()
-    assert torch.equal(geodesic.points, cuts.points)
-    assert any(not torch.equal(one, other) for one, other in zip(geodesic.images, cuts.images, strict=True))
-    other = segmenter.with_config(segmenter.config.set(["refinement.color_weight=0", "refinement.boundary_weight=0"]))
-    assert any(not torch.equal(one, two) for one, two in zip(geodesic.images, other.compute().images, strict=True))
+    assert torch.equal(by_paths.points, cuts.points)
+    assert any(not torch.equal(one, other) for one, other in zip(by_paths.images, cuts.images, strict=True))
+    other = segmenter.with_config(segmenter.config.set(["refinement.color_weight=0"]))
+    assert any(not torch.equal(one, two) for one, two in zip(by_paths.images, other.compute().images, strict=True))

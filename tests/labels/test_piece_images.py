@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.labels import piece_images
+from torchjoint.labels import geodesic, piece_images
 from torchjoint.labels.piece_images import piece_image
 
 LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
@@ -58,7 +58,8 @@ def test_paths_lead_to_pieces_as_to_labels(scene_of, monkeypatch):
         return segment
 
     monkeypatch.setattr(piece_images, "_nearest_of_segment", nearest)
-    result = tj.JointSegmenter(LEARNED.set(["refinement.min_points=1"]))(scene_of(3).scene)
+    monkeypatch.setattr(geodesic, "MIN_POINTS", 1)
+    result = tj.JointSegmenter(LEARNED)(scene_of(3).scene)
     assert len(result.piece_images[:]) == 6
     assert corrected == [0] * 6
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from torchjoint.config import ImageGraphConfig, RefinementConfig
 from torchjoint.images.pixel_graph import grid_edges
+from torchjoint.labels import segment_cuts, segment_merging
 from torchjoint.labels.joint_ids import joint_labels
 from torchjoint.labels.pixel_pairs import pixel_pairs
 from torchjoint.labels.segment_cuts import split_segments
@@ -48,9 +49,13 @@ class TestMerge:
     # Two segments, columns 0-1 and 2-3; points on both sides of the border.
     labels = torch.tensor([[0, 0, 1, 1]] * 4, dtype=torch.int32)
 
+    @pytest.fixture(autouse=True)
+    def pairs_of_neighbours(self, monkeypatch):
+        monkeypatch.setattr(segment_merging, "RADIUS", 1.0)
+
     def merged(self, point_labels, ratio):
         visible = visible_at([(row, column) for row in range(4) for column in (1, 2)])
-        config = RefinementConfig(radius=1.0, merge_ratio=ratio)
+        config = RefinementConfig(merge_ratio=ratio)
         return merge_segments(self.labels, visible, torch.tensor(point_labels), config)  # 4 pairs across, 6 along
 
     def test_eq_10_to_12_by_hand(self):
@@ -61,22 +66,26 @@ class TestMerge:
         assert torch.equal(self.merged(point_labels, None), self.labels)
 
     def test_no_pairs_never_merge(self):
-        config = RefinementConfig(radius=1.0, merge_ratio=0.0)
+        config = RefinementConfig(merge_ratio=0.0)
         got = merge_segments(self.labels, visible_at([(0, 0), (0, 3)]), torch.tensor([1, 1]), config)
         assert torch.equal(got, self.labels)
 
     def test_merging_is_transitive_and_leaves_unlabelled_pixels(self):
         labels = torch.tensor([[0, 1, 2, -1]], dtype=torch.int32)
         visible = visible_at([(0, 0), (0, 1), (0, 2), (0, 3)])
-        config = RefinementConfig(radius=1.0, merge_ratio=1.0)
+        config = RefinementConfig(merge_ratio=1.0)
         got = merge_segments(labels, visible, torch.zeros(4, dtype=torch.int64), config)
         assert got.tolist() == [[0, 0, 0, -1]]
         assert got.dtype == torch.int32
 
 
 class TestSplit:
-    config = RefinementConfig(radius=2.0, split_min_edges=2)
+    config = RefinementConfig(split_min_edges=2)
     graph = ImageGraphConfig(color_weight=1, boundary_weight=0)
+
+    @pytest.fixture(autouse=True)
+    def pairs_two_pixels_apart(self, monkeypatch):
+        monkeypatch.setattr(segment_cuts, "RADIUS", 2.0)
 
     def split(self, labels, gray, pixels, point_labels, config=None):
         """Cuts an image of one channel: the difference of two pixels is the weight of their edge."""
@@ -116,7 +125,7 @@ class TestSplit:
         """Capacities exp(-w / sigma), sigma the mean weight of the segment and not of the one beside it."""
         gray = torch.rand(2, 6, generator=torch.Generator().manual_seed(seed)) * torch.tensor([1, 1, 1, 9, 9, 9])
         labels = torch.tensor([[0, 0, 0, 1, 1, 1]] * 2)
-        config = RefinementConfig(radius=2, split_min_edges=1)
+        config = RefinementConfig(split_min_edges=1)
         got = self.split(labels, gray, [(0, 0), (1, 0), (0, 2), (1, 2)], [1, 1, 2, 2], config)
         assert got[:, [0, 2]].tolist() == [[0, 2]] * 2
         assert (got[:, 3:] == 1).all()
@@ -135,17 +144,20 @@ class TestSplit:
         assert (self.split(labels, gray, pixels, point_labels) == 0).all()
         assert self.split(labels, gray, pixels, point_labels, RefinementConfig(split_min_edges=1)).max() == 1
 
-    def test_most_external_pairs_choose_the_labels(self):
+    def test_most_external_pairs_choose_the_labels(self, monkeypatch):
+        monkeypatch.setattr(segment_cuts, "RADIUS", 3.0)
         # Three labels in a row of bands; B and C meet more often than A and B. One cut at the most: B | C.
         labels = torch.zeros(4, 9, dtype=torch.int64)
         gray = (torch.arange(9) // 3).float().expand(4, 9)
         pixels = [(0, 2), (0, 3), (1, 5), (2, 5), (3, 5), (1, 6), (2, 6), (3, 6)]
         point_labels = [10, 20, 20, 20, 20, 30, 30, 30]
-        config = RefinementConfig(split_min_edges=1, max_splits=1)
-        got = self.split(labels, gray, pixels, point_labels, config)
+        config = RefinementConfig(split_min_edges=1)
+        with monkeypatch.context() as patch:
+            patch.setattr(segment_cuts, "MAX_SPLITS", 1)
+            got = self.split(labels, gray, pixels, point_labels, config)
         assert (got[:, :6] == 0).all()
         assert (got[:, 6:] == 1).all()
-        both = self.split(labels, gray, pixels, point_labels, RefinementConfig(split_min_edges=1))
+        both = self.split(labels, gray, pixels, point_labels, config)
         assert [both[:, c].unique().numel() for c in (0, 4, 8)] == [1, 1, 1]
         assert both.unique().numel() == 3
 

@@ -178,7 +178,7 @@ class TestMethod:
             segments.segment_points(graph, JointState.empty(graph.edge_index.shape[1], graph.num_points), LEARNED)
 
     def test_no_parameter_of_step_6_counts(self, segmenter):
-        other = LEARNED.set(["regions.scale=0", "region_merging.threshold=0.9", "pieces.min_size=3"])
+        other = LEARNED.set(["region_merging.threshold=0.9", "pieces.threshold=null", "point_segments.scale=1"])
         expected = segmenter.compute(images=False).points
         assert torch.equal(segmenter.with_config(other).compute(images=False).points, expected)
 

@@ -7,7 +7,6 @@ import torch
 from lidar_scans import HEIGHT, scan
 
 import torchjoint.points.lidar.ground as module
-from torchjoint.config import ScanConfig
 from torchjoint.points.lidar.directions import directions
 from torchjoint.points.lidar.ground import Profile, ground, ground_profile, height_over_ground
 
@@ -26,11 +25,11 @@ def test_a_box_stands_on_it_and_hides_what_is_behind():
     on_ground = ground(points)
     assert on_ground[what == 0].all()
     height = points[:, 2].double() + HEIGHT
-    torch.testing.assert_close(on_ground[what == 1], height[what == 1] < ScanConfig().ground_height)
+    torch.testing.assert_close(on_ground[what == 1], height[what == 1] < module.GROUND_HEIGHT)
     torch.testing.assert_close(height_over_ground(points), height, atol=0.02, rtol=0)
 
 
-def test_the_lowest_point_seen_of_something_far_behind_something_near_is_no_ground():
+def test_the_lowest_point_seen_of_something_far_behind_something_near_is_no_ground(monkeypatch):
     # Over the car's roof the wall is seen from 0.83 m on; reached at less than 10 degrees.
     wall = ((30.0, -1.5, -HEIGHT), (30.5, 1.5, 2.0))
     points, what = scan(CAR, wall)
@@ -38,7 +37,8 @@ def test_the_lowest_point_seen_of_something_far_behind_something_near_is_no_grou
     assert behind.sum() > 20
     assert not ground(points)[behind].any()
     # The comparison with the columns beside it is what does it.
-    assert ground(points, ScanConfig(max_bump=9.0))[behind].any()
+    monkeypatch.setattr(module, "MAX_BUMP", 9.0)
+    assert ground(points)[behind].any()
 
 
 def test_a_kerb_is_ground_and_a_pavement_too():
@@ -79,11 +79,12 @@ def test_one_point_is_its_own_ground():
     assert height_over_ground(torch.tensor([[300.0, 0.0, -1.0]])).tolist() == [0.0]  # far, and nothing near
 
 
-def test_the_walk_by_hand():
+def test_the_walk_by_hand(monkeypatch):
     # One column of 90 degrees: start -2 (the median of one column's lowest), slopes up to 45 degrees.
-    config = ScanConfig(azimuth_cell=90, elevation_cell=1, max_slope=45, max_step=0.1)
+    for name, value in (("AZIMUTH_CELL", 90), ("ELEVATION_CELL", 1), ("MAX_SLOPE", 45), ("MAX_STEP", 0.1)):
+        monkeypatch.setattr(module, name, value)
     points = torch.tensor([[4.0, 4, -2], [6, 6, -2], [6, 6, -1], [6.2, 6.2, 1.0], [9, 9, -0.5]]).double()
-    profile = ground_profile(directions(points), points[:, 2], config)
+    profile = ground_profile(directions(points), points[:, 2])
     assert profile.column.tolist() == [0, 1, 2, 2, 2, 2, 3]
     # Above the second: (6, 6, -1) is no farther, (6.2, 6.2, 1) too steep; (9, 9, -.5) rises 1.5 on 4.2 m.
     assert profile.distance.tolist() == pytest.approx([0, 0, 0, 4 * 2**0.5, 6 * 2**0.5, 9 * 2**0.5, 0])
@@ -97,14 +98,15 @@ def test_between_the_places_of_a_profile_the_ground_is_straight():
     assert profile.at(at, far).tolist() == [-3, -2.5, -2, -1.5, -1, -1.5, -1.5, -3, -3]
 
 
-def test_a_bump_is_left_out():
+def test_a_bump_is_left_out(monkeypatch):
     column = torch.arange(20)
     height = torch.zeros(20).double()
     height[7:9] = 0.5  # two columns of nine
     profile = Profile(column, torch.full((20,), 30.0).double(), height, 20)
-    assert module._without_bumps(profile, 0.2).column.tolist() == [*range(7), *range(9, 20)]
-    assert len(module._without_bumps(profile, 0.6).column) == 20
-    assert len(module._without_bumps(profile._replace(height=-height), 0.2).column) == 20  # a ditch is ground
+    assert module._without_bumps(profile).column.tolist() == [*range(7), *range(9, 20)]
+    assert len(module._without_bumps(profile._replace(height=-height)).column) == 20  # a ditch is ground
+    monkeypatch.setattr(module, "MAX_BUMP", 0.6)
+    assert len(module._without_bumps(profile).column) == 20
 
 
 def test_turned_by_whole_columns_it_is_the_same():

@@ -7,6 +7,7 @@ import torch
 from lidar_scans import HEIGHT, plane_hits, rays, scan
 
 from torchjoint.config import ScanConfig
+from torchjoint.points.lidar import ground_growth
 from torchjoint.points.lidar.directions import directions
 from torchjoint.points.lidar.ground_growth import grow_ground
 from torchjoint.points.lidar.rising import something_rises
@@ -43,7 +44,11 @@ class TestRising:
 
 
 class TestGrowth:
-    CONFIG = ScanConfig(ground_height=0.1, object_height=0.3, max_slope=10)
+    CONFIG = ScanConfig(object_height=0.3)
+
+    @pytest.fixture(autouse=True)
+    def rough_ground(self, monkeypatch):
+        monkeypatch.setattr(ground_growth, "GROUND_HEIGHT", 0.1)
 
     def grown(self, points, height, edges=NO_EDGES, config=CONFIG):
         points = torch.tensor(points)
@@ -52,7 +57,7 @@ class TestGrowth:
     def test_low_points_from_which_nothing_rises(self):
         points = [[10.0, 0, -1.7], [10.0, 3, -1.5], [10, -3, -1.5], [10, -3, -1.0]]
         assert self.grown(points, [0.0, 0.2, 0.2, 0.7]) == [True, True, False, False]
-        off = ScanConfig(ground_height=0.1, object_height=0)
+        off = ScanConfig(object_height=0)
         assert self.grown(points, [0.0, 0.2, 0.2, 0.7], config=off) == [True, False, False, False]
 
     def test_patches_that_continue_the_ground(self):

@@ -7,16 +7,25 @@ import torch
 from hand_wall import LEFT, RIGHT, STRIP, wall_behind_a_strip
 
 from torchjoint.config import OcclusionBridgingConfig
+from torchjoint.points import occlusion_bridging
 from torchjoint.points.occlusion_bridging import bridge
 from torchjoint.points.regions import Planes
 from torchjoint.views.visibility import Visible
 
-CONFIG = OcclusionBridgingConfig(min_votes=3, cell=1)
+CONFIG = OcclusionBridgingConfig(min_votes=3)
 
 
-def is_bridged(scene, config=CONFIG, **changes):
+@pytest.fixture(autouse=True)
+def cells_of_one_pixel(monkeypatch):
+    monkeypatch.setattr(occlusion_bridging, "CELL", 1)
+
+
+def is_bridged(scene, min_votes=3, **constants):
     segment, planes, observations = scene
-    joined = bridge(segment, planes, observations, dataclasses.replace(config, **changes))
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in constants.items():
+            patch.setattr(occlusion_bridging, name.upper(), value)
+        joined = bridge(segment, planes, observations, OcclusionBridgingConfig(min_votes))
     of = [joined[segment == part].unique().tolist() for part in (LEFT, STRIP, RIGHT)]
     assert all(len(labels) == 1 for labels in of)
     assert of[1] != of[0], "the strip is no part of the wall"

@@ -11,7 +11,7 @@ from torchjoint.views.propagation import OVERLAP_RESOLUTION
 PIECES = [0] * 4 + [1] * 6 + [2] * 3
 #: One edge in piece 0, two between 0 and 1 (in either direction), one between 1 and 2.
 EDGES = torch.tensor([[0, 3, 5, 9], [1, 4, 2, 10]])
-CONFIG = PropagationConfig(overlap_threshold=0.5, saturation=1)
+CONFIG = PropagationConfig(overlap_threshold=0.5)
 
 
 def disagreements(*observations, config=CONFIG, edges=EDGES, pieces=PIECES):
@@ -38,7 +38,7 @@ def test_what_no_image_sees_is_neutral(seen):
     assert MIN_POINTS == 3
     few = seen([0, 1, 4, 5, 6, 7, 10, 11, 12], [1, 1, 1, 1, 1, 1, 1, 1, 1])  # of piece 0 there are but two
     for r_o in (0.3, 0.5, 0.9):
-        config = PropagationConfig(overlap_threshold=r_o, saturation=1)
+        config = PropagationConfig(overlap_threshold=r_o)
         assert disagreements(few, config=config) == pytest.approx([0, 1 - r_o, 1 - r_o, 0])
         assert disagreements(seen([], []), config=config) == pytest.approx([0, 1 - r_o, 1 - r_o, 1 - r_o])
         assert disagreements(config=config) == pytest.approx([0, 1 - r_o, 1 - r_o, 1 - r_o])

@@ -198,9 +198,11 @@ def test_eq_3_by_hand():
     points = torch.tensor([[0.0, 0, 0], [3.0, 4, 0]])  # 5 m apart
     normals = torch.tensor([[1.0, 0, 0], [0, 0, 1.0]])  # pi / 2
     colors = torch.tensor([[0.0, 0, 0], [0.6, 0.0, 0.8]])  # 1 apart
-    config = PointGraphConfig(distance_weight=0.1, angle_weight=2.0, color_weight=0.25, convex_factor=1)
+    config = PointGraphConfig(distance_weight=0.1, color_weight=0.25, convex_factor=1)
     edge_index, oriented = torch.tensor([[0], [1]]), torch.tensor([True, True])
     weight = geometric_weights(points, edge_index, normals, oriented, config, colors)
+    assert weight.item() == pytest.approx(0.1 * 5 + math.pi / 2 + 0.25 * 1)
+    weight = geometric_weights(points, edge_index, normals, oriented, config, colors, angle_weight=2.0)
     assert weight.item() == pytest.approx(0.1 * 5 + 2.0 * math.pi / 2 + 0.25 * 1)
 
 
@@ -209,14 +211,14 @@ def test_convex_edges_count_less():
     points = torch.tensor([[-1.0, 0, 0], [0, 0, -1]])
     edge_index, known = torch.tensor([[0], [1]]), torch.ones(2, dtype=torch.bool)
     box, corner = torch.tensor([[0.0, 0, 1], [1, 0, 0]]), torch.tensor([[0.0, 0, -1], [-1, 0, 0]])
-    config = PointGraphConfig(angle_weight=2.0, convex_factor=0.25, distance_weight=0)
+    config = PointGraphConfig(convex_factor=0.25, distance_weight=0)
 
     def weight(normals, oriented):
         return geometric_weights(points, edge_index, normals, oriented, config).item()
 
-    assert weight(box, known) == pytest.approx(2.0 * 0.25 * math.pi / 2)
-    assert weight(corner, known) == pytest.approx(2.0 * math.pi / 2)
-    assert weight(box, ~known) == pytest.approx(2.0 * math.pi / 2)  # without signs nobody knows which it is
+    assert weight(box, known) == pytest.approx(0.25 * math.pi / 2)
+    assert weight(corner, known) == pytest.approx(math.pi / 2)
+    assert weight(box, ~known) == pytest.approx(math.pi / 2)  # without signs nobody knows which it is
 
 
 def test_colour_needs_colours():

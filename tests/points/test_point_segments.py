@@ -10,10 +10,12 @@ from hand_wall import LEFT, RIGHT, wall_behind_a_strip
 
 import torchjoint as tj
 from torchjoint import ops
+from torchjoint.points import occlusion_bridging, segments
 from torchjoint.points.edge_weights import geometric_weights
 from torchjoint.points.graph import PointGraph
 from torchjoint.points.lidar.scan_segments import segment_scan
 from torchjoint.points.orientation import orient_normals
+from torchjoint.points.regions import SmoothRegions
 from torchjoint.points.segments import segment_points
 from torchjoint.views.propagation import disagreement
 from torchjoint.views.state import JointState
@@ -89,7 +91,6 @@ class TestMethods:
 #: Method regions with nothing but region merging up to 0.41; each test adds the stage that it is about.
 BARE = PRESETS["regions"].set(
     [
-        "regions.scale=0",
         "propagation.weight=1",
         "pieces.threshold=null",
         "region_merging.threshold=0.41",
@@ -118,6 +119,11 @@ def labels_of(case, *changes):
 class TestStagesByHand:
     """What each stage of method regions decides, where nothing else does."""
 
+    @pytest.fixture(autouse=True)
+    def no_smallest_sizes(self, monkeypatch):
+        monkeypatch.setattr(segments, "SMOOTH_REGIONS", SmoothRegions(scale=0))  # each point keeps its normal
+        monkeypatch.setattr(segments, "MIN_PIECE", 0)
+
     def test_borders_merge_up_to_the_threshold(self, seen):
         case = row_of_points([0.0, 0.3, 0.5, 0.0], seen(range(5), [0] * 5))
         assert labels_of(case) == [0, 0, 0, 1, 1]
@@ -140,7 +146,7 @@ class TestStagesByHand:
         """An edge across the border costs 0.3. The two pieces that it joins have no label in common: (0.3 + 1) / 2."""
         case = row_of_points([0.0, 0.0, 0.3, 0.0, 0.0], seen(range(6), [0] * 3 + [1] * 3))
         assert labels_of(case) == [0] * 6
-        pieces = ["pieces.threshold=0.1", "pieces.min_size=0"]
+        pieces = ["pieces.threshold=0.1"]
         assert labels_of(case, *pieces) == [0, 0, 0, 1, 1, 1]
         # It is the mean that decides.
         assert labels_of(case, *pieces, "region_merging.threshold=0.64") == [0, 0, 0, 1, 1, 1]
@@ -150,19 +156,20 @@ class TestStagesByHand:
         """The other way round: an edge costs 0.6, and the pieces have the same label: (0.6 + 0) / 2."""
         case = row_of_points([0.0, 0.0, 0.6, 0.0, 0.0], seen(range(6), [7] * 6))
         assert labels_of(case) == [0, 0, 0, 1, 1, 1]
-        pieces = ["pieces.threshold=0.1", "pieces.min_size=0"]
+        pieces = ["pieces.threshold=0.1"]
         assert labels_of(case, *pieces) == [0] * 6
         assert labels_of(case, *pieces, "region_merging.threshold=0.29") == [0, 0, 0, 1, 1, 1]
 
-    def test_segments_are_made_of_pieces(self, seen):
+    def test_segments_are_made_of_pieces(self, seen, monkeypatch):
         """A piece is never split: what is too small for one has gone, although its borders are dear."""
         case = row_of_points([0.0, 0.0, 0.9, 0.6, 0.0, 0.0], seen(range(7), [0] * 3 + [1] + [2] * 3))
-        pieces = ["pieces.threshold=0.1", "pieces.min_size=2"]
-        assert labels_of(case, *pieces) == [0, 0, 0, 1, 1, 1, 1]
-        assert labels_of(case, *pieces[:1], "pieces.min_size=0") == [0, 0, 0, 1, 2, 2, 2]
+        assert labels_of(case, "pieces.threshold=0.1") == [0, 0, 0, 1, 2, 2, 2]
+        with monkeypatch.context() as patch:
+            patch.setattr(segments, "MIN_PIECE", 2)
+            assert labels_of(case, "pieces.threshold=0.1") == [0, 0, 0, 1, 1, 1, 1]
         # Up to the pieces' own threshold, borders of 0.3 are no borders, whatever region merging would make of them.
         soft = row_of_points([0.0, 0.0, 0.3, 0.0, 0.0], seen(range(6), [0] * 3 + [1] * 3))
-        assert labels_of(soft, "pieces.threshold=0.35", "pieces.min_size=0") == [0] * 6
+        assert labels_of(soft, "pieces.threshold=0.35") == [0] * 6
 
     def test_a_small_segment_needs_an_image_s_support(self, seen):
         """Points 3-6 are a segment of their own. An image with a segment of that shape keeps it; one without does not,
@@ -186,7 +193,7 @@ class TestStagesByHand:
         assert labels_of(case, "region_merging.agreement=0.5") == [0, 0, 0, 1, 1, 1]
         assert labels_of(case, "region_merging.agreement=0.7") == [0] * 6
 
-    def test_the_parts_of_a_wall_behind_a_strip_are_bridged(self):
+    def test_the_parts_of_a_wall_behind_a_strip_are_bridged(self, monkeypatch):
         part, planes, observations = wall_behind_a_strip()
         order = part.argsort(stable=True)  # within a part each point is joined to the next one, and to no other part
         edges = [[int(i), int(j)] for i, j in pairwise(order) if part[i] == part[j]]
@@ -194,25 +201,19 @@ class TestStagesByHand:
         state = JointState.empty(len(edges), len(part))
         state.observations = observations
         apart = segment_points(graph, state, BARE)
-        together = segment_points(
-            graph, state, BARE.set(["occlusion_bridging.min_votes=3", "occlusion_bridging.cell=1"])
-        )
+        monkeypatch.setattr(occlusion_bridging, "CELL", 1)
+        together = segment_points(graph, state, BARE.set(["occlusion_bridging.min_votes=3"]))
         assert torch.equal(apart, part)
         assert torch.equal(together, torch.where(part == RIGHT, LEFT, part))
 
 
 class TestWeight0:
-    def test_no_image_has_a_say(self, case):
+    def test_no_image_has_a_say(self, case, monkeypatch):
         """As with no frames at all, once the normals' signs are known."""
         config, graph, state = case
-        config = config.set(
-            [
-                "propagation.weight=0",
-                "occlusion_bridging.min_votes=1",
-                "occlusion_bridging.share=0",
-                "occlusion_bridging.flatness=1",
-            ]
-        )
+        config = config.set(["propagation.weight=0", "occlusion_bridging.min_votes=1"])
+        monkeypatch.setattr(occlusion_bridging, "SHARE", 0)
+        monkeypatch.setattr(occlusion_bridging, "FLATNESS", 1)
         blind = JointState.empty(graph.edge_index.shape[1], graph.num_points)
         blind.facing = state.facing
         assert torch.equal(segment_points(graph, state, config), segment_points(graph, blind, config))

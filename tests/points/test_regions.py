@@ -6,13 +6,14 @@ import pytest
 import torch
 from hand_graph import graph_of
 
+import torchjoint.points.graph as graph_module
 from torchjoint import ops
-from torchjoint.config import PointGraphConfig, RegionsConfig
+from torchjoint.config import PointGraphConfig
 from torchjoint.points.graph import build_point_graph
-from torchjoint.points.regions import MIN_POINTS, one_sided_planes, small_regions
+from torchjoint.points.regions import MIN_POINTS, SmoothRegions, one_sided_planes, small_regions
 from torchjoint.scene import Scene
 
-ALL = RegionsConfig(scale=1e-9, min_size=0)
+ALL = SmoothRegions(scale=1e-9, min_size=0)
 
 
 def corner(side=20, spacing=0.02, noise=0.0, seed=0):
@@ -47,7 +48,7 @@ class TestSmallRegions:
             assert (num_nodes, scale, min_size) == (5, 0.5, 7)
 
         monkeypatch.setattr(ops, "felzenszwalb", felzenszwalb)
-        small_regions(graph, normals, known, RegionsConfig(scale=0.5, min_size=7))
+        small_regions(graph, normals, known, SmoothRegions(scale=0.5, min_size=7))
         # convex; concave; 120 degrees of unknown sign are 60; flat
         assert weights["got"].tolist() == pytest.approx([0.25, 0.5, 0.5, 0.0], abs=1e-6)
 
@@ -55,13 +56,13 @@ class TestSmallRegions:
         """Even where nothing parts them."""
         graph = graph_of(torch.zeros(3, 3), [[0, 1], [1, 2]], turned([0.0] * 3))
         known = torch.ones(3, dtype=torch.bool)
-        assert small_regions(graph, graph.normals, known, RegionsConfig(scale=0)).tolist() == [0, 1, 2]
+        assert small_regions(graph, graph.normals, known, SmoothRegions(scale=0)).tolist() == [0, 1, 2]
 
     def test_none_reaches_around_a_corner(self):
         points, side = corner()
         graph = build_point_graph(Scene(points), PointGraphConfig(normal_neighbors=20))
         known = torch.ones(len(points), dtype=torch.bool)
-        region = small_regions(graph, graph.normals, known, RegionsConfig(scale=0.003, min_size=0))
+        region = small_regions(graph, graph.normals, known, SmoothRegions(scale=0.003, min_size=0))
         for label in region.unique():
             away = points[region == label][:, [0, 2]].amax(1) > 0.05  # closer to the crease normals are in between
             assert side[region == label][away].unique().numel() <= 1
@@ -89,9 +90,10 @@ class TestOneSidedPlanes:
         assert off[near].max() < math.radians(1 + 8000 * noise)
         assert ((planes.mean - points) * truth).sum(1).abs().max() < 1e-6 + 4 * noise
 
-    def test_too_small_a_region_keeps_its_normals(self):
+    def test_too_small_a_region_keeps_its_normals(self, monkeypatch):
+        monkeypatch.setattr(graph_module, "PLANE_NEIGHBORS", 20)
         points, _ = corner(side=6)
-        graph = build_point_graph(Scene(points), PointGraphConfig(plane_neighbors=20))
+        graph = build_point_graph(Scene(points), PointGraphConfig())
         given = torch.tensor([0.6, 0.0, 0.8]).expand(72, 3)
         region = torch.where(torch.arange(72) < MIN_POINTS - 1, 0, 1)
         planes = one_sided_planes(graph, region, given)

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+import torchjoint.points.graph as graph_module
 from torchjoint.config import PointGraphConfig
 from torchjoint.points.graph import build_point_graph
 from torchjoint.points.scales import NEIGHBORS_PER_NOISE, NORMAL_NEIGHBORS, measure_scales
@@ -71,14 +72,14 @@ def test_threads_do_not_matter(set_threads):
     assert torch.equal(results[0].spacing, results[1].spacing)
 
 
-def test_the_graph_s_neighbours_follow_from_the_scales():
+def test_the_graph_s_neighbours_follow_from_the_scales(monkeypatch):
     points = sheet(0.002, side=15)
     scales = measure_scales(points)
     cases = ((20, 40), (40, 60), (128, 128))  # neighbours of normals, and of planes
     for for_normals, for_planes in cases:
         graph = build_point_graph(Scene(points), PointGraphConfig(), scales._replace(normal_neighbors=for_normals))
-        as_configured = PointGraphConfig(normal_neighbors=for_normals, plane_neighbors=for_planes)
-        expected = build_point_graph(Scene(points), as_configured)
+        monkeypatch.setattr(graph_module, "PLANE_NEIGHBORS", for_planes)
+        expected = build_point_graph(Scene(points), PointGraphConfig(normal_neighbors=for_normals))
         assert graph.is_same(expected)
         assert torch.equal(graph.neighbors, expected.neighbors)
         assert torch.equal(graph.edge_index, expected.edge_index)

@@ -12,6 +12,7 @@ from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.datasets.clouds import read_scan
 from torchjoint.evaluation.scores import mean_scores, score
 from torchjoint.metrics import mean_best_iou
+from torchjoint.points.lidar import scan_segments
 from torchjoint.points.lidar.ground import ground
 from torchjoint.points.lidar.recognition import Rings
 from torchjoint.points.lidar.scan_segments import gap_weights, segment_scan, with_near_rings
@@ -71,33 +72,38 @@ def test_labels_are_numbered_by_first_points():
     assert labels.dtype == torch.int64
 
 
-def test_the_gap_parts_and_joins():
+def test_the_gap_parts_and_joins(monkeypatch):
+    monkeypatch.setattr(scan_segments, "NEIGHBORS", 40)  # enough to see each other across the gap
+
     def two(apart):
         boxes = [((10.0, -1.0, -HEIGHT), (11.0, -apart / 2, 0)), ((10.0, apart / 2, -HEIGHT), (11.0, 1.0, 0))]
         points, what = scan(*boxes)
-        labels = segment_scan(points, ScanConfig(neighbors=40))  # enough to see each other across the gap
+        labels = segment_scan(points)
         return labels[what == 1].mode().values == labels[what == 2].mode().values
 
     assert two(0.2)  # .2 + .02 * 10 = .4
     assert not two(0.7)
 
 
-def test_beams_are_joined_where_points_of_a_beam_are_all_neighbours():
+def test_beams_are_joined_where_points_of_a_beam_are_all_neighbours(monkeypatch):
     # A pole-like box: five points a beam, beams .15 m apart at 12 m, neighbours fewer than a beam has.
     points, what = scan(((12.0, -0.25, -HEIGHT), (12.3, 0.25, 1.5)))
-    labels = segment_scan(points, ScanConfig(neighbors=4))
+    monkeypatch.setattr(scan_segments, "NEIGHBORS", 4)
+    labels = segment_scan(points)
     assert len(labels[(what == 1) & ~ground(points)].unique()) == 1
 
 
-def test_bits_join_what_is_near_and_only_that():
+def test_bits_join_what_is_near_and_only_that(monkeypatch):
     points, what = scan(BOXES[0])
     near, far = torch.tensor([[7.4, 0.0, -0.5]]), torch.tensor([[20.0, 10.0, 0.5]])
     labels = segment_scan(torch.cat([points, near, far]))
     car = labels[: len(points)][what == 1].mode().values
     assert labels[-2] == car  # .6 m away: 1.7 gaps
     assert (labels == labels[-1]).sum() == 1
-    assert segment_scan(torch.cat([points, near, far]), ScanConfig(joining_gap=1))[-2] != car
-    assert (segment_scan(torch.cat([points, near, far]), ScanConfig(joining_gap=1e3)) == car).sum() > 2
+    monkeypatch.setattr(scan_segments, "JOINING_GAP", 1)
+    assert segment_scan(torch.cat([points, near, far]))[-2] != car
+    monkeypatch.setattr(scan_segments, "JOINING_GAP", 1e3)
+    assert (segment_scan(torch.cat([points, near, far])) == car).sum() > 2
 
 
 def test_nothing_but_ground():
@@ -143,8 +149,6 @@ def test_bad_points(points):
 def test_bad_config():
     with pytest.raises(ValueError, match=r"scan\.gap: expected > 0 where gap_growth is 0"):
         ScanConfig(gap=0, gap_growth=0)
-    with pytest.raises(ValueError, match=r"scan\.joining_gap: expected >= 1"):
-        ScanConfig(joining_gap=0.5)
 
 
 class TestRealScans:

@@ -91,8 +91,8 @@ def test_eq_6_by_hand():
 
 def test_saturating_eq_6_by_hand():
     views, overlap_sum = torch.tensor([0, 2, 4]), torch.tensor([0.0, 1.5, 0.5], dtype=torch.float64)
-    config = PropagationConfig(normalization="saturating", saturation=4, overlap_threshold=0.4)
-    expected = torch.tensor([0.6, 0.6 + 0.5 * (0.4 - 0.75), 0.6 + 1.0 * (0.4 - 0.125)])
+    config = PropagationConfig(normalization="saturating", overlap_threshold=0.4)
+    expected = torch.tensor([0.6, 1 - 0.75, 1 - 0.125])
     torch.testing.assert_close(disagreement(views, overlap_sum, 10, config), expected)
 
 

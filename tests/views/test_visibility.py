@@ -2,6 +2,7 @@ import pytest
 import torch
 
 from torchjoint.config import VisibilityConfig
+from torchjoint.views import visibility
 from torchjoint.views.hidden_point_removal import hidden_point_removal
 from torchjoint.views.projection import project
 from torchjoint.views.visibility import visible_points
@@ -53,9 +54,10 @@ def test_a_wall_hides_what_is_behind_it(method):
 
 # Hidden point removal loses points near the silhouette of what is in front of them; the z-buffer does not.
 @pytest.mark.parametrize(("method", "share"), [("zbuffer", 0.99), ("hidden_point_removal", 0.7)])
-def test_beside_the_wall_the_background_is_seen(method, share):
+def test_beside_the_wall_the_background_is_seen(method, share, monkeypatch):
+    monkeypatch.setattr(visibility, "RADIUS_FACTOR", 0.03)
     front, behind = wall(1.0, 0.1), wall(2.0, 0.6, step=0.04)
-    visible = points_in_view(torch.cat([front, behind]), method, spacing=0.02, radius_factor=0.03)
+    visible = points_in_view(torch.cat([front, behind]), method, spacing=0.02)
     beside = behind[:, :2].abs().amax(1) > 0.3  # the wall's shadow reaches to 0.2 m
     hidden = behind[:, :2].abs().amax(1) < 0.15
     inside = (behind[:, 0].abs() < 1.0) & (behind[:, 1].abs() < 0.75)

@@ -4,10 +4,7 @@ from torchjoint.benchmark.space import Between, Choice, Space
 
 _REGIONS: Space = {
     "point_graph.normal_neighbors": Choice((20, 30, 45, 60)),
-    "point_graph.plane_neighbors": Choice((20, 30, 45, 60)),
     "point_graph.convex_factor": Between(0.02, 0.3, or_zero=True),
-    "regions.scale": Between(0.001, 0.03, or_zero=True),
-    "regions.min_size": Between(3, 30, whole=True),
     "region_merging.threshold": Between(0.1, 0.5),
     "region_merging.min_size": Between(3, 600, whole=True),
     "occlusion_bridging.min_votes": Choice((None, 4)),
@@ -62,15 +59,10 @@ _COLORED: Space = {
     "scale": Between(0.3, 30.0),
 }
 _SCAN: Space = {
-    "scan.azimuth_cell": Choice((1.0, 2.0, 3.0, 4.0)),
-    "scan.ground_height": Between(0.06, 0.25),
     "scan.object_height": Between(0.15, 0.4),
-    "scan.max_slope": Between(5, 15),
-    "scan.neighbors": Choice((8, 12, 16, 24)),
     "scan.gap": Between(0.1, 0.5),
     "scan.gap_growth": Between(0.01, 0.04),
     "scan.min_size": Between(5, 40, whole=True),
-    "scan.joining_gap": Between(1.2, 4.0),
 }
 
 #: Rooms have too many images to segment them again for every setting: rooms use the default image settings.

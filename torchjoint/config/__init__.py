@@ -15,11 +15,10 @@ from torchjoint.config.regions import (
     OcclusionBridgingConfig,
     PiecesConfig,
     RegionMergingConfig,
-    RegionsConfig,
 )
 from torchjoint.config.scan import ScanConfig
 from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
-from torchjoint.config.tables import parameter_table, superpoint_table
+from torchjoint.config.tables import marked_parameters, marked_table, parameter_table, superpoint_table
 from torchjoint.config.views import PropagationConfig, VisibilityConfig
 
 __all__ = [
@@ -38,12 +37,13 @@ __all__ = [
     "PropagationConfig",
     "RefinementConfig",
     "RegionMergingConfig",
-    "RegionsConfig",
     "ScanConfig",
     "SuperpointsConfig",
     "VisibilityConfig",
     "evidence_config",
     "evidence_differences",
+    "marked_parameters",
+    "marked_table",
     "parameter_table",
     "presets",
     "read_assignment",

@@ -18,8 +18,8 @@ from torchjoint.config.regions import (
     OcclusionBridgingConfig,
     PiecesConfig,
     RegionMergingConfig,
-    RegionsConfig,
 )
+from torchjoint.config.removed import REMOVED
 from torchjoint.config.scan import ScanConfig
 from torchjoint.config.views import PropagationConfig, VisibilityConfig
 
@@ -48,7 +48,6 @@ class Config:
     visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
     propagation: PropagationConfig = field(default_factory=PropagationConfig)
     point_segments: PointSegmentsConfig = field(default_factory=PointSegmentsConfig)
-    regions: RegionsConfig = field(default_factory=RegionsConfig)
     pieces: PiecesConfig = field(default_factory=PiecesConfig)
     region_merging: RegionMergingConfig = field(default_factory=RegionMergingConfig)
     image_support: ImageSupportConfig = field(default_factory=ImageSupportConfig)
@@ -107,6 +106,8 @@ class Config:
         for stage, parameters in values.items():
             if stage in RENAMED:
                 raise ValueError(f"{stage}: this stage is now called {RENAMED[stage]}")
+            if stage in REMOVED:
+                raise ValueError(f"{stage}: this stage {REMOVED[stage]}")
             if stage not in STAGES:
                 raise ValueError(f"{stage}: unknown stage, expected one of {', '.join(STAGES)}")
             if not isinstance(parameters, Mapping):
@@ -137,7 +138,6 @@ _STAGES: tuple[type[Stage], ...] = (
     VisibilityConfig,
     PropagationConfig,
     PointSegmentsConfig,
-    RegionsConfig,
     PiecesConfig,
     RegionMergingConfig,
     ImageSupportConfig,

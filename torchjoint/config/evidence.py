@@ -16,7 +16,6 @@ def _all_of(stage: str) -> tuple[str, ...]:
 
 _STEP_6 = (
     "point_segments",
-    "regions",
     "pieces",
     "region_merging",
     "image_support",
@@ -25,8 +24,8 @@ _STEP_6 = (
 )
 
 AFTERWARDS = {
-    "point_graph": ("distance_weight", "angle_weight", "convex_factor", "color_weight"),
-    "propagation": ("overlap_threshold", "normalization", "saturation", "weight"),
+    "point_graph": ("distance_weight", "convex_factor", "color_weight"),
+    "propagation": ("overlap_threshold", "normalization", "weight"),
     **{stage: _all_of(stage) for stage in (*_STEP_6, "refinement")},
 }
 

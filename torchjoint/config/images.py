@@ -26,15 +26,6 @@ class BoundaryConfig(Stage):
         False,
         "structured_forest: also run on the image at half and double size; more accurate, about five times slower",
     )
-    smoothing: float = parameter(
-        1.0, "gradient: standard deviation of the Gaussian blur of the colours before the gradient; more suppresses "
-        "texture and softens edges", unit="px", low=0,
-        high=20, sensible="0.5-3",
-    )  # fmt: skip
-    contrast: float = parameter(
-        8.0, "gradient: colour gradient at which the boundary strength is 1 - 1/e; less detects fainter edges",
-        unit="Lab units/px", above=0, sensible="2-20",
-    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -52,14 +43,6 @@ class ContoursConfig(Stage):
         True,
         "replace the boundaries by closed contours, each with the mean boundary strength between the two regions "
         "it separates; false: use the detector's boundaries, as in the paper",
-    )
-    smoothing: float = parameter(
-        1.0, "closed: standard deviation of the Gaussian blur of the boundaries before the watershed; more gives fewer "
-        "and larger regions",
-        unit="px", low=0, high=20, sensible="1-3",
-    )  # fmt: skip
-    exponent: float = parameter(
-        3.0, "closed: exponent applied to a contour's strength; more suppresses weak contours", above=0, sensible="1-4"
     )
 
 
@@ -88,8 +71,13 @@ class ImageSegmentsConfig(Stage):
 
     scale: float = parameter(
         3.0, "k of Felzenszwalb-Huttenlocher; more gives larger segments", unit="weight x px", low=0,
-        sensible="0.5-200 for 640x480",
+        sensible="0.5-30 for 640x480",
+        too_low="segments of the images are scraps that say nothing: the result is as without images",
+        too_high="a segment of an image spans several objects: small and flat things join what they lie on",
     )  # fmt: skip
     min_size: int = parameter(
-        100, "smallest segment; smaller segments are joined to a neighbour", unit="px", low=0, sensible="20-1000"
-    )
+        100, "smallest segment; smaller segments are joined to a neighbour", unit="px", low=0,
+        sensible="20-300 for 640x480",
+        too_low="prints and highlights are segments of the images: objects fall into parts",
+        too_high="small things have no segment of their own in the images, and join what they lie on",
+    )  # fmt: skip

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from types import NoneType, UnionType
 from typing import Any, Self, get_args, get_type_hints
 
+from torchjoint.config.removed import REMOVED
+
 
 def parameter(
     default: Any,
@@ -22,6 +24,8 @@ def parameter(
     sensible: str = "",
     choices: Sequence[str] = (),
     renamed: Mapping[str, str] | None = None,
+    too_low: str = "",
+    too_high: str = "",
 ) -> Any:
     """Declares a parameter, a field of a :class:`Stage`.
 
@@ -34,6 +38,8 @@ def parameter(
         sensible: the range in which most users will find their value.
         choices: the allowed texts; empty: any text.
         renamed: old names of choices -> new names, for an error message that gives the new name.
+        too_low, too_high: what a result looks like where the value is too low or too high. Given for the few parameters
+            that a user turns; the README shows these in a table of their own.
     """
     return field(
         default=default,
@@ -46,6 +52,8 @@ def parameter(
             "sensible": sensible,
             "choices": tuple(choices),
             "renamed": dict(renamed or {}),
+            "too_low": too_low,
+            "too_high": too_high,
         },
     )
 
@@ -77,6 +85,8 @@ class Stage:
         """
         names = [spec.name for spec in dataclasses.fields(self)]
         for name in values:
+            if f"{self.key()}.{name}" in REMOVED:
+                raise ValueError(f"{self.key()}.{name}: this parameter {REMOVED[f'{self.key()}.{name}']}")
             if name not in names:
                 raise ValueError(f"{self.key()}.{name}: unknown parameter, expected one of {', '.join(names)}")
         return dataclasses.replace(self, **values)

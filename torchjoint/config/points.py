@@ -30,17 +30,9 @@ class PointGraphConfig(Stage):
         low=3, high=500, sensible="10-80",
     )  # fmt: skip
     reach: float = reach_parameter()
-    plane_neighbors: int = parameter(
-        45, "regions: neighbours considered for a point's one-sided plane; only those in the same region are used; "
-        "more suits noisy clouds and takes longer", low=3, high=500, sensible="20-60, more for noisy clouds",
-    )  # fmt: skip
     distance_weight: float = parameter(
-        0.2, "edges: w_d, weight of the distance between two points; more separates sparse parts of the cloud from "
-        "dense ones", unit="1/m", low=0, sensible="0-10",
-    )  # fmt: skip
-    angle_weight: float = parameter(
-        1.0, "edges: w_theta, weight of the angle between two normals; more cuts at flatter creases", unit="1/rad",
-        low=0,
+        0.2, "edges: w_d, weight of the distance between two points (w_theta is 1 per radian); more separates "
+        "sparse parts of the cloud from dense ones", unit="1/m", low=0, sensible="0-10",
     )  # fmt: skip
     convex_factor: float = parameter(
         0.05,

@@ -8,20 +8,6 @@ from torchjoint.config.parameter import Stage, parameter
 
 
 @dataclass(frozen=True)
-class RegionsConfig(Stage):
-    """Step 6, method regions: small smooth regions (Felzenszwalb-Huttenlocher), used to fit one-sided planes."""
-
-    scale: float = parameter(
-        0.003, "k of Felzenszwalb-Huttenlocher; more gives larger regions, but regions must not cross creases; 0: each "
-        "point is its own region and keeps its normal", unit="weight x points", low=0, sensible="0.001-0.01",
-    )  # fmt: skip
-    min_size: int = parameter(
-        15, "smallest region; smaller regions are joined to a neighbour; more averages over more noise", unit="points",
-        low=0, sensible="5-30",
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
 class PiecesConfig(Stage):
     """Step 6, method regions: small pieces; an edge's r becomes the mean of its own r and the r between its pieces."""
 
@@ -29,10 +15,6 @@ class PiecesConfig(Stage):
         0.03, "mean boundary cost up to which points merge into pieces; well below `region_merging.threshold`, because "
         "pieces are never split again; less gives smaller pieces; null: no pieces, only the edges' own r", low=0,
         high=2, sensible="null, or 0.01-0.1",
-    )  # fmt: skip
-    min_size: int = parameter(
-        8, "smallest piece; smaller pieces are joined to a neighbour, whatever the boundary cost; more gives more "
-        "reliable r and loses small objects", unit="points", low=0, sensible="3-20",
     )  # fmt: skip
 
 
@@ -50,8 +32,8 @@ class RegionMergingConfig(Stage):
         "images join parts across creases; 0: never", low=0, high=1, sensible="0-0.7",
     )  # fmt: skip
     min_size: int = parameter(
-        20, "smallest segment; smaller segments are joined to a neighbour; has no effect below `pieces.min_size` if "
-        "pieces are used", unit="points", low=0, sensible="3-500",
+        20, "smallest segment; smaller segments are joined to a neighbour; has no effect below 8, the smallest "
+        "piece, if pieces are used", unit="points", low=0, sensible="3-500",
     )  # fmt: skip
 
 
@@ -77,22 +59,3 @@ class OcclusionBridgingConfig(Stage):
         4, "smallest number of image lines across an occluder on which one plane continues on both sides; the two "
         "segments are then joined; more joins fewer; null: never", low=1, sensible="null, or 3-10",
     )  # fmt: skip
-    share: float = parameter(
-        0.5, "smallest share of the lines across an occluder on which the plane continues; more joins fewer segments",
-        low=0, high=1, sensible="0.3-0.8",
-    )  # fmt: skip
-    cell: int = parameter(
-        4, "side of the grid cells along which lines run; about the distance between neighbouring points in the image; "
-        "less leaves empty cells, more misses thin occluders", unit="px", low=1, high=100, sensible="2-12",
-    )  # fmt: skip
-    depth_step: float = parameter(
-        0.03, "smallest difference in depth between an occluder and the surface behind it; more ignores noise and thin "
-        "occluders", unit="m", above=0, sensible="0.02-0.1",
-    )  # fmt: skip
-    flatness: float = parameter(
-        0.015, "largest distance of each side from the other side's plane, to which a twentieth of the gap is added; "
-        "more joins surfaces that are less exactly one plane", unit="m", above=0, sensible="0.01-0.05",
-    )  # fmt: skip
-    max_gap: float = parameter(
-        1.0, "widest gap that is bridged; more joins segments farther apart", unit="m", above=0, sensible="0.3-3"
-    )

@@ -59,7 +59,6 @@ class SuperpointsConfig(Stage):
         """The terms of the edge weight (eq. 3) that superpoints share with step 3 of the joint method."""
         return PointGraphConfig(
             distance_weight=self.distance_weight,
-            angle_weight=self.angle_weight,
             convex_factor=self.convex_factor,
             color_weight=self.color_weight,
         )

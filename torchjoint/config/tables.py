@@ -8,6 +8,31 @@ from torchjoint.config.config import STAGES
 from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
 
 
+def marked_parameters() -> list[str]:
+    """Names (stage.parameter) of the few parameters that a user turns, in the order of the method's steps."""
+    return [
+        f"{name}.{spec.name}"
+        for name, stage in STAGES.items()
+        for spec in dataclasses.fields(stage)
+        if spec.metadata["too_low"]
+    ]
+
+
+def marked_table() -> str:
+    """The parameters that a user turns, and what a bad value looks like, as one Markdown table for the README."""
+    lines = [
+        "| parameter | default | unit | sensible | too low looks like | too high looks like |",
+        "|---|---:|---|---|---|---|",
+    ]
+    for marked in marked_parameters():
+        stage, _, name = marked.partition(".")
+        spec = next(spec for spec in dataclasses.fields(STAGES[stage]) if spec.name == name)
+        meta = spec.metadata
+        cells = (f"`{marked}`", spec.default, meta["unit"], meta["sensible"], meta["too_low"], meta["too_high"])
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
+
+
 def parameter_table() -> str:
     """All parameters as Markdown tables, one per stage, as the README shows them."""
     parts = []

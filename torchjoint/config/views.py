@@ -24,10 +24,6 @@ class VisibilityConfig(Stage):
         high=10,
         sensible="0.3-1",
     )
-    max_footprint: int = parameter(
-        8, "zbuffer: largest half width of a splat; more closes holes in near surfaces and takes longer", unit="px",
-        low=0, high=100, sensible="4-20",
-    )  # fmt: skip
     depth_tolerance: float = parameter(
         0.01,
         "zbuffer: a point is visible up to this far behind the nearest splat; more tolerates noise and errors of "
@@ -35,22 +31,9 @@ class VisibilityConfig(Stage):
         unit="of the point's depth",
         above=0,
         sensible="0.005-0.02",
+        too_low="a noisy cloud hides its own points: the images say nothing about many points",
+        too_high="points behind an object count as seen: in images, an object has labels of what is behind it",
     )
-    slant_tolerance: float = parameter(
-        2.0,
-        "zbuffer: additional depth tolerance in units of the point's spacing; less loses points on slanted surfaces",
-        low=0,
-        high=10,
-        sensible="1-3",
-    )
-    radius_factor: float = parameter(
-        0.01, "hidden_point_removal: sphere radius = largest distance x N x this; more lets hidden points through",
-        above=0, sensible="0.001-0.1",
-    )  # fmt: skip
-    margin: float = parameter(
-        0.1, "hidden_point_removal: margin around the image in which points still hide others; more finds occluders "
-        "farther outside the image and takes longer", unit="image widths", low=0, high=5,
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -67,13 +50,10 @@ class PropagationConfig(Stage):
     )  # fmt: skip
     normalization: str = parameter(
         "saturating", "L of eq. 6: all (the number of images, as in the paper), or saturating (the edge's own number "
-        "of views, at least `saturation`)", choices=("saturating", "all"),
-    )  # fmt: skip
-    saturation: int = parameter(
-        1, "saturating: s, number of views from which on an edge's evidence counts fully; more trusts few views less",
-        unit="views", low=1, sensible="1-10",
+        "of views)", choices=("saturating", "all"),
     )  # fmt: skip
     weight: float = parameter(
         0.3, "w_r, weight of the images' disagreement r; more cuts where images show different segments; 0: images do "
-        "not affect the point segments, cameras only orient the normals", low=0, high=1000, sensible="0.05-1",
+        "not affect the point segments, cameras only orient the normals; learned: all values above 0 are the same",
+        low=0, high=1000, sensible="0.05-1",
     )  # fmt: skip

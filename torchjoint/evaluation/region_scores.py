@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from torchjoint.config import ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
+from torchjoint.config import ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.datasets.bsds import BsdsImage
 from torchjoint.images.contours import close_contours
 from torchjoint.images.pixel_graph import segment_image
@@ -24,7 +24,7 @@ from torchjoint.runtime.threads import parallel_map
 class RegionSetting(NamedTuple):
     """Parameters of the image segmentation."""
 
-    contours: ContoursConfig
+    contours: tuple[float, float] | None  #: smoothing (pixels) and exponent of closed contours; None: not closed
     graph: ImageGraphConfig
     segments: ImageSegmentsConfig
 
@@ -32,13 +32,13 @@ class RegionSetting(NamedTuple):
 #: For a structured forest: the best of 15 random settings on every other image of BSDS500's val, by covering + F
 #: (benchmarks/boundaries.py).
 WITH_BOUNDARIES = RegionSetting(
-    ContoursConfig(closed=True, smoothing=1.5, exponent=3.0),
+    (1.5, 3.0),
     ImageGraphConfig(smoothing=0.8, color_weight=0.0914, boundary_weight=1.0),
     ImageSegmentsConfig(scale=13.2, min_size=637),
 )
 #: The same for segmentation by colour alone.
 WITHOUT_BOUNDARIES = RegionSetting(
-    ContoursConfig(closed=False),
+    None,
     ImageGraphConfig(smoothing=1.0, color_weight=1.0, boundary_weight=0.0),
     ImageSegmentsConfig(scale=2.39, min_size=855),
 )
@@ -93,8 +93,8 @@ def evaluate_regions(
 
 
 def _segment(image: Tensor, boundary: Tensor, setting: RegionSetting) -> Tensor:
-    if setting.contours.closed and setting.graph.boundary_weight > 0:
-        boundary = close_contours(boundary[None], setting.contours)[0]
+    if setting.contours is not None and setting.graph.boundary_weight > 0:
+        boundary = close_contours(boundary[None], *setting.contours)[0]
     return segment_image(image, boundary, setting.graph, setting.segments)
 
 

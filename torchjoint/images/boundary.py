@@ -22,7 +22,7 @@ def make_boundary(config: BoundaryConfig) -> nn.Module:
             :class:`torch.nn.Module`.
     """
     if config.detector == "gradient":
-        return GradientBoundary(config.smoothing, config.contrast)
+        return GradientBoundary()
     if config.detector == "structured_forest":
         scales = MULTI_SCALE if config.multi_scale else (1.0,)
         return StructuredForestBoundary(config.model, scales)

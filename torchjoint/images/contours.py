@@ -6,12 +6,19 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.config import ContoursConfig
 from torchjoint.images.smoothing import smooth
 from torchjoint.runtime.threads import parallel_map
 
+#: Standard deviation of the blur of the boundaries before the watershed, pixels: without it, the noise of a detector
+#: makes many tiny regions; much more rounds corners off.
+SMOOTHING = 1.0
 
-def close_contours(boundaries: Tensor, config: ContoursConfig) -> Tensor:
+#: Exponent of a contour's strength: the contours of texture are weak in the mean, and nearly vanish. At 1,
+#: they count as in the detector's boundaries.
+EXPONENT = 3.0
+
+
+def close_contours(boundaries: Tensor, smoothing: float = SMOOTHING, exponent: float = EXPONENT) -> Tensor:
     """Close the contours of boundary maps, because a segmentation would leak through a gap of one pixel.
 
     Each map becomes an ultrametric contour map (:func:`torchjoint.ops.ultrametric_contours`): a piece of contour has
@@ -22,7 +29,8 @@ def close_contours(boundaries: Tensor, config: ContoursConfig) -> Tensor:
 
     Args:
         boundaries: [B, H, W] float32 in [0, 1].
-        config: smoothing and exponent.
+        smoothing: standard deviation of the blur before the watershed, pixels; more gives fewer and larger regions.
+        exponent: applied to a contour's strength; more suppresses weak contours.
 
     Returns:
         [B, H, W] float32 in [0, 1]. The result of an image does not depend on the other images, bit for bit.
@@ -39,7 +47,7 @@ def close_contours(boundaries: Tensor, config: ContoursConfig) -> Tensor:
             raise ValueError(f"boundaries: expected numbers in [0, 1], got others in image {index}")
 
     def close(boundary: Tensor) -> Tensor:
-        relief = smooth(boundary[None, None], config.smoothing)[0, 0]
-        return ops.ultrametric_contours(boundary, relief).pow_(config.exponent)
+        relief = smooth(boundary[None, None], smoothing)[0, 0]
+        return ops.ultrametric_contours(boundary, relief).pow_(exponent)
 
     return torch.stack(parallel_map(close, boundaries.float()))

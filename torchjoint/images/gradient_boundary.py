@@ -9,6 +9,12 @@ from torch import Tensor, nn
 from torchjoint.images.smoothing import smooth
 from torchjoint.runtime.threads import parallel_map
 
+#: Standard deviation of the blur before the gradient, pixels: suppresses the noise of a camera, keeps edges sharp.
+SMOOTHING = 1.0
+
+#: Gradient at which the boundary is 1 - 1/e, Lab units per pixel: clear edges are above it, shading is far below it.
+CONTRAST = 8.0
+
 
 class GradientBoundary(nn.Module):
     """Gradient magnitude of the smoothed image in CIE Lab, b = 1 - exp(-|g| / contrast).
@@ -20,7 +26,7 @@ class GradientBoundary(nn.Module):
         contrast: gradient at which b = 1 - 1/e, Lab units per pixel.
     """
 
-    def __init__(self, smoothing: float = 1.0, contrast: float = 8.0) -> None:
+    def __init__(self, smoothing: float = SMOOTHING, contrast: float = CONTRAST) -> None:
         super().__init__()
         self.smoothing = smoothing
         self.contrast = contrast

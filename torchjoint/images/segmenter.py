@@ -66,7 +66,7 @@ class ImageSegmenter(nn.Module):
         if not ((boundaries >= 0) & (boundaries <= 1)).all():
             raise ValueError("boundary: expected values in [0, 1] and no NaN")
         boundaries = boundaries.float()
-        return close_contours(boundaries, self.config.contours) if self.config.contours.closed else boundaries
+        return close_contours(boundaries) if self.config.contours.closed else boundaries
 
     def _segment(self, images: Tensor, boundaries: Tensor) -> list[Tensor]:
         size = (images.shape[2], images.shape[3])

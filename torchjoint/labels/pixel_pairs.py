@@ -9,6 +9,9 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.views.visibility import Visible
 
+#: R, pixels: about the spacing of projected points in an image of 640 x 480. More counts more pairs and takes longer.
+RADIUS = 3.0
+
 
 class PixelPairs(NamedTuple):
     """Counts of E^R, the pairs of visible points that are close in the image, by segments and 3D labels (eq. 7-9).

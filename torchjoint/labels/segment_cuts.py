@@ -9,9 +9,13 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import ImageGraphConfig, RefinementConfig
-from torchjoint.labels.pixel_pairs import PixelPairs, pixel_pairs
+from torchjoint.labels.pixel_pairs import RADIUS, PixelPairs, pixel_pairs
 from torchjoint.runtime.sorted_groups import starts_group
 from torchjoint.views.visibility import Visible
+
+#: Largest number of rounds in which the parts of a segment are cut again: each round cuts a part in two, so that a
+#: segment becomes at most 256 parts.
+MAX_SPLITS = 8
 
 
 def split_segments(
@@ -36,7 +40,7 @@ def split_segments(
         boundary: [H, W] in [0, 1].
         visible: M visible points.
         point_labels: [M] int64, 3D label of each visible point.
-        config: R, n_s and the number of rounds.
+        config: n_s.
         graph: weights of eq. 2.
 
     Returns:
@@ -48,8 +52,8 @@ def split_segments(
     pixel = visible.row * labels.shape[1] + visible.column
     segment = labels.view(-1)[pixel].long()
     next_label = int(labels.max()) + 1 if labels.numel() else 0
-    for _ in range(config.max_splits):
-        pairs = pixel_pairs(visible, segment, point_labels, labels.shape[1], config.radius)
+    for _ in range(MAX_SPLITS):
+        pairs = pixel_pairs(visible, segment, point_labels, labels.shape[1], RADIUS)
         chosen = _label_pairs(pairs, config.split_min_edges)
         source, sink = _seeds(segment, pixel, point_labels, chosen, labels)
         on_sink_side = _cut(labels, colors, boundary, source, sink, graph)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchjoint.config import RefinementConfig
 from torchjoint.labels._tables import look_up
-from torchjoint.labels.pixel_pairs import pixel_pairs
+from torchjoint.labels.pixel_pairs import RADIUS, pixel_pairs
 from torchjoint.views.visibility import Visible
 
 
@@ -24,7 +24,7 @@ def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, confi
         labels: [H, W] int32, -1 = none (never merged).
         visible: M visible points.
         point_labels: [M] int64, 3D label of each visible point.
-        config: R and r_m.
+        config: r_m.
 
     Returns:
         [H, W] int32; a merged segment has the lowest of its labels.
@@ -32,7 +32,7 @@ def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, confi
     if config.merge_ratio is None:
         return labels
     segment = labels[visible.row, visible.column].long()
-    pairs = pixel_pairs(visible, segment, point_labels, labels.shape[1], config.radius)
+    pairs = pixel_pairs(visible, segment, point_labels, labels.shape[1], RADIUS)
     pairs = pairs.select(pairs.low_segment != pairs.high_segment)
     if not pairs.num_pairs.numel():
         return labels

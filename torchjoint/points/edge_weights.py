@@ -15,6 +15,8 @@ from torchjoint.runtime.threads import parallel_map
 #: Number of edges processed at a time, so that clouds of millions of points need little memory besides the result.
 EDGES = 1 << 16
 
+#: w_theta of eq. 3, per radian. Only the ratios of the weights and of k to each other count, so one weight can be 1.
+ANGLE_WEIGHT = 1.0
 
 #: Measures how much a surface turns along an edge: a function of the normals at both ends [E, 3], whether both are
 #: oriented [E], and the step p_j - p_i [E, 3]; returns [E].
@@ -41,6 +43,7 @@ def geometric_weights(
     config: PointGraphConfig,
     colors: Tensor | None = None,
     turn: Turn | None = None,
+    angle_weight: float = ANGLE_WEIGHT,
 ) -> Tensor:
     """The part of eq. 3 without images: w_d |p_i - p_j| + w_theta theta (+ w_c |c_i - c_j| if color_weight > 0).
 
@@ -52,9 +55,10 @@ def geometric_weights(
         edge_index: [2, E] int64.
         normals: [N, 3] unit length.
         oriented: [N] bool, whether a normal is oriented.
-        config: w_d, w_theta, convex_factor and color_weight.
+        config: w_d, convex_factor and color_weight.
         colors: [N, 3] RGB in [0, 1], required if config.color_weight > 0.
         turn: measures how much the surface turns along an edge, instead of theta.
+        angle_weight: w_theta.
 
     Returns:
         [E] float32.
@@ -73,7 +77,7 @@ def geometric_weights(
         both_oriented = oriented[i] & oriented[j]
         first, second = rows_of(normals, i), rows_of(normals, j)
         step = rows_of(points, j) - rows_of(points, i)
-        weight = config.angle_weight * turn(first, second, both_oriented, step)
+        weight = angle_weight * turn(first, second, both_oriented, step)
         if config.distance_weight > 0:
             weight = weight + config.distance_weight * length(step)
         if config.color_weight > 0 and colors is not None:

@@ -14,7 +14,7 @@ import kornia
 import torch
 from torch import Tensor
 
-from torchjoint.config import Config, RegionsConfig
+from torchjoint.config import Config
 from torchjoint.points._vectors import dot, length, rows_of
 from torchjoint.points.edge_costs import combined_costs, crease_costs
 from torchjoint.points.edge_weights import map_edges
@@ -25,7 +25,7 @@ from torchjoint.points.normals import angle_between, estimate_normals, is_convex
 from torchjoint.points.orientation import orient_normals
 from torchjoint.points.region_merging import merge
 from torchjoint.points.region_statistics import RegionStatistics, statistics_of_points
-from torchjoint.points.regions import Planes, one_sided_planes, small_regions
+from torchjoint.points.regions import SMOOTH_REGIONS, Planes, one_sided_planes, small_regions
 from torchjoint.points.scales import Scales
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.views.propagation import disagreement
@@ -34,8 +34,6 @@ from torchjoint.views.state import JointState
 # The model was trained on boundaries between these pieces. With other pieces its probabilities would be wrong, so these
 # numbers are no parameters of the config.
 
-#: The smooth regions within which planes are fitted.
-SMOOTH_REGIONS = RegionsConfig(scale=0.003, min_size=15)
 #: Factor on the cost of a crease where the surface is convex.
 CONVEX_FACTOR = 0.05
 #: Weight of the images' disagreement in an edge's cost.

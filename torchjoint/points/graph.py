@@ -16,10 +16,14 @@ from torchjoint.runtime.threads import all_threads
 from torchjoint.scene import Scene
 from torchjoint.views.csr_adjacency import CsrAdjacency
 
+#: Neighbours to which planes are fitted, as many as normals by default: only a part of them is in the point's region,
+#: so that a plane, unlike a normal, does not round edges.
+PLANE_NEIGHBORS = 45
+
 #: With measured scales, planes are fitted to this many times as many neighbours as normals, because only a part of them
 #: is in the point's region; at least 40, at most 128.
 PLANE_SHARE = 1.5
-PLANE_NEIGHBORS = (40, 128)
+PLANE_LIMITS = (40, 128)
 
 
 class PointGraph(NamedTuple):
@@ -54,9 +58,9 @@ def build_point_graph(cloud: Scene, config: PointGraphConfig, scales: Scales | N
         scales: the scales of the cloud; if given, the numbers of neighbours of normals and planes follow from them
             instead of the config.
     """
-    for_normals, for_planes = config.normal_neighbors, config.plane_neighbors
+    for_normals, for_planes = config.normal_neighbors, PLANE_NEIGHBORS
     if scales is not None:
-        few, many = PLANE_NEIGHBORS
+        few, many = PLANE_LIMITS
         for_normals = scales.normal_neighbors
         for_planes = min(many, max(few, round(PLANE_SHARE * for_normals)))
     if cloud.normals is not None:

@@ -27,6 +27,18 @@ from torchjoint.views.visibility import Visible
 SAME_DIRECTION = 0.9
 #: Smallest length of a run that counts, in grid cells.
 MIN_RUN = 2
+#: Smallest share of the lines across an occluder on which the plane continues: the majority decides.
+SHARE = 0.5
+#: Side of the grid cells along which lines run, pixels: about the distance between neighbouring points in the image.
+#: Smaller cells stay empty, larger ones miss thin occluders.
+CELL = 4
+#: Smallest difference in depth between an occluder and the surface behind it, metres: above a depth camera's noise.
+DEPTH_STEP = 0.03
+#: Largest distance of each side from the other side's plane, metres, to which a twentieth of the gap is added: a plane
+#: of few points is off by so much.
+FLATNESS = 0.015
+#: Widest gap that is bridged, metres: the size of furniture. Across wider gaps, planes coincide by accident.
+MAX_GAP = 1.0
 
 
 class Runs(NamedTuple):
@@ -48,7 +60,7 @@ def bridge(
         point_labels: [N] int64, 0 ... S - 1.
         planes: the one-sided plane of each point.
         observations: the frames.
-        config: thresholds; see there.
+        config: the smallest number of lines.
 
     Returns:
         [N] int64 segments 0, 1, ..., numbered by the lowest of the segments that were joined.
@@ -56,12 +68,12 @@ def bridge(
     if config.min_votes is None or not observations:
         return point_labels
     num_segments = int(point_labels.max()) + 1
-    votes = parallel_map(lambda seen: _votes(point_labels, planes, seen.visible, num_segments, config), observations)
+    votes = parallel_map(lambda seen: _votes(point_labels, planes, seen.visible, num_segments), observations)
     pairs, of_pair = torch.unique(torch.cat([pair for pair, _ in votes]), return_inverse=True)
     goes_on = torch.cat([votes_for for _, votes_for in votes])
     num_lines = torch.bincount(of_pair, minlength=len(pairs))
     num_votes = torch.bincount(of_pair[goes_on], minlength=len(pairs))
-    joined = pairs[(num_votes >= config.min_votes) & (num_votes >= config.share * num_lines.double())]
+    joined = pairs[(num_votes >= config.min_votes) & (num_votes >= SHARE * num_lines.double())]
     graph = coo_matrix(
         (torch.ones(len(joined)), (joined // num_segments, joined % num_segments)), (num_segments, num_segments)
     )
@@ -69,28 +81,26 @@ def bridge(
     return torch.from_numpy(component).long()[point_labels]
 
 
-def _votes(
-    point_labels: Tensor, planes: Planes, visible: Visible, num_segments: int, config: OcclusionBridgingConfig
-) -> tuple[Tensor, Tensor]:
+def _votes(point_labels: Tensor, planes: Planes, visible: Visible, num_segments: int) -> tuple[Tensor, Tensor]:
     """For each line across an occluder: its two segments as low x S + high, [V] int64, and its vote, [V] bool."""
     pairs, goes_on = [], []
     for across, along in ((visible.row, visible.column), (visible.column, visible.row)):
-        run = _runs(across // config.cell, along // config.cell, visible.z, point_labels[visible.point])
+        run = _runs(across // CELL, along // CELL, visible.z, point_labels[visible.point])
         left, front, right = (slice(None, -2), slice(1, -1), slice(2, None))
         z_first, z_last = visible.z[run.first], visible.z[run.last]
         long_enough = run.length >= MIN_RUN
         found = (
             (run.row[left] == run.row[right])
             & (run.segment[left] != run.segment[right])
-            & (z_first[front] < z_last[left] - config.depth_step)
-            & (z_last[front] < z_first[right] - config.depth_step)
+            & (z_first[front] < z_last[left] - DEPTH_STEP)
+            & (z_last[front] < z_first[right] - DEPTH_STEP)
             & (long_enough[left] & long_enough[front] & long_enough[right])
         )
         low = torch.minimum(run.segment[left], run.segment[right])[found]
         high = torch.maximum(run.segment[left], run.segment[right])[found]
         pairs.append(low * num_segments + high)
         ends = visible.point[run.last[left][found]], visible.point[run.first[right][found]]
-        goes_on.append(_is_one_plane(planes, *ends, config))
+        goes_on.append(_is_one_plane(planes, *ends))
     return torch.cat(pairs), torch.cat(goes_on)
 
 
@@ -104,11 +114,11 @@ def _runs(row: Tensor, column: Tensor, z: Tensor, segment: Tensor) -> Runs:
     return Runs(row[start], segment[start], nearest[start], nearest[end - 1], end - start)
 
 
-def _is_one_plane(planes: Planes, first: Tensor, second: Tensor, config: OcclusionBridgingConfig) -> Tensor:
+def _is_one_plane(planes: Planes, first: Tensor, second: Tensor) -> Tensor:
     """[V] bool: whether each of two points lies in the other point's plane, and both normals have one direction."""
     step = rows_of(planes.mean, second) - rows_of(planes.mean, first)
     distance = length(step)
-    off = config.flatness + distance / 20
+    off = FLATNESS + distance / 20
     one, other = rows_of(planes.normal, first), rows_of(planes.normal, second)
     in_plane = (dot(one, step).abs() <= off) & (dot(other, step).abs() <= off)
-    return in_plane & (dot(one, other) >= SAME_DIRECTION) & (distance <= config.max_gap)
+    return in_plane & (dot(one, other) >= SAME_DIRECTION) & (distance <= MAX_GAP)

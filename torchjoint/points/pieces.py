@@ -33,7 +33,7 @@ def piece_disagreement(
         piece: [N] int64, piece of each point, 0 ... K - 1.
         edge_index: [2, E] int64.
         observations: the frames.
-        config: r_o, s and the normalization.
+        config: r_o and the normalization.
 
     Returns:
         [E] float32 in [0, 1]; 1 - r_o if no image sees both pieces.

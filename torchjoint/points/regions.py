@@ -8,13 +8,25 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.config import PointGraphConfig, RegionsConfig
+from torchjoint.config import PointGraphConfig
 from torchjoint.points.edge_weights import geometric_weights, segmentator_turn
 from torchjoint.points.graph import PointGraph
 from torchjoint.runtime.threads import all_threads
 
 #: Smallest number of points to which a plane is fitted.
 MIN_POINTS = 6
+
+
+class SmoothRegions(NamedTuple):
+    """Small smooth regions: Felzenszwalb-Huttenlocher on the angles between normals."""
+
+    scale: float = 0.003  #: k, weight x points; more gives larger regions; 0: each point is a region of its own
+    min_size: int = 15  #: points; smaller regions are joined to a neighbour
+
+
+#: The small regions of methods regions and learned. Regions must not cross creases, so the scale is small. Regions of fewer than 15
+#: points are joined to a neighbour, because their planes are mostly noise.
+SMOOTH_REGIONS = SmoothRegions()
 
 
 class Planes(NamedTuple):
@@ -24,7 +36,7 @@ class Planes(NamedTuple):
     normal: Tensor  #: [N, 3] unit length, on the side of the point's own normal
 
 
-def small_regions(graph: PointGraph, normals: Tensor, oriented: Tensor, config: RegionsConfig) -> Tensor:
+def small_regions(graph: PointGraph, normals: Tensor, oriented: Tensor, config: SmoothRegions) -> Tensor:
     """Groups points into smooth regions: Felzenszwalb-Huttenlocher with weights 1 - n_i . n_j, squared where convex.
 
     Args:
@@ -38,7 +50,7 @@ def small_regions(graph: PointGraph, normals: Tensor, oriented: Tensor, config: 
     """
     if config.scale == 0:
         return torch.arange(graph.num_points)
-    turn_only = PointGraphConfig(distance_weight=0, angle_weight=1)
+    turn_only = PointGraphConfig(distance_weight=0)
     weights = geometric_weights(graph.points, graph.edge_index, normals, oriented, turn_only, turn=segmentator_turn)
     return ops.felzenszwalb(graph.edge_index, weights, graph.num_points, config.scale, config.min_size)
 

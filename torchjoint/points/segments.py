@@ -19,10 +19,14 @@ from torchjoint.points.occlusion_bridging import bridge
 from torchjoint.points.orientation import orient_normals
 from torchjoint.points.pieces import piece_disagreement
 from torchjoint.points.region_merging import join_small, merge
-from torchjoint.points.regions import one_sided_planes, small_regions
+from torchjoint.points.regions import SMOOTH_REGIONS, one_sided_planes, small_regions
 from torchjoint.scene import Hierarchy
 from torchjoint.views.propagation import disagreement
 from torchjoint.views.state import JointState
+
+#: Smallest piece, points; smaller pieces are joined to a neighbour, whatever the boundary cost. Fewer points have no
+#: reliable r of their own; more loses small objects.
+MIN_PIECE = 8
 
 
 def segment_points(graph: PointGraph, state: JointState, config: Config) -> Tensor:
@@ -110,7 +114,7 @@ def by_regions(
     Returns:
         [N] int64 labels 0, 1, ...
     """
-    region = small_regions(graph, normals, oriented, config.regions)
+    region = small_regions(graph, normals, oriented, SMOOTH_REGIONS)
     planes = one_sided_planes(graph, region, normals)
     crease = crease_costs(graph.edge_index, planes, oriented, config.point_graph.convex_factor)
     merging, piece = config.region_merging, torch.arange(graph.num_points)
@@ -118,7 +122,7 @@ def by_regions(
         return merge(piece, graph.edge_index, crease, merging.threshold, merging.min_size)
     cost = combined_costs(crease, r, config.propagation.weight, merging.agreement)
     if config.pieces.threshold is not None:
-        piece = merge(piece, graph.edge_index, cost, config.pieces.threshold, config.pieces.min_size)
+        piece = merge(piece, graph.edge_index, cost, config.pieces.threshold, MIN_PIECE)
         r = (r + piece_disagreement(piece, graph.edge_index, state.observations, config.propagation)) / 2
         cost = combined_costs(crease, r, config.propagation.weight, merging.agreement)
     segment = merge(piece, graph.edge_index, cost, merging.threshold, merging.min_size)

@@ -48,13 +48,13 @@ def disagreement(views: Tensor, overlap_sum: Tensor, num_images: int, config: Pr
 
     `normalization: all` is eq. 6 as in the paper: r = 1 - r_o + (v r_o - sum o) / L with L = `num_images`. With
     hundreds of images v / L is tiny and r is nearly constant. `normalization: saturating` avoids this:
-    r = 1 - r_o + min(v / s, 1) (r_o - sum o / v).
+    r = 1 - sum o / v if v > 0. One view counts as much as many.
 
     Args:
         views: [E] int64, v, number of images that see both ends of the edge.
         overlap_sum: [E] float64, sum of the overlaps in these images.
         num_images: L, the number of images.
-        config: r_o, s and the normalization.
+        config: r_o and the normalization.
 
     Returns:
         [E] float32.
@@ -64,6 +64,5 @@ def disagreement(views: Tensor, overlap_sum: Tensor, num_images: int, config: Pr
     if config.normalization == "all":
         r = neutral + (v * config.overlap_threshold - overlap_sum) / max(num_images, 1)
     else:
-        trust = (v / config.saturation).clamp(max=1)
-        r = neutral + trust * (config.overlap_threshold - overlap_sum / v.clamp(min=1))
+        r = neutral + v.clamp(max=1) * (config.overlap_threshold - overlap_sum / v.clamp(min=1))
     return r.clamp(0, 1).float()  # only rounding can leave [0, 1]

@@ -13,6 +13,22 @@ from torchjoint.scene.camera import camera_center
 from torchjoint.views.hidden_point_removal import hidden_point_removal
 from torchjoint.views.projection import Projection, _inside, _nearest_pixel, project
 
+#: Largest half width of a splat, pixels: larger splats, of points just in front of the camera, would take most of the
+#: time and hide whole objects.
+MAX_FOOTPRINT = 8
+
+#: Depth tolerance in addition, in units of the point's spacing. On a slanted surface a neighbour's splat can be in
+#: front of a point by as much as the distance between the two; twice that allows for clouds of uneven density.
+SLANT_TOLERANCE = 2.0
+
+#: Radius of the sphere of hidden point removal, in units of the largest distance x N. A tenth of it hides 70 % of the
+#: points that are visible, ten times as much shows 27 % of the points that are hidden (benchmarks/visibility.py).
+RADIUS_FACTOR = 0.01
+
+#: Margin around the image, in image widths, in which points still hide others from hidden point removal. A point's
+#: occluders are on its own ray; only the hull's shape at the image's edge depends on points beyond it.
+MARGIN = 0.1
+
 
 class Visible(NamedTuple):
     """The points that one image sees, and their pixels: sparse (point, pixel) pairs, one per point."""
@@ -43,11 +59,11 @@ def visible_points(
         size: (H, W) pixels.
         config: the method and its parameters.
     """
-    margin = config.margin if config.method == "hidden_point_removal" else 0.0
+    margin = MARGIN if config.method == "hidden_point_removal" else 0.0
     projected = project(points, intrinsics, world_to_camera, size, margin)
     if config.method == "hidden_point_removal":
         center = camera_center(world_to_camera)
-        projected = projected.select(hidden_point_removal(points[projected.point], center, config.radius_factor))
+        projected = projected.select(hidden_point_removal(points[projected.point], center, RADIUS_FACTOR))
         projected = projected.select(_inside(projected.u, projected.v, size))
     else:
         projected = projected.select(zbuffer_visible(projected, spacing, float(intrinsics[0, 0]), size, config))
@@ -68,15 +84,14 @@ def zbuffer_visible(
         spacing: [N] metres.
         focal: focal length, pixels.
         size: (H, W) pixels.
-        config: footprint and tolerances.
+        config: footprint and depth tolerance.
 
     Returns:
         [M] bool, True for visible points.
     """
     width = spacing[projected.point]
-    reach = (config.footprint * width * focal / projected.z).round().clamp(max=config.max_footprint).to(torch.int64)
+    reach = (config.footprint * width * focal / projected.z).round().clamp(max=MAX_FOOTPRINT).to(torch.int64)
     row, column = _nearest_pixel(projected.v), _nearest_pixel(projected.u)
     nearest = ops.splat_depth(row, column, projected.z, reach, *size)
-    # On a slanted surface a neighbour's splat can be in front of a point by as much as the distance between the two.
-    tolerance = config.depth_tolerance * projected.z + config.slant_tolerance * width
+    tolerance = config.depth_tolerance * projected.z + SLANT_TOLERANCE * width
     return projected.z <= nearest[row, column] + tolerance

@@ -13,10 +13,31 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.config import ScanConfig
 from torchjoint.points.lidar.directions import Directions, directions
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene.checks import as_float, as_points, check_shape
+
+#: Width of the azimuth columns along which the ground is followed, degrees: wide enough that few columns are empty
+#: behind objects, narrow enough for streets that bend or bank.
+AZIMUTH_CELL = 2.0
+
+#: Height of the elevation cells of a column, degrees: about the angle between two beams of a 64-beam sensor. Each cell
+#: contributes its lowest point.
+ELEVATION_CELL = 0.4
+
+#: Largest slope of the ground, degrees: streets are less steep, car bonnets and hedges are steeper.
+MAX_SLOPE = 10.0
+
+#: Allowed step in height in addition to the slope, metres: about twice the noise of the range.
+MAX_STEP = 0.05
+
+#: Parts of a profile more than this above the profiles beside it are not ground, metres: lower than what stands in a
+#: street and fills a column from the sensor on, such as a car beside it; higher than kerbs.
+MAX_BUMP = 0.2
+
+#: Points lower than this above the ground belong to it, metres: about the roughness of a road. Less leaves fragments of
+#: it; more takes feet and kerbs.
+GROUND_HEIGHT = 0.08
 
 #: Horizontal distance from the sensor, metres, within which the sensor's height above the ground is estimated.
 NEAR = 20.0
@@ -56,12 +77,11 @@ class Profile(NamedTuple):
         return self.height[below] + share * (self.height[above] - self.height[below])
 
 
-def ground(points: Tensor, config: ScanConfig | None = None, sensor: Tensor | None = None) -> Tensor:
-    """Which points of a scan belong to the ground: those lower than `config.ground_height` above it.
+def ground(points: Tensor, sensor: Tensor | None = None) -> Tensor:
+    """Which points of a scan belong to the ground: those lower than GROUND_HEIGHT above it.
 
     Args:
         points: [N, 3] metres, z up.
-        config: see :class:`ScanConfig`.
         sensor: [3] metres, position of the LiDAR; default: the origin.
 
     Returns:
@@ -70,47 +90,44 @@ def ground(points: Tensor, config: ScanConfig | None = None, sensor: Tensor | No
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
     """
-    config = config or ScanConfig()
-    return height_over_ground(points, config, sensor) < config.ground_height
+    return height_over_ground(points, sensor) < GROUND_HEIGHT
 
 
-def height_over_ground(points: Tensor, config: ScanConfig | None = None, sensor: Tensor | None = None) -> Tensor:
+def height_over_ground(points: Tensor, sensor: Tensor | None = None) -> Tensor:
     """Heights of the points of a scan above the ground, [N] float64 metres; arguments and errors as in :func:`ground`.
 
     Each cell of azimuth and elevation contributes its lowest point. A profile follows each column of cells outward. It
     starts where the lowest beam begins to meet the ground, at the median of the columns' lowest points near the sensor.
-    It goes on to a cell's lowest point if this point is farther out, and if the change of height is at most `max_step`
-    plus `max_slope` times the way. Parts of a profile more than `max_bump` above the median of the neighbouring
-    profiles are removed: there an object hides the ground in front of it. Between two places of a profile, and between
-    two columns, the height is interpolated linearly.
+    It goes on to a cell's lowest point if this point is farther out, and if the change of height is at most MAX_STEP
+    plus MAX_SLOPE times the way. Parts of a profile more than MAX_BUMP above the median of the neighbouring profiles
+    are removed: there an object hides the ground in front of it. Between two places of a profile, and between two
+    columns, the height is interpolated linearly.
     """
     points = as_points(points)
     sensor = torch.zeros(3) if sensor is None else as_float(sensor, "sensor", torch.float64)
     check_shape(sensor, (3,), "sensor")
-    config = config or ScanConfig()
     with torch.no_grad(), one_thread_per_operation():
         seen, height = directions(points, sensor), points[:, 2].double() - sensor[2]
-        profile = _without_bumps(ground_profile(seen, height, config), config.max_bump)
+        profile = _without_bumps(ground_profile(seen, height))
         place = _column_place(seen.azimuth, profile.num_columns) - 0.5  # a column's profile holds at its middle
         before = place.floor()
         left, right = (profile.at(before.long() + side, seen.distance) for side in (0, 1))
         return height - (left + (place - before) * (right - left))
 
 
-def ground_profile(seen: Directions, height: Tensor, config: ScanConfig) -> Profile:
+def ground_profile(seen: Directions, height: Tensor) -> Profile:
     """Follows each column outward, over the lowest points of its cells.
 
     Args:
         seen: directions of N points.
         height: [N] float64 metres above the sensor.
-        config: cells, slope and step.
 
     Returns:
         one profile per column.
     """
-    num_columns = max(1, round(360 / config.azimuth_cell))
+    num_columns = max(1, round(360 / AZIMUTH_CELL))
     column = _column_place(seen.azimuth, num_columns).long().clamp(max=num_columns - 1)
-    row = ((seen.elevation + math.pi / 2) / math.radians(config.elevation_cell)).long()
+    row = ((seen.elevation + math.pi / 2) / math.radians(ELEVATION_CELL)).long()
     row -= row.min()
     num_rows = int(row.max()) + 1
     lowest = _lowest(height, row * num_columns + column, num_rows * num_columns)
@@ -120,7 +137,7 @@ def ground_profile(seen: Directions, height: Tensor, config: ScanConfig) -> Prof
     heights = height[place].view(num_rows, num_columns)
     start = _start(seen.distance, height, column, num_columns)
     blind = _blind_distance(seen.elevation, start)
-    taken = _walk(exists.view(num_rows, num_columns), distances, heights, start, blind, config)
+    taken = _walk(exists.view(num_rows, num_columns), distances, heights, start, blind)
     distances = torch.cat([torch.zeros_like(distances[:1]), distances])
     heights = torch.cat([torch.full_like(heights[:1], start), heights])
     taken = torch.cat([torch.ones_like(taken[:1]), taken])
@@ -128,25 +145,25 @@ def ground_profile(seen: Directions, height: Tensor, config: ScanConfig) -> Prof
     return Profile(of_column, distances[of_row, of_column], heights[of_row, of_column], num_columns)
 
 
-def _walk(exists: Tensor, distances: Tensor, heights: Tensor, start: float, blind: float, config: ScanConfig) -> Tensor:
+def _walk(exists: Tensor, distances: Tensor, heights: Tensor, start: float, blind: float) -> Tensor:
     """[R, C] bool, the cells whose lowest points belong to the profiles; each step handles one row of all columns."""
-    slope = math.tan(math.radians(config.max_slope))
+    slope = math.tan(math.radians(MAX_SLOPE))
     taken = torch.zeros_like(exists)
     distance, height = torch.full_like(distances[0], blind), torch.full_like(heights[0], start)
     for row in range(len(exists)):
         way = distances[row] - distance
         step = (heights[row] - height).abs()
-        taken[row] = exists[row] & (way > 0) & (step <= config.max_step + slope * way)
+        taken[row] = exists[row] & (way > 0) & (step <= MAX_STEP + slope * way)
         distance = torch.where(taken[row], distances[row], distance)
         height = torch.where(taken[row], heights[row], height)
     return taken
 
 
-def _without_bumps(profile: Profile, max_bump: float) -> Profile:
-    """Removes the places that are more than `max_bump` above the median of the neighbouring profiles."""
+def _without_bumps(profile: Profile) -> Profile:
+    """Removes the places that are more than MAX_BUMP above the median of the neighbouring profiles."""
     sides = torch.arange(-SIDES, SIDES + 1)[:, None]
     around = profile.at(profile.column + sides, profile.distance.expand(len(sides), -1))
-    stays = profile.height - around.median(dim=0).values <= max_bump
+    stays = profile.height - around.median(dim=0).values <= MAX_BUMP
     return profile._replace(
         column=profile.column[stays], distance=profile.distance[stays], height=profile.height[stays]
     )

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from torchjoint.config import ScanConfig
 from torchjoint.points.lidar.directions import Directions
+from torchjoint.points.lidar.ground import GROUND_HEIGHT, MAX_SLOPE
 from torchjoint.points.lidar.rising import something_rises
 
 #: Largest horizontal way from the ground to a patch that joins it: metres, and metres per metre of distance from the
@@ -35,10 +36,10 @@ ROUNDS = 12
 def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor, config: ScanConfig) -> Tensor:
     """Which points of a scan belong to the ground.
 
-    1. Points lower than `ground_height` above the profiles.
+    1. Points lower than GROUND_HEIGHT above the profiles.
     2. Points lower than `object_height` above the profiles, if nothing rises from them.
     3. Patches: connected points from which nothing rises. A patch joins the ground if it continues it: its points near
-       the ground differ from the nearest point of the ground, in height, by at most `ground_height` plus `max_slope`
+       the ground differ from the nearest point of the ground, in height, by at most GROUND_HEIGHT plus MAX_SLOPE
        times the horizontal way. This is repeated, because the next patch may continue this one.
 
     Args:
@@ -46,12 +47,12 @@ def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor,
         height: [N] float64 metres above the profiles.
         seen: directions of the points.
         edges: [2, E] int64, connected points.
-        config: heights and slope.
+        config: object_height.
 
     Returns:
         [N] bool, True for ground.
     """
-    on_ground = height < config.ground_height
+    on_ground = height < GROUND_HEIGHT
     if config.object_height == 0:
         return on_ground
     standing = torch.nonzero(~on_ground).flatten()
@@ -61,7 +62,7 @@ def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor,
     patch, num_patches = _patches(flat, edges, len(points))
     place: NDArray[np.float64] = points.double().numpy()
     hop = (HOP_GROWTH * seen.distance).clamp(min=HOP).numpy()
-    slope = math.tan(math.radians(config.max_slope))
+    slope = math.tan(math.radians(MAX_SLOPE))
     for _ in range(ROUNDS):
         left = flat[~on_ground[flat]].numpy()
         ground = torch.nonzero(on_ground).flatten().numpy()
@@ -69,7 +70,7 @@ def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor,
             break
         way, nearest = cKDTree(place[ground, :2]).query(place[left, :2])
         step = np.abs(place[left, 2] - place[ground[nearest], 2])
-        near, fits = way <= hop[left], step <= config.ground_height + slope * way
+        near, fits = way <= hop[left], step <= GROUND_HEIGHT + slope * way
         of_patch = patch[left]
         num_near = np.bincount(of_patch[near], minlength=num_patches)
         joins = (num_near > 0) & (np.bincount(of_patch[near & fits], minlength=num_patches) >= SHARE * num_near)

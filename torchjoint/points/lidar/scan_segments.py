@@ -13,12 +13,19 @@ from torchjoint import ops
 from torchjoint.config import ScanConfig
 from torchjoint.points.graph import undirected_edges
 from torchjoint.points.lidar.directions import directions
-from torchjoint.points.lidar.ground import height_over_ground
+from torchjoint.points.lidar.ground import GROUND_HEIGHT, height_over_ground
 from torchjoint.points.lidar.ground_growth import grow_ground
 from torchjoint.points.lidar.recognition import Rings, find_rings
 from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene.checks import as_points
+
+#: Neighbours of a point in the graph: fewer lose thin parts between denser ones, more take longer.
+NEIGHBORS = 12
+
+#: Largest distance over which a small segment is joined to a neighbour, in allowed gaps. Farther away it is mostly
+#: another object: a small segment that stands far from all others keeps its own label.
+JOINING_GAP = 2.0
 
 #: So many rings are joined across an allowed gap, without the part of the gap that does not grow with range.
 RINGS_IN_GAP = 4
@@ -30,7 +37,7 @@ def segment_scan(points: Tensor, config: ScanConfig | None = None, sensor: Tenso
     Points on the ground (:func:`~torchjoint.points.lidar.ground_growth.grow_ground`) are one segment. All other points
     are nodes of a graph of nearest neighbours, with weights from :func:`gap_weights`. Its connected components with
     weights <= 1 are segments. A segment of fewer than `config.min_size` points is joined to the neighbour along its
-    lightest edge, if the weight of this edge is at most `config.joining_gap`. Neighbours and weights are those of the
+    lightest edge, if the weight of this edge is at most JOINING_GAP. Neighbours and weights are those of the
     scan in which rings are drawn together (:func:`with_near_rings`).
 
     Args:
@@ -61,11 +68,11 @@ def scan_graph(points: Tensor, config: ScanConfig, sensor: Tensor | None = None)
     Returns:
         [2, E] int64 edges; [E] float32 weights; [N] bool, True for ground.
     """
-    height = height_over_ground(points, config, sensor)
+    height = height_over_ground(points, sensor)
     from_sensor = points if sensor is None else (points.double() - sensor.double()).float()
     drawn = with_near_rings(from_sensor, find_rings(from_sensor), config)
-    standing = torch.nonzero(height >= config.ground_height).flatten()
-    edges = standing[undirected_edges(nearest_neighbors(drawn[standing], config.neighbors).indices)]
+    standing = torch.nonzero(height >= GROUND_HEIGHT).flatten()
+    edges = standing[undirected_edges(nearest_neighbors(drawn[standing], NEIGHBORS).indices)]
     weight = gap_weights(drawn, edges, config)
     on_ground = grow_ground(points, height, directions(from_sensor), edges[:, weight <= 1], config)
     above = ~on_ground[edges].any(0)
@@ -117,7 +124,7 @@ def components(edges: Tensor, weight: Tensor, on_ground: Tensor, config: ScanCon
 
     The two passes of Felzenszwalb-Huttenlocher do this with k = 0, if the weights are max(0, w - 1).
     """
-    near = weight <= config.joining_gap
+    near = weight <= JOINING_GAP
     of_ground = torch.nonzero(on_ground).flatten()
     chain = torch.stack([of_ground[:-1], of_ground[1:]])
     excess = torch.cat([(weight[near] - 1).clamp(min=0), torch.zeros(chain.shape[1])])
