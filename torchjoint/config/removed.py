@@ -15,6 +15,8 @@ REMOVED = {
     "contours.exponent": _constant("EXPONENT", "images/contours.py"),
     "point_graph.plane_neighbors": _constant("PLANE_NEIGHBORS", "points/graph.py"),
     "point_graph.angle_weight": "is 1 now: only its ratio to the other weights and to point_segments.scale counts",
+    "visibility.near": "is gone: any depth in front of the camera counts, whatever the unit",
+    "visibility.far": "is gone: any depth in front of the camera counts, whatever the unit",
     "visibility.max_footprint": _constant("MAX_FOOTPRINT", "views/visibility.py"),
     "visibility.slant_tolerance": _constant("SLANT_TOLERANCE", "views/visibility.py"),
     "visibility.margin": _constant("MARGIN", "views/visibility.py"),

@@ -24,8 +24,8 @@ class SmoothRegions(NamedTuple):
     min_size: int = 15  #: points; smaller regions are joined to a neighbour
 
 
-#: The small regions of methods regions and learned. Regions must not cross creases, so the scale is small. Regions of fewer than 15
-#: points are joined to a neighbour, because their planes are mostly noise.
+#: The small regions of methods regions and learned. Regions must not cross creases, so the scale is small. Regions of
+#: fewer than 15 points are joined to a neighbour, because their planes are mostly noise.
 SMOOTH_REGIONS = SmoothRegions()
 
 
