@@ -56,6 +56,7 @@ LEFT_OUT = {**{kind: (kind,) for kind in (*DOMAINS, "mosd")}, "desk": ("desk", "
 TITLES = {"mosd": "real table-tops (mOSD)", "ycb": "real desk (YCB-Video)"}
 #: As the model in the package was trained, but for fewer folds, which halves the time.
 OPTIONS = BoundaryModelOptions(folds=2)
+README = Path(__file__).parents[1] / "README.md"
 PRESETS = ("regions", "indoor", "tabletop")
 SIMPLE = ("normals", "distance_normal_color", "ransac_dbscan")
 
@@ -243,6 +244,7 @@ def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> 
 def write_tables(work: Path, kinds: Sequence[str]) -> None:
     """Writes the tables of what has been scored so far to benchmarks/README.md."""
     packaged = json.loads((work / "packaged.json").read_text())
+    short = ["kind of data, scenes", "left out", "default", "preset regions", "best simple method"]
     columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "default"]
     columns += [*(f"preset {preset}" for preset in PRESETS), "best simple method", "left out - preset regions"]
     rows = []
@@ -262,6 +264,9 @@ def write_tables(work: Path, kinds: Sequence[str]) -> None:
         cells += [f"{_both(others[simple][None])} ({simple})", _difference(gain)]
         rows.append(cells)
     report.write_part("domains", report.table(columns, rows))
+    chosen = [columns.index(name) for name in ("preset regions", "best simple method")]
+    brief = [[row[0], row[1].rpartition(",")[0], row[3], *(row[place] for place in chosen)] for row in rows]
+    report.write_part("domains", report.table(short, brief), README)
     rows = []
     for kind in kinds:
         if not (work / f"images-{kind}.json").is_file():
