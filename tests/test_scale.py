@@ -10,7 +10,10 @@ from torchjoint.metrics import segmentation_covering
 from torchjoint.points.scales import measure_scales
 
 
-@pytest.fixture(scope="module", params=[("desk", 2), ("bin", 8)], ids=["desk", "bin"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(("desk", 2), id="desk"), pytest.param(("bin", 8), id="bin", marks=pytest.mark.slow)],
+)
 def scene(request):
     domain, seed = request.param
     return tj.synthetic.make_domain_scene(domain, seed, num_points=15_000, num_views=4).scene

@@ -130,6 +130,7 @@ class TestCase:
             case.keep("x", key, lambda key=key: calls.append(key))
         assert calls == [1, 2, 1]
 
+    @pytest.mark.slow
     def test_known_images_are_those_of_the_segmenter(self, case, scene):
         frames = list(scene.frames)
         segmenter = tj.JointSegmenter()
@@ -370,6 +371,7 @@ class TestSuites:
             assert len(scenes["3"]().points) == num_points
             assert made == {3: {"num_views": 24, "num_points": 120_000, "depth_ripple": 0.002, "hard": True}}
 
+    @pytest.mark.slow
     def test_sparse_is_set_as_synthetic(self, monkeypatch, tmp_path, capsys, run):
         small = tj.synthetic.make_scene
         monkeypatch.setattr(suites, "make_scene", lambda seed, size, **_: small(seed, num_views=2, num_points=3000))

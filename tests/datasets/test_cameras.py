@@ -117,6 +117,7 @@ class TestDistortion:
         assert torch.equal(frame.image, image.float() / 255)
         assert torch.equal(frame.intrinsics, self.MATRIX)
 
+    @pytest.mark.slow
     def test_resized_and_distorted(self):
         image = self.dot(30, 40).contiguous()
         small = Camera(scale_intrinsics(self.MATRIX, self.SIZE, (240, 320)), (240, 320), self.DISTORTION)

@@ -115,6 +115,7 @@ def test_colours_of_another_size_are_none(tmp_path):
         tj.load_scene(write(tmp_path / "view.pcd", fields | {"rgba": fields["rgba"].astype(np.uint16)}))
 
 
+@pytest.mark.slow
 def test_the_real_table_tops(shared):
     scenes = tj.datasets.list_scenes(shared / "data" / "mosd")
     assert len(scenes) == 23

@@ -169,6 +169,7 @@ def test_instances_of_pixels_zipped_and_of_another_size(folder, synthetic):
         tj.load_scene(folder)
 
 
+@pytest.mark.slow
 def test_a_damaged_archive(folder, synthetic):
     intrinsics = synthetic.scene.frames[0].intrinsics
     write_sens(folder / f"{SCAN}.sens", list(shots_of(synthetic.scene))[:1], intrinsics, intrinsics)

@@ -138,6 +138,7 @@ def test_the_page(out):
     assert {file.name for file in out.iterdir()} == {"tables.md", "tables.csv", "scenes.csv"}
 
 
+@pytest.mark.slow
 def test_results_that_are_there_already(data, out, run, tmp_path):
     """The same rows from the folders that `segment` wrote, the initial segmentation included."""
     for scan in SCANS:

@@ -316,6 +316,7 @@ class TestTraining:
         assert (tmp_path / "again.yml.gz").read_bytes() == trained.read_bytes()
         assert [file.name for file in tmp_path.iterdir()] == ["again.yml.gz"]
 
+    @pytest.mark.slow
     def test_another_seed_makes_another_forest(self, data, trained, tmp_path):
         (tmp_path / "other.yml.gz.trees").mkdir()
         (tmp_path / "other.yml.gz.trees" / "key").write_text("of an earlier training")

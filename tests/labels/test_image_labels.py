@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -82,6 +83,7 @@ def true_share(images: list[Tensor], truth: tuple[Tensor, ...]) -> float:
     return sum(float((image == true).float().mean()) for image, true in zip(images, truth, strict=True)) / len(truth)
 
 
+@pytest.mark.slow
 def test_better_than_painting_with_the_true_labels() -> None:
     made = make_scene(3, "medium", num_views=4)
     segmenter = JointSegmenter(Config().set(["boundary.detector=gradient"]))

@@ -101,6 +101,7 @@ def test_any_strides() -> None:
     assert torch.equal(boosted_trees(values.T.contiguous().T, **strided), boosted_trees(values, **trees))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # the compiler's own
 def test_compile_without_graph_breaks() -> None:
     compiled = torch.compile(

@@ -618,6 +618,7 @@ def test_two_threads_at_once_give_the_same_results(op: Callable[..., Any]) -> No
             torch.testing.assert_close(result, expected, rtol=0, atol=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [300, pytest.param(1000, marks=pytest.mark.slow)])
 def test_memory_does_not_grow(times: int) -> None:
     """So many calls of each operator leave no more behind than their first hundred did."""

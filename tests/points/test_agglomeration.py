@@ -102,6 +102,7 @@ class TestRounds:
         steps = [(0, 0.075), (0, 0.15), (1, 0.2), (1, 0.25), (2, 0.3), (2, 0.35), (3, 0.425), (3, 0.5), (3, 0.5)]
         assert torch.equal(build_hierarchy(evidence, model).at(0.5), after_rounds(evidence, model, *steps))
 
+    @pytest.mark.slow
     def test_a_cut_at_a_threshold_is_the_state_after_its_round(self, evidence):
         model = ByCrease(0.1, 0.2, 0.3)
         hierarchy = build_hierarchy(evidence, model)

@@ -30,7 +30,7 @@ def written(folder, scene, result, granularity=0.5):
     return folder
 
 
-@pytest.mark.parametrize("granularity", [0.5, 0.2, 0.9])
+@pytest.mark.parametrize("granularity", [0.5, 0.2, pytest.param(0.9, marks=pytest.mark.slow)])
 def test_levels_are_read_back(tmp_path, scene, result, granularity):
     read = read_result(written(tmp_path / "out", scene, result, granularity))
     assert torch.equal(read.points, result.at(granularity).points)
@@ -42,6 +42,7 @@ def test_levels_are_read_back(tmp_path, scene, result, granularity):
         assert all(torch.equal(a, b) for a, b in zip(got.images, expected.images, strict=True))
 
 
+@pytest.mark.slow
 def test_equal_results_are_equal_bytes(tmp_path, scene, result):
     first, second = (written(tmp_path / name, scene, result) for name in ("a", "b"))
     files = ["hierarchy.npz", *(f"pieces/{name}.png" for name in result.names)]

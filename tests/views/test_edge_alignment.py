@@ -137,6 +137,7 @@ class TestRealData:
         assert all(alignment(scene).significance > 3 for scene in scenes)
         assert messages(scenes[0]) == []
 
+    @pytest.mark.slow
     def test_so_is_that_of_each_camera_of_nuscenes(self, shared):
         scene = tj.load_scene(shared / "data" / "nuscenes")
         assert alignment(scene).significance > 6
@@ -163,6 +164,7 @@ class TestRealData:
         mended = dataclasses.replace(scene, frames=[dataclasses.replace(frame, world_to_camera=pose)])
         assert not any("edges" in message for message in messages(mended))
 
+    @pytest.mark.slow
     def test_depth_cameras_are_silent(self, shared):
         for name in ("learn0", "learn36"):
             scene = tj.load_scene(shared / "data" / "mosd" / f"{name}.pcd")
