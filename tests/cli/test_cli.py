@@ -126,6 +126,7 @@ def test_outputs_that_cannot_be(recording, run, tmp_path, kind):
     assert (recording / "camera-intrinsics.txt").exists()
 
 
+@pytest.mark.slow
 def test_a_fused_cloud_is_kept_beside_the_output(synthetic, run, tmp_path):
     recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
     run("segment", recording, "-o", tmp_path / "out", "--voxel-size", 0.05, *SMALL)

@@ -22,6 +22,7 @@ def bsds(tmp_path_factory):
     return write_bsds(tmp_path_factory.mktemp("bsds"), TRUTHS, "train")
 
 
+@pytest.mark.slow
 def test_from_images_to_scores(bsds, tmp_path, run, capsys):
     forest = tmp_path / "small.yml.gz"
     quick = ["--splits", "train", "--trees", 2, "--samples", 1000]

@@ -247,6 +247,7 @@ class TestKitchen:
         depth = read_depth(folder / "frame-000000.depth.png")
         assert depth.max() < 65
 
+    @pytest.mark.slow
     def test_segmenting_a_few_frames(self, shared, tmp_path):
         source = shared / "data" / "kitchen"
         some = tmp_path / "some"

@@ -259,6 +259,7 @@ class TestCommand:
         assert float(in_2d["f"]) == pytest.approx(score_images(result.images, synthetic.image_labels).f, abs=1e-6)
         assert (tmp_path / "scores" / "scores.png").is_file()
 
+    @pytest.mark.slow
     def test_a_fused_cloud_is_found_in_the_result(self, synthetic, run, tmp_path, capsys):
         recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
         for index, labels in enumerate(synthetic.image_labels):

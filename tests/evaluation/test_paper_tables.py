@@ -114,6 +114,7 @@ def scores_of(pred, target):
     return [*parts, *covering, *aps]
 
 
+@pytest.mark.slow
 def test_every_row_is_what_the_metrics_say(data, out, synthetic):
     single, means = read_rows(out / "scenes.csv"), read_rows(out / "tables.csv")
     expected = {scan: expected_scores(data, synthetic, scan) for scan in SCANS}

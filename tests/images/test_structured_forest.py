@@ -162,6 +162,7 @@ class TestModel:
         with pytest.raises(ValueError, match=r"mine\.yml\.gz: not a whole"):
             StructuredForestBoundary(file)
 
+    @pytest.mark.slow
     def test_it_finds_peoples_boundaries(self, shared):
         """On a few images, which it has seen: far better than gradients. Scores on unseen ones are the model card's."""
         images = bsds_images(shared / "data" / "bsds500", "val")[::33]

@@ -108,7 +108,8 @@ def test_batches_strides_and_threads_change_nothing(set_threads) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="memory is read from /proc")
-@pytest.mark.parametrize("scale", [1.0, pytest.param(0.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [1.0, 0.0])
 def test_memory(scale: float) -> None:
     """Below 40 bytes a pixel besides the result, also where nothing is joined in the first pass."""
     code = f"""

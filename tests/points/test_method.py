@@ -67,6 +67,7 @@ def test_each_reset_decides_anew(street, room):
     assert segmenter.state.views.shape == (0,)
 
 
+@pytest.mark.slow
 def test_auto_and_what_it_chose_store_the_same(street, room):
     for cloud, chosen, other in ((street, "scan", "learned"), (room.points, "learned", "scan")):
         for first, second in ((AUTO, f"point_segments.method={chosen}"), (AUTO, "point_segments.method=auto")):

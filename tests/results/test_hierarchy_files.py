@@ -30,7 +30,7 @@ def written(folder, scene, result, granularity=0.5):
     return folder
 
 
-@pytest.mark.parametrize("granularity", [0.5, 0.2, pytest.param(0.9, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("granularity", [0.2, *(pytest.param(level, marks=pytest.mark.slow) for level in (0.5, 0.9))])
 def test_levels_are_read_back(tmp_path, scene, result, granularity):
     read = read_result(written(tmp_path / "out", scene, result, granularity))
     assert torch.equal(read.points, result.at(granularity).points)

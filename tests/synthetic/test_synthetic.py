@@ -176,6 +176,7 @@ class TestSensor:
             ]
             assert max(offsets) == 0 if scene is clean else 0.0005 < max(offsets) < 0.02
 
+    @pytest.mark.slow
     def test_exposure_and_noise_vary_between_views(self, clean: SyntheticScene) -> None:
         exposed = make_scene(3, **{**CLEAN, "exposure": 0.15})
         ratio = torch.tensor(

@@ -177,6 +177,7 @@ class TestRipple:
         holed[10:20] = 0
         assert np.array_equal(rippled(np.random.default_rng(0), holed, 0.01) == 0, holed == 0)
 
+    @pytest.mark.slow
     def test_fused_walls_are_thicker(self) -> None:
         flat, wavy = (make_scene(3, **CLEAN, depth_ripple=ripple) for ripple in (0.0, 0.002))
         assert torch.equal(flat.scene.frames[0].image, wavy.scene.frames[0].image)

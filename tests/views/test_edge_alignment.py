@@ -132,6 +132,7 @@ def test_synthetic_scenes_without_colours_are_silent(seed, scene_of):
 
 
 class TestRealData:
+    @pytest.mark.slow
     def test_kitti_s_calibration_is_right(self, shared):
         scenes = [tj.load_scene(path) for path in tj.datasets.list_scenes(shared / "data" / "kitti").values()]
         assert all(alignment(scene).significance > 3 for scene in scenes)
