@@ -18,8 +18,9 @@ name                      shape, dtype           meaning
 
 from torchjoint.scene.frame import Frame
 from torchjoint.scene.hierarchy import Hierarchy
+from torchjoint.scene.masks import Masks
 from torchjoint.scene.scene import Scene
 from torchjoint.scene.segmentation import LabelImages, Segmentation
 from torchjoint.scene.truth import Truth
 
-__all__ = ["Frame", "Hierarchy", "LabelImages", "Scene", "Segmentation", "Truth"]
+__all__ = ["Frame", "Hierarchy", "LabelImages", "Masks", "Scene", "Segmentation", "Truth"]

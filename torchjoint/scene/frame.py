@@ -15,6 +15,7 @@ from torchjoint.scene.checks import (
     as_pose,
     check_shape,
 )
+from torchjoint.scene.masks import Masks, as_masks
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,12 @@ class Frame:
         world_to_camera: [4, 4] rigid transform, metres, OpenCV axes. If your poses are camera-to-world, invert them.
         depth: optional [H, W], metres along the camera's z; 0 = unknown. The method itself does not use it; it serves
             to check poses, and to fuse a cloud if there is none.
-        labels: optional [H, W] integers, an initial segmentation of the image (a network's output, SAM masks, ...);
-            -1 = none. It replaces the segmentation of step 2 for this frame.
+        labels: optional [H, W] integers, an initial segmentation of the image that replaces the one of step 2, such as
+            superpixels; -1 = none. Like segments of step 2, it may cut objects in parts.
+        masks: optional objects that a network found in the image. A label map [H, W] (-1 = none); a stack [M, H, W] of
+            booleans that may overlap and nest; or :class:`~torchjoint.scene.Masks`, see :mod:`torchjoint.masks`. They
+            are scaled to the image's size, and replace `labels`, boundaries and step 2 for this frame.
+        mask_scores: optional [M] in [0, 1], how far each mask can be trusted; default 1.
         name: used in file names and messages.
 
     Raises:
@@ -42,6 +47,8 @@ class Frame:
     depth: Tensor | None = None
     labels: Tensor | None = None
     name: str = ""
+    masks: Tensor | Masks | None = None
+    mask_scores: Tensor | None = None
 
     def __post_init__(self) -> None:
         set_ = lambda key, value: object.__setattr__(self, key, value)  # noqa: E731 (frozen: set once, here)
@@ -54,6 +61,11 @@ class Frame:
             set_("depth", depth)
         if self.labels is not None:
             set_("labels", as_labels(self.labels, self.size, self._called("labels")))
+        if self.masks is None and self.mask_scores is not None:
+            raise ValueError(f"{self._called('mask_scores')}: expected none, because there are no masks")
+        if self.masks is not None:
+            set_("masks", as_masks(self.masks, self.size, self.mask_scores, self._called("masks")))
+            set_("mask_scores", None)  # now in masks
 
     def _called(self, argument: str) -> str:
         return f"{argument} of frame {self.name!r}" if self.name else argument

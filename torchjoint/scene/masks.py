@@ -1,0 +1,214 @@
+"""Masks of a network in one image: segments that may overlap, nest, and leave pixels uncovered."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchjoint.scene.checks import as_float, as_labels, check_shape
+
+
+@dataclass(frozen=True, eq=False)
+class Masks:
+    """The masks of one image, stored as a partition: an *atom* is the set of all pixels that lie in the same masks.
+
+    Make it with :meth:`from_stack` or :meth:`from_labels`.
+
+    Attributes:
+        atom: [H, W] int32, the atom of each pixel, 0 ... K - 1 by first appearance, row by row.
+        pairs: [2, L] int64, pairs (atom, mask): the atom lies in the mask. Atoms without a pair are in no mask.
+        scores: [M] float32 in [0, 1], how far each mask can be trusted.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+    """
+
+    atom: Tensor
+    pairs: Tensor
+    scores: Tensor
+
+    def __post_init__(self) -> None:
+        if self.atom.ndim != 2 or self.atom.dtype != torch.int32:
+            raise ValueError(f"atom: expected [H, W] int32, got {list(self.atom.shape)} {self.atom.dtype}")
+        object.__setattr__(self, "scores", _as_scores(self.scores, len(self.scores), "scores"))
+        if self.pairs.ndim != 2 or self.pairs.shape[0] != 2 or self.pairs.dtype != torch.int64:
+            raise ValueError(f"pairs: expected [2, L] int64, got {list(self.pairs.shape)} {self.pairs.dtype}")
+        if self.atom.numel() and int(self.atom.min()) < 0:
+            raise ValueError(f"atom: expected numbers >= 0, got {int(self.atom.min())}")
+        if self.pairs.numel():
+            low, high = self.pairs.amin(1).tolist(), self.pairs.amax(1).tolist()
+            if min(low) < 0 or high[0] >= self.num_atoms or high[1] >= len(self):
+                raise ValueError(
+                    f"pairs: expected atoms below {self.num_atoms} and masks below {len(self)}, got {low} to {high}"
+                )
+
+    @classmethod
+    def from_stack(cls, stack: Tensor, scores: Tensor | None = None, name: str = "masks") -> Masks:
+        """Masks that may overlap and nest.
+
+        Args:
+            stack: [M, H, W] bool; M may be 0.
+            scores: optional [M] in [0, 1], how far each mask can be trusted; default 1.
+            name: what messages call the stack.
+
+        Raises:
+            ValueError, TypeError: naming the argument, what was expected and what came.
+        """
+        if not isinstance(stack, Tensor):
+            raise TypeError(f"{name}: expected a torch.Tensor, got {type(stack).__name__}")
+        if stack.dtype != torch.bool:
+            raise TypeError(f"{name}: expected dtype bool for a stack [M, H, W], got {stack.dtype}; use `stack > 0.5`?")
+        if stack.ndim != 3:
+            raise ValueError(f"{name}: expected shape [M, H, W], got {list(stack.shape)}")
+        atom = torch.zeros(stack[0].numel() if len(stack) else stack.shape[1] * stack.shape[2], dtype=torch.int64)
+        members: list[tuple[int, ...]] = [()]
+        for number, mask in enumerate(stack.cpu().flatten(1)):
+            inside = mask.nonzero().squeeze(1)
+            before, new = torch.unique(atom[inside], return_inverse=True)
+            atom[inside] = new + len(members)  # what lies in the mask is split off its atom
+            members += [(*members[old], number) for old in before.tolist()]
+        return cls._of_members(atom.view(stack.shape[1:]), members, _as_scores(scores, len(stack), f"{name}' scores"))
+
+    @classmethod
+    def from_labels(cls, labels: Tensor, scores: Tensor | None = None, none: int = -1, name: str = "masks") -> Masks:
+        """Masks that do not overlap.
+
+        Args:
+            labels: [H, W] integers, a mask for each value.
+            scores: optional [M], a score in [0, 1] for each mask, in ascending order of the values; default 1.
+            none: the value of pixels without a mask, -1 or 0.
+            name: what messages call the labels.
+
+        Raises:
+            ValueError, TypeError: naming the argument, what was expected and what came.
+        """
+        if none not in (-1, 0):
+            raise ValueError(f"none: expected -1 or 0, got {none}")
+        size = tuple(labels.shape) if isinstance(labels, Tensor) else ()
+        labels = as_labels(labels, size, name)
+        if labels.ndim != 2:
+            raise ValueError(f"{name}: expected shape [H, W], got {list(size)}")
+        values, number = torch.unique(labels, return_inverse=True)
+        covered = values > none
+        mask = (covered.cumsum(0) - 1).tolist()
+        members = [(mask[i],) if is_mask else () for i, is_mask in enumerate(covered.tolist())]
+        return cls._of_members(number, members, _as_scores(scores, int(covered.sum()), f"{name}' scores"))
+
+    @classmethod
+    def _of_members(cls, atom: Tensor, members: list[tuple[int, ...]], scores: Tensor) -> Masks:
+        """Numbers the atoms that have pixels by first appearance. `members` are the masks of each atom, ascending."""
+        first = torch.full((len(members),), atom.numel())
+        first.scatter_reduce_(0, atom.reshape(-1), torch.arange(atom.numel()), "amin")
+        present = [old for old in first.argsort().tolist() if first[old] < atom.numel()]
+        number = torch.zeros(len(members), dtype=torch.int32)
+        number[present] = torch.arange(len(present), dtype=torch.int32)
+        pairs = [(new, mask) for new, old in enumerate(present) for mask in members[old]]
+        return cls(number[atom], torch.tensor(pairs, dtype=torch.int64).view(-1, 2).t().contiguous(), scores)
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+    def __repr__(self) -> str:
+        height, width = self.size
+        return f"Masks({len(self)} masks, {height} x {width} pixels, {self.covered().float().mean():.0%} covered)"
+
+    @property
+    def num_atoms(self) -> int:
+        """K, the number of atoms."""
+        return int(self.atom.max()) + 1 if self.atom.numel() else 0
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W), pixels."""
+        return self.atom.shape[0], self.atom.shape[1]
+
+    def covered(self) -> Tensor:
+        """[H, W] bool, the pixels in at least one mask."""
+        has_mask = torch.zeros(self.num_atoms, dtype=torch.bool)
+        has_mask[self.pairs[0]] = True
+        return has_mask[self.atom]
+
+    def stack(self) -> Tensor:
+        """[M, H, W] bool, the masks."""
+        member = torch.zeros(len(self), self.num_atoms, dtype=torch.bool)
+        member[self.pairs[1], self.pairs[0]] = True
+        return member[:, self.atom]
+
+    def labels(self) -> Tensor:
+        """[H, W] int64, the mask of each pixel, -1 = none; where masks overlap, the smallest one counts, then the first."""
+        area = torch.bincount(self.atom.reshape(-1), minlength=self.num_atoms)
+        size = torch.zeros(len(self), dtype=torch.int64).index_add_(0, self.pairs[1], area[self.pairs[0]])
+        rank = torch.empty_like(size)
+        order = torch.argsort(size, stable=True)
+        rank[order] = torch.arange(len(order))
+        best = torch.full((self.num_atoms,), len(order)).scatter_reduce_(0, self.pairs[0], rank[self.pairs[1]], "amin")
+        return torch.cat([order, torch.tensor([-1])])[best][self.atom]
+
+    def resized(self, size: tuple[int, int]) -> Masks:
+        """The masks of an image of another size (H, W), by the nearest pixel.
+
+        Warns:
+            UserWarning: the aspect differs by more than 2 %, so masks and image cannot be of the same view.
+        """
+        if size == self.size:
+            return self
+        (height, width), (own_height, own_width) = size, self.size
+        if abs(own_height * width / (height * own_width) - 1) > 0.02:
+            warnings.warn(
+                f"masks: {own_height} x {own_width} pixels for an image of {height} x {width}: another aspect; do they "
+                "show the same view?",
+                stacklevel=2,
+            )
+        row = ((torch.arange(height) + 0.5) * own_height / height).long()
+        column = ((torch.arange(width) + 0.5) * own_width / width).long()
+        members: list[list[int]] = [[] for _ in range(self.num_atoms)]
+        for atom, mask in self.pairs.t().tolist():
+            members[atom].append(mask)
+        return self._of_members(self.atom[row][:, column].long(), [tuple(masks) for masks in members], self.scores)
+
+
+def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None = None, name: str = "masks") -> Masks:
+    """Masks of an image of a size (H, W), from a label map, a stack, or :class:`Masks`; scaled to the image's size.
+
+    Args:
+        masks: [H, W] integers (-1 = none), [H, W] bool (one mask), or [M, H, W] bool.
+        size: (H, W) of the image.
+        scores: optional [M] in [0, 1].
+        name: what messages call the masks.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+    """
+    if isinstance(masks, Masks):
+        if scores is not None:
+            raise ValueError(f"{name}' scores: expected none, because these Masks have their own")
+        return masks.resized(size)
+    if not isinstance(masks, Tensor):
+        raise TypeError(f"{name}: expected a torch.Tensor or Masks, got {type(masks).__name__}; see torchjoint.masks")
+    if masks.dtype == torch.bool:
+        stack = masks[None] if masks.ndim == 2 else masks
+        return Masks.from_stack(stack, scores, name).resized(size)
+    if masks.ndim == 3:
+        raise TypeError(f"{name}: expected dtype bool for a stack [M, H, W], got {masks.dtype}; use `stack > 0.5`?")
+    if masks.numel() and not masks.dtype.is_floating_point and int(masks.min()) == 0:
+        warnings.warn(
+            f"{name}: 0 counts as a mask, and no pixel is -1 (none); if 0 means none, use "
+            "torchjoint.masks.from_labels(labels, none=0)",
+            stacklevel=4,
+        )
+    return Masks.from_labels(masks, scores, name=name).resized(size)
+
+
+def _as_scores(scores: Tensor | None, count: int, name: str) -> Tensor:
+    if scores is None:
+        return torch.ones(count)
+    scores = as_float(scores, name, torch.float32)
+    check_shape(scores, (count,), name)
+    if count and not 0 <= float(scores.min()) <= float(scores.max()) <= 1:
+        raise ValueError(
+            f"{name}: expected numbers in [0, 1], got {float(scores.min()):.4g} to {float(scores.max()):.4g}"
+        )
+    return scores
