@@ -15,11 +15,15 @@ from torchjoint import ops
 from torchjoint.points.boundary_features import boundary_features
 from torchjoint.points.boundary_model import BoundaryModel
 from torchjoint.points.evidence import Evidence
+from torchjoint.points.group_summaries import sum_by
+from torchjoint.points.mask_evidence import MaskEvidence
 from torchjoint.scene import Hierarchy
 
 #: Thresholds of the rounds above the model's; at 1, whatever touches has merged. There are several, because larger
 #: regions are judged anew, and they cost little, because few regions are left.
 COARSER = (0.65, 0.8, 0.9, 1.0)
+#: The model's probability counts as much as the masks of so many frames that see two regions whole.
+PRIOR_WEIGHT = 0.1
 #: Merges of a round are at least this far above the threshold before; probabilities are rounded to it.
 HEIGHT_STEP = 2.0**-20
 
@@ -94,11 +98,25 @@ def build_hierarchy(evidence: Evidence, model: BoundaryModel) -> Hierarchy:
         if pairs.shape[1] == 0:
             break
         ends, cost, num_regions = _crossing_edges(evidence, region, pairs, model.probability(index, values))
-        joined, mean = ops.region_merges(ends, cost, num_regions, threshold)
-        merges.add(evidence.regions_of_pieces(region), joined, mean, threshold)
+        of_piece = evidence.regions_of_pieces(region)
+        if evidence.masks is None:
+            joined, mean = ops.region_merges(ends, cost, num_regions, threshold)
+        else:
+            joined, mean = _merges_by_masks(evidence, evidence.masks, of_piece, ends, cost, threshold)
+        merges.add(of_piece, joined, mean, threshold)
         # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect.
         region = ops.felzenszwalb(joined, torch.zeros(len(mean)), num_regions, scale=1.0)[region]
     return merges.hierarchy(evidence.piece, max(model.thresholds))
+
+
+def _merges_by_masks(
+    evidence: Evidence, masks: MaskEvidence, of_piece: Tensor, ends: Tensor, cost: Tensor, threshold: float
+) -> tuple[Tensor, Tensor]:
+    """As :func:`torchjoint.ops.region_merges`, where masks overrule the model's probability as views add up."""
+    size = sum_by(of_piece, evidence.statistics.size.long(), int(of_piece.max()) + 1)
+    in_mask, in_frame = masks.of_regions(of_piece)
+    weight, frame = masks.weight, masks.frame_of_mask
+    return ops.mask_merges(ends, cost, size, in_mask, in_frame, weight, frame, PRIOR_WEIGHT, threshold)
 
 
 class _Merges:
