@@ -47,15 +47,26 @@ def random_views(seed: int, num_regions: int, num_edges: int, num_frames: int) -
     num_regions=st.integers(1, 20),
     num_edges=st.integers(0, 40),
     num_frames=st.integers(0, 4),
+    apart_weight=st.sampled_from([0.0, 0.6, 1.0]),
     prior_weight=st.sampled_from([0.01, 0.1, 1.0]),
     threshold=st.sampled_from([0.0, 0.3, 0.5, 0.75, math.inf]),
+    min_size=st.sampled_from([0, 0, 3, 6]),
 )
 def test_the_twin(
-    seed: int, num_regions: int, num_edges: int, num_frames: int, prior_weight: float, threshold: float
+    seed: int,
+    num_regions: int,
+    num_edges: int,
+    num_frames: int,
+    apart_weight: float,
+    prior_weight: float,
+    threshold: float,
+    min_size: int,
 ) -> None:
+    weights: dict[str, Any] = {"apart_weight": apart_weight, "prior_weight": prior_weight, "threshold": threshold}
+    weights |= {"min_size": min_size, "stays": torch.arange(num_regions) % 3 == 0}
     views = random_views(seed, num_regions, num_edges, num_frames)
-    merges, cost = mask_merges(**views, prior_weight=prior_weight, threshold=threshold)
-    expected, expected_cost = mask_merges_reference(**views, prior_weight=prior_weight, threshold=threshold)
+    merges, cost = mask_merges(**views, **weights)
+    expected, expected_cost = mask_merges_reference(**views, **weights)
     assert torch.equal(merges, expected)
     assert torch.equal(cost, expected_cost)
 
@@ -71,8 +82,8 @@ def test_the_order_of_rows_and_masks_changes_nothing(seed: int) -> None:
     in_mask[1] = place[in_mask[1]]
     shuffled["in_mask"] = in_mask[:, torch.randperm(in_mask.shape[1], generator=generator)]
     shuffled["in_frame"] = views["in_frame"][:, torch.randperm(views["in_frame"].shape[1], generator=generator)]
-    for got, want in zip(mask_merges(**shuffled, prior_weight=0.1, threshold=1.0),
-                         mask_merges(**views, prior_weight=0.1, threshold=1.0), strict=True):  # fmt: skip
+    both = (mask_merges(**one, apart_weight=0.6, prior_weight=0.1, threshold=1.0) for one in (shuffled, views))
+    for got, want in zip(*both, strict=True):
         assert torch.equal(got, want)
 
 
@@ -88,10 +99,10 @@ def test_by_hand() -> None:
         "frame_of_mask": torch.tensor([0]),
     }
     # Of four pairs of points that are seen, two have both points in the mask, and two one of them: A = 2/2, D = 2/2/2.
-    pairs, agree, disagree, prior = 2 * 4, 1.0, 0.5, 0.1 * 0.5
-    merges, cost = mask_merges(**views, prior_weight=0.1, threshold=1.0)
+    pairs, agree, apart, prior = 2 * 4, 1.0, 0.5 * 0.5, 0.1 * 0.5
+    merges, cost = mask_merges(**views, apart_weight=0.5, prior_weight=0.1, threshold=1.0)
     assert merges.tolist() == [[0], [1]]
-    assert cost.item() == pytest.approx((disagree / pairs + prior) / ((agree + disagree) / pairs + 0.1), rel=1e-12)
+    assert cost.item() == pytest.approx((apart / pairs + prior) / ((agree + apart) / pairs + 0.1), rel=1e-12)
 
 
 def test_regions_that_do_not_touch_count() -> None:
@@ -105,7 +116,7 @@ def test_regions_that_do_not_touch_count() -> None:
         "weight": torch.tensor([WEIGHT_UNIT, WEIGHT_UNIT]),
         "frame_of_mask": torch.tensor([0, 0]),
     }
-    merges, _ = mask_merges(**views, prior_weight=0.1, threshold=0.5)
+    merges, _ = mask_merges(**views, apart_weight=1, prior_weight=0.1, threshold=0.5)
     assert merges.tolist() == [[0], [1]]
 
 
@@ -114,8 +125,19 @@ def test_what_a_mask_has_that_its_frame_does_not_see() -> None:
     views |= {"weight": torch.tensor([1]), "frame_of_mask": torch.tensor([7])}
     views["in_mask"] = torch.tensor([[0], [0], [1]])
     with pytest.raises(ValueError, match="region 0 has points in mask 0, but in_frame has none in frame 7"):
-        mask_merges(**views, prior_weight=0.1, threshold=0.5)
+        mask_merges(**views, apart_weight=1, prior_weight=0.1, threshold=0.5)
     views["in_frame"] = torch.tensor([[0], [7], [1]])
     views["in_mask"] = torch.tensor([[0], [0], [2]])
     with pytest.raises(ValueError, match="region 0 has more points in mask 0 than in its frame"):
-        mask_merges(**views, prior_weight=0.1, threshold=0.5)
+        mask_merges(**views, apart_weight=1, prior_weight=0.1, threshold=0.5)
+
+
+def test_small_regions_join_and_large_ones_do_not() -> None:
+    views = random_views(0, 4, 0, 0)
+    views |= {"edge_index": torch.tensor([[0, 1, 2], [1, 2, 3]]), "cost": torch.tensor([0.9, 0.8, 0.1])}
+    views["size"] = torch.tensor([9, 2, 9, 9])
+    weights = {"apart_weight": 1, "prior_weight": 1, "threshold": 1}
+    merges, _ = mask_merges(**views, **weights, min_size=3)
+    assert merges.tolist() == [[1], [2]]  # to its cheaper neighbour
+    merges, _ = mask_merges(**views, **weights, min_size=3, stays=torch.tensor([False, True, False, False]))
+    assert merges.tolist() == [[], []]

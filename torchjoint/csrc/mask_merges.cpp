@@ -100,9 +100,11 @@ struct Border {
 
 class MaskGraph {
  public:
-  MaskGraph(std::vector<Views> views, const int64_t* size, const int64_t* weight, double prior_weight)
+  MaskGraph(std::vector<Views> views, const int64_t* size, const int64_t* weight, double apart_weight,
+            double prior_weight, const bool* stays, int64_t min_size)
       : views_(std::move(views)), size_(size, size + views_.size()), border_to_(views_.size()), weight_(weight),
-        prior_weight_(prior_weight) {}
+        apart_weight_(apart_weight), prior_weight_(prior_weight), stays_(stays, stays + views_.size()),
+        min_size_(min_size) {}
 
   void add_edge(int32_t a, int32_t b, int64_t cost) {
     const auto [place, is_new] = border_to_[a].try_emplace(b, static_cast<int32_t>(borders_.size()));
@@ -138,15 +140,18 @@ class MaskGraph {
   double cost_of(const Border& border) const {
     const double pairs = 2.0 * kWeightUnit * static_cast<double>(size_[border.region[0]]) *
                          static_cast<double>(size_[border.region[1]]);
-    const double disagree = static_cast<double>(border.views.total - border.views.agree) / pairs;
-    const double total = static_cast<double>(border.views.total) / pairs;
+    const double together = static_cast<double>(border.views.agree) / pairs;
+    const double apart = apart_weight_ * (static_cast<double>(border.views.total - border.views.agree) / pairs);
     const double prior = static_cast<double>(border.prior_sum) / static_cast<double>(border.prior_count) / kUnit;
-    return (disagree + prior_weight_ * prior) / (total + prior_weight_);
+    return (apart + prior_weight_ * prior) / (together + apart + prior_weight_);
   }
+
+  bool is_small(int32_t region) const { return size_[region] < min_size_ && !stays_[region]; }
 
   void wait(int32_t number, double threshold) {
     Border& border = borders_[number];
     ++border.version;
+    if (min_size_ > 0 && !is_small(border.region[0]) && !is_small(border.region[1])) return;
     const double cost = cost_of(border);
     if (cost <= threshold) waiting_.emplace(cost, number, border.version);
   }
@@ -166,6 +171,7 @@ class MaskGraph {
     }
     for (const auto& [other, moved] : moving) move(moved, kept, given, other);
     size_[kept] += size_[given];
+    stays_[kept] = stays_[kept] || stays_[given];
     views_[kept].add(views_[given]);
     views_[given] = {};
     for (const auto& [other, border] : border_to_[kept]) wait(border, threshold);
@@ -197,7 +203,9 @@ class MaskGraph {
   std::vector<int64_t> size_;
   std::vector<std::map<int32_t, int32_t>> border_to_;  // of each region: numbers of its borders, by the other region
   const int64_t* weight_;
-  double prior_weight_;
+  double apart_weight_, prior_weight_;
+  std::vector<uint8_t> stays_;
+  int64_t min_size_;
   std::priority_queue<Waiting, std::vector<Waiting>, std::greater<>> waiting_;
 };
 
@@ -239,7 +247,8 @@ std::vector<Views> read_views(const Tensor& in_mask, const Tensor& in_frame, con
 
 std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& cost, const Tensor& size,
                                        const Tensor& in_mask, const Tensor& in_frame, const Tensor& weight,
-                                       const Tensor& frame_of_mask, double prior_weight, double threshold) {
+                                       const Tensor& frame_of_mask, double apart_weight, double prior_weight,
+                                       double threshold, const Tensor& stays, int64_t min_size) {
   const Tensor edges = checked_edge_index(edge_index);
   const int64_t num_edges = edges.size(1);
   const Tensor costs = checked_array(cost, ScalarType::Float, {num_edges}, "cost");
@@ -251,8 +260,11 @@ std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& c
   const Tensor of_masks = checked_array(in_mask, ScalarType::Long, {3, -1}, "in_mask");
   const Tensor of_frames = checked_array(in_frame, ScalarType::Long, {3, -1}, "in_frame");
   check(num_regions <= kMaxCount, "size: expected at most 2^31 - 1 regions, got ", num_regions);
+  check(apart_weight >= 0, "apart_weight: expected a number >= 0, got ", apart_weight);
   check(prior_weight > 0, "prior_weight: expected a number > 0, got ", prior_weight);
   check(threshold >= 0, "threshold: expected a number >= 0, got ", threshold);
+  const Tensor staying = checked_array(stays, ScalarType::Bool, {num_regions}, "stays");
+  check(min_size >= 0, "min_size: expected a number >= 0, got ", min_size);
   const int64_t* const num_points = sizes.const_data_ptr<int64_t>();
   const int64_t* const of_mask = weights.const_data_ptr<int64_t>();
   for (int64_t region = 0; region < num_regions; ++region) {
@@ -264,7 +276,7 @@ std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& c
   }
 
   MaskGraph graph(read_views(of_masks, of_frames, frames_of, of_mask, num_masks, num_regions), num_points, of_mask,
-                  prior_weight);
+                  apart_weight, prior_weight, staying.const_data_ptr<bool>(), min_size);
   const int64_t* const ends = edges.const_data_ptr<int64_t>();
   const float* const priors = costs.const_data_ptr<float>();
   for (int64_t e = 0; e < num_edges; ++e) {
@@ -299,7 +311,8 @@ std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& c
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def(
       "mask_merges(Tensor edge_index, Tensor cost, Tensor size, Tensor in_mask, Tensor in_frame, Tensor weight, Tensor "
-      "frame_of_mask, float prior_weight, float threshold) -> (Tensor, Tensor)");
+      "frame_of_mask, float apart_weight, float prior_weight, float threshold, "
+      "Tensor stays, int min_size) -> (Tensor, Tensor)");
 }
 
 STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {

@@ -21,16 +21,19 @@ def mask_merges(
     in_frame: Tensor,
     weight: Tensor,
     frame_of_mask: Tensor,
+    apart_weight: float,
     prior_weight: float,
     threshold: float,
+    stays: Tensor | None = None,
+    min_size: int = 0,
 ) -> tuple[Tensor, Tensor]:
     """Repeatedly merge the two touching regions whose points the fewest masks tell apart, and list these merges.
 
     For two regions with n and n' points, take all pairs of points, one of each region, that one frame sees. A mask of
     weight s with both points adds s to A; a mask with one of them adds s / 2 to D; a mask with none is silent. With
-    the mean prior p over the edges between the two regions and its weight k, the cost of their boundary is
+    the mean prior p over the edges between the two regions, the cost of their boundary is
 
-        (D / (n n') + k p) / ((A + D) / (n n') + k)
+        (w D / (n n') + k p) / ((A + w D) / (n n') + k)
 
     So k is a number of views: the prior counts as much as k frames that see both regions whole. A merged region has the
     points of both. Of equal costs the boundary that comes first in ``edge_index`` counts. All sums are exact, so
@@ -45,8 +48,12 @@ def mask_merges(
         in_frame: ``[3, J]`` int64: region, frame, and the number of the region's points that the frame sees.
         weight: ``[M]`` int64 in [0, WEIGHT_UNIT], weight of each mask.
         frame_of_mask: ``[M]`` int64.
+        apart_weight: w >= 0. Masks of parts are more common than masks of several objects, so w < 1.
         prior_weight: k > 0, frames.
         threshold: largest cost of two regions that merge, >= 0.
+        stays: optional ``[R]`` bool, regions that are not small, whatever their size.
+        min_size: if it is not 0, two groups of regions merge only if one of them is small: it has fewer points, and no
+            region that stays.
 
     Returns:
         ``[2, M']`` int64, for each merge the lowest regions a < b of the two groups that merge; ``[M']`` float64, the
@@ -63,7 +70,7 @@ def mask_merges(
         >>> in_mask = torch.tensor([[0, 1, 2], [0, 0, 1], [5, 5, 5]])  # 0 and 1 lie in mask 0, 2 lies in mask 1
         >>> in_frame = torch.tensor([[0, 1, 2], [0, 0, 0], [5, 5, 5]])
         >>> sizes, weight = torch.full((3,), 5), torch.full((2,), WEIGHT_UNIT)
-        >>> mask_merges(edge_index, torch.zeros(2), sizes, in_mask, in_frame, weight, torch.tensor([0, 0]), 0.1, 0.5)
+        >>> mask_merges(edge_index, torch.zeros(2), sizes, in_mask, in_frame, weight, torch.tensor([0, 0]), 1, 0.1, 0.5)
         (tensor([[0],
                 [1]]), tensor([0.], dtype=torch.float64))
     """
@@ -74,13 +81,18 @@ def mask_merges(
     check_array("in_frame", in_frame, torch.int64, (3, None), "[3, J]")
     check_array("weight", weight, torch.int64, (None,), "[M]")
     check_array("frame_of_mask", frame_of_mask, torch.int64, (len(weight),), f"[M] = [{len(weight)}]")
+    check_number("apart_weight", apart_weight, (int, float))
     check_number("prior_weight", prior_weight, (int, float))
     check_number("threshold", threshold, (int, float))
+    check_number("min_size", min_size, (int,))
+    if stays is None:
+        stays = torch.zeros(len(size), dtype=torch.bool)
+    check_array("stays", stays, torch.bool, (len(size),), f"[R] = [{len(size)}]")
     return cast(
         "tuple[Tensor, Tensor]",
         torch.ops.torchjoint.mask_merges.default(
-            edge_index, cost.detach(), size, in_mask, in_frame, weight, frame_of_mask, float(prior_weight),
-            float(threshold),
+            edge_index, cost.detach(), size, in_mask, in_frame, weight, frame_of_mask, float(apart_weight),
+            float(prior_weight), float(threshold), stays, min_size,
         ),
     )  # fmt: skip
 
@@ -94,8 +106,11 @@ def _fake(
     in_frame: Tensor,
     weight: Tensor,
     frame_of_mask: Tensor,
+    apart_weight: float,
     prior_weight: float,
     threshold: float,
+    stays: Tensor,
+    min_size: int,
 ) -> tuple[Tensor, Tensor]:
     num_merges = torch.library.get_ctx().new_dynamic_size()
     return edge_index.new_empty((2, num_merges)), cost.new_empty((num_merges,), dtype=torch.float64)

@@ -15,15 +15,12 @@ from torchjoint import ops
 from torchjoint.points.boundary_features import boundary_features
 from torchjoint.points.boundary_model import BoundaryModel
 from torchjoint.points.evidence import Evidence
-from torchjoint.points.group_summaries import sum_by
-from torchjoint.points.mask_evidence import MaskEvidence
+from torchjoint.points.mask_merging import MaskLinkage
 from torchjoint.scene import Hierarchy
 
 #: Thresholds of the rounds above the model's; at 1, whatever touches has merged. There are several, because larger
 #: regions are judged anew, and they cost little, because few regions are left.
 COARSER = (0.65, 0.8, 0.9, 1.0)
-#: The model's probability counts as much as the masks of so many frames that see two regions whole.
-PRIOR_WEIGHT = 0.1
 #: Merges of a round are at least this far above the threshold before; probabilities are rounded to it.
 HEIGHT_STEP = 2.0**-20
 
@@ -89,40 +86,53 @@ def build_hierarchy(evidence: Evidence, model: BoundaryModel) -> Hierarchy:
         model: gives the probability that two regions belong to different objects.
     """
     steps = merging_steps(model.thresholds)
-    last, _ = steps[-1]
-    steps += [(last, threshold) for threshold in COARSER if threshold > max(model.thresholds)]
-    merges = _Merges(len(evidence.statistics.size))
-    region = evidence.piece
+    (last, _), default = steps[-1], max(model.thresholds)
+    linkage = MaskLinkage.of(evidence)
+    if linkage is not None:  # a first time, to see how far the masks contradict each other
+        region = _merge_in_steps(evidence, model, steps, linkage, evidence.piece, _Merges(evidence))
+        linkage = linkage.calibrated(evidence.regions_of_pieces(region))
+    merges = _Merges(evidence)
+    region = _merge_in_steps(evidence, model, steps, linkage, evidence.piece, merges)
+    if linkage is not None:
+        region = _merge_in_steps(evidence, model, [(last, default)], linkage, region, merges, only_crumbs=True)
+    coarser = [(last, threshold) for threshold in COARSER if threshold > default]
+    _merge_in_steps(evidence, model, coarser, linkage, region, merges)
+    return merges.hierarchy(evidence.piece, default)
+
+
+def _merge_in_steps(
+    evidence: Evidence,
+    model: BoundaryModel,
+    steps: Sequence[tuple[int, float]],
+    linkage: MaskLinkage | None,
+    region: Tensor,
+    merges: _Merges,
+    only_crumbs: bool = False,
+) -> Tensor:
+    """Merges regions [N] in steps, adds the merges to `merges`, and returns the new regions [N]."""
     for index, threshold in steps:
         pairs, values = boundary_features(evidence, region)
         if pairs.shape[1] == 0:
             break
         ends, cost, num_regions = _crossing_edges(evidence, region, pairs, model.probability(index, values))
         of_piece = evidence.regions_of_pieces(region)
-        if evidence.masks is None:
-            joined, mean = ops.region_merges(ends, cost, num_regions, threshold)
+        if linkage is None:
+            joined, height = ops.region_merges(ends, cost, num_regions, threshold)
+        elif only_crumbs:
+            joined, height = linkage.crumbs(of_piece, ends, cost)
         else:
-            joined, mean = _merges_by_masks(evidence, evidence.masks, of_piece, ends, cost, threshold)
-        merges.add(of_piece, joined, mean, threshold)
+            joined, height = linkage.merges(of_piece, ends, cost, threshold)
+        merges.add(of_piece, joined, height, threshold)
         # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect.
-        region = ops.felzenszwalb(joined, torch.zeros(len(mean)), num_regions, scale=1.0)[region]
-    return merges.hierarchy(evidence.piece, max(model.thresholds))
-
-
-def _merges_by_masks(
-    evidence: Evidence, masks: MaskEvidence, of_piece: Tensor, ends: Tensor, cost: Tensor, threshold: float
-) -> tuple[Tensor, Tensor]:
-    """As :func:`torchjoint.ops.region_merges`, where masks overrule the model's probability as views add up."""
-    size = sum_by(of_piece, evidence.statistics.size.long(), int(of_piece.max()) + 1)
-    in_mask, in_frame = masks.of_regions(of_piece)
-    weight, frame = masks.weight, masks.frame_of_mask
-    return ops.mask_merges(ends, cost, size, in_mask, in_frame, weight, frame, PRIOR_WEIGHT, threshold)
+        region = ops.felzenszwalb(joined, torch.zeros(len(height)), num_regions, scale=1.0)[region]
+    return region
 
 
 class _Merges:
     """The merges of all rounds, with heights that never fall on the way up."""
 
-    def __init__(self, num_pieces: int) -> None:
+    def __init__(self, evidence: Evidence) -> None:
+        num_pieces = len(evidence.statistics.size)
         self._pairs: list[Tensor] = []
         self._heights: list[float] = []
         self._top = [0.0] * num_pieces  # of each region, at its lowest piece: the height of its last merge

@@ -47,7 +47,9 @@ def masks_of_pieces(piece: Tensor, observations: Sequence[Observation]) -> MaskE
     tables = parallel_map(lambda pair: _count(piece, *pair), seen)
     num_masks = torch.tensor([len(masks) for _, masks in seen])
     first = num_masks.cumsum(0) - num_masks
-    in_mask = [rows + torch.tensor([[0], [start], [0]]) for (rows, _), start in zip(tables, first.tolist(), strict=True)]
+    in_mask = [
+        rows + torch.tensor([[0], [start], [0]]) for (rows, _), start in zip(tables, first.tolist(), strict=True)
+    ]
     in_frame = [rows + torch.tensor([[0], [frame], [0]]) for frame, (_, rows) in enumerate(tables)]
     scores = torch.cat([masks.scores for _, masks in seen])
     return MaskEvidence(

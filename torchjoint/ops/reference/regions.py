@@ -121,8 +121,11 @@ def mask_merges_reference(
     in_frame: Tensor,
     weight: Tensor,
     frame_of_mask: Tensor,
+    apart_weight: float,
     prior_weight: float,
     threshold: float,
+    stays: Tensor | None = None,
+    min_size: int = 0,
 ) -> tuple[Tensor, Tensor]:
     """What :func:`torchjoint.ops.mask_merges` computes; the arguments are not checked.
 
@@ -130,7 +133,7 @@ def mask_merges_reference(
         >>> edge_index, in_frame = torch.tensor([[0], [1]]), torch.tensor([[0, 1], [0, 0], [2, 3]])
         >>> in_mask, weight, frame = torch.tensor([[0, 1], [0, 0], [2, 1]]), torch.tensor([256]), torch.tensor([0])
         >>> mask_merges_reference(
-        ...     edge_index, torch.ones(1), torch.tensor([2, 3]), in_mask, in_frame, weight, frame, 1.0, 1.0
+        ...     edge_index, torch.ones(1), torch.tensor([2, 3]), in_mask, in_frame, weight, frame, 1.0, 1.0, 1.0
         ... )  # of six pairs, two agree and four have one point in the mask: (4 / 12 + 1) / (2 / 6 + 4 / 12 + 1)
         (tensor([[0],
                 [1]]), tensor([0.8000], dtype=torch.float64))
@@ -160,12 +163,17 @@ def mask_merges_reference(
             differ += s * (one * other_outside + other * outside)
         pairs = 512.0 * sum(int(size[i]) for i in group[a]) * sum(int(size[i]) for i in group[b])
         prior = sum(costs[a, b]) / len(costs[a, b]) / 2**20
-        return (differ / pairs + prior_weight * prior) / ((agree + differ) / pairs + prior_weight)
+        apart = apart_weight * (differ / pairs)
+        return (apart + prior_weight * prior) / (agree / pairs + apart + prior_weight)
+
+    def is_small(region: int) -> bool:
+        protected = stays is not None and any(bool(stays[member]) for member in group[region])
+        return sum(int(size[member]) for member in group[region]) < min_size and not protected
 
     merges: list[tuple[int, int]] = []
     values: list[float] = []
-    while costs:
-        value, _, (kept, given) = min((cost_of(*pair), number[pair], pair) for pair in costs)
+    while may_merge := [pair for pair in costs if min_size == 0 or is_small(pair[0]) or is_small(pair[1])]:
+        value, _, (kept, given) = min((cost_of(*pair), number[pair], pair) for pair in may_merge)
         if value > threshold:
             break
         merges.append((kept, given))
