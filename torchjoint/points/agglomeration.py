@@ -94,6 +94,7 @@ def build_hierarchy(evidence: Evidence, model: BoundaryModel) -> Hierarchy:
     merges = _Merges(evidence)
     region = _merge_in_steps(evidence, model, steps, linkage, evidence.piece, merges)
     if linkage is not None:
+        region = _merge_in_steps(evidence, model, [(last, default)], linkage, region, merges, far=True)
         region = _merge_in_steps(evidence, model, [(last, default)], linkage, region, merges, only_crumbs=True)
     coarser = [(last, threshold) for threshold in COARSER if threshold > default]
     _merge_in_steps(evidence, model, coarser, linkage, region, merges)
@@ -108,14 +109,20 @@ def _merge_in_steps(
     region: Tensor,
     merges: _Merges,
     only_crumbs: bool = False,
+    far: bool = False,
 ) -> Tensor:
-    """Merges regions [N] in steps, adds the merges to `merges`, and returns the new regions [N]."""
+    """Merges regions [N] in steps, adds the merges to `merges`, and returns the new regions [N].
+
+    With `far`, also regions that do not touch, but lie in one mask, may merge.
+    """
     for index, threshold in steps:
         pairs, values = boundary_features(evidence, region)
         if pairs.shape[1] == 0:
             break
         ends, cost, num_regions = _crossing_edges(evidence, region, pairs, model.probability(index, values))
         of_piece = evidence.regions_of_pieces(region)
+        if linkage is not None and far:
+            ends, cost = _with_far_pairs(ends, cost, pairs, linkage.far_pairs(of_piece), num_regions)
         if linkage is None:
             joined, height = ops.region_merges(ends, cost, num_regions, threshold)
         elif only_crumbs:
@@ -126,6 +133,15 @@ def _merge_in_steps(
         # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect.
         region = ops.felzenszwalb(joined, torch.zeros(len(height)), num_regions, scale=1.0)[region]
     return region
+
+
+def _with_far_pairs(
+    ends: Tensor, cost: Tensor, touching: Tensor, in_one_mask: Tensor, num_regions: int
+) -> tuple[Tensor, Tensor]:
+    """Adds an edge for each pair of regions that lie in one mask and do not touch. Geometry alone keeps these apart."""
+    key, known = (pairs[0] * num_regions + pairs[1] for pairs in (in_one_mask, touching))
+    far = in_one_mask[:, ~torch.isin(key, known)]
+    return torch.cat([ends, far], 1), torch.cat([cost, torch.ones(far.shape[1])])
 
 
 class _Merges:

@@ -30,6 +30,8 @@ LEAST_PRIOR_WEIGHT, FIRST_PRIOR_WEIGHT, PRIOR_WEIGHT_OF_NOISE = 0.05, 0.1, 2.0
 #: A region of fewer points is joined to a neighbour, unless a mask confirms it: a network cannot see smaller objects
 #: reliably, and outlines that are off leave crumbs.
 MIN_SIZE = 50
+#: A mask holds a region if at least this many of its points lie in it: fewer are mostly seen through a gap.
+MIN_POINTS = 3
 #: A mask confirms a region if this is their overlap (intersection over union), counted in points that the frame sees.
 CONFIRMED = 0.5
 
@@ -63,6 +65,21 @@ class MaskLinkage:
             threshold: largest cost of two regions that merge.
         """
         return ops.mask_merges(ends, cost, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, threshold)
+
+    def far_pairs(self, of_piece: Tensor) -> Tensor:
+        """Pairs of regions that lie in one mask, whether or not they touch: [2, B] int64, a < b, ascending."""
+        num_regions = int(of_piece.max()) + 1
+        region, mask, count = self.masks.of_regions(of_piece)[0]
+        region, mask = region[count >= MIN_POINTS], mask[count >= MIN_POINTS]
+        order = torch.argsort(mask, stable=True)
+        region, mask = region[order], mask[order]
+        size = torch.bincount(mask, minlength=len(self.masks.weight))
+        times = size[mask]  # each row meets all rows of its mask
+        first = torch.repeat_interleave(torch.arange(len(mask)), times)
+        start = (size.cumsum(0) - size)[mask] - (times.cumsum(0) - times)
+        one, other = region[first], region[torch.arange(len(first)) + start[first]]
+        key = torch.unique((one * num_regions + other)[one < other])
+        return torch.stack([key // num_regions, key % num_regions])
 
     def crumbs(self, of_piece: Tensor, ends: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
         """The merges that join small regions that no mask confirms, to a neighbour each; arguments as before."""
