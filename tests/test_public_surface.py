@@ -40,7 +40,10 @@ PUBLIC = {
     "torchjoint.datasets": """
         colmap folder kitti lidar_image list_scenes load_scene nerfstudio nuscenes organized_pcd scannet sis3d tum
     """,
-    "torchjoint.synthetic": "DOMAINS DomainSettings SyntheticScene domain_settings make_domain_scene make_scene",
+    "torchjoint.synthetic": """
+        DOMAINS MASK_LEVELS DomainSettings SyntheticScene domain_settings make_domain_scene make_network_masks make_scene
+        with_network_masks
+    """,
     "torchjoint.transforms": "AddSuperpoints transfer_labels",
 }
 
