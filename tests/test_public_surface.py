@@ -41,8 +41,8 @@ PUBLIC = {
         colmap folder kitti lidar_image list_scenes load_scene nerfstudio nuscenes organized_pcd scannet sis3d tum
     """,
     "torchjoint.synthetic": """
-        DOMAINS MASK_LEVELS DomainSettings SyntheticScene domain_settings make_domain_scene make_network_masks make_scene
-        with_network_masks
+        DOMAINS MASK_LEVELS DomainSettings SyntheticScene domain_settings make_domain_scene make_network_masks
+        make_scene with_network_masks
     """,
     "torchjoint.transforms": "AddSuperpoints transfer_labels",
 }
