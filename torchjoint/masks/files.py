@@ -62,7 +62,7 @@ def read_masks(path: Path | str) -> Masks:
 
 
 def save_masks(path: Path | str, masks: Masks) -> None:
-    """Writes masks for :func:`read_masks`, compressed, atomically (a temporary file is renamed).
+    """Writes masks for :func:`read_masks`, compressed, atomically (a temporary file is renamed); makes the folder.
 
     Raises:
         ValueError: a file name that does not end with .npz.
@@ -70,6 +70,7 @@ def save_masks(path: Path | str, masks: Masks) -> None:
     path = Path(path)
     if path.suffix != ".npz":
         raise ValueError(f"path: expected a file name with .npz, got {path.name}")
+    path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as partial:
         np.savez_compressed(
             partial, atom=masks.atom.numpy(), pairs=masks.pairs.numpy(), mask_scores=masks.scores.numpy()
