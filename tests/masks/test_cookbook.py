@@ -13,7 +13,8 @@ import torch
 
 import torchjoint as tj
 
-DOCUMENT = (Path(__file__).parents[2] / "docs" / "masks.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[2]
+DOCUMENT = (ROOT / "docs" / "masks.md").read_text(encoding="utf-8")
 SIZE = 6, 8
 
 
@@ -115,3 +116,18 @@ def test_a_recipe_writes_masks_for_the_folder(scene, monkeypatch, name):
     assert first.covered().sum() == 6 * 4 + 3 * 4
     assert first.scores.tolist() == pytest.approx([0.55 if name == "CropFormer" else 0.45] * 2)
     assert len(second) == (0 if name == "YOLO-seg" else 2)
+
+
+def test_the_lines_of_the_readme(monkeypatch, tmp_path):
+    scene = tj.synthetic.make_scene(2, num_views=2, num_points=1500, height=60, width=80).scene
+    monkeypatch.setattr(tj, "load_scene", lambda _: scene)
+    monkeypatch.chdir(tmp_path)
+    for frame in tj.synthetic.with_network_masks(scene, "sam-like").frames:
+        tj.masks.save_masks(f"masks/{frame.name}.npz", frame.masks)
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    code = re.search(r"## Masks of a network\n.*?```python\n(.*?)```", text, flags=re.DOTALL)[1]
+    assert len(code.splitlines()) == 5
+    names = {"tj": tj}
+    exec(compile(code, "README.md", "exec"), names)
+    assert names["result"].points.shape == (1500,)
+    assert all(frame.masks is not None for frame in names["scene"].frames)
