@@ -14,8 +14,8 @@ DOCUMENTS = ["README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs"
 
 PUBLIC = {
     "torchjoint": """
-        Config Frame JointSegmenter Scene Segmentation Superpoints SuperpointsConfig datasets load_scene metrics ops
-        superpoints synthetic transforms
+        Config Frame JointSegmenter Scene Segmentation Superpoints SuperpointsConfig datasets load_scene masks metrics
+        ops superpoints synthetic transforms
     """,
     "torchjoint.config": """
         DETECTORS STAGES BoundaryConfig Config ContoursConfig ImageGraphConfig ImageSegmentsConfig
@@ -25,6 +25,10 @@ PUBLIC = {
         read_assignment read_preset read_yaml superpoint_presets superpoint_table
     """,
     "torchjoint.scene": "Frame Hierarchy LabelImages Scene Segmentation Truth",
+    "torchjoint.masks": """
+        Masks from_coco from_instances from_labels from_module from_panoptic from_sam from_stack read_folder read_masks
+        save_masks
+    """,
     "torchjoint.ops": """
         boosted_trees felzenszwalb felzenszwalb_image fit_normals match_pixels merge_regions min_cut neighbor_edges
         pair_counts project propagate_labels region_merges region_planes segment_graphs splat_depth

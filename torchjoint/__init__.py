@@ -9,7 +9,7 @@
 
 from importlib.metadata import version
 
-from torchjoint import datasets, metrics, ops, synthetic, transforms
+from torchjoint import datasets, masks, metrics, ops, synthetic, transforms
 from torchjoint.config import Config, SuperpointsConfig
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
@@ -28,6 +28,7 @@ __all__ = [
     "SuperpointsConfig",
     "datasets",
     "load_scene",
+    "masks",
     "metrics",
     "ops",
     "superpoints",

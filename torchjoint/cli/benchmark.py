@@ -17,6 +17,7 @@ from torchjoint.benchmark.settings import read_settings, write_settings
 from torchjoint.benchmark.space import Setting
 from torchjoint.benchmark.suites import SUITES, Suite
 from torchjoint.cli.arguments import check_output
+from torchjoint.cli.benchmark_masks import benchmark_masks
 from torchjoint.evaluation.table import (
     Row,
     method_table,
@@ -34,6 +35,7 @@ TABLE, SCORES, PICTURE, SETTINGS = "table.md", "scores.csv", "scores.png", "sett
 def benchmark(
     suite: Annotated[
         Literal[
+            "masks",
             "synthetic",
             "sparse",
             "mosd",
@@ -58,13 +60,17 @@ def benchmark(
     half: Literal["checking", "tuning"] = "checking",
     page: Path | None = None,
     overwrite: bool = False,
+    scenes: int = 4,
+    noise_seeds: int = 4,
+    domains: tuple[str, ...] = ("room", "table", "shelf"),
 ) -> None:
     """Compares the joint method with its ablations and with common alternatives on labelled scenes.
 
     Each method uses one setting for all scenes.
 
     Args:
-        suite: kind of scenes; the last eight are generated (`tj.synthetic.make_domain_scene`).
+        suite: kind of scenes; the last eight are generated (`tj.synthetic.make_domain_scene`). "masks" compares ways of
+            bringing a network's masks to 3D, on generated scenes (`tj.synthetic.with_network_masks`).
         data: folder of the data set; not needed for synthetic scenes.
         out: folder for table.md, scores.csv, scores.png, settings.yaml; default: benchmark-SUITE.
         methods: run only these methods; default: all.
@@ -76,7 +82,13 @@ def benchmark(
         page: Markdown file; its part between the marks `<!-- benchmark SUITE -->` and `<!-- end benchmark SUITE -->`
             is replaced by the table of all methods.
         overwrite: replace files in OUT.
+        scenes: masks: number of scenes of each domain.
+        noise_seeds: masks: number of times that masks are made for each scene and level.
+        domains: masks: kinds of scenes.
     """
+    if suite == "masks":
+        _benchmark_masks(out, methods, half, page, scenes, noise_seeds, domains, (data, settings, tuning))
+        return
     kind, chosen = SUITES[suite], _chosen(methods)
     out = out or Path(f"benchmark-{suite}")
     # Errors in the arguments must be reported before hours of work.
@@ -108,6 +120,25 @@ def benchmark(
     if page is not None:
         _fill(page, f"benchmark {suite}", text)
         print(f"and to {page}")
+
+
+def _benchmark_masks(
+    out: Path | None,
+    methods: tuple[str, ...],
+    half: Literal["checking", "tuning"],
+    page: Path | None,
+    scenes: int,
+    noise_seeds: int,
+    domains: tuple[str, ...],
+    others: tuple[object, object, object],
+) -> None:
+    for name, value in zip(("--data", "--settings", "--tuning"), others, strict=True):
+        if value is not None:
+            raise ValueError(f"{name}: suite masks has none")
+    _check_page(page, "masks", not methods and half == "checking")
+    text = benchmark_masks(out or Path("benchmark-masks"), half, methods, domains, scenes, noise_seeds)
+    if page is not None:
+        _fill(page, "benchmark masks", text)
 
 
 def report(rows: Sequence[Row], suite: Suite, half: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -13,6 +14,7 @@ from torchjoint.cli.arguments import DEFAULTS, Flat, Out, check_max_frames
 from torchjoint.datasets import load_scene
 from torchjoint.datasets.files import fingerprint
 from torchjoint.joint import JointSegmenter
+from torchjoint.masks import read_folder
 from torchjoint.results.checkpoint import Checkpoint, run_key
 from torchjoint.results.folder import output_folder, write_result
 from torchjoint.scene.hierarchy import check_granularity
@@ -30,6 +32,8 @@ def segment(
     in_view: bool = False,
     thin: float | None = None,
     granularity: float | None = None,
+    masks: Path | None = None,
+    without_masks: Literal["segment", "leave-out"] = "segment",
 ) -> None:
     """Segments a recording: a folder of posed frames, with or without a point cloud.
 
@@ -47,6 +51,9 @@ def segment(
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5. All levels are saved in any case.
             Only point_segments.method learned has levels (auto, if the cloud is no scan).
+        masks: masks of a network: a folder with NAME.png (labels, 0 = none), NAME.npz, NAME.json (SAM) or a folder NAME
+            of binary PNGs for each frame NAME; or a COCO file. docs/masks.md shows how to make them.
+        without_masks: what becomes of frames without masks: they are segmented without masks, or left out.
     """
     config = parameters.config()
     check_max_frames(max_frames)
@@ -60,10 +67,16 @@ def segment(
             )
     if out.resolve() in (scene.resolve(), *scene.resolve().parents):
         raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
+    if masks is not None and out.resolve() in (masks.resolve(), *masks.resolve().parents):
+        raise ValueError(f"-o: {out} is, or holds, the masks; choose another folder")
     source = f"{fingerprint(scene)} {voxel_size}"
+    if masks is not None:
+        source += f" {fingerprint(masks)} {without_masks}"
     with output_folder(out, source, overwrite=overwrite) as partial:
         fused = partial / f"cloud-{voxel_size * 1000:g}mm.ply"  # kept in the result if the recording has no cloud
         loaded = load_scene(scene, cloud=fused, voxel_size=voxel_size, progress=True)
+        if masks is not None:
+            loaded = read_folder(masks, loaded, "segment" if without_masks == "segment" else "leave out")
         if max_frames is not None:
             loaded = loaded.sample_frames(max_frames)
         if in_view:

@@ -55,7 +55,7 @@ def _read_frames(model: Path, bases: Sequence[Path]) -> Sequence[Frame]:
         if not file.is_file():
             raise FileNotFoundError(f"{file}: missing; expected an image of the model in {model}")
     names = frame_names([image.name for image in images])
-    return LazySequence(len(images), lambda i: _read_frame(files[i], images[i], names[i]))
+    return LazySequence(len(images), lambda i: _read_frame(files[i], images[i], names[i]), names)
 
 
 def _image_folder(bases: Sequence[Path], name: str, source: str) -> Path:

@@ -57,7 +57,7 @@ def read_frames(path: Path) -> Sequence[Frame]:
     # Reads all poses at once: a bad pose must be found before hours of work, not after.
     poses = [_read_pose(_beside(file, ".pose.txt")) for file in colors]
     intrinsics = read_matrix(path / "camera-intrinsics.txt", (3, 3))
-    return LazySequence(len(colors), lambda i: _read_frame(colors[i], intrinsics, poses[i]))
+    return LazySequence(len(colors), lambda i: _read_frame(colors[i], intrinsics, poses[i]), stems)
 
 
 def _read_frame(file: Path, intrinsics: Tensor, camera_to_world: Tensor) -> Frame:

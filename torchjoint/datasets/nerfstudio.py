@@ -80,7 +80,7 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
         if one.color == following.color:
             raise ValueError(f"{file}: frames: two are of {one.color}")
     names = frame_names([str(shot.color) for shot in shots])
-    return LazySequence(len(shots), lambda i: _read_frame(shots[i], names[i]))
+    return LazySequence(len(shots), lambda i: _read_frame(shots[i], names[i]), names)
 
 
 def _shot(file: Path, frame: Record) -> _Shot:

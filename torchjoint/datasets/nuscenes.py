@@ -51,7 +51,7 @@ def load(path: Path, options: Options) -> Scene:
     cameras = sample.record("cameras")
     names = list(cameras.values)
     shots = [_shot(path, cameras.record(name)) for name in names]
-    frames = LazySequence(len(names), lambda i: _read_frame(shots[i], names[i]))
+    frames = LazySequence(len(names), lambda i: _read_frame(shots[i], names[i]), names)
     truth = Truth(_instances(sample.records("instances"), points)) if "instances" in sample else None
     return Scene(points, frames, name=path.name, truth=truth)
 

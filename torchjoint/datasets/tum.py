@@ -95,7 +95,7 @@ def read_frames(path: Path) -> Sequence[Frame]:
         if not file.is_file():
             raise FileNotFoundError(f"{file}: missing; expected an image that the recording's lists name")
     camera, names = _camera(path), frame_names([str(shot.color) for shot in shots])
-    return LazySequence(len(shots), lambda i: _read_frame(shots[i], camera, names[i]))
+    return LazySequence(len(shots), lambda i: _read_frame(shots[i], camera, names[i]), names)
 
 
 def _read_frame(shot: _Shot, camera: Camera, name: str) -> Frame:

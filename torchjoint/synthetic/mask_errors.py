@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from scipy import ndimage
 
@@ -18,6 +17,8 @@ _LEAST_COMPONENT = 0.1
 
 def smooth_noise(rng: Rng, height: int, width: int, grain: float) -> Array:
     """[height, width] float32, normal noise at knots `grain` pixels apart, interpolated between them."""
+    import cv2  # here, because it would slow down the import of the package
+
     knots = int(np.ceil(height / grain)) + 2, int(np.ceil(width / grain)) + 2
     coarse = rng.standard_normal(knots).astype(np.float32)
     return np.asarray(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC))

@@ -1,0 +1,150 @@
+"""A folder of masks and a scene: matched by name in every data set, with a report of what has no match."""
+
+from __future__ import annotations
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+import samples
+import torch
+from folder_files import write_folder
+from PIL import Image
+
+import torchjoint as tj
+from torchjoint.datasets.lazy import LazySequence
+from torchjoint.masks.folder import frame_names
+
+SIZE = 6, 8
+
+
+def scene_of(*names):
+    camera = {"intrinsics": torch.eye(3), "world_to_camera": torch.eye(4)}
+    labels = torch.zeros(SIZE, dtype=torch.int64)
+    return tj.Scene(torch.rand(5, 3), [tj.Frame(torch.rand(3, *SIZE), **camera, name=n, labels=labels) for n in names])
+
+
+def write_labels(path, size=SIZE, value=1):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    labels = np.zeros(size, dtype=np.uint8)
+    labels[:, : size[1] // 2] = value
+    Image.fromarray(labels).save(path)
+
+
+@pytest.mark.parametrize("name", samples.FORMATS)
+def test_frames_of_every_data_set_get_the_masks_of_their_name(tmp_path, name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        scene = tj.load_scene(samples.write(name, tmp_path / "sample"))
+    names = [frame.name for frame in scene.frames]
+    assert frame_names(scene.frames) == names
+    for index, frame in enumerate(scene.frames):
+        write_labels(tmp_path / "masks" / f"{frame.name}.png", frame.size, index + 1)
+    masked = tj.masks.read_folder(tmp_path / "masks", scene)
+    assert [frame.name for frame in masked.frames] == names
+    for frame in masked.frames:
+        assert len(frame.masks) == 1
+        assert frame.labels is None
+        assert frame.masks.size == frame.size
+
+
+def test_each_kind_of_file(tmp_path):
+    write_labels(tmp_path / "a.png")
+    write_labels(tmp_path / "b" / "0.png", value=255)
+    stack = torch.zeros(2, *SIZE, dtype=torch.bool)
+    tj.masks.save_masks(tmp_path / "c.npz", tj.masks.from_stack(stack))
+    record = {"segmentation": {"size": SIZE, "counts": [48]}}
+    (tmp_path / "d.json").write_text(json.dumps([record] * 3))
+    write_labels(tmp_path / "e.masks.png")
+    (tmp_path / "README.md").write_text("none")
+    (tmp_path / ".hidden").mkdir()
+    masked = tj.masks.read_folder(tmp_path, scene_of(*"abcde"))
+    assert [len(frame.masks) for frame in masked.frames] == [1, 1, 2, 3, 1]
+
+
+def test_a_coco_file(tmp_path):
+    images = [{"id": i, "file_name": f"left/{name}.jpg", "height": 6, "width": 8} for i, name in enumerate("ba")]
+    annotations = [{"id": 7, "image_id": 1, "segmentation": [[0, 0, 4, 0, 4, 6, 0, 6]], "category_id": 1}]
+    path = tmp_path / "instances.json"
+    path.write_text(json.dumps({"images": images, "annotations": annotations}))
+    masked = tj.masks.read_folder(path, scene_of("a", "b"))
+    assert [len(frame.masks) for frame in masked.frames] == [1, 0]
+    assert masked.frames[0].masks.covered().sum() == 24
+    annotations[0]["segmentation"] = [[0, 0]]
+    path.write_text(json.dumps({"images": images, "annotations": annotations}))
+    with pytest.raises(ValueError, match=r"instances.json, image 'a': annotations\[0\]'s segmentation"):
+        tj.masks.read_folder(path, scene_of("a", "b")).frames[0]
+    path.write_text(json.dumps({"images": images, "annotations": [{"image_id": 5}]}))
+    with pytest.raises(
+        ValueError, match=r"instances\.json: images need file_name and id, annotations the id of an image"
+    ):
+        tj.masks.read_folder(path, scene_of("a"))
+    path.write_text(json.dumps(annotations))
+    with pytest.raises(ValueError, match="instances.json: expected a COCO data set with images and annotations"):
+        tj.masks.read_folder(path, scene_of("a"))
+
+
+def test_frames_without_masks_and_masks_without_frames_are_reported(tmp_path):
+    for name in ("b", "x", "y"):
+        write_labels(tmp_path / f"{name}.png")
+    with (
+        pytest.warns(UserWarning, match="masks: 2 of 3 have no frame: x, y"),
+        pytest.warns(UserWarning, match="masks: 2 of 3 frames have none and are segmented without masks: a, c"),
+    ):
+        masked = tj.masks.read_folder(tmp_path, scene_of(*"abc"))
+    assert [frame.masks is None for frame in masked.frames] == [True, False, True]
+    assert masked.frames[0].labels is not None
+    with pytest.warns(UserWarning, match="have no frame"), pytest.warns(UserWarning, match="are left out: a, c"):
+        left = tj.masks.read_folder(tmp_path, scene_of(*"abc"), without="leave out")
+    assert [frame.name for frame in left.frames] == ["b"]
+
+
+def test_what_cannot_be_matched_is_an_error(tmp_path):
+    write_labels(tmp_path / "x.png")
+    with pytest.raises(ValueError, match="no masks have the name of a frame: masks x; frames a, b"):
+        tj.masks.read_folder(tmp_path, scene_of("a", "b"))
+    write_labels(tmp_path / "a.png")
+    tj.masks.save_masks(tmp_path / "a.npz", tj.masks.from_stack(torch.zeros(0, *SIZE, dtype=torch.bool)))
+    with pytest.raises(ValueError, match=r"two masks for 'a', the second one is a.png"):
+        tj.masks.read_folder(tmp_path, scene_of("a", "b"))
+    (tmp_path / "a.npz").rename(tmp_path / "a.masks.npz")
+    with pytest.raises(ValueError, match=r"two masks for frame 'a', the second one is 'a'|'a.masks'"):
+        tj.masks.read_folder(tmp_path, scene_of("a", "b"))
+    with pytest.raises(FileNotFoundError, match="nothing: missing; expected a folder of masks, or a COCO file"):
+        tj.masks.read_folder(tmp_path / "nothing", scene_of("a"))
+    with pytest.raises(ValueError, match="without: expected 'segment' or 'leave out', got 'drop'"):
+        tj.masks.read_folder(tmp_path, scene_of("a"), without="drop")
+
+
+def test_masks_are_read_with_their_frame(tmp_path):
+    for name in "ab":
+        write_labels(tmp_path / f"{name}.png")
+    masked = tj.masks.read_folder(tmp_path, scene_of("a", "b"))
+    (tmp_path / "b.png").write_bytes((tmp_path / "b.png").read_bytes()[:40])
+    assert len(masked.frames[0].masks) == 1
+    with pytest.raises(ValueError, match=r"b.png: not a whole image"):
+        masked.frames[1]
+
+
+def test_names_of_some_lazy_frames_are_known_without_reading_them():
+    frames = LazySequence(3, lambda _: pytest.fail("read a frame"), ["a", "b", "c"])
+    scene = tj.Scene(torch.rand(5, 3), frames)
+    assert frame_names(scene.select_frames([2, 0]).frames) == ["c", "a"]
+
+
+class TestCommand:
+    def test_segment_takes_masks(self, tmp_path, run):
+        scene = tj.synthetic.make_scene(2, num_views=3, num_points=1500, height=60, width=80)
+        recording = write_folder(tmp_path / "recording", scene)
+        names = [frame.name for frame in tj.load_scene(recording).frames]
+        for name in names[1:]:
+            write_labels(tmp_path / "masks" / f"{name}.png", (60, 80))
+        out = tmp_path / "out"
+        with pytest.warns(UserWarning, match=f"1 of 3 frames have none and are left out: {names[0]}"):
+            run("segment", recording, "-o", out, "--masks", tmp_path / "masks", "--without-masks", "leave-out")
+        assert sorted(file.stem for file in (out / "images").glob("*.png")) == names[1:]
+        with pytest.raises(SystemExit, match="-o: .* is, or holds, the masks; choose another folder"):
+            run("segment", recording, "-o", tmp_path / "masks", "--masks", tmp_path / "masks")
+        with pytest.raises(SystemExit, match="torchjoint: error: .*nothing: missing; expected a folder of masks"):
+            run("segment", recording, "-o", tmp_path / "other", "--masks", tmp_path / "nothing")

@@ -1,0 +1,55 @@
+"""Tensors from what networks give: NumPy arrays, tensors on any device."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+def as_tensor(values: Any, name: str) -> Tensor:
+    """A tensor on the CPU, without gradient, of a tensor or a NumPy array.
+
+    Raises:
+        TypeError: neither of the two, or an array of another kind than numbers and booleans.
+    """
+    if isinstance(values, Tensor):
+        return values.detach().cpu()
+    if not isinstance(values, np.ndarray):
+        raise TypeError(f"{name}: expected a torch.Tensor or a NumPy array, got {type(values).__name__}")
+    if values.dtype.kind not in "biuf":
+        raise TypeError(f"{name}: expected numbers or booleans, got dtype {values.dtype}")
+    wider = {"uint16": np.int32, "uint32": np.int64, "uint64": np.int64}.get(values.dtype.name)
+    return torch.from_numpy(np.array(values if wider is None else values.astype(wider)))
+
+
+def as_binary(values: Any, name: str) -> Tensor:
+    """A bool tensor of booleans, or of numbers that are all 0 or 1, or all 0 or 255.
+
+    Raises:
+        TypeError: as :func:`as_tensor`.
+        ValueError: other numbers, such as logits, probabilities or labels.
+    """
+    tensor = as_tensor(values, name)
+    if tensor.dtype == torch.bool:
+        return tensor
+    inside = tensor != 0
+    top = 255 if tensor.dtype == torch.uint8 and bool((tensor == 255).any()) else 1
+    if not torch.equal(tensor, inside.to(tensor.dtype) * top):
+        low, high = float(tensor.min()), float(tensor.max())
+        raise ValueError(
+            f"{name}: expected booleans, or numbers 0 and 1, got {tensor.dtype} from {low:.4g} to {high:.4g}; use "
+            "`> 0` for logits, `> 0.5` for probabilities"
+        )
+    return inside
+
+
+def as_scores(scores: Any, name: str) -> Tensor | None:
+    """Scores as a tensor, if there are any; a list of numbers will do."""
+    if scores is None:
+        return None
+    if isinstance(scores, (list, tuple)):
+        scores = np.array(scores, dtype=np.float64).reshape(len(scores))
+    return as_tensor(scores, name).float()

@@ -1,0 +1,94 @@
+"""Masks from annotations and results in COCO's format."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchjoint.masks.segmentation import mask_of, stacked
+from torchjoint.scene.masks import Masks
+
+
+def from_coco(annotations: Sequence[Mapping[str, Any]], size: tuple[int, int]) -> Masks:
+    """Masks of the annotations, or of the results, of one image.
+
+    Args:
+        annotations: a dict for each mask: ``segmentation`` (polygons, or run lengths, compressed or not), and an
+            optional ``score`` in [0, 1].
+        size: (H, W) of the image.
+
+    Raises:
+        ValueError, TypeError: naming the annotation and its entry, what was expected and what came.
+
+    >>> from_coco([{"segmentation": [[1, 0, 3, 0, 3, 2, 1, 2]]}], (2, 4))
+    Masks(1 masks, 2 x 4 pixels, 50% covered)
+    """
+    masks, scores = [], []
+    for index, annotation in enumerate(annotations):
+        name = f"annotations[{index}]"
+        if not isinstance(annotation, Mapping) or "segmentation" not in annotation:
+            raise ValueError(f"{name}: expected a dict with segmentation, got {type(annotation).__name__}")
+        masks.append(mask_of(annotation["segmentation"], size, f"{name}'s segmentation"))
+        score = annotation.get("score", 1.0)
+        if isinstance(score, bool) or not isinstance(score, (int, float)):
+            raise TypeError(f"{name}'s score: expected a number, got {score!r}")
+        scores.append(float(score))
+    return Masks.from_stack(stacked(masks, size, "annotations"), torch.tensor(scores), "annotations")
+
+
+class CocoFile:
+    """The masks of a COCO data set (`images` and `annotations`), by the stems of the images' file names.
+
+    Raises:
+        ValueError: the file is no such JSON.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        data = read_json(path)
+        if not isinstance(data, dict) or not {"images", "annotations"} <= set(data):
+            raise ValueError(f"{path}: expected a COCO data set with images and annotations")
+        try:
+            self._images = {Path(image["file_name"]).stem: image for image in data["images"]}
+            self._annotations: dict[Any, list[Any]] = {image["id"]: [] for image in data["images"]}
+            for annotation in data["annotations"]:
+                self._annotations[annotation["image_id"]].append(annotation)
+        except (KeyError, TypeError) as error:
+            raise ValueError(
+                f"{path}: images need file_name and id, annotations the id of an image: {error}"
+            ) from error
+        if len(self._images) < len(data["images"]):
+            raise ValueError(f"{path}: two images have one name")
+
+    @property
+    def names(self) -> list[str]:
+        """The stems of the file names, sorted."""
+        return sorted(self._images)
+
+    def read(self, name: str) -> Masks:
+        """The masks of an image.
+
+        Raises:
+            ValueError, TypeError: a damaged annotation, by file, image and number.
+        """
+        image = self._images[name]
+        try:
+            return from_coco(self._annotations[image["id"]], (int(image["height"]), int(image["width"])))
+        except (ValueError, TypeError, KeyError) as error:
+            raise ValueError(f"{self._path}, image {name!r}: {error}") from error
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file.
+
+    Raises:
+        ValueError: it is damaged; the message names it.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f"{path}: no JSON, or a truncated one: {error}") from error

@@ -1,0 +1,140 @@
+"""The masks of one frame in files."""
+
+from __future__ import annotations
+
+import csv
+import io
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from torchjoint.datasets.files import decode_image, read_label_image
+from torchjoint.masks.arrays import as_binary, as_tensor
+from torchjoint.masks.coco import read_json
+from torchjoint.masks.labels import from_labels
+from torchjoint.masks.sam import from_sam
+from torchjoint.masks.segmentation import stacked
+from torchjoint.masks.stack import from_stack
+from torchjoint.runtime.files import atomic_write
+from torchjoint.scene.masks import Masks
+
+#: The files that :func:`read_masks` reads, besides folders.
+SUFFIXES = (".png", ".npz", ".json")
+#: Scores in a folder of PNGs, as SAM's command line writes them: columns id, predicted_iou, stability_score.
+METADATA = "metadata.csv"
+
+
+def read_masks(path: Path | str) -> Masks:
+    """The masks of one frame, by the kind of file.
+
+    Args:
+        path: one of
+
+            * ``NAME.png``: 8- or 16-bit labels, 0 = none;
+            * a folder of PNGs, each one mask (0 outside), in the order of their numbers, and an optional
+              ``metadata.csv`` with scores, as SAM's command line writes it;
+            * ``NAME.npz``: what :func:`save_masks` wrote; or ``masks`` ([M, H, W] booleans, or labels [H, W], -1 =
+              none), and optional ``scores``;
+            * ``NAME.json``: SAM's list of dicts with run lengths, or SA-1B's dict with such a list as ``annotations``.
+
+    Raises:
+        FileNotFoundError: there is no such file or folder.
+        ValueError: an unknown kind of file, or a damaged one; the message names it.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: missing; expected masks")
+    readers = {".png": _read_labels, ".npz": _read_npz, ".json": _read_json}
+    reader = _read_pngs if path.is_dir() else readers.get(path.suffix.lower())
+    if reader is None:
+        raise ValueError(f"{path}: expected masks in a folder or in a file of kind {', '.join(SUFFIXES)}")
+    try:
+        return reader(path)
+    except (ValueError, TypeError, KeyError) as error:
+        message = str(error)
+        raise ValueError(message if message.startswith(str(path)) else f"{path}: {message}") from error
+
+
+def save_masks(path: Path | str, masks: Masks) -> None:
+    """Writes masks for :func:`read_masks`, compressed, atomically (a temporary file is renamed); makes the folder.
+
+    Raises:
+        ValueError: a file name that does not end with .npz.
+    """
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise ValueError(f"path: expected a file name with .npz, got {path.name}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as partial:
+        np.savez_compressed(
+            partial, atom=masks.atom.numpy(), pairs=masks.pairs.numpy(), mask_scores=masks.scores.numpy()
+        )
+
+
+def _read_labels(path: Path) -> Masks:
+    return from_labels(read_label_image(path), none=0)
+
+
+def _read_json(path: Path) -> Masks:
+    content = read_json(path)
+    if not isinstance(content, Mapping):
+        return from_sam(content)
+    if "annotations" not in content:
+        raise ValueError(f"{path}: expected a list of masks, or a dict with annotations, got {', '.join(content)}")
+    image: Any = content.get("image", {})
+    size = (int(image["height"]), int(image["width"])) if {"height", "width"} <= set(image) else None
+    return from_sam(content["annotations"], size)
+
+
+def _read_npz(path: Path) -> Masks:
+    try:
+        with zipfile.ZipFile(path) as file:
+            arrays = {name.removesuffix(".npy"): _array(file.read(name)) for name in file.namelist()}
+    except (OSError, EOFError, zipfile.BadZipFile, zlib.error, ValueError) as error:
+        raise ValueError(f"{path}: no .npz file, or a truncated one: {error}") from error
+    if {"atom", "pairs", "mask_scores"} <= set(arrays):
+        return Masks(*(torch.from_numpy(arrays[name]) for name in ("atom", "pairs", "mask_scores")))
+    if "masks" not in arrays:
+        raise ValueError(f"{path}: expected masks, and optional scores, got {', '.join(arrays) or 'nothing'}")
+    masks, scores = as_tensor(arrays["masks"], "masks"), arrays.get("scores")
+    return from_labels(masks, scores) if masks.ndim == 2 else from_stack(masks, scores)
+
+
+def _array(data: bytes) -> npt.NDArray[Any]:
+    return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+
+
+def _read_pngs(path: Path) -> Masks:
+    files = sorted(path.glob("*.png"), key=lambda file: (len(file.name), file.name))
+    if not files:
+        raise ValueError(f"{path}: expected PNGs, one for each mask, got none")
+    masks = []
+    for file in files:
+        image = decode_image(file.read_bytes(), str(file))
+        if image.mode not in ("1", "L"):
+            raise ValueError(f"{file}: expected a mask with values 0 and 255, got an image of mode {image.mode}")
+        masks.append(as_binary(np.array(image), str(file)))
+    return from_stack(stacked(masks, None, path.name), _scores(path / METADATA, [file.stem for file in files]))
+
+
+def _scores(path: Path, ids: list[str]) -> list[float] | None:
+    if not path.is_file():
+        return None
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = {row.get("id"): row for row in csv.DictReader(file)}
+    scores = []
+    for name in ids:
+        if name not in rows:
+            raise ValueError(f"{path}: expected a line with id {name}")
+        values = [rows[name].get(column) or "1" for column in ("predicted_iou", "stability_score")]
+        try:
+            scores.append(float(values[0]) * float(values[1]))
+        except ValueError as error:
+            raise ValueError(f"{path}: expected numbers in the line with id {name}, got {', '.join(values)}") from error
+    return [score if score != score else min(max(score, 0.0), 1.0) for score in scores]  # NaN is an error later

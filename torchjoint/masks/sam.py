@@ -1,0 +1,60 @@
+"""Masks from the lists of dicts that SAM's automatic mask generators give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+
+from torchjoint.masks.segmentation import mask_of, stacked
+from torchjoint.scene.masks import Masks
+
+
+def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None = None) -> Masks:
+    """Masks of SAM, SAM 2 and their relatives: what `SamAutomaticMaskGenerator.generate(image)` returns.
+
+    Args:
+        records: a dict for each mask: ``segmentation`` (array [H, W], or COCO run lengths, compressed or not);
+            optional ``predicted_iou`` and ``stability_score``, whose product, clipped to [0, 1], is the score; optional
+            ``area``, which must be the mask's number of pixels.
+        size: (H, W) of the image; needed if there may be no mask.
+
+    Raises:
+        ValueError, TypeError: naming the record and its entry, what was expected and what came.
+
+    >>> from_sam([{"segmentation": {"size": [2, 3], "counts": [1, 2, 3]}, "predicted_iou": 0.95}])
+    Masks(1 masks, 2 x 3 pixels, 33% covered)
+    """
+    if isinstance(records, (Mapping, str)) or not isinstance(records, Sequence):
+        raise TypeError(f"records: expected a list of dicts, got {type(records).__name__}")
+    masks, scores = [], []
+    for index, record in enumerate(records):
+        name = f"records[{index}]"
+        if not isinstance(record, Mapping) or "segmentation" not in record:
+            raise ValueError(f"{name}: expected a dict with segmentation, got {_entries(record)}")
+        mask = mask_of(record["segmentation"], size, f"{name}'s segmentation")
+        area = record.get("area")
+        if area is not None and area != int(mask.sum()):
+            raise ValueError(f"{name}'s area: expected the mask's {int(mask.sum())} pixels, got {area}")
+        masks.append(mask)
+        scores.append(_score(record, name))
+    return Masks.from_stack(stacked(masks, size, "records"), torch.tensor(scores), "records")
+
+
+def _score(record: Mapping[str, Any], name: str) -> float:
+    product = 1.0
+    for entry in ("predicted_iou", "stability_score"):
+        value = record.get(entry, 1.0)
+        try:
+            product *= float(value)
+        except (TypeError, ValueError) as error:
+            raise TypeError(f"{name}'s {entry}: expected a number, got {value!r}") from error
+        if not math.isfinite(float(value)):
+            raise ValueError(f"{name}'s {entry}: expected a finite number, got {value}")
+    return min(max(product, 0.0), 1.0)
+
+
+def _entries(record: object) -> str:
+    return ", ".join(map(str, record)) or "an empty one" if isinstance(record, Mapping) else type(record).__name__
