@@ -18,6 +18,8 @@ from torchjoint.views.observation import Observation
 ONE_OBJECT = 0.65
 #: Path cost of crossing an outline of a mask, pixels: labels leave a mask only to where nothing else leads.
 OUTLINE_WEIGHT = 200.0
+#: A mask whose points are this much less dense than usual shows an object that the cloud does not have.
+SPARSE = 0.2
 #: Fewer points do not decide.
 MIN_POINTS = 3
 
@@ -36,7 +38,7 @@ def label_masks(
     """Labels an image by its masks and the points that it sees.
 
     An atom whose points agree gets their label as a whole. An atom with too few points gets the label of the smallest
-    mask around it whose points agree. Masks without any point keep ids of their own, numbered from `num_segments` on.
+    mask around it whose points agree. Masks with next to no points keep ids of their own, numbered from `num_segments` on.
     What is left, atoms whose points disagree and pixels without a mask, gets labels by geodesic label propagation,
     where outlines of masks count as boundaries.
 
@@ -50,8 +52,7 @@ def label_masks(
     Returns:
         ([H, W] int32, the next free id); no pixel is -1, unless there is neither a point nor a mask.
     """
-    atom_there = masks.atom[seen.visible.row, seen.visible.column].long()
-    of_atom, num_private = _labels_of_atoms(masks, atom_there, point_labels, num_segments)
+    of_atom, num_private = _labels_of_atoms(seen, masks, point_labels, num_segments)
     of_pixel = of_atom.to(torch.int32)[masks.atom]
     markers = nearest_labels(seen.visible, point_labels, masks.size)
     hit = markers >= 0
@@ -67,8 +68,9 @@ def label_masks(
     return torch.where(of_pixel >= num_segments, of_pixel, labels), num_segments + num_private
 
 
-def _labels_of_atoms(masks: Masks, atom: Tensor, point_labels: Tensor, first_free: int) -> tuple[Tensor, int]:
+def _labels_of_atoms(seen: Observation, masks: Masks, point_labels: Tensor, first_free: int) -> tuple[Tensor, int]:
     """The label of each atom, [K] int64, -1 if it is not one object; and the number of masks with ids of their own."""
+    atom = masks.atom[seen.visible.row, seen.visible.column].long()
     of_atoms = _winners(atom, point_labels, masks.num_atoms)
     # Each point counts for all masks in which it lies.
     member = torch.zeros(masks.num_atoms, len(masks), dtype=torch.bool)
@@ -77,16 +79,41 @@ def _labels_of_atoms(masks: Masks, atom: Tensor, point_labels: Tensor, first_fre
     of_masks = _winners(mask, point_labels[point], len(masks))
     is_covered = member.any(1)
 
+    sparse = _is_sparse(masks, mask, seen.visible.z[point])
     label = torch.where(of_atoms.decides & is_covered, of_atoms.label, -1)
     few = (of_atoms.num_points < MIN_POINTS) & is_covered
     around = masks.smallest(of_masks.decides)
     label = torch.where(few & (around >= 0), of_masks.label[around], label)
 
-    alone = few & (masks.smallest(of_masks.num_points > 0) < 0)
+    alone = is_covered & (masks.smallest(~sparse) < 0)
     own = masks.smallest(torch.ones(len(masks), dtype=torch.bool))[alone]
     kept, number = torch.unique(own, return_inverse=True)
     label[alone] = first_free + number
     return label, len(kept)
+
+
+def _is_sparse(masks: Masks, mask: Tensor, depth: Tensor) -> Tensor:
+    """Whether a mask has far fewer points than others: its object is not in the cloud, and the points are stray ones.
+
+    Points have a density on surfaces (fused clouds) or in the image (single scans). A mask is sparse by both measures.
+
+    Args:
+        masks: M masks.
+        mask: [P] int64, the masks in which points lie.
+        depth: [P] z of these points, metres.
+
+    Returns:
+        [M] bool; True for masks without points.
+    """
+    area = torch.bincount(masks.atom.reshape(-1), minlength=masks.num_atoms)
+    size = torch.zeros(len(masks), dtype=torch.int64).index_add_(0, masks.pairs[1], area[masks.pairs[0]])
+    sparse = torch.ones(len(masks), dtype=torch.bool)
+    if not len(mask):
+        return sparse
+    for weight in (torch.ones(len(mask), dtype=torch.float64), depth.double() ** -2):
+        density = torch.zeros(len(masks), dtype=torch.float64).index_add_(0, mask, weight) / size.clamp(min=1)
+        sparse &= density < SPARSE * density[mask].median()  # the density around half of the points is lower
+    return sparse
 
 
 def _winners(part: Tensor, label: Tensor, num_parts: int) -> _Winners:
