@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from torchjoint.config import Config, evidence_differences
-from torchjoint.images.segmenter import ImageSegmenter
+from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
 from torchjoint.labels.image_labels import label_image
 from torchjoint.labels.joint_ids import separate_private_ids
 from torchjoint.labels.piece_images import PieceImages
@@ -49,8 +49,9 @@ class JointSegmenter(nn.Module):
         config: parameters; default ``Config()``.
         boundary: a boundary detector, [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1]; it replaces the detector
             that the config names (step 1).
-        image_segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none; it replaces the graph
-            segmentation of images (step 2). If a frame has labels, they are used instead of both.
+        image_segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none, or -> B
+            :class:`~torchjoint.scene.Masks`; it replaces the graph segmentation of images (step 2). If a frame has
+            masks or labels, they are used instead.
 
     Example:
         >>> import torchjoint as tj
@@ -177,10 +178,8 @@ class JointSegmenter(nn.Module):
         state = self.state
         with one_thread_per_operation():
             for batch in _batches_of_one_size([frames] if isinstance(frames, Frame) else frames):
-                boundaries, labels = self.image_segmenter(batch, self.stopwatch)
-                observations = parallel_map(
-                    lambda item: self._observe(*item), zip(batch, boundaries, labels, strict=True)
-                )
+                segments = self.image_segmenter(batch, self.stopwatch)
+                observations = parallel_map(lambda item: self._observe(*item), zip(batch, segments, strict=True))
                 for observation, facing, edges, overlaps in observations:
                     state.views.index_add_(0, edges, torch.ones_like(edges))
                     state.overlap_sum.index_add_(0, edges, overlaps)
@@ -233,7 +232,7 @@ class JointSegmenter(nn.Module):
         return Segmentation(
             points=given_points,
             images=labels,
-            initial_images=LabelImages([o.labels for o in state.observations]),
+            initial_images=LabelImages([o.initial_labels() for o in state.observations]),
             names=tuple(o.name for o in state.observations),
             seconds=dict(self.stopwatch.seconds),
             hierarchy=hierarchy,
@@ -298,7 +297,7 @@ class JointSegmenter(nn.Module):
         other._state = self.state + JointState.empty(graph.edge_index.shape[1], graph.num_points)  # a copy
         return other
 
-    def _observe(self, frame: Frame, boundary: Tensor, labels: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor]:
+    def _observe(self, frame: Frame, segments: ImageSegments) -> tuple[Observation, Tensor, Tensor, Tensor]:
         """Steps 4 and 5 for one frame: the observation, votes for the normals' signs, edges and their overlaps."""
         graph = self._require_graph()
         with self.stopwatch("visibility"):
@@ -306,9 +305,10 @@ class JointSegmenter(nn.Module):
             visible = visible_points(graph.points, graph.spacing, *camera, self.config.visibility)
             facing = orientation_votes(graph, visible.point, frame.world_to_camera)
         with self.stopwatch("propagation"):
-            labels = labels.to(torch.int32)
+            labels = segments.labels.to(torch.int32) if segments.masks is None else segments.masks.atom
             edges, overlaps = edge_overlaps(graph.adjacency, visible, labels, self.config.propagation.window)
-        observation = Observation(frame.name, labels, visible, _to_8_bits(frame.image), _to_8_bits(boundary))
+        image, boundary = _to_8_bits(frame.image), _to_8_bits(segments.boundary)
+        observation = Observation(frame.name, labels, visible, image, boundary, segments.masks)
         return observation, facing, edges, overlaps
 
 

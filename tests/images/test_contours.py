@@ -75,8 +75,8 @@ def test_the_config_decides(closed):
     config = tj.Config().set([f"contours.closed={closed}"])
     eye = torch.eye(4, dtype=torch.float64)
     frame = tj.Frame(name="a", image=torch.zeros(3, 48, 64), intrinsics=eye[:3, :3], world_to_camera=eye)
-    boundaries, _ = ImageSegmenter(config, Outline())([frame], Stopwatch())
-    assert torch.equal(boundaries[0], outlined()) != closed
+    segments = ImageSegmenter(config, Outline())([frame], Stopwatch())
+    assert torch.equal(segments[0].boundary, outlined()) != closed
 
 
 def test_the_letter_does_not_close():

@@ -172,7 +172,7 @@ class TestPanoptic:
     def test_damage_is_named(self):
         with pytest.raises(ValueError, match=r"segments_info: expected each id once, got \[5, 5\]"):
             tj.masks.from_panoptic(LABELS, [{"id": 5}, {"id": 5}])
-        with pytest.raises(TypeError, match="segmentation: expected an integer dtype, got torch.float32"):
+        with pytest.raises(TypeError, match=r"segmentation: expected an integer dtype, got torch\.float32"):
             tj.masks.from_panoptic(LABELS.float(), [{"id": 5}])
 
 

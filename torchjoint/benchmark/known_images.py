@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.config import Config
-from torchjoint.images.segmenter import ImageSegmenter
+from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame
@@ -29,21 +29,22 @@ class KnownImages(ImageSegmenter):
     def __init__(self, config: Config, frames: Sequence[Frame], bounded: KnownImages | None = None) -> None:
         super().__init__(config, None if bounded is None else bounded.boundary)
         self._frames = frames  # the reference is kept, so that no other object can get the id of one of these frames
-        self._known: dict[int, tuple[Tensor, Tensor]] = {}
+        self._known: dict[int, ImageSegments] = {}
+        self._bounded = bounded
         with one_thread_per_operation():
             for start in range(0, len(frames), BATCH):
                 batch = frames[start : start + BATCH]
-                if bounded is None:
-                    boundaries, labels = super().forward(batch, Stopwatch())
-                else:
-                    boundaries = bounded.boundaries(batch)
-                    labels = self.label(batch, boundaries)
-                self._known |= {id(f): (b, own) for f, b, own in zip(batch, boundaries, labels, strict=True)}
+                self._known |= {
+                    id(frame): segments
+                    for frame, segments in zip(batch, super().forward(batch, Stopwatch()), strict=True)
+                }
 
-    def boundaries(self, frames: Sequence[Frame]) -> Tensor:
-        """Returns the boundaries [B, H, W] of some of the frames."""
-        return torch.stack([self._known[id(frame)][0] for frame in frames])
+    def detect(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> Tensor:
+        """Returns the boundaries [B, H, W] of some of the frames, those that are known already without detecting."""
+        if self._bounded is None:
+            return super().detect(frames, stopwatch)
+        return torch.stack([self._bounded._known[id(frame)].boundary for frame in frames])
 
-    def forward(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> tuple[Tensor, list[Tensor]]:
-        """Returns the cached boundaries [B, H, W] and initial labels, [H, W] each, of these frames."""
-        return self.boundaries(frames), [self._known[id(frame)][1] for frame in frames]
+    def forward(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> list[ImageSegments]:
+        """Returns the cached boundaries and initial segments of these frames."""
+        return [self._known[id(frame)] for frame in frames]

@@ -56,7 +56,8 @@ def preset(name: str) -> Callable[[Case, Setting, bool], Result]:
 
 def initial(case: Case, setting: Setting, images: bool) -> Result:
     """The initial image segmentations, and their labels voted onto the points."""
-    _, label_images = _known_images(case, changed(case.config, setting))(case.frames, Stopwatch())
+    segments = _known_images(case, changed(case.config, setting))(case.frames, Stopwatch())
+    label_images = [found.labels if found.masks is None else found.masks.labels() for found in segments]
     return Result(vote(label_images, case.visible, case.scene.points), label_images if images else ())
 
 

@@ -158,7 +158,7 @@ def _initial_segmentation(result: Path, scene: Scene) -> LazySequence[Tensor]:
 
     def initial(i: int) -> Tensor:
         with one_thread_per_operation():
-            return segment([scene.frames[i]], Stopwatch())[1][0]
+            return segment([scene.frames[i]], Stopwatch())[0].labels
 
     return LazySequence(len(scene.frames), initial)
 

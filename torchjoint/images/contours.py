@@ -51,3 +51,21 @@ def close_contours(boundaries: Tensor, smoothing: float = SMOOTHING, exponent: f
         return ops.ultrametric_contours(boundary, relief).pow_(exponent)
 
     return torch.stack(parallel_map(close, boundaries.float()))
+
+
+def outlines(labels: Tensor) -> Tensor:
+    """The outlines of segments, as a boundary map: 1 in pixels beside a pixel of another segment, else 0.
+
+    Args:
+        labels: [H, W] integers.
+
+    Returns:
+        [H, W] float32.
+    """
+    boundary = torch.zeros(labels.shape, dtype=torch.bool)
+    below, right = labels[1:] != labels[:-1], labels[:, 1:] != labels[:, :-1]
+    boundary[1:] |= below
+    boundary[:-1] |= below
+    boundary[:, 1:] |= right
+    boundary[:, :-1] |= right
+    return boundary.float()

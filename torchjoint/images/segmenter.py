@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -10,23 +11,34 @@ from torch import Tensor, nn
 from torchjoint.config import Config
 from torchjoint.images._eval_mode import eval_mode
 from torchjoint.images.boundary import make_boundary
-from torchjoint.images.contours import close_contours
+from torchjoint.images.contours import close_contours, outlines
 from torchjoint.images.pixel_graph import segment_image
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.scene import Frame
+from torchjoint.scene import Frame, Masks
 from torchjoint.scene.checks import as_labels
+from torchjoint.scene.masks import as_masks
+
+
+class ImageSegments(NamedTuple):
+    """What steps 1 and 2 give of one frame."""
+
+    boundary: Tensor  #: [H, W] float32 in [0, 1]
+    labels: Tensor  #: [H, W] int64, 0, 1, ... without gaps, -1 = none; with masks: their atoms
+    masks: Masks | None
 
 
 class ImageSegmenter(nn.Module):
-    """Computes boundaries and initial labels of frames of one size (steps 1 and 2).
+    """Computes boundaries and initial segments of frames of one size (steps 1 and 2).
 
-    The labels come from the frame itself if it has some, else from `segmenter` if given, else from the pixel graph.
+    The segments are the frame's masks or labels if it has some, else those of `segmenter` if given, else those of the
+    pixel graph. The boundaries of masks are their outlines; other frames need the detector.
 
     Args:
         config: parameters.
         boundary: any module [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1]; default: the detector of the config.
-        segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none; default: the pixel graph.
+        segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none, or -> B :class:`Masks`; default:
+            the pixel graph.
     """
 
     def __init__(self, config: Config, boundary: nn.Module | None = None, segmenter: nn.Module | None = None) -> None:
@@ -35,28 +47,67 @@ class ImageSegmenter(nn.Module):
         self.boundary = boundary or make_boundary(config.boundary)
         self.segmenter = segmenter
 
-    def forward(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> tuple[Tensor, list[Tensor]]:
-        """Boundaries [B, H, W] in [0, 1], and B label images [H, W] int64, numbered 0, 1, ..., -1 = none.
+    def forward(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> list[ImageSegments]:
+        """The boundaries and initial segments of B frames.
 
         Raises:
             ValueError, TypeError: a module returns a wrong shape, dtype or value.
         """
-        with stopwatch("boundaries"):
-            boundaries = self._detect(torch.stack([frame.image for frame in frames]))
         with stopwatch("image segments"):
-            return boundaries, self.label(frames, boundaries)
+            given = self._given(frames)
+        detected = [frame for frame, segments in zip(frames, given, strict=True) if not isinstance(segments, Masks)]
+        boundaries = self.detect(detected, stopwatch) if detected else torch.empty(0)
+        with stopwatch("image segments"):
+            return self._segment(frames, given, boundaries)
 
-    def label(self, frames: Sequence[Frame], boundaries: Tensor) -> list[Tensor]:
-        """B label images [H, W] int64, -1 = none, of frames whose boundaries [B, H, W] are known.
+    def detect(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> Tensor:
+        """The boundaries [B, H, W] in [0, 1] of frames."""
+        with stopwatch("boundaries"):
+            return self._detect(torch.stack([frame.image for frame in frames]))
 
-        Raises:
-            ValueError, TypeError: the segmenter returns a wrong shape, dtype or value.
-        """
-        given = [frame.labels for frame in frames]
-        missing = any(labels is None for labels in given)
-        images = torch.stack([frame.image for frame in frames])
-        segmented = self._segment(images, boundaries) if missing else [torch.empty(0)] * len(given)
-        return [other if own is None else _dense(own) for own, other in zip(given, segmented, strict=True)]
+    def _given(self, frames: Sequence[Frame]) -> list[Masks | Tensor | None]:
+        """The masks or dense labels of each frame, or the segmenter's; None: those of the pixel graph are wanted."""
+        given: list[Masks | Tensor | None] = []
+        for frame in frames:
+            given.append(frame.masks if isinstance(frame.masks, Masks) else frame.labels)
+        missing = [index for index, segments in enumerate(given) if segments is None]
+        if self.segmenter is not None and missing:
+            output = self._run(self.segmenter, torch.stack([frames[index].image for index in missing]))
+            for index, segments in zip(missing, output, strict=True):
+                given[index] = segments
+        return [_dense(segments) if isinstance(segments, Tensor) else segments for segments in given]
+
+    def _run(self, segmenter: nn.Module, images: Tensor) -> list[Masks | Tensor]:
+        """The masks or labels of images [B, 3, H, W], checked."""
+        size = (images.shape[2], images.shape[3])
+        with eval_mode(segmenter):
+            output = segmenter(images)
+        if len(output) != len(images):
+            raise ValueError(f"image_segmenter's output: expected {len(images)} images, got {len(output)}")
+        name = "image_segmenter's output"
+        return [
+            as_masks(segments, size, name=name) if isinstance(segments, Masks) else as_labels(segments, size, name)
+            for segments in output
+        ]
+
+    def _segment(
+        self, frames: Sequence[Frame], given: Sequence[Masks | Tensor | None], boundaries: Tensor
+    ) -> list[ImageSegments]:
+        """Segments frames; `boundaries` are those of the frames without masks, in their order."""
+        left = iter(boundaries)
+
+        def job(frame: Frame, segments: Masks | Tensor | None) -> tuple[Frame, Masks | Tensor | None, Tensor]:
+            return frame, segments, frame.image if isinstance(segments, Masks) else next(left)
+
+        def segment(job: tuple[Frame, Masks | Tensor | None, Tensor]) -> ImageSegments:
+            frame, segments, boundary = job
+            if isinstance(segments, Masks):
+                return ImageSegments(outlines(segments.atom), segments.atom.long(), segments)
+            if segments is None:
+                segments = segment_image(frame.image, boundary, self.config.image_graph, self.config.image_segments)
+            return ImageSegments(boundary, segments, None)
+
+        return parallel_map(segment, [job(*pair) for pair in zip(frames, given, strict=True)])
 
     def _detect(self, images: Tensor) -> Tensor:
         with eval_mode(self.boundary):
@@ -67,19 +118,6 @@ class ImageSegmenter(nn.Module):
             raise ValueError("boundary: expected values in [0, 1] and no NaN")
         boundaries = boundaries.float()
         return close_contours(boundaries) if self.config.contours.closed else boundaries
-
-    def _segment(self, images: Tensor, boundaries: Tensor) -> list[Tensor]:
-        size = (images.shape[2], images.shape[3])
-        if self.segmenter is None:
-            return parallel_map(lambda pair: self._segment_by_graph(*pair), zip(images, boundaries, strict=True))
-        with eval_mode(self.segmenter):
-            output = self.segmenter(images)
-        if len(output) != len(images):
-            raise ValueError(f"image_segmenter's output: expected {len(images)} images, got {len(output)}")
-        return [_dense(as_labels(labels, size, "image_segmenter's output")) for labels in output]
-
-    def _segment_by_graph(self, image: Tensor, boundary: Tensor) -> Tensor:
-        return segment_image(image, boundary, self.config.image_graph, self.config.image_segments)
 
 
 def _dense(labels: Tensor) -> Tensor:

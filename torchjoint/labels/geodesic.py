@@ -45,7 +45,7 @@ def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config
     markers = nearest_labels(seen.visible, point_labels, (height, width))
     image = path_costs(seen, config)
     labels = ops.propagate_labels(markers, *image)
-    labels = ops.propagate_labels(_without_specks(labels, markers >= 0), *image)
+    labels = ops.propagate_labels(without_specks(labels, markers >= 0), *image)
     return _keep_unseen(labels, markers >= 0, seen.labels, num_segments)
 
 
@@ -76,7 +76,7 @@ def nearest_labels(visible: Visible, point_labels: Tensor, size: tuple[int, int]
     return labels.view(size)
 
 
-def _without_specks(labels: Tensor, hit: Tensor) -> Tensor:
+def without_specks(labels: Tensor, hit: Tensor) -> Tensor:
     """Sets the connected parts of one label that contain fewer than MIN_POINTS points to -1.
 
     Such parts mostly come from background points that are seen through gaps between foreground points.

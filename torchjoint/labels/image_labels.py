@@ -6,6 +6,7 @@ from torch import Tensor
 
 from torchjoint.config import Config
 from torchjoint.labels.geodesic import propagate
+from torchjoint.labels.mask_labels import label_masks
 from torchjoint.labels.segment_refinement import cut
 from torchjoint.views.observation import Observation
 
@@ -21,9 +22,11 @@ def label_image(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, 
 
     Returns:
         ([H, W] int32, the next free id): labels below S are 3D segments, labels from S on occur in this image only;
-        pixels that are -1 in the initial labels stay -1.
+        pixels that are -1 in the initial labels stay -1; those without a mask do not.
     """
     labels_there = point_labels[seen.visible.point]
+    if seen.masks is not None and config.refinement.method == "geodesic":
+        return label_masks(seen, seen.masks, labels_there, segment_sizes.shape[0], config)
     if config.refinement.method == "geodesic":
         return propagate(seen, labels_there, segment_sizes.shape[0], config)
     return cut(seen, labels_there, segment_sizes, config)

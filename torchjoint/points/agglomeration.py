@@ -15,6 +15,7 @@ from torchjoint import ops
 from torchjoint.points.boundary_features import boundary_features
 from torchjoint.points.boundary_model import BoundaryModel
 from torchjoint.points.evidence import Evidence
+from torchjoint.points.mask_merging import MaskLinkage
 from torchjoint.scene import Hierarchy
 
 #: Thresholds of the rounds above the model's; at 1, whatever touches has merged. There are several, because larger
@@ -85,26 +86,69 @@ def build_hierarchy(evidence: Evidence, model: BoundaryModel) -> Hierarchy:
         model: gives the probability that two regions belong to different objects.
     """
     steps = merging_steps(model.thresholds)
-    last, _ = steps[-1]
-    steps += [(last, threshold) for threshold in COARSER if threshold > max(model.thresholds)]
-    merges = _Merges(len(evidence.statistics.size))
-    region = evidence.piece
+    (last, _), default = steps[-1], max(model.thresholds)
+    linkage = MaskLinkage.of(evidence)
+    if linkage is not None:  # a first time, to see how far the masks contradict each other
+        region = _merge_in_steps(evidence, model, steps, linkage, evidence.piece, _Merges(evidence))
+        linkage = linkage.calibrated(evidence.regions_of_pieces(region))
+    merges = _Merges(evidence)
+    region = _merge_in_steps(evidence, model, steps, linkage, evidence.piece, merges)
+    if linkage is not None:
+        region = _merge_in_steps(evidence, model, [(last, default)], linkage, region, merges, far=True)
+        region = _merge_in_steps(evidence, model, [(last, default)], linkage, region, merges, only_crumbs=True)
+    coarser = [(last, threshold) for threshold in COARSER if threshold > default]
+    _merge_in_steps(evidence, model, coarser, linkage, region, merges)
+    return merges.hierarchy(evidence.piece, default)
+
+
+def _merge_in_steps(
+    evidence: Evidence,
+    model: BoundaryModel,
+    steps: Sequence[tuple[int, float]],
+    linkage: MaskLinkage | None,
+    region: Tensor,
+    merges: _Merges,
+    only_crumbs: bool = False,
+    far: bool = False,
+) -> Tensor:
+    """Merges regions [N] in steps, adds the merges to `merges`, and returns the new regions [N].
+
+    With `far`, also regions that do not touch, but lie in one mask, may merge.
+    """
     for index, threshold in steps:
         pairs, values = boundary_features(evidence, region)
         if pairs.shape[1] == 0:
             break
         ends, cost, num_regions = _crossing_edges(evidence, region, pairs, model.probability(index, values))
-        joined, mean = ops.region_merges(ends, cost, num_regions, threshold)
-        merges.add(evidence.regions_of_pieces(region), joined, mean, threshold)
+        of_piece = evidence.regions_of_pieces(region)
+        if linkage is not None and far:
+            ends, cost = _with_far_pairs(ends, cost, pairs, linkage.far_pairs(of_piece), num_regions)
+        if linkage is None:
+            joined, height = ops.region_merges(ends, cost, num_regions, threshold)
+        elif only_crumbs:
+            joined, height = linkage.crumbs(of_piece, ends, cost)
+        else:
+            joined, height = linkage.merges(of_piece, ends, cost, threshold)
+        merges.add(of_piece, joined, height, threshold)
         # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect.
-        region = ops.felzenszwalb(joined, torch.zeros(len(mean)), num_regions, scale=1.0)[region]
-    return merges.hierarchy(evidence.piece, max(model.thresholds))
+        region = ops.felzenszwalb(joined, torch.zeros(len(height)), num_regions, scale=1.0)[region]
+    return region
+
+
+def _with_far_pairs(
+    ends: Tensor, cost: Tensor, touching: Tensor, in_one_mask: Tensor, num_regions: int
+) -> tuple[Tensor, Tensor]:
+    """Adds an edge for each pair of regions that lie in one mask and do not touch. Geometry alone keeps these apart."""
+    key, known = (pairs[0] * num_regions + pairs[1] for pairs in (in_one_mask, touching))
+    far = in_one_mask[:, ~torch.isin(key, known)]
+    return torch.cat([ends, far], 1), torch.cat([cost, torch.ones(far.shape[1])])
 
 
 class _Merges:
     """The merges of all rounds, with heights that never fall on the way up."""
 
-    def __init__(self, num_pieces: int) -> None:
+    def __init__(self, evidence: Evidence) -> None:
+        num_pieces = len(evidence.statistics.size)
         self._pairs: list[Tensor] = []
         self._heights: list[float] = []
         self._top = [0.0] * num_pieces  # of each region, at its lowest piece: the height of its last merge

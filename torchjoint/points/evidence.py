@@ -21,6 +21,7 @@ from torchjoint.points.edge_weights import map_edges
 from torchjoint.points.graph import PointGraph
 from torchjoint.points.group_summaries import Measure
 from torchjoint.points.image_evidence import ImageEvidence, contours_across, segments_of_pieces
+from torchjoint.points.mask_evidence import MaskEvidence, masks_of_pieces
 from torchjoint.points.normals import angle_between, estimate_normals, is_convex
 from torchjoint.points.orientation import orient_normals
 from torchjoint.points.region_merging import merge
@@ -81,7 +82,8 @@ class Evidence:
         edges: the edges between pieces.
         statistics: statistics of the pieces' points.
         typical_color_step: median colour step of all edges, units of Lab; None without colours.
-        images: the image segments in which the pieces lie; None without images.
+        images: the image segments in which the pieces lie; None without images, and if all images have masks.
+        masks: the masks in which the pieces lie; None without masks.
     """
 
     piece: Tensor
@@ -90,6 +92,7 @@ class Evidence:
     statistics: RegionStatistics
     typical_color_step: float | None
     images: ImageEvidence | None
+    masks: MaskEvidence | None = None
 
     def regions_of_pieces(self, region: Tensor) -> Tensor:
         """The region of each piece, [P] int64, of regions [N] that are unions of pieces."""
@@ -109,10 +112,10 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
     """
     normals, oriented = orient_normals(graph, state.facing)
     planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
-    observations = state.observations if config.propagation.weight > 0 else []
-    r = None
-    if observations:
-        r = disagreement(state.views, state.overlap_sum, len(observations), config.propagation)
+    seen = state.observations if config.propagation.weight > 0 else []
+    # Masks are told apart from other segments: what two masks say weighs far more (see mask_merges).
+    observations = [one for one in seen if one.masks is None]
+    r = disagreement(state.views, state.overlap_sum, len(seen), config.propagation) if seen else None
     lab = None if graph.colors is None else _to_lab(graph.colors)
     color_step = median = None
     if lab is not None:
@@ -128,9 +131,11 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
     ends = graph.edge_index[:, across]
     geometry = _geometry(graph, ends, normals, oriented, planes, scales)
     contour = views = None
-    if r is not None:
+    if r is not None and observations:
         contour, views = contours_across(ends, graph.num_points, observations)
         r = torch.where(state.views[across] > 0, r[across], torch.nan)
+    else:
+        r = None
     if color_step is not None:
         color_step = color_step[across]
     crease, bend, wide_bend, offset, larger_offset, gap = parallel_map(Measure.of, geometry)
@@ -145,6 +150,7 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
         statistics_of_points(piece, graph.points, planes.normal, scales.noise, scales.spacing, lab),
         None if median is None else max(median, SMALLEST_TYPICAL),
         segments_of_pieces(piece, observations) if observations else None,
+        masks_of_pieces(piece, seen),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -98,7 +99,7 @@ class Masks:
         return cls._of_members(number, members, _as_scores(scores, int(covered.sum()), f"{name}' scores"))
 
     @classmethod
-    def _of_members(cls, atom: Tensor, members: list[tuple[int, ...]], scores: Tensor) -> Masks:
+    def _of_members(cls, atom: Tensor, members: Sequence[Sequence[int]], scores: Tensor) -> Masks:
         """Numbers the atoms that have pixels by first appearance. `members` are the masks of each atom, ascending."""
         first = torch.full((len(members),), atom.numel())
         first.scatter_reduce_(0, atom.reshape(-1), torch.arange(atom.numel()), "amin")
@@ -138,14 +139,20 @@ class Masks:
         return member[:, self.atom]
 
     def labels(self) -> Tensor:
-        """[H, W] int64, the mask of each pixel, -1 = none; where masks overlap, the smallest one counts, then the first."""
+        """[H, W] int64, the mask of each pixel, -1 = none; where masks overlap the smallest counts, then the first."""
+        return self.smallest(torch.ones(len(self), dtype=torch.bool))[self.atom]
+
+    def smallest(self, wanted: Tensor) -> Tensor:
+        """The smallest of the wanted masks ([M] bool) around each atom, of equal ones the first; [K] int64, -1 = none."""
         area = torch.bincount(self.atom.reshape(-1), minlength=self.num_atoms)
-        size = torch.zeros(len(self), dtype=torch.int64).index_add_(0, self.pairs[1], area[self.pairs[0]])
-        rank = torch.empty_like(size)
+        atom, mask = self.pairs
+        size = torch.zeros(len(self), dtype=torch.int64).index_add_(0, mask, area[atom])
         order = torch.argsort(size, stable=True)
+        rank = torch.empty_like(order)
         rank[order] = torch.arange(len(order))
-        best = torch.full((self.num_atoms,), len(order)).scatter_reduce_(0, self.pairs[0], rank[self.pairs[1]], "amin")
-        return torch.cat([order, torch.tensor([-1])])[best][self.atom]
+        atom, mask = atom[wanted[mask]], mask[wanted[mask]]
+        best = torch.full((self.num_atoms,), len(order)).scatter_reduce_(0, atom, rank[mask], "amin")
+        return torch.cat([order, torch.tensor([-1])])[best]
 
     def resized(self, size: tuple[int, int]) -> Masks:
         """The masks of an image of another size (H, W), by the nearest pixel.

@@ -20,6 +20,7 @@ from torchjoint.ops.reference.points import (
     window_overlaps_reference,
 )
 from torchjoint.ops.reference.regions import (
+    mask_merges_reference,
     merge_regions_reference,
     region_merges_reference,
     region_planes_reference,
@@ -30,6 +31,7 @@ __all__ = [
     "boosted_trees_reference",
     "felzenszwalb_reference",
     "fit_normals_reference",
+    "mask_merges_reference",
     "match_pixels_reference",
     "merge_regions_reference",
     "min_cut_reference",

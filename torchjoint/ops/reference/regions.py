@@ -111,3 +111,79 @@ def region_planes_reference(
             normal = torch.linalg.eigh(centred.t() @ centred)[1][:, 0]
             fitted[i] = (normal if normal @ normals[i].double() >= 0 else -normal).float()
     return means, fitted
+
+
+def mask_merges_reference(
+    edge_index: Tensor,
+    cost: Tensor,
+    size: Tensor,
+    in_mask: Tensor,
+    in_frame: Tensor,
+    weight: Tensor,
+    frame_of_mask: Tensor,
+    apart_weight: float,
+    prior_weight: float,
+    threshold: float,
+    stays: Tensor | None = None,
+    min_size: int = 0,
+) -> tuple[Tensor, Tensor]:
+    """What :func:`torchjoint.ops.mask_merges` computes; the arguments are not checked.
+
+    Example:
+        >>> edge_index, in_frame = torch.tensor([[0], [1]]), torch.tensor([[0, 1], [0, 0], [2, 3]])
+        >>> in_mask, weight, frame = torch.tensor([[0, 1], [0, 0], [2, 1]]), torch.tensor([256]), torch.tensor([0])
+        >>> mask_merges_reference(
+        ...     edge_index, torch.ones(1), torch.tensor([2, 3]), in_mask, in_frame, weight, frame, 1.0, 1.0, 1.0
+        ... )  # of six pairs, two agree and four have one point in the mask: (4 / 12 + 1) / (2 / 6 + 4 / 12 + 1)
+        (tensor([[0],
+                [1]]), tensor([0.8000], dtype=torch.float64))
+    """
+    points_in: dict[tuple[int, int], int] = {}
+    seen_in: dict[tuple[int, int], int] = {}
+    for table, rows in ((points_in, in_mask), (seen_in, in_frame)):
+        for region, key, count in rows.t().tolist():
+            table[region, key] = table.get((region, key), 0) + count
+    weights, frames = weight.tolist(), frame_of_mask.tolist()
+    group = [[region] for region in range(len(size))]
+    costs: dict[tuple[int, int], list[float]] = {}  # of each boundary, by the lowest regions of its two groups
+    for (a, b), value in zip(edge_index.t().tolist(), cost.double().tolist(), strict=True):
+        if a != b:
+            costs.setdefault((min(a, b), max(a, b)), []).append(round(value * 2**20))
+    number = {pair: i for i, pair in enumerate(costs)}  # of each boundary
+
+    def total(table: dict[tuple[int, int], int], region: int, key: int) -> int:
+        return sum(table.get((member, key), 0) for member in group[region])
+
+    def cost_of(a: int, b: int) -> float:
+        agree = differ = 0
+        for mask, (s, frame) in enumerate(zip(weights, frames, strict=True)):
+            one, other = total(points_in, a, mask), total(points_in, b, mask)
+            outside, other_outside = total(seen_in, a, frame) - one, total(seen_in, b, frame) - other
+            agree += 2 * s * one * other
+            differ += s * (one * other_outside + other * outside)
+        pairs = 512.0 * sum(int(size[i]) for i in group[a]) * sum(int(size[i]) for i in group[b])
+        prior = sum(costs[a, b]) / len(costs[a, b]) / 2**20
+        apart = apart_weight * (differ / pairs)
+        return (apart + prior_weight * prior) / (agree / pairs + apart + prior_weight)
+
+    def is_small(region: int) -> bool:
+        protected = stays is not None and any(bool(stays[member]) for member in group[region])
+        return sum(int(size[member]) for member in group[region]) < min_size and not protected
+
+    merges: list[tuple[int, int]] = []
+    values: list[float] = []
+    while may_merge := [pair for pair in costs if min_size == 0 or is_small(pair[0]) or is_small(pair[1])]:
+        value, _, (kept, given) = min((cost_of(*pair), number[pair], pair) for pair in may_merge)
+        if value > threshold:
+            break
+        merges.append((kept, given))
+        values.append(value)
+        del costs[kept, given]
+        group[kept] += group[given]
+        group[given] = []
+        for old in [pair for pair in costs if given in pair]:
+            other = old[0] + old[1] - given
+            now = (min(kept, other), max(kept, other))
+            number[now] = min(number[old], number[now]) if now in costs else number[old]
+            costs[now] = costs.get(now, []) + costs.pop(old)
+    return torch.tensor(merges, dtype=torch.int64).view(-1, 2).t(), torch.tensor(values, dtype=torch.float64)

@@ -1,0 +1,98 @@
+"""Steps 7 and 8 for frames with masks of a network: masks keep their outlines, unless 3D says that they are wrong."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.config import Config
+from torchjoint.labels.geodesic import nearest_labels, path_costs, without_specks
+from torchjoint.scene import Masks
+from torchjoint.views.observation import Observation
+
+#: A mask, or an atom of masks, is one object if at least this share of its points have one 3D label. The rest are
+#: mostly points beside it, whose visibility is wrong by a pixel or two.
+ONE_OBJECT = 0.65
+#: Fewer points do not decide.
+MIN_POINTS = 3
+
+
+class _Winners(NamedTuple):
+    """The most frequent 3D label of the points in each of K parts of an image, of equally frequent ones the lowest."""
+
+    label: Tensor  #: [K] int64; -1 without points
+    num_points: Tensor  #: [K] int64
+    decides: Tensor  #: [K] bool: the part is one object
+
+
+def label_masks(
+    seen: Observation, masks: Masks, point_labels: Tensor, num_segments: int, config: Config
+) -> tuple[Tensor, int]:
+    """Labels an image by its masks and the points that it sees.
+
+    An atom whose points agree gets their label as a whole. An atom with too few points gets the label of the smallest
+    mask around it whose points agree. Masks without any point keep ids of their own, numbered from `num_segments` on.
+    What is left, atoms whose points disagree and pixels without a mask, gets labels by geodesic label propagation,
+    where outlines of masks count as boundaries.
+
+    Args:
+        seen: the frame.
+        masks: its masks.
+        point_labels: [M] int64, 3D label of each visible point.
+        num_segments: number of 3D segments.
+        config: the refinement, and the smoothing of the image graph.
+
+    Returns:
+        ([H, W] int32, the next free id); no pixel is -1, unless there is neither a point nor a mask.
+    """
+    atom_there = masks.atom[seen.visible.row, seen.visible.column].long()
+    of_atom, num_private = _labels_of_atoms(masks, atom_there, point_labels, num_segments)
+    markers = nearest_labels(seen.visible, point_labels, masks.size)
+    hit = markers >= 0
+    whole = of_atom.to(torch.int32)[masks.atom]
+    markers = torch.where(whole >= 0, whole, markers)
+    image = path_costs(seen, config)
+    labels = ops.propagate_labels(markers, *image)
+    settled = torch.where(whole >= 0, whole, without_specks(labels, hit))
+    if not torch.equal(settled, labels):
+        labels = ops.propagate_labels(settled, *image)
+    return labels, num_segments + num_private
+
+
+def _labels_of_atoms(masks: Masks, atom: Tensor, point_labels: Tensor, first_free: int) -> tuple[Tensor, int]:
+    """The label of each atom, [K] int64, -1 if it is not one object; and the number of masks with ids of their own."""
+    of_atoms = _winners(atom, point_labels, masks.num_atoms)
+    # Each point counts for all masks in which it lies.
+    member = torch.zeros(masks.num_atoms, len(masks), dtype=torch.bool)
+    member[masks.pairs[0], masks.pairs[1]] = True
+    point, mask = member[atom].nonzero(as_tuple=True)
+    of_masks = _winners(mask, point_labels[point], len(masks))
+    is_covered = member.any(1)
+
+    label = torch.where(of_atoms.decides & is_covered, of_atoms.label, -1)
+    few = (of_atoms.num_points < MIN_POINTS) & is_covered
+    around = masks.smallest(of_masks.decides)
+    label = torch.where(few & (around >= 0), of_masks.label[around], label)
+
+    alone = few & (masks.smallest(of_masks.num_points > 0) < 0)
+    own = masks.smallest(torch.ones(len(masks), dtype=torch.bool))[alone]
+    kept, number = torch.unique(own, return_inverse=True)
+    label[alone] = first_free + number
+    return label, len(kept)
+
+
+def _winners(part: Tensor, label: Tensor, num_parts: int) -> _Winners:
+    """The most frequent label of points in each part; `part` and `label` are those of the points."""
+    num_points = torch.bincount(part, minlength=num_parts)
+    num_labels = int(label.max()) + 1 if label.numel() else 1
+    key, count = torch.unique(part * num_labels + label, return_counts=True)
+    of_part = key // num_labels
+    most = torch.zeros(num_parts, dtype=torch.int64).scatter_reduce_(0, of_part, count, "amax")
+    is_most = count == most[of_part]
+    winner = torch.full((num_parts,), num_labels)
+    winner.scatter_reduce_(0, of_part[is_most], (key % num_labels)[is_most], "amin")
+    decides = (num_points >= MIN_POINTS) & (most >= ONE_OBJECT * num_points)
+    return _Winners(torch.where(num_points > 0, winner, -1), num_points, decides)

@@ -1,0 +1,88 @@
+"""Step 6, method learned: which masks of a network the points of each piece lie in.
+
+All counts are whole numbers, and sums over points. So those of a region are the sums of those of its pieces, and the
+order of the frames does not change a single bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.ops.mask_merges import WEIGHT_UNIT
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.scene import Masks
+from torchjoint.views.observation import Observation
+
+
+class MaskEvidence(NamedTuple):
+    """How many points of each piece lie in each mask. The masks of all frames have different numbers, 0 ... M - 1."""
+
+    in_mask: Tensor  #: [3, I] int64: piece, mask, number of points
+    in_frame: Tensor  #: [3, J] int64: piece, frame, number of points that the frame sees
+    weight: Tensor  #: [M] int64, score of each mask in units of 1 / WEIGHT_UNIT
+    frame_of_mask: Tensor  #: [M] int64
+
+    def of_regions(self, of_piece: Tensor) -> tuple[Tensor, Tensor]:
+        """`in_mask` and `in_frame` of regions instead of pieces; `of_piece` is the region of each piece, [P] int64."""
+        return _added(self.in_mask, of_piece), _added(self.in_frame, of_piece)
+
+
+def masks_of_pieces(piece: Tensor, observations: Sequence[Observation]) -> MaskEvidence | None:
+    """Counts the visible points of each piece in each mask.
+
+    Args:
+        piece: [N] int64, piece of each point.
+        observations: the frames; those without masks do not count.
+
+    Returns:
+        None if no frame has masks.
+    """
+    seen = [(one, one.masks) for one in observations if one.masks is not None]
+    if not seen:
+        return None
+    tables = parallel_map(lambda pair: _count(piece, *pair), seen)
+    num_masks = torch.tensor([len(masks) for _, masks in seen])
+    first = num_masks.cumsum(0) - num_masks
+    in_mask = [
+        rows + torch.tensor([[0], [start], [0]]) for (rows, _), start in zip(tables, first.tolist(), strict=True)
+    ]
+    in_frame = [rows + torch.tensor([[0], [frame], [0]]) for frame, (_, rows) in enumerate(tables)]
+    scores = torch.cat([masks.scores for _, masks in seen])
+    return MaskEvidence(
+        torch.cat(in_mask, 1),
+        torch.cat(in_frame, 1),
+        (scores.double() * WEIGHT_UNIT).round().long(),
+        torch.repeat_interleave(torch.arange(len(seen)), num_masks),
+    )
+
+
+def _count(piece: Tensor, seen: Observation, masks: Masks) -> tuple[Tensor, Tensor]:
+    """One frame's rows (piece, mask, points), and (piece, 0, points that it sees)."""
+    visible = seen.visible
+    there = piece[visible.point]
+    of_piece, num_seen = torch.unique(there, return_counts=True)
+    in_frame = torch.stack([of_piece, torch.zeros_like(of_piece), num_seen])
+    atom = masks.atom[visible.row, visible.column].long()
+    key, count = torch.unique(there * masks.num_atoms + atom, return_counts=True)
+    # Each atom counts for all masks in which it lies.
+    atoms, mask = masks.pairs[:, torch.argsort(masks.pairs[0], stable=True)]
+    num_masks = torch.bincount(atoms, minlength=masks.num_atoms)
+    times = num_masks[key % masks.num_atoms]
+    row = torch.repeat_interleave(torch.arange(len(key)), times)
+    start = (num_masks.cumsum(0) - num_masks)[key % masks.num_atoms] - (times.cumsum(0) - times)
+    mask = mask[torch.arange(len(row)) + start[row]]
+    rows = torch.stack([key[row] // masks.num_atoms, mask, count[row]])
+    return _added(rows, torch.arange(int(piece.max()) + 1)), in_frame
+
+
+def _added(rows: Tensor, of_piece: Tensor) -> Tensor:
+    """Rows [3, K] of (piece, key, count) with regions instead of pieces; rows of equal region and key are added."""
+    piece, key, count = rows
+    num_keys = int(key.max()) + 1 if key.numel() else 1
+    pair, inverse = torch.unique(of_piece[piece] * num_keys + key, return_inverse=True)
+    total = torch.zeros_like(pair).index_add_(0, inverse, count)
+    return torch.stack([pair // num_keys, pair % num_keys, total])
