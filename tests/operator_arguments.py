@@ -14,6 +14,7 @@ from torchjoint.ops import (
     felzenszwalb,
     felzenszwalb_image,
     fit_normals,
+    mask_merges,
     match_pixels,
     merge_regions,
     min_cut,
@@ -73,6 +74,12 @@ MERGE_REGIONS = {
     "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
 }  # fmt: skip
 REGION_MERGES = {"edge_index": EDGES, "cost": VALUES, "num_regions": 4, "threshold": 0.5}
+MASK_MERGES = {
+    "edge_index": EDGES, "cost": VALUES.clamp(max=1), "size": torch.tensor([9, 1, 2, 3]),
+    "in_mask": torch.tensor([[0, 1, 1], [0, 0, 1], [4, 1, 1]]), "in_frame": torch.tensor([[0, 1], [0, 0], [5, 1]]),
+    "weight": torch.tensor([256, 100]), "frame_of_mask": torch.tensor([0, 0]), "apart_weight": 0.6,
+    "prior_weight": 0.1, "threshold": 0.5, "stays": torch.tensor([True, False, False, False]), "min_size": 2,
+}  # fmt: skip
 REGION_PLANES = {
     "points": POINTS, "neighbors": NEIGHBORS, "region": torch.tensor([0, 0, 0, 1]), "normals": POINTS + 1,
     "min_points": 3,
@@ -102,6 +109,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     propagate_labels: PROPAGATE_LABELS,
     merge_regions: MERGE_REGIONS,
     region_merges: REGION_MERGES,
+    mask_merges: MASK_MERGES,
     region_planes: REGION_PLANES,
     boosted_trees: BOOSTED_TREES,
     ultrametric_contours: {"boundary": IMAGES[0, 0], "relief": IMAGES[0, 1]},

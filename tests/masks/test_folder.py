@@ -81,7 +81,7 @@ def test_a_coco_file(tmp_path):
     ):
         tj.masks.read_folder(path, scene_of("a"))
     path.write_text(json.dumps(annotations))
-    with pytest.raises(ValueError, match="instances.json: expected a COCO data set with images and annotations"):
+    with pytest.raises(ValueError, match=r"instances\.json: expected a COCO data set with images and annotations"):
         tj.masks.read_folder(path, scene_of("a"))
 
 
@@ -144,7 +144,7 @@ class TestCommand:
         with pytest.warns(UserWarning, match=f"1 of 3 frames have none and are left out: {names[0]}"):
             run("segment", recording, "-o", out, "--masks", tmp_path / "masks", "--without-masks", "leave-out")
         assert sorted(file.stem for file in (out / "images").glob("*.png")) == names[1:]
-        with pytest.raises(SystemExit, match="-o: .* is, or holds, the masks; choose another folder"):
+        with pytest.raises(SystemExit, match=r"-o: .* is, or holds, the masks; choose another folder"):
             run("segment", recording, "-o", tmp_path / "masks", "--masks", tmp_path / "masks")
-        with pytest.raises(SystemExit, match="torchjoint: error: .*nothing: missing; expected a folder of masks"):
+        with pytest.raises(SystemExit, match=r"torchjoint: error: .*nothing: missing; expected a folder of masks"):
             run("segment", recording, "-o", tmp_path / "other", "--masks", tmp_path / "nothing")

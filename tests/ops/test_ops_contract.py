@@ -22,6 +22,7 @@ from operator_arguments import (
     EYE,
     IMAGES,
     LABELS,
+    MASK_MERGES,
     MERGE_REGIONS,
     NAN,
     NEIGHBORS,
@@ -42,6 +43,7 @@ from torchjoint.ops import (
     felzenszwalb,
     felzenszwalb_image,
     fit_normals,
+    mask_merges,
     match_pixels,
     merge_regions,
     min_cut,
@@ -233,6 +235,49 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (merge_regions, {"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
     (merge_regions, {"min_size": 1.5}, TypeError, "min_size: expected int, got float"),
     (merge_regions, {"min_size": -1}, ValueError, "min_size: expected a number >= 0, got -1"),
+    (mask_merges, {"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
+    (mask_merges, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
+    (mask_merges, {"cost": VALUES}, ValueError, "cost: expected numbers in [0, 1], got 5 at edge 1"),
+    (
+        mask_merges,
+        {"cost": changed(VALUES / 9, NAN, 1)},
+        ValueError,
+        "cost: expected numbers in [0, 1], got nan at edge",
+    ),
+    (mask_merges, {"size": torch.tensor([9, 0, 2, 3])}, ValueError, "size: expected numbers > 0, got 0 at 1"),
+    (
+        mask_merges,
+        {"in_mask": torch.tensor([[4], [0], [1]])},
+        ValueError,
+        "in_mask[0]: expected numbers in [0, 4), got",
+    ),
+    (
+        mask_merges,
+        {"in_mask": torch.tensor([[0], [2], [1]])},
+        ValueError,
+        "in_mask[1]: expected numbers in [0, 2), got",
+    ),
+    (mask_merges, {"in_mask": torch.tensor([[0], [0], [-1]])}, ValueError, "in_mask[2]: expected numbers >= 0, got -1"),
+    (
+        mask_merges,
+        {"in_mask": torch.tensor([[2], [0], [1]])},
+        ValueError,
+        "region 2 has points in mask 0, but in_frame",
+    ),
+    (mask_merges, {"in_mask": torch.tensor([[0], [0], [6]])}, ValueError, "region 0 has more points in mask 0 than in"),
+    (mask_merges, {"in_mask": PIXELS}, ValueError, "in_mask: expected shape [3, I], got [3]"),
+    (mask_merges, {"in_frame": torch.tensor([[-1], [0], [1]])}, ValueError, "in_frame[0]: expected numbers in [0, 4)"),
+    (mask_merges, {"in_frame": torch.tensor([[0], [0], [-1]])}, ValueError, "in_frame[2]: expected numbers >= 0, got"),
+    (mask_merges, {"weight": torch.tensor([257, 0])}, ValueError, "weight: expected numbers in [0, 256], got 257 at 0"),
+    (mask_merges, {"weight": VALUES[:2]}, TypeError, "weight: expected dtype torch.int64, got torch.float32"),
+    (mask_merges, {"frame_of_mask": PIXELS}, ValueError, "frame_of_mask: expected shape [M] = [2], got [3]"),
+    (mask_merges, {"apart_weight": -1}, ValueError, "apart_weight: expected a number >= 0, got -1"),
+    (mask_merges, {"prior_weight": 0}, ValueError, "prior_weight: expected a number > 0, got 0"),
+    (mask_merges, {"prior_weight": NAN}, ValueError, "prior_weight: expected a number >= 0, got nan"),
+    (mask_merges, {"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
+    (mask_merges, {"stays": PIXELS}, TypeError, "stays: expected dtype torch.bool, got torch.int64"),
+    (mask_merges, {"stays": PIXELS > 0}, ValueError, "stays: expected shape [R] = [4], got [3]"),
+    (mask_merges, {"min_size": 2.0}, TypeError, "min_size: expected int, got float"),
     (region_merges, {"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
     (region_merges, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
     (region_merges, {"cost": VALUES.double()}, TypeError, "cost: expected dtype torch.float32, got torch.float64"),
@@ -380,6 +425,11 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (merge_regions, {"size": PIXELS[None]}),
         (merge_regions, {"threshold": NAN}),
         (merge_regions, {"min_size": -1}),
+        (mask_merges, {"in_mask": EDGES}),
+        (mask_merges, {"in_frame": EDGES}),
+        (mask_merges, {"weight": VALUES}),
+        (mask_merges, {"prior_weight": 0.0}),
+        (mask_merges, {"stays": PIXELS}),
         (region_merges, {"edge_index": EDGES.t()}),
         (region_merges, {"cost": VALUES.double()}),
         (region_merges, {"num_regions": -1}),
@@ -463,6 +513,7 @@ def test_no_gradient_flows() -> None:
     assert not any(result.requires_grad for result in min_cut(EDGES, weight, SOURCE, SINK))
     assert not fit_normals(POINTS.clone().requires_grad_(), NEIGHBORS).requires_grad
     assert not merge_regions(**MERGE_REGIONS | {"cost": weight}).requires_grad
+    assert not any(result.requires_grad for result in mask_merges(**MASK_MERGES | {"cost": weight / 9}))
     assert not any(result.requires_grad for result in region_merges(**REGION_MERGES | {"cost": weight}))
     with_grad = {name: REGION_PLANES[name].clone().requires_grad_() for name in ("points", "normals")}
     assert not any(result.requires_grad for result in region_planes(**REGION_PLANES | with_grad))
@@ -532,6 +583,7 @@ LONG_OPERATORS = (
     min_cut,
     neighbor_edges,
     fit_normals,
+    mask_merges,
     merge_regions,
     region_merges,
     region_planes,
@@ -573,6 +625,11 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
     if op is merge_regions:
         edges, cost = large_graph(int(100_000 * share))
         return lambda: merge_regions(edges, cost, torch.ones(len(cost), dtype=torch.int64), 0.4, 2)
+    if op is mask_merges:
+        edges, cost = large_graph(int(50_000 * share))
+        rows = torch.stack([torch.arange(len(cost)), torch.arange(len(cost)) % 7, torch.ones(len(cost)).long()])
+        weight, frame_of_mask = torch.full((7,), 256), torch.arange(7)
+        return lambda: mask_merges(edges, cost, rows[2], rows, rows, weight, frame_of_mask, 0.6, 0.1, 0.5)
     if op is region_merges:
         edges, cost = large_graph(int(100_000 * share))
         return lambda: region_merges(edges, cost, len(cost), 0.4)

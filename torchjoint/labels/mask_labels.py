@@ -16,6 +16,8 @@ from torchjoint.views.observation import Observation
 #: A mask, or an atom of masks, is one object if at least this share of its points have one 3D label. The rest are
 #: mostly points beside it, whose visibility is wrong by a pixel or two.
 ONE_OBJECT = 0.65
+#: Path cost of crossing an outline of a mask, pixels: labels leave a mask only to where nothing else leads.
+OUTLINE_WEIGHT = 200.0
 #: Fewer points do not decide.
 MIN_POINTS = 3
 
@@ -50,16 +52,19 @@ def label_masks(
     """
     atom_there = masks.atom[seen.visible.row, seen.visible.column].long()
     of_atom, num_private = _labels_of_atoms(masks, atom_there, point_labels, num_segments)
+    of_pixel = of_atom.to(torch.int32)[masks.atom]
     markers = nearest_labels(seen.visible, point_labels, masks.size)
     hit = markers >= 0
-    whole = of_atom.to(torch.int32)[masks.atom]
-    markers = torch.where(whole >= 0, whole, markers)
-    image = path_costs(seen, config)
-    labels = ops.propagate_labels(markers, *image)
+    whole = torch.where(
+        of_pixel < num_segments, of_pixel, -1
+    )  # what is named elsewhere spreads; what is alone does not
+    colors, outlines, color_weight, _ = path_costs(seen, config)
+    image = colors, outlines, color_weight, OUTLINE_WEIGHT
+    labels = ops.propagate_labels(torch.where(whole >= 0, whole, markers), *image)
     settled = torch.where(whole >= 0, whole, without_specks(labels, hit))
     if not torch.equal(settled, labels):
         labels = ops.propagate_labels(settled, *image)
-    return labels, num_segments + num_private
+    return torch.where(of_pixel >= num_segments, of_pixel, labels), num_segments + num_private
 
 
 def _labels_of_atoms(masks: Masks, atom: Tensor, point_labels: Tensor, first_free: int) -> tuple[Tensor, int]:

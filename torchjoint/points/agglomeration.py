@@ -117,7 +117,7 @@ def _merge_in_steps(
     """
     for index, threshold in steps:
         pairs, values = boundary_features(evidence, region)
-        if pairs.shape[1] == 0:
+        if pairs.shape[1] == 0 and not far:
             break
         ends, cost, num_regions = _crossing_edges(evidence, region, pairs, model.probability(index, values))
         of_piece = evidence.regions_of_pieces(region)

@@ -143,7 +143,7 @@ class Masks:
         return self.smallest(torch.ones(len(self), dtype=torch.bool))[self.atom]
 
     def smallest(self, wanted: Tensor) -> Tensor:
-        """The smallest of the wanted masks ([M] bool) around each atom, of equal ones the first; [K] int64, -1 = none."""
+        """The smallest wanted mask, of [M] bool, around each atom, of equal ones the first: [K] int64, -1 = none."""
         area = torch.bincount(self.atom.reshape(-1), minlength=self.num_atoms)
         atom, mask = self.pairs
         size = torch.zeros(len(self), dtype=torch.int64).index_add_(0, mask, area[atom])

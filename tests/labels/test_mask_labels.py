@@ -1,0 +1,83 @@
+"""Final labels of images with masks: masks keep their outlines, unless 3D says that they are wrong."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+import torchjoint as tj
+from torchjoint.config import Config
+from torchjoint.images.contours import outlines
+from torchjoint.labels.image_labels import label_image
+from torchjoint.scene import Masks
+from torchjoint.views.observation import Observation
+from torchjoint.views.visibility import Visible
+
+SIZE = (8, 12)
+
+
+def box(top: int, left: int, bottom: int, right: int) -> Tensor:
+    mask = torch.zeros(SIZE, dtype=torch.bool)
+    mask[top:bottom, left:right] = True
+    return mask
+
+
+def labelled(masks: list[Tensor], points: list[tuple[int, int, int]]) -> tuple[Tensor, int]:
+    """The labels of a grey image with masks, and points (row, column, 3D label)."""
+    row, column, label = (torch.tensor(values) for values in zip(*points, strict=True))
+    visible = Visible(torch.arange(len(row)), row, column, column.float(), row.float(), torch.ones(len(row)))
+    found = Masks.from_stack(torch.stack(masks))
+    image, boundary = torch.full((3, *SIZE), 128, dtype=torch.uint8), (outlines(found.atom) * 255).byte()
+    seen = Observation("", found.atom, visible, image, boundary, found)
+    return label_image(seen, label, torch.bincount(label, minlength=5), Config())
+
+
+def test_a_mask_of_one_object_stays_whole_in_spite_of_points_from_behind() -> None:
+    mask = box(2, 2, 6, 8)
+    points = [(3, 3, 1), (3, 5, 1), (4, 6, 1), (5, 7, 0)] + [(r, c, 0) for r in (0, 7) for c in range(12)]
+    labels, _ = labelled([mask], points)
+    assert torch.equal(labels == 1, mask)
+    assert (labels[~mask] == 0).all()
+
+
+def test_a_mask_of_two_objects_is_cut() -> None:
+    points = [(r, c, int(c > 5)) for r in (3, 4, 5) for c in (2, 4, 7, 9)]
+    labels, _ = labelled([box(2, 1, 7, 11)], points)
+    assert (labels[:, 1:5] == 0).all()
+    assert (labels[:, 7:11] == 1).all()
+
+
+def test_masks_of_one_object_get_one_label() -> None:
+    one, other = box(2, 1, 6, 5), box(2, 5, 6, 9)
+    labels, _ = labelled([one, other], [(r, c, 2) for r in (3, 4) for c in (2, 3, 6, 7)] + [(0, 0, 0), (7, 11, 0)] * 2)
+    assert (labels[one | other] == 2).all()
+
+
+def test_a_mask_without_points_keeps_an_id_of_its_own() -> None:
+    unseen = box(1, 8, 3, 11)
+    labels, next_free = labelled([box(1, 1, 6, 6), unseen], [(r, c, 3) for r in (2, 3) for c in (2, 3, 4)])
+    assert next_free == 6
+    assert torch.equal(labels == 5, unseen)
+
+
+def test_a_part_without_points_belongs_to_its_whole() -> None:
+    labels, next_free = labelled([box(1, 1, 7, 9), box(5, 6, 7, 9)], [(r, c, 3) for r in (2, 3) for c in (2, 3, 4)])
+    assert next_free == 5
+    assert (labels[box(1, 1, 7, 9)] == 3).all()
+
+
+def test_a_small_mask_gets_a_label_of_its_points_not_of_what_is_around() -> None:
+    small = box(3, 3, 5, 5)
+    points = [(3, 3, 1), (3, 4, 1), (4, 4, 1)] + [(r, c, 0) for r in (0, 7) for c in range(12)]
+    labels, _ = labelled([small, box(0, 0, 8, 12)], points)
+    assert torch.equal(labels == 1, small)
+
+
+def test_perfect_masks_come_back(scene_of) -> None:
+    scene = tj.synthetic.with_network_masks(scene_of(seed=0).scene, "perfect")
+    result = tj.JointSegmenter()(scene)
+    assert scene.truth is not None
+    for initial, truth in zip(result.initial_images, scene.truth.images, strict=True):
+        assert tj.metrics.mean_best_iou(initial, truth) == 1
+    scores = [tj.metrics.mean_best_iou(*pair) for pair in zip(result.images, scene.truth.images, strict=True)]
+    assert sum(scores) / len(scores) > 0.8
