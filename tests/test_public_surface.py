@@ -24,14 +24,14 @@ PUBLIC = {
         VisibilityConfig evidence_config evidence_differences marked_parameters marked_table parameter_table presets
         read_assignment read_preset read_yaml superpoint_presets superpoint_table
     """,
-    "torchjoint.scene": "Frame Hierarchy LabelImages Scene Segmentation Truth",
+    "torchjoint.scene": "Frame Hierarchy LabelImages Masks Scene Segmentation Truth",
     "torchjoint.masks": """
         Masks from_coco from_instances from_labels from_module from_panoptic from_sam from_stack read_folder read_masks
         save_masks
     """,
     "torchjoint.ops": """
-        boosted_trees felzenszwalb felzenszwalb_image fit_normals match_pixels merge_regions min_cut neighbor_edges
-        pair_counts project propagate_labels region_merges region_planes segment_graphs splat_depth
+        boosted_trees felzenszwalb felzenszwalb_image fit_normals mask_merges match_pixels merge_regions min_cut
+        neighbor_edges pair_counts project propagate_labels region_merges region_planes segment_graphs splat_depth
         ultrametric_contours window_overlaps
     """,
     "torchjoint.metrics": """

@@ -77,11 +77,11 @@ class TestSai3d:
         assert names(sai3d(*line(*frames), by_tens(20), min_points=5)) == "A" * 20
 
     def test_high_affinities_merge_first(self):
-        """The second superpoint is in the mask of the third in 5 of 9 views, in that of the first in 4."""
-        frames = ["A" * 20 + "B" * 10] * 4 + ["A" * 10 + "B" * 20] * 5
+        """Affinities of 6/9 to the third superpoint, of 5/9 to the first: in one stage, the first takes all."""
+        frames = ["A" * 30] * 2 + ["A" * 20 + "B" * 10] * 3 + ["A" * 10 + "B" * 20] * 4
         points, visible, masks = line(*frames)
         assert names(sai3d(points, visible, masks, by_tens(30), min_points=5)) == "A" * 10 + "B" * 20
-        assert names(sai3d(points, visible, masks, by_tens(30), thresholds=(0.4,), min_points=5)) == "A" * 20 + "B" * 10
+        assert names(sai3d(points, visible, masks, by_tens(30), thresholds=(0.5,), min_points=5)) == "A" * 30
 
     def test_small_regions_join_the_neighbour_with_the_highest_affinity(self):
         labels = torch.tensor([0] * 30 + [1] * 5 + [2] * 30)
@@ -111,10 +111,19 @@ class TestMaskClustering:
         assert names(mask_clustering(*line(*frames))) == "A" * 10 + "B" * 10
 
     def test_frames_that_see_too_little_do_not_count(self):
-        """Two frames see 2 of 10 points of the second part, in the mask of the first."""
+        """20 frames see 2 of 10 points of the second part, in the mask of the first."""
         whole, part = "A" * 10 + "B" * 10, "A" * 12 + " " * 8
-        points, visible, masks = line(*[whole] * 3, *["A" * 20] * 2, seen=["x" * 20] * 3 + [part] * 2)
-        assert names(mask_clustering(points, visible, masks)) == whole
+        points, visible, masks = line(*[whole] * 2, *["A" * 20] * 20, seen=["x" * 20] * 2 + [part] * 20)
+        assert names(mask_clustering(points, visible, masks)) == "A" * 12 + "B" * 8
+
+    def test_frames_without_a_mask_there_do_not_count(self):
+        frames = ["A" * 10 + "B" * 10] * 2 + ["A" * 10 + "." * 10] * 9
+        assert names(mask_clustering(*line(*frames))) == "A" * 10 + "B" * 10
+
+    def test_a_mask_that_no_other_frame_confirms_is_left_out(self):
+        once, frame = "A" * 20 + "B" * 4, "A" * 20 + " " * 4
+        assert names(mask_clustering(*line(once, frame, frame, seen=[once, frame, frame]))) == "A" * 24
+        assert names(mask_clustering(*line("A" * 20 + "B" * 4))) == "A" * 20 + "B" * 4
 
     def test_points_without_a_cluster_take_the_nearest_one(self):
         frames = ["A" * 10 + "." * 4 + "B" * 10] * 3
@@ -136,9 +145,15 @@ class TestSam3d:
         assert names(sam3d(*line(*frames), by_tens(20))) == "A" * 20
 
     def test_distant_frames_merge_over_those_between(self):
-        frames = ["A" * 10 + " " * 20, " " * 4 + "A" * 14 + " " * 12, " " * 12 + "A" * 18]
+        frames = ["A" * 10 + " " * 20, " " * 4 + "A" * 14 + " " * 12, " " * 12 + "A" * 8 + "B" * 10]
         points, visible, masks = line(*frames, seen=frames)
-        assert names(sam3d(points, visible, masks, by_tens(30))) == "A" * 30
+        assert names(sam3d(points, visible, masks, by_tens(30))) == "A" * 20 + "B" * 10
+
+    def test_the_smaller_group_counts(self):
+        """6 points of 30 and of 16: less than .3 of the larger group, more of the smaller one."""
+        frames = ["A" * 30 + " " * 10, " " * 24 + "A" * 16]
+        points, visible, masks = line(*frames, seen=frames)
+        assert names(sam3d(points, visible, masks, by_tens(40))) == "A" * 40
 
     def test_superpoints_take_their_most_frequent_label(self):
         frames = ["A" * 13 + "B" * 7] * 2

@@ -228,6 +228,14 @@ class TestModule:
         images = torch.stack([torch.ones(3, 3, 4), torch.zeros(3, 3, 4)])
         assert [len(masks) for masks in tj.masks.from_module(generate, images="array")(images)] == [1, 2]
 
+    def test_a_segmenter_takes_a_network(self):
+        """The same as masks that come with the frames."""
+        scene = tj.synthetic.make_scene(2, num_views=2, num_points=1500, height=60, width=80).scene
+        masked = tj.synthetic.with_network_masks(scene, "sam-like")
+        network = tj.masks.from_module(lambda images: [frame.masks for frame in masked.frames][: len(images)])
+        result = tj.JointSegmenter(image_segmenter=network)(scene)
+        assert torch.equal(result.points, tj.JointSegmenter()(masked).points)
+
     def test_a_network_inside_is_part_of_the_module(self):
         network = torch.nn.Conv2d(3, 1, 1)
         assert list(tj.masks.from_module(network).children()) == [network]

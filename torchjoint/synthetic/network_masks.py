@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.masks import Masks
 from torchjoint.synthetic.arrays import Array, Rng
@@ -44,6 +45,7 @@ _LEAST_AREA = 60.0
 _FRAGMENT = 0.04
 
 
+@one_thread_per_operation()
 def make_network_masks(labels: Tensor, level: str, seed: int = 0, index: int = 0) -> Masks:
     """Masks of one image as a network gives them.
 

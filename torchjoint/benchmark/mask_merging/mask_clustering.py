@@ -45,7 +45,7 @@ def mask_clustering(
     cluster, in rounds: first only pairs with many observers, then pairs with fewer. A cluster is observed and contained
     wherever one of its masks is. Clusters of one mask are left out, unless there are no others. A point gets the
     cluster with most masks on it. Each point needs a label here: points without one take that of the nearest point, and
-    the paper's removal of points is left out.
+    the paper's removal of points is left out. Tables of all pairs of masks are dense in memory.
 
     Args:
         points: [N, 3] metres.
