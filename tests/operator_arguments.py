@@ -25,6 +25,7 @@ from torchjoint.ops import (
     region_planes,
     segment_graphs,
     splat_depth,
+    structured_forest,
     ultrametric_contours,
     window_overlaps,
 )
@@ -86,6 +87,12 @@ BOOSTED_TREES = {
     "right": torch.tensor([[2, -1, -1], [1, -1, -1]], dtype=torch.int32),
     "leaf_value": torch.tensor([[0.0, -1.0, 2.0], [0.0, 0.25, 0.5]], dtype=torch.float64),
 }
+STRUCTURED_FOREST = {
+    "images": IMAGES, "children": torch.tensor([[2, 0, 0], [0, 0, 0]], dtype=torch.int32),
+    "features": torch.tensor([[7, 0, 0], [0, 0, 0]], dtype=torch.int32), "thresholds": torch.full((2, 3), 0.3),
+    "boundary_counts": torch.tensor([[0, 1, 2], [1, 0, 0]], dtype=torch.int32),
+    "boundary_pixels": torch.tensor([136, 1, 2, 255], dtype=torch.uint8), "trees_per_site": 1, "stride": 2,
+}  # fmt: skip
 #: Every operator, with arguments that are right.
 VALID: dict[Callable[..., Any], dict[str, Any]] = {
     felzenszwalb: FELZENSZWALB,
@@ -104,6 +111,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     region_merges: REGION_MERGES,
     region_planes: REGION_PLANES,
     boosted_trees: BOOSTED_TREES,
+    structured_forest: STRUCTURED_FOREST,
     ultrametric_contours: {"boundary": IMAGES[0, 0], "relief": IMAGES[0, 1]},
 }
 

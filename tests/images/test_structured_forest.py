@@ -136,7 +136,7 @@ class TestStructuredForestBoundary:
     def test_a_package_whose_model_is_cut_off_says_so(self, tmp_path, monkeypatch):
         (tmp_path / "bsds500.yml.gz").write_bytes(MODEL.read_bytes()[:100_000])
         monkeypatch.setattr(structured_forest, "files", lambda package: tmp_path)
-        structured_forest._detector.cache_clear()
+        structured_forest._trees.cache_clear()
         with pytest.raises(ValueError, match=r"bsds500\.yml\.gz: not a whole"):
             StructuredForestBoundary()
         (tmp_path / "bsds500.yml.gz").unlink()
