@@ -68,7 +68,7 @@ SEGMENT_GRAPHS = {
 MATCH_PIXELS = {"pred": LABELS > 0, "target": LABELS == 0, "radius": 1.5}
 PROPAGATE_LABELS = {
     "markers": LABELS, "colors": torch.rand(3, 3, 4), "boundary": torch.rand(3, 4), "color_weight": 9.0,
-    "boundary_weight": 2.0,
+    "boundary_weight": 2.0, "min_markers": 2,
 }  # fmt: skip
 MERGE_REGIONS = {
     "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
