@@ -43,19 +43,29 @@ class StructuredForestBoundary(nn.Module):
         scales: factors by which the image is resized before detection; the results are averaged. ``(0.5, 1, 2)`` is
             more accurate and about five times slower.
         nms: apply non-maximum suppression, which leaves lines about one pixel wide.
+        stride: distance between the sites at which trees vote, 2 or 4 pixels; 4 is faster and less accurate.
 
     Raises:
         FileNotFoundError: the model's file is missing.
-        ValueError: the file is incomplete or is no structured forest; or a bad scale.
+        ValueError: the file is incomplete or is no structured forest; or a bad scale or stride.
     """
 
-    def __init__(self, model: str | Path | None = None, scales: Sequence[float] = (1.0,), nms: bool = False) -> None:
+    def __init__(
+        self,
+        model: str | Path | None = None,
+        scales: Sequence[float] = (1.0,),
+        nms: bool = False,
+        stride: int = 2,
+    ) -> None:
         super().__init__()
+        if stride not in (2, 4):
+            raise ValueError(f"stride: expected 2 or 4, got {stride!r}")
         if not scales or not all(math.isfinite(scale) and 0 < scale <= 4 for scale in scales):
             raise ValueError(f"scales: expected numbers in (0, 4], got {scales!r}")
         self.model = None if model is None else str(Path(model).absolute())
         self.scales = tuple(float(scale) for scale in scales)
         self.nms = nms
+        self.stride = stride
         self._file_version = _version(self.model)
         _trees(self.model, self._file_version)  # report a bad file here, not at the first image
 
@@ -91,7 +101,7 @@ class StructuredForestBoundary(nn.Module):
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
         planes = torch.stack(parallel_map(lambda image: _padded_planes(_resized(image, size, scale < 1)), images))
         with all_threads():
-            votes = ops.structured_forest(planes, *_trees(self.model, self._file_version))
+            votes = ops.structured_forest(planes, *_trees(self.model, self._file_version), self.stride)
         inside = votes[:, MARGIN : MARGIN + size[1], MARGIN : MARGIN + size[0]]
         return [_resized(one.numpy(), (width, height)) for one in inside]
 
