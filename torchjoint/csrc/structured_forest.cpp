@@ -37,9 +37,9 @@ std::vector<Ends> feature_ends(const ForestChannels& channels) {
   return ends;
 }
 
-// A site on its way through a tree.
+// A site, by the place of its first cell, on its way through a tree; at its end the node is the complement of a leaf.
 struct Walk {
-  int32_t node, place, site;
+  int32_t node, place;
 };
 
 // Votes of images of one size.
@@ -48,10 +48,11 @@ class Voting {
   Voting(const Forest& forest, int64_t height, int64_t width, int64_t step)
       : forest_(forest), height_(height), width_(width), step_(step), channels_(height, width),
         ends_(feature_ends(channels_)), site_rows_(sites(channels_.rows)), site_columns_(sites(channels_.columns)),
-        bands_((site_rows_ + kBandRows - 1) / kBandRows), band_height_(2 * step * (kBandRows - 1) + kVotes),
-        counts_(bands_ * band_height_ * width), votes_(height * width) {
+        bands_((site_rows_ + kBandRows - 1) / kBandRows), band_cells_(step * (kBandRows - 1) + kVotes / 2),
+        counts_(bands_ * 4 * band_cells_ * channels_.columns), votes_(height * width) {
     for (int64_t pixel = 0; pixel < kVotes * kVotes; ++pixel) {
-      pixel_[pixel] = static_cast<int32_t>(pixel % kVotes * width + pixel / kVotes);
+      const int64_t row = pixel % kVotes, column = pixel / kVotes;
+      pixel_[pixel] = static_cast<int32_t>(count_place(row, column % 2) + column / 2);
     }
   }
 
@@ -72,34 +73,38 @@ class Voting {
  private:
   int64_t sites(int64_t cells) const { return std::max<int64_t>(0, (cells - kPatch + step_ - 1) / step_); }
 
+  // Votes are counted in cells of 2 x 2 pixels, apart for each of the four pixels. So the counts of a site begin at the
+  // place of its first cell. This is where those of a row of pixels begin, at even or odd columns.
+  int64_t count_place(int64_t row, int64_t odd) const {
+    return ((row % 2 * 2 + odd) * band_cells_ + row / 2) * channels_.columns;
+  }
+
+  uint32_t* counts(int64_t band) { return counts_.data() + band * 4 * band_cells_ * channels_.columns; }
+
   void vote(int64_t band) {
-    uint32_t* const counts = counts_.data() + band * band_height_ * width_;
-    std::fill_n(counts, band_height_ * width_, 0);
+    uint32_t* const count = counts(band);
+    std::fill_n(count, 4 * band_cells_ * channels_.columns, 0);
     const int64_t first = band * kBandRows, last = std::min(first + kBandRows, site_rows_);
+    const int64_t first_place = step_ * first * channels_.columns;
     std::vector<Walk> walks;
-    std::vector<int32_t> leaf, pixel;
     std::vector<uint8_t> votes(forest_.turns());
     for (int64_t tree = 0; tree < forest_.num_trees; ++tree) {
       for (int64_t turn = 0; turn < forest_.turns(); ++turn) votes[turn] = forest_.votes(tree, turn);
       for (int64_t left = 0; left < site_columns_; left += kStripColumns) {
         walks.clear();
-        pixel.clear();
         for (int64_t row = first; row < last; ++row) {
           int64_t turn = (row + left) % forest_.turns();
           for (int64_t column = left; column < std::min(left + kStripColumns, site_columns_); ++column) {
-            const bool asked = votes[turn];
-            if (++turn == forest_.turns()) turn = 0;
-            if (!asked) continue;
             const int64_t place = step_ * (row * channels_.columns + column);
-            walks.push_back({forest_.root[tree].node, static_cast<int32_t>(place), static_cast<int32_t>(pixel.size())});
-            pixel.push_back(static_cast<int32_t>(2 * step_ * ((row - first) * width_ + column)));
+            if (votes[turn]) walks.push_back({forest_.root[tree].node, static_cast<int32_t>(place)});
+            if (++turn == forest_.turns()) turn = 0;
           }
         }
-        leaf.resize(walks.size());
-        find_leaves(tree, walks, leaf.data());
-        for (size_t site = 0; site < pixel.size(); ++site) {
-          for (int32_t i = forest_.start[leaf[site]]; i < forest_.start[leaf[site] + 1]; ++i) {
-            ++counts[pixel[site] + pixel_[forest_.pixel[i]]];
+        find_leaves(tree, walks);
+        for (const Walk& walk : walks) {
+          uint32_t* const here = count + (walk.place - first_place);
+          for (int32_t i = forest_.start[~walk.node]; i < forest_.start[~walk.node + 1]; ++i) {
+            ++here[pixel_[forest_.pixel[i]]];
           }
         }
       }
@@ -107,44 +112,46 @@ class Voting {
   }
 
   // All walks go down a level together: the next node and values of one are fetched while others are compared.
-  void find_leaves(int64_t tree, std::vector<Walk>& walks, int32_t* leaf) const {
+  void find_leaves(int64_t tree, std::vector<Walk>& walks) const {
     const Forest::Root root = forest_.root[tree];
-    if (root.node < 0) {
-      std::fill_n(leaf, walks.size(), ~root.node);
-      return;
-    }
+    if (root.node < 0) return;
     const Node* const nodes = &forest_.nodes[root.first];
     const Ends* const ends = ends_.data();
-    Walk* const walk_of = walks.data();
     const float* const values = channels_.values();
-    size_t going = walks.size();
-    while (going > 0) {
+    std::vector<Walk> at_leaf(walks.size() + 1);
+    Walk *const going = walks.data(), *arrived = at_leaf.data();
+    size_t num_going = walks.size();
+    while (num_going > 0) {
       size_t stay = 0;
-      for (size_t i = 0; i < going; ++i) {
-        const Walk walk = walk_of[i];
+      for (size_t i = 0; i < num_going; ++i) {
+        const Walk walk = going[i];
         const Node& node = nodes[walk.node];
         const Ends feature = ends[node.feature];
         const float* const patch = values + walk.place;
-        // No branch: half of them would be predicted wrongly.
+        // No branches: half of them would be predicted wrongly.
         const int32_t next = node.child[!(patch[feature.first] - patch[feature.second] < node.threshold)];
-        leaf[walk.site] = ~next;  // of an inner node it is written again
         __builtin_prefetch(nodes + next);
-        walk_of[stay] = {next, walk.place, walk.site};
+        *arrived = going[stay] = {next, walk.place};
+        arrived += next < 0;
         stay += next >= 0;
       }
-      going = stay;
+      num_going = stay;
     }
+    std::copy(at_leaf.data(), arrived, walks.data());
   }
 
   void sum_bands(int64_t row, float weight) {
-    const int64_t rows_apart = 2 * step_ * kBandRows;
-    std::vector<uint32_t> sums(width_);
-    for (int64_t band = std::max<int64_t>(0, (row - band_height_) / rows_apart); band < bands_; ++band) {
-      const int64_t own = row - band * rows_apart;
+    std::vector<uint32_t> sums(2 * channels_.columns);
+    const int64_t rows_apart = step_ * kBandRows;
+    for (int64_t band = std::max<int64_t>(0, (row / 2 - band_cells_) / rows_apart); band < bands_; ++band) {
+      const int64_t own = row - 2 * band * rows_apart;
       if (own < 0) break;
-      if (own >= band_height_) continue;
-      const uint32_t* const counts = counts_.data() + (band * band_height_ + own) * width_;
-      for (int64_t x = 0; x < width_; ++x) sums[x] += counts[x];
+      if (own / 2 >= band_cells_) continue;
+      const uint32_t *const even = counts(band) + count_place(own, 0), *const odd = counts(band) + count_place(own, 1);
+      for (int64_t cell = 0; cell < channels_.columns; ++cell) {
+        sums[2 * cell] += even[cell];
+        sums[2 * cell + 1] += odd[cell];
+      }
     }
     float* const votes = votes_.data() + row * width_;
     for (int64_t x = 0; x < width_; ++x) votes[x] = static_cast<float>(static_cast<int32_t>(sums[x])) * weight;
@@ -154,7 +161,7 @@ class Voting {
   const int64_t height_, width_, step_;
   ForestChannels channels_;
   const std::vector<Ends> ends_;
-  const int64_t site_rows_, site_columns_, bands_, band_height_;
+  const int64_t site_rows_, site_columns_, bands_, band_cells_;
   Array<uint32_t> counts_;
   Array<float> votes_;
   std::array<int32_t, kVotes * kVotes> pixel_;
