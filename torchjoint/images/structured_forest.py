@@ -130,9 +130,18 @@ def relative_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
     import cv2
 
     smooth = cv2.GaussianBlur(image, (0, 0), _GRADIENT_SMOOTHING)
-    right, down = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=1)
-    gradient = np.sqrt((right * right + down * down).sum(axis=2)) / 2
-    return np.asarray(gradient / (cv2.blur(gradient, (_AROUND, _AROUND)) + _FAINT), np.float32)
+    right, down = (np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *way, ksize=1), np.float32) for way in ((1, 0), (0, 1)))
+    # In place, and with OpenCV's sum over the channels: new memory and NumPy's sum take twice the time of the rest.
+    right *= right
+    down *= down
+    right += down
+    gradient = np.asarray(cv2.transform(right, np.ones((1, 3), np.float32)), np.float32)
+    np.sqrt(gradient, out=gradient)
+    gradient /= 2
+    around = np.asarray(cv2.blur(gradient, (_AROUND, _AROUND)), np.float32)
+    around += _FAINT
+    gradient /= around
+    return gradient
 
 
 def padded(image: NDArray[Any]) -> NDArray[Any]:
