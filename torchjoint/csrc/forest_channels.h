@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cmath>
 #include <cstdint>
 #include <vector>
@@ -31,10 +32,24 @@ inline int64_t mirrored(int64_t place, int64_t length, bool inner = false) {
   return place < length ? place : (inner ? period : period - 1) - place;
 }
 
-// Calls function(first, last) for blocks of rows, on all threads of the calling thread.
+// Calls function(begin, end) for parts of the tasks 0, ..., count - 1, on all threads of the calling thread.
+template <typename Function>
+void in_parallel(int64_t count, Function&& function) {
+  std::atomic<bool> out_of_memory = false;  // an exception must not leave a thread of the parallel loop
+  torch::stable::parallel_for(0, count, 1, [&](int64_t begin, int64_t end) {
+    try {
+      function(begin, end);
+    } catch (const std::bad_alloc&) {
+      out_of_memory = true;
+    }
+  });
+  if (out_of_memory) throw std::bad_alloc();
+}
+
+// Calls function(first, last) for blocks of rows, in parallel.
 template <typename Function>
 void in_blocks(int64_t rows, Function&& function) {
-  torch::stable::parallel_for(0, (rows + kTaskRows - 1) / kTaskRows, 1, [&](int64_t begin, int64_t end) {
+  in_parallel((rows + kTaskRows - 1) / kTaskRows, [&](int64_t begin, int64_t end) {
     for (int64_t block = begin; block < end; ++block) {
       function(block * kTaskRows, std::min((block + 1) * kTaskRows, rows));
     }
@@ -161,7 +176,7 @@ class ForestChannels {
     gradients<2>(luv, padded_height_, padded_width_, raw + 3 * plane());
     gradients<1>(raw, rows, columns, raw + (4 + kOrientations) * plane());
     const int64_t blocks = (rows + kTaskRows - 1) / kTaskRows;
-    torch::stable::parallel_for(0, kChannels * blocks, 1, [&](int64_t begin, int64_t end) {
+    in_parallel(kChannels * blocks, [&](int64_t begin, int64_t end) {
       for (int64_t task = begin; task < end; ++task) {
         const int64_t channel = task / blocks, first = task % blocks * kTaskRows;
         const float* const from = raw + channel * plane();

@@ -58,7 +58,7 @@ class Voting {
 
   void run(const float* image, float* out) {
     channels_.compute(image);
-    torch::stable::parallel_for(0, bands_, 1, [&](int64_t begin, int64_t end) {
+    in_parallel(bands_, [&](int64_t begin, int64_t end) {
       for (int64_t band = begin; band < end; ++band) vote(band);
     });
     const float weight = static_cast<float>(2.0 * 4 * step_ * step_ / (kVotes * kVotes) / forest_.per_site);
@@ -202,7 +202,7 @@ Tensor structured_forest(const Tensor& images, const Tensor& children, const Ten
   float* const out = result.mutable_data_ptr<float>();
   check_finite(data, batch * 3 * height * width);
   // Each thread works on its own images; only a single image is divided between threads.
-  torch::stable::parallel_for(0, batch, 1, [&](int64_t begin, int64_t end) {
+  in_parallel(batch, [&](int64_t begin, int64_t end) {
     Voting voting(forest, height, width, stride / 2);
     for (int64_t i = begin; i < end; ++i) voting.run(data + i * 3 * height * width, out + i * height * width);
   });
