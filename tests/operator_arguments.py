@@ -26,6 +26,7 @@ from torchjoint.ops import (
     region_planes,
     segment_graphs,
     splat_depth,
+    structured_forest,
     ultrametric_contours,
     window_overlaps,
 )
@@ -68,7 +69,7 @@ SEGMENT_GRAPHS = {
 MATCH_PIXELS = {"pred": LABELS > 0, "target": LABELS == 0, "radius": 1.5}
 PROPAGATE_LABELS = {
     "markers": LABELS, "colors": torch.rand(3, 3, 4), "boundary": torch.rand(3, 4), "color_weight": 9.0,
-    "boundary_weight": 2.0,
+    "boundary_weight": 2.0, "min_markers": 2,
 }  # fmt: skip
 MERGE_REGIONS = {
     "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
@@ -93,6 +94,12 @@ BOOSTED_TREES = {
     "right": torch.tensor([[2, -1, -1], [1, -1, -1]], dtype=torch.int32),
     "leaf_value": torch.tensor([[0.0, -1.0, 2.0], [0.0, 0.25, 0.5]], dtype=torch.float64),
 }
+STRUCTURED_FOREST = {
+    "images": IMAGES, "children": torch.tensor([[2, 0, 0], [0, 0, 0]], dtype=torch.int32),
+    "features": torch.tensor([[7, 0, 0], [0, 0, 0]], dtype=torch.int32), "thresholds": torch.full((2, 3), 0.3),
+    "boundary_counts": torch.tensor([[0, 1, 2], [1, 0, 0]], dtype=torch.int32),
+    "boundary_pixels": torch.tensor([136, 1, 2, 255], dtype=torch.uint8), "trees_per_site": 1, "stride": 2,
+}  # fmt: skip
 #: Every operator, with arguments that are right.
 VALID: dict[Callable[..., Any], dict[str, Any]] = {
     felzenszwalb: FELZENSZWALB,
@@ -112,6 +119,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     mask_merges: MASK_MERGES,
     region_planes: REGION_PLANES,
     boosted_trees: BOOSTED_TREES,
+    structured_forest: STRUCTURED_FOREST,
     ultrametric_contours: {"boundary": IMAGES[0, 0], "relief": IMAGES[0, 1]},
 }
 

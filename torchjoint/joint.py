@@ -25,6 +25,7 @@ from torchjoint.points.orientation import orientation_votes
 from torchjoint.points.segments import point_hierarchy, segment_points
 from torchjoint.points.working_cloud import working_cloud
 from torchjoint.results.checkpoint import Checkpoint
+from torchjoint.runtime.ahead import ahead
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Frame, LabelImages, Scene, Segmentation
@@ -95,7 +96,7 @@ class JointSegmenter(nn.Module):
         Args:
             scene: the cloud and its frames; without frames this is plain 3D segmentation.
             progress: show progress bars.
-            batch_size: number of frames held in memory at a time.
+            batch_size: number of frames that are worked on at a time; meanwhile as many are loaded.
             checkpoint: saves the state from time to time; an interrupted run resumes from it.
 
         Returns:
@@ -117,10 +118,10 @@ class JointSegmenter(nn.Module):
             self.state = checkpoint.load() or self.state
         done = len(self.state.observations)
         with tqdm(total=num_frames, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
-            for start in range(done, num_frames, batch_size):
-                indices = range(start, min(start + batch_size, num_frames))
-                self.update(self._load_frames(scene.frames, indices, checked))
-                bar.update(len(indices))
+            batches = [range(num_frames)[start : start + batch_size] for start in range(done, num_frames, batch_size)]
+            for batch in ahead(lambda indices: self._load_frames(scene.frames, indices, checked), batches):
+                self.update(batch)
+                bar.update(len(batch))
                 if checkpoint is not None:
                     checkpoint.save(self.state)
         if checkpoint is not None:

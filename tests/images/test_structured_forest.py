@@ -101,12 +101,13 @@ class TestStructuredForestBoundary:
     def test_options_do_what_they_say(self):
         image = torch.zeros(1, 3, 80, 80)
         image[..., 20:60, 20:60] = 0.7
-        plain, nms, multi = (
-            StructuredForestBoundary(**options)(image) for options in ({}, {"nms": True}, {"scales": (0.5, 1, 2)})
-        )
+        every = ({}, {"nms": True}, {"scales": (0.5, 1, 2)}, {"stride": 4})
+        plain, nms, multi, sparse = (StructuredForestBoundary(**options)(image) for options in every)
         assert ((nms == plain) | (nms == 0)).all()
         assert 0 < (nms > 0.1).sum() < 0.6 * (plain > 0.1).sum()
         assert not torch.equal(multi, plain)
+        assert not torch.equal(sparse, plain)
+        assert sparse.mean() == pytest.approx(float(plain.mean()), rel=0.1)  # fewer votes, which weigh more
 
     def test_it_can_be_copied_and_sent(self):
         image = torch.rand(1, 3, 40, 40)
@@ -126,6 +127,8 @@ class TestStructuredForestBoundary:
         for scales in ((), (0,), (-1.0,), (float("nan"),), (9,)):
             with pytest.raises(ValueError, match=r"scales: expected"):
                 StructuredForestBoundary(scales=scales)
+        with pytest.raises(ValueError, match=r"stride: expected 2 or 4, got 3"):
+            StructuredForestBoundary(stride=3)
         for shape in ((3, 4, 5), (1, 1, 4, 5)):
             with pytest.raises(ValueError, match=r"images: expected shape"):
                 StructuredForestBoundary()(torch.zeros(shape))
@@ -136,7 +139,7 @@ class TestStructuredForestBoundary:
     def test_a_package_whose_model_is_cut_off_says_so(self, tmp_path, monkeypatch):
         (tmp_path / "bsds500.yml.gz").write_bytes(MODEL.read_bytes()[:100_000])
         monkeypatch.setattr(structured_forest, "files", lambda package: tmp_path)
-        structured_forest._detector.cache_clear()
+        structured_forest._trees.cache_clear()
         with pytest.raises(ValueError, match=r"bsds500\.yml\.gz: not a whole"):
             StructuredForestBoundary()
         (tmp_path / "bsds500.yml.gz").unlink()

@@ -34,6 +34,7 @@ from operator_arguments import (
     REGION_PLANES,
     SINK,
     SOURCE,
+    STRUCTURED_FOREST,
     VALID,
     VALUES,
 )
@@ -55,6 +56,7 @@ from torchjoint.ops import (
     region_planes,
     segment_graphs,
     splat_depth,
+    structured_forest,
     ultrametric_contours,
     window_overlaps,
 )
@@ -445,6 +447,13 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (boosted_trees, {"feature": torch.empty(2, 0, dtype=torch.int32)}),
         (boosted_trees, {"threshold": BOOSTED_TREES["leaf_value"][:1]}),
         (boosted_trees, {"leaf_value": BOOSTED_TREES["leaf_value"].float()}),
+        (structured_forest, {"images": IMAGES[0]}),
+        (structured_forest, {"children": LABELS}),
+        (structured_forest, {"features": LABELS}),
+        (structured_forest, {"thresholds": IMAGES[0, 0]}),
+        (structured_forest, {"boundary_counts": LABELS}),
+        (structured_forest, {"boundary_pixels": LABELS}),
+        (structured_forest, {"images": torch.zeros(1, 3, 1, 2**14 + 1)}),
         (match_pixels, {"pred": LABELS}),
         (match_pixels, {"target": LABELS.T > 0}),
         (match_pixels, {"radius": NAN}),
@@ -589,6 +598,7 @@ LONG_OPERATORS = (
     region_planes,
     propagate_labels,
     boosted_trees,
+    structured_forest,
 )
 
 
@@ -598,6 +608,9 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
     if op is felzenszwalb_image:
         images = torch.rand(1, 3, int(1500 * side), int(1500 * side), generator=torch.Generator().manual_seed(0))
         return lambda: felzenszwalb_image(images, scale=1.0)
+    if op is structured_forest:
+        images = torch.rand(1, 3, int(1500 * side), int(1500 * side), generator=torch.Generator().manual_seed(0))
+        return lambda: structured_forest(**STRUCTURED_FOREST | {"images": images})
     if op is propagate_labels:
         generator = torch.Generator().manual_seed(0)
         image = torch.rand(4, int(1000 * side), int(1000 * side), generator=generator)

@@ -188,12 +188,15 @@ def test_gaps_are_closed() -> None:
     width=st.integers(0, 12),
     levels=st.sampled_from([1, 3, 1000]),
     weights=st.sampled_from([(0.0, 0.0), (3.0, 0.0), (0.0, 2.5), (100.0, 50.0), (1000.0, 1000.0)]),
+    min_markers=st.sampled_from([1, 2, 4]),
 )
-def test_spread_labels(seed: int, height: int, width: int, levels: int, weights: tuple[float, float]) -> None:
+def test_spread_labels(
+    seed: int, height: int, width: int, levels: int, weights: tuple[float, float], min_markers: int
+) -> None:
     generator = torch.Generator().manual_seed(seed)
     markers = integers(generator, -20, 4, height, width).clamp(min=-1).int()
     image = torch.randint(0, levels + 1, (4, height, width), generator=generator) / levels
-    arguments = (markers, image[:3], image[3], *weights)
+    arguments = (markers, image[:3], image[3], *weights, min_markers)
     assert_same((ops.propagate_labels(*arguments),), (reference.propagate_labels_reference(*arguments),))
 
 
@@ -211,6 +214,18 @@ def test_spread_labels_by_hand() -> None:
     markers[0, 0], markers[0, 4] = 1, 2
     labels = ops.propagate_labels(markers, torch.zeros(3, 3, 5), wall, 0.0, 100.0)
     assert labels.tolist() == [[1, 1, 2, 2, 2], [1, 1, 2, 2, 2], [1, 1, 1, 2, 2]]
+
+
+def test_parts_with_few_markers_by_hand() -> None:
+    """Parts with one marker are overruled by those with two, unless none has enough; a diagonal connects two."""
+    markers = torch.full((3, 7), -1, dtype=torch.int32)
+    markers[0, 0], markers[1, 0], markers[1, 3], markers[1, 6] = 4, 4, 2, 4
+    image = (torch.zeros(3, 3, 7), torch.zeros(3, 7), 1.0, 1.0)
+    assert ops.propagate_labels(markers, *image)[1].tolist() == [4, 4, 2, 2, 2, 4, 4]
+    assert (ops.propagate_labels(markers, *image, 2) == 4).all()
+    assert torch.equal(ops.propagate_labels(markers, *image, 3), ops.propagate_labels(markers, *image))
+    markers[0, 4] = 2
+    assert ops.propagate_labels(markers, *image, 2)[1].tolist() == [4, 4, 2, 2, 2, 2, 2]
 
 
 def test_spread_labels_of_nothing() -> None:

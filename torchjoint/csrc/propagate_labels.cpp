@@ -1,4 +1,5 @@
 // Geodesic label propagation: every pixel takes the label of the marker with the cheapest path to the pixel.
+#include "array.h"
 #include "common.h"
 
 #include <array>
@@ -7,104 +8,227 @@
 namespace torchjoint {
 namespace {
 
-// Costs are whole numbers, this many per pixel width, so that equal costs compare as equal.
-constexpr float kUnits = 8;
+// Costs are whole numbers, this many per pixel width, so that equal costs compare as equal. No step costs less.
+constexpr int32_t kUnits = 8;
 constexpr double kMaxWeight = 1000;
-constexpr int32_t kFar = std::numeric_limits<int32_t>::max();
-
-struct Step {
-  int64_t down, right;
-  float length;
-  int32_t least;  // cost
-};
-
 constexpr float kDiagonal = 1.41421356f;
-constexpr std::array<Step, 8> kSteps{{{0, 1, 1, 8},
-                                      {1, 0, 1, 8},
-                                      {0, -1, 1, 8},
-                                      {-1, 0, 1, 8},
-                                      {1, 1, kDiagonal, 11},
-                                      {-1, 1, kDiagonal, 11},
-                                      {1, -1, kDiagonal, 11},
-                                      {-1, -1, kDiagonal, 11}}};
 
-struct Pixel {
-  float red, green, blue, boundary;
+// A pixel's cheapest path so far, in one number: its cost, and below that its label. So the lower label wins a tie.
+using Path = uint64_t;
+constexpr int kCostShift = 32;
+constexpr Path kFar = std::numeric_limits<Path>::max();
+// Around the image. It has no label, and no path is cheaper.
+constexpr Path kMargin = std::numeric_limits<uint32_t>::max();
+
+Path path_of(int32_t label) { return static_cast<uint32_t>(label); }
+int32_t label_of(Path path) { return static_cast<int32_t>(static_cast<uint32_t>(path)); }
+int64_t cost_of(Path path) { return static_cast<int64_t>(path >> kCostShift); }
+
+// Costs of the steps from a pixel to the right, down, down and right, and down and left.
+using Steps = std::array<uint16_t, 4>;
+
+// Rows of an image: three colours and the boundary strength.
+struct Rows {
+  const float *red, *green, *blue, *strength;
 };
 
-// Dijkstra's algorithm with one bucket per cost (Dial 1969): the cost of a step is at least
-// 1 and less than the number of buckets.
+struct Weights {
+  float color, boundary;
+};
+
+// Costs of the steps from pixels first, ..., last - 1 of a row to those `right` further, in the same row or another.
+void step_costs(const Rows& from, const Rows& to, int64_t right, int64_t first, int64_t last, float length,
+                Weights weights, float* cost) {
+  constexpr float kRound = 12582912;  // adding it leaves no bits for a fraction: rounds half to even
+  for (int64_t x = first; x < last; ++x) {
+    const int64_t there = x + right;
+    const float red = from.red[x] - to.red[there], green = from.green[x] - to.green[there];
+    const float blue = from.blue[x] - to.blue[there];
+    const float distance = std::sqrt(red * red + green * green + blue * blue);
+    const float boundary = std::min(from.strength[x], to.strength[there]);
+    cost[x] = (kUnits * (length + weights.color * distance + weights.boundary * boundary) + kRound) - kRound;
+  }
+}
+
+// Dijkstra's algorithm with buckets of costs (Dial 1969). A bucket is as wide as the cheapest step, so the paths in it
+// are final, in any order. The image has a margin of one pixel, which no path enters.
 class LabelPropagation {
  public:
-  LabelPropagation(std::vector<Pixel> pixels, int64_t height, int64_t width, float color_weight, float boundary_weight)
-      : pixels_(std::move(pixels)), height_(height), width_(width), color_weight_(color_weight),
-        boundary_weight_(boundary_weight), cost_(pixels_.size(), kFar),
-        buckets_(static_cast<size_t>(kUnits * (kDiagonal + 1.7320509f * color_weight + boundary_weight)) + 3) {}
+  LabelPropagation(int64_t height, int64_t width, Weights weights)
+      : height_(height), width_(width), stride_(width + 2), steps_((height + 2) * stride_),
+        path_((height + 2) * stride_), weights_(weights),
+        buckets_(static_cast<size_t>(kDiagonal + 1.7320509f * weights.color + weights.boundary) + 4) {
+    std::fill_n(path_.data(), path_.size(), kMargin);
+    std::fill_n(steps_.data(), steps_.size(), Steps{kUnits, kUnits, kUnits, kUnits});  // so that none enters the margin
+  }
 
-  // Markers are the labels >= 0.
-  void run(int32_t* labels) {
-    for (size_t pixel = 0; pixel < cost_.size(); ++pixel) {
-      if (labels[pixel] >= 0) reach(static_cast<int32_t>(pixel), 0);
+  // Sets the costs of all steps, from planes [height, width].
+  void set_costs(const float* colors, const float* strength) {
+    const int64_t plane = height_ * width_;
+    const auto rows = [&](int64_t row) {
+      const float* const red = colors + row * width_;
+      return Rows{red, red + plane, red + 2 * plane, strength + row * width_};
+    };
+    std::array<std::vector<float>, 4> cost;
+    for (std::vector<float>& line : cost) line.assign(width_, kUnits);
+    for (int64_t row = 0; row < height_; ++row) {
+      const Rows here = rows(row);
+      step_costs(here, here, 1, 0, width_ - 1, 1, weights_, cost[0].data());
+      if (row + 1 < height_) {
+        const Rows below = rows(row + 1);
+        step_costs(here, below, 0, 0, width_, 1, weights_, cost[1].data());
+        step_costs(here, below, 1, 0, width_ - 1, kDiagonal, weights_, cost[2].data());
+        step_costs(here, below, -1, 1, width_, kDiagonal, weights_, cost[3].data());
+      }
+      Steps* const out = &steps_[place(row, 0)];
+      for (int64_t x = 0; x < width_; ++x) {
+        for (int step = 0; step < 4; ++step) out[x][step] = static_cast<uint16_t>(static_cast<int32_t>(cost[step][x]));
+      }
     }
-    for (int32_t cost = 0; waiting_ > 0; ++cost) {
-      std::vector<int32_t>& bucket = buckets_[cost % buckets_.size()];
+  }
+
+  // Labels all pixels from the markers, which are the labels >= 0; there must be one.
+  void run(const int32_t* markers) {
+    for_each_pixel([&](int64_t pixel, int64_t here) {
+      if (markers[pixel] >= 0) {
+        reach(here, path_of(markers[pixel]));
+      } else {
+        path_[here] = kFar;
+      }
+    });
+    spread();
+  }
+
+  // Labels anew the connected parts of one label that contain fewer markers than `least`, from the other parts.
+  void settle_specks(const int32_t* markers, int64_t least) {
+    std::vector<int32_t> root;
+    const Array<int32_t> part = parts(root);
+    std::vector<int64_t> count(root.size());
+    for_each_pixel([&](int64_t pixel, int64_t here) {
+      if (markers[pixel] >= 0) ++count[root[part[here]]];
+    });
+    std::vector<uint8_t> stays(root.size());
+    bool all_stay = true, any_stays = false;
+    for (size_t i = 0; i < root.size(); ++i) {
+      stays[i] = count[root[i]] >= least;
+      all_stay &= stays[i];
+      any_stays |= stays[i];
+    }
+    if (all_stay || !any_stays) return;
+    for_each_pixel([&](int64_t, int64_t here) {
+      path_[here] = stays[part[here]] ? path_of(label_of(path_[here])) : kFar;
+    });
+    for_each_pixel([&](int64_t, int64_t here) {
+      if (path_[here] != kFar) return;
+      for (const int64_t offset : {-stride_ - 1, -stride_, -stride_ + 1, int64_t{-1}, int64_t{1}, stride_ - 1, stride_,
+                                   stride_ + 1}) {
+        const Path next = path_[here + offset];
+        if (next != kFar && next != kMargin) reach(here + offset, next);
+      }
+    });
+    spread();
+  }
+
+  void copy_labels(int32_t* labels) const {
+    for_each_pixel([&](int64_t pixel, int64_t here) { labels[pixel] = label_of(path_[here]); });
+  }
+
+ private:
+  int64_t place(int64_t row, int64_t x) const { return (row + 1) * stride_ + x + 1; }
+
+  template <typename Function>
+  void for_each_pixel(Function&& function) const {
+    for (int64_t row = 0; row < height_; ++row) {
+      for (int64_t x = 0; x < width_; ++x) function(row * width_ + x, place(row, x));
+    }
+  }
+
+  void reach(int64_t here, Path path) {
+    path_[here] = path;
+    buckets_[cost_of(path) / kUnits % buckets_.size()].push_back(static_cast<int32_t>(here));
+    ++waiting_;
+  }
+
+  void spread() {
+    for (int64_t number = 0; waiting_ > 0; ++number) {
+      std::vector<int32_t>& bucket = buckets_[number % buckets_.size()];
       waiting_ -= bucket.size();
-      for (const int32_t pixel : bucket) {
-        if (cost_[pixel] == cost) leave(pixel, cost, labels);
+      for (const int32_t here : bucket) {
+        if (cost_of(path_[here]) / kUnits == number) leave(here);  // else a cheaper path came later
       }
       bucket.clear();
     }
   }
 
- private:
-  void reach(int32_t pixel, int32_t cost) {
-    cost_[pixel] = cost;
-    buckets_[cost % buckets_.size()].push_back(pixel);
-    ++waiting_;
+  void leave(int64_t here) {
+    const Path path = path_[here];
+    const Steps& own = steps_[here];
+    step(path, own[0], here + 1);
+    step(path, own[1], here + stride_);
+    step(path, own[2], here + stride_ + 1);
+    step(path, own[3], here + stride_ - 1);
+    step(path, steps_[here - 1][0], here - 1);
+    step(path, steps_[here - stride_][1], here - stride_);
+    step(path, steps_[here - stride_ - 1][2], here - stride_ - 1);
+    step(path, steps_[here - stride_ + 1][3], here - stride_ + 1);
   }
 
-  void leave(int32_t pixel, int32_t cost, int32_t* labels) {
-    const int64_t row = pixel / width_, column = pixel % width_;
-    for (const Step& step : kSteps) {
-      if (row + step.down < 0 || row + step.down >= height_) continue;
-      if (column + step.right < 0 || column + step.right >= width_) continue;
-      const int32_t next = static_cast<int32_t>(pixel + step.down * width_ + step.right);
-      if (cost_[next] < cost + step.least) continue;
-      const int32_t there = cost + cost_of(pixels_[pixel], pixels_[next], step.length);
-      if (there < cost_[next]) {
-        reach(next, there);
-        labels[next] = labels[pixel];
-      } else if (there == cost_[next]) {
-        labels[next] = std::min(labels[next], labels[pixel]);
-      }
+  void step(Path path, uint16_t cost, int64_t next) {
+    const Path there = path + (static_cast<Path>(cost) << kCostShift);
+    if (there >= path_[next]) return;
+    if (cost_of(there) < cost_of(path_[next])) {
+      reach(next, there);
+    } else {
+      path_[next] = there;  // the lower label; the pixel already waits
     }
   }
 
-  int32_t cost_of(const Pixel& a, const Pixel& b, float length) const {
-    const float red = a.red - b.red, green = a.green - b.green, blue = a.blue - b.blue;
-    const float distance = std::sqrt(red * red + green * green + blue * blue);
-    const float boundary = std::min(a.boundary, b.boundary);
-    return static_cast<int32_t>(
-        std::nearbyint(kUnits * (length + color_weight_ * distance + boundary_weight_ * boundary)));
+  // A number for each pixel. Pixels are connected by one label (8-neighbourhood) if their numbers have one root.
+  Array<int32_t> parts(std::vector<int32_t>& parent) const {
+    Array<int32_t> part(path_.size());
+    const auto find = [&](int32_t number) {
+      while (parent[number] != number) number = parent[number] = parent[parent[number]];
+      return number;
+    };
+    for_each_pixel([&](int64_t, int64_t here) {
+      const auto same = [&](int64_t there) { return label_of(path_[there]) == label_of(path_[here]); };
+      const int64_t left = here - 1, above = here - stride_, corner = above + 1;
+      // Pixels above are in one part with their own neighbours, so at most two of the four have to be looked at.
+      int64_t first = same(left) ? left : above - 1;
+      if (same(above)) first = above;
+      if (!same(above) && same(corner)) {
+        if (same(first)) parent[find(part[first])] = find(part[corner]);
+        first = corner;
+      }
+      if (same(first)) {
+        part[here] = part[first];
+      } else {
+        part[here] = static_cast<int32_t>(parent.size());
+        parent.push_back(part[here]);
+      }
+    });
+    for (int32_t& number : parent) number = find(number);
+    return part;
   }
 
-  std::vector<Pixel> pixels_;
-  int64_t height_, width_;
-  float color_weight_, boundary_weight_;
-  std::vector<int32_t> cost_;
+  const int64_t height_, width_, stride_;
+  Array<Steps> steps_;
+  Array<Path> path_;
+  const Weights weights_;
   std::vector<std::vector<int32_t>> buckets_;
-  size_t waiting_ = 0;
+  int64_t waiting_ = 0;
 };
 
-float checked_share(float value, const char* name, int64_t position) {
-  if (!(value >= 0 && value <= 1)) [[unlikely]] {
-    fail(name, ": expected numbers in [0, 1], got ", value, " at ", position);
+void check_shares(const float* values, int64_t count, const char* name) {
+  int32_t bad = 0;
+  for (int64_t i = 0; i < count; ++i) bad |= !(values[i] >= 0) | !(values[i] <= 1);
+  for (int64_t i = 0; bad && i < count; ++i) {
+    if (!(values[i] >= 0 && values[i] <= 1)) fail(name, ": expected numbers in [0, 1], got ", values[i], " at ", i);
   }
-  return value;
 }
 
 Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tensor& boundary, double color_weight,
-                     double boundary_weight) {
+                        double boundary_weight, int64_t min_markers) {
   const Tensor marker = checked_array(markers, ScalarType::Int, {-1, -1}, "markers");
   const int64_t height = marker.size(0), width = marker.size(1), num_pixels = height * width;
   check_image_size(height, width);
@@ -113,24 +237,28 @@ Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tenso
   check(color_weight >= 0 && color_weight <= kMaxWeight, "color_weight: expected 0 to 1000, got ", color_weight);
   check(boundary_weight >= 0 && boundary_weight <= kMaxWeight, "boundary_weight: expected 0 to 1000, got ",
         boundary_weight);
+  check(min_markers >= 0, "min_markers: expected a number >= 0, got ", min_markers);
   // The cheapest path costs at most as much as a straight path. A straight path has fewer steps than this limit, and
   // each step costs less than 2^15, so the sum fits 32 bits.
   check(std::max(height, width) < (1 << 16), "markers: expected sides of fewer than 2^16 pixels, got ", height, " x ",
         width);
+  check((height + 2) * (width + 2) <= kMaxCount, "markers: expected fewer than 2^31 pixels with a margin of one, got ",
+        height, " x ", width);
+  check_shares(color.const_data_ptr<float>(), 3 * num_pixels, "colors");
+  check_shares(boundaries.const_data_ptr<float>(), num_pixels, "boundary");
 
-  const float* const plane = color.const_data_ptr<float>();
-  const float* const strength = boundaries.const_data_ptr<float>();
-  std::vector<Pixel> pixels(num_pixels);
-  for (int64_t i = 0; i < num_pixels; ++i) {
-    pixels[i] = {checked_share(plane[i], "colors", i), checked_share(plane[i + num_pixels], "colors", i + num_pixels),
-                 checked_share(plane[i + 2 * num_pixels], "colors", i + 2 * num_pixels),
-                 checked_share(strength[i], "boundary", i)};
-  }
   Tensor labels = torch::stable::new_empty(marker, {height, width}, ScalarType::Int);
+  const int32_t* const given = marker.const_data_ptr<int32_t>();
   int32_t* const out = labels.mutable_data_ptr<int32_t>();
-  std::copy_n(marker.const_data_ptr<int32_t>(), num_pixels, out);
-  LabelPropagation(std::move(pixels), height, width, static_cast<float>(color_weight), static_cast<float>(boundary_weight))
-      .run(out);
+  if (std::all_of(given, given + num_pixels, [](int32_t label) { return label < 0; })) {
+    std::copy_n(given, num_pixels, out);
+    return labels;
+  }
+  LabelPropagation propagation(height, width, {static_cast<float>(color_weight), static_cast<float>(boundary_weight)});
+  propagation.set_costs(color.const_data_ptr<float>(), boundaries.const_data_ptr<float>());
+  propagation.run(given);
+  if (min_markers > 1) propagation.settle_specks(given, min_markers);
+  propagation.copy_labels(out);
   return labels;
 }
 
@@ -138,8 +266,8 @@ Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tenso
 
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def(
-      "propagate_labels(Tensor markers, Tensor colors, Tensor boundary, float color_weight, float boundary_weight)"
-      " -> Tensor");
+      "propagate_labels(Tensor markers, Tensor colors, Tensor boundary, float color_weight, float boundary_weight,"
+      " int min_markers=1) -> Tensor");
 }
 
 STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {

@@ -109,20 +109,20 @@ def write_forest(path: Path, forest: Forest) -> None:
 
 
 def read_forest(path: Path) -> Forest:
-    """Reads and checks a forest's file. OpenCV does not check it, so check before OpenCV reads it.
+    """Reads and checks a forest's file.
 
     Raises:
         FileNotFoundError: there is no such file.
         ValueError: the file is incomplete, is no structured forest, or its options differ from those used here.
     """
-    text = read_text(path)
+    text = _read_text(path)
     try:
         return _parse(text)
     except (ValueError, OverflowError) as error:
         raise ValueError(f"{path}: not a structured forest as OpenCV reads it: {error}") from error
 
 
-def read_text(path: Path) -> bytes:
+def _read_text(path: Path) -> bytes:
     """The content of a file, decompressed and checked to be complete; errors as in :func:`read_forest`."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a structured forest, NAME.yml.gz")

@@ -18,7 +18,7 @@ from torchjoint.views.visibility import Visible
 BOUNDARY_SHARE = 0.5
 
 #: A connected part of one label with fewer points is given to its neighbours: one point alone is mostly one of the
-#: background that is seen through a gap.
+#: background that is seen through a gap. Points in the same pixel count as one.
 MIN_POINTS = 2
 
 #: An initial segment without points keeps its own id if its area would hold this many points at the image's mean point
@@ -44,8 +44,7 @@ def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config
     height, width = seen.labels.shape
     markers = nearest_labels(seen.visible, point_labels, (height, width))
     image = path_costs(seen, config)
-    labels = ops.propagate_labels(markers, *image)
-    labels = ops.propagate_labels(without_specks(labels, markers >= 0), *image)
+    labels = ops.propagate_labels(markers, *image, MIN_POINTS)
     return _keep_unseen(labels, markers >= 0, seen.labels, num_segments)
 
 
@@ -76,24 +75,6 @@ def nearest_labels(visible: Visible, point_labels: Tensor, size: tuple[int, int]
     return labels.view(size)
 
 
-def without_specks(labels: Tensor, hit: Tensor) -> Tensor:
-    """Sets the connected parts of one label that contain fewer than MIN_POINTS points to -1.
-
-    Such parts mostly come from background points that are seen through gaps between foreground points.
-
-    Args:
-        labels: [H, W] int32.
-        hit: [H, W] bool, pixels with points; points in the same pixel count as one.
-
-    Returns:
-        [H, W] int32; the labels unchanged if no part would remain.
-    """
-    part = ops.felzenszwalb_image(labels.float()[None, None], scale=1e-9)[0]  # connected parts of equal labels
-    num_points = torch.bincount(part[hit], minlength=int(part.max()) + 1 if part.numel() else 0)
-    stays = num_points >= MIN_POINTS
-    return labels if not stays.any() else torch.where(stays[part], labels, -1)
-
-
 def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) -> tuple[Tensor, int]:
     """Gives an initial segment without points its own id if its area would hold UNSEEN points at the mean density.
 
@@ -114,6 +95,8 @@ def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) 
     num_hit = torch.bincount(segment[hit.view(-1)], minlength=num_initial + 1)[1:]
     num_points = int(hit.sum())  # points in the same pixel count as one
     unseen = (num_hit == 0) & ((area * num_points >= UNSEEN * hit.numel()) | (num_points == 0))
+    if not unseen.any():
+        return torch.where(initial < 0, initial.to(torch.int32), labels), first_free
     kept = by_first_appearance(initial, unseen)
     names = torch.full((num_initial,), -1, dtype=torch.int32)
     names[kept] = first_free + torch.arange(len(kept), dtype=torch.int32)

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import Config
-from torchjoint.labels.geodesic import nearest_labels, path_costs, without_specks
+from torchjoint.labels.geodesic import MIN_POINTS as SPECK
+from torchjoint.labels.geodesic import nearest_labels, path_costs
 from torchjoint.scene import Masks
 from torchjoint.views.observation import Observation
 
@@ -55,16 +56,13 @@ def label_masks(
     of_atom, num_private = _labels_of_atoms(seen, masks, point_labels, num_segments)
     of_pixel = of_atom.to(torch.int32)[masks.atom]
     markers = nearest_labels(seen.visible, point_labels, masks.size)
-    hit = markers >= 0
     whole = torch.where(
         of_pixel < num_segments, of_pixel, -1
     )  # what is named elsewhere spreads; what is alone does not
     colors, outlines, color_weight, _ = path_costs(seen, config)
-    image = colors, outlines, color_weight, OUTLINE_WEIGHT
-    labels = ops.propagate_labels(torch.where(whole >= 0, whole, markers), *image)
-    settled = torch.where(whole >= 0, whole, without_specks(labels, hit))
-    if not torch.equal(settled, labels):
-        labels = ops.propagate_labels(settled, *image)
+    markers = torch.where(whole >= 0, whole, markers)
+    labels = ops.propagate_labels(markers, colors, outlines, color_weight, OUTLINE_WEIGHT, SPECK)
+    labels = torch.where(whole >= 0, whole, labels)
     return torch.where(of_pixel >= num_segments, of_pixel, labels), num_segments + num_private
 
 

@@ -21,6 +21,7 @@ from torchjoint.ops.region_merges import region_merges
 from torchjoint.ops.region_planes import region_planes
 from torchjoint.ops.segment_graphs import segment_graphs
 from torchjoint.ops.splat_depth import splat_depth
+from torchjoint.ops.structured_forest import structured_forest
 from torchjoint.ops.ultrametric_contours import ultrametric_contours
 from torchjoint.ops.window_overlaps import window_overlaps
 
@@ -41,6 +42,7 @@ __all__ = [
     "region_planes",
     "segment_graphs",
     "splat_depth",
+    "structured_forest",
     "ultrametric_contours",
     "window_overlaps",
 ]

@@ -11,7 +11,12 @@ from torchjoint.ops._checks import check_array, check_number
 
 
 def propagate_labels(
-    markers: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float
+    markers: Tensor,
+    colors: Tensor,
+    boundary: Tensor,
+    color_weight: float,
+    boundary_weight: float,
+    min_markers: int = 1,
 ) -> Tensor:
     """Geodesic label propagation: give each pixel the label of the marker with the cheapest path to the pixel.
 
@@ -21,12 +26,18 @@ def propagate_labels(
     larger the weights, the more labels meet at image edges. Of equally cheap paths the path from the lower label counts
     (image foresting transform with additive costs: A. Falcão, J. Stolfi, R. Lotufo, PAMI 2004).
 
+    Then each connected part of one label (8-neighbourhood) with fewer than `min_markers` markers loses its label. Its
+    pixels are labelled from the pixels of the other parts, all of which now count as markers. Nothing changes if no
+    part has enough markers.
+
     Args:
-        markers: ``[H, W]`` int32, labels; negative where there is no marker. Markers keep their labels.
+        markers: ``[H, W]`` int32, labels; negative where there is no marker. Markers keep their labels, except in
+            parts with too few of them.
         colors: ``[3, H, W]`` float32 RGB in [0, 1].
         boundary: ``[H, W]`` float32 in [0, 1], boundary strength.
         color_weight: cost of an RGB distance of 1, pixels; 0 to 1000.
         boundary_weight: cost of a boundary strength of 1, pixels; 0 to 1000.
+        min_markers: smallest number of markers in a connected part of one label; 0 and 1 allow any.
 
     Returns:
         ``[H, W]`` int32; a copy of ``markers`` if there are no markers at all. No gradient flows through it.
@@ -50,10 +61,18 @@ def propagate_labels(
     check_array("boundary", boundary, torch.float32, (height, width), f"[H, W] = [{height}, {width}]")
     check_number("color_weight", color_weight, (int, float))
     check_number("boundary_weight", boundary_weight, (int, float))
-    arguments = (markers, colors.detach(), boundary.detach(), float(color_weight), float(boundary_weight))
+    check_number("min_markers", min_markers, (int,))
+    arguments = (markers, colors.detach(), boundary.detach(), float(color_weight), float(boundary_weight), min_markers)
     return cast(Tensor, torch.ops.torchjoint.propagate_labels.default(*arguments))
 
 
 @torch.library.register_fake("torchjoint::propagate_labels")
-def _fake(markers: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float) -> Tensor:
+def _fake(
+    markers: Tensor,
+    colors: Tensor,
+    boundary: Tensor,
+    color_weight: float,
+    boundary_weight: float,
+    min_markers: int = 1,
+) -> Tensor:
     return markers.new_empty(markers.shape)

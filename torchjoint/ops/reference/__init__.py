@@ -1,5 +1,6 @@
 """Slow and simple Python versions of the compiled operators: the reference for tests, and easy to read."""
 
+from torchjoint.ops.reference.forest import structured_forest_reference
 from torchjoint.ops.reference.graphs import (
     felzenszwalb_reference,
     min_cut_reference,
@@ -44,6 +45,7 @@ __all__ = [
     "region_planes_reference",
     "segment_graphs_reference",
     "splat_depth_reference",
+    "structured_forest_reference",
     "ultrametric_contours_reference",
     "window_overlaps_reference",
 ]

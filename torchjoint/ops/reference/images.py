@@ -160,9 +160,47 @@ def ultrametric_contours_reference(boundary: Tensor, relief: Tensor) -> Tensor:
 
 
 def propagate_labels_reference(
-    markers: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float
+    markers: Tensor,
+    colors: Tensor,
+    boundary: Tensor,
+    color_weight: float,
+    boundary_weight: float,
+    min_markers: int = 1,
 ) -> Tensor:
     """What :func:`torchjoint.ops.propagate_labels` computes; the arguments are not checked."""
+    image = colors, boundary, color_weight, boundary_weight
+    if not (markers >= 0).any():
+        return markers.clone()
+    labels = _cheapest_labels(markers, *image)
+    parts = _connected_parts(labels)
+    stays = [sum(bool(markers[pixel] >= 0) for pixel in part) >= min_markers for part in parts]
+    if not any(stays):
+        return labels
+    kept = labels.clone()
+    for part, stay in zip(parts, stays, strict=True):
+        for pixel in part if not stay else ():
+            kept[pixel] = -1
+    return _cheapest_labels(kept, *image)
+
+
+def _connected_parts(labels: Tensor) -> list[list[tuple[int, int]]]:
+    """The pixels (row, column) of each connected part of one label, 8-neighbourhood."""
+    parts: list[list[tuple[int, int]]] = []
+    left = {(row, column) for row in range(labels.shape[0]) for column in range(labels.shape[1])}
+    while left:
+        part = [left.pop()]
+        for row, column in part:
+            for there in ((row + down, column + right) for down in (-1, 0, 1) for right in (-1, 0, 1)):
+                if there in left and labels[there] == labels[row, column]:
+                    left.remove(there)
+                    part.append(there)
+        parts.append(part)
+    return parts
+
+
+def _cheapest_labels(
+    markers: Tensor, colors: Tensor, boundary: Tensor, color_weight: float, boundary_weight: float
+) -> Tensor:
     height, width = markers.shape
     red, green, blue = colors.numpy()
     strength = boundary.numpy()

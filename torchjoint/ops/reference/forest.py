@@ -1,0 +1,144 @@
+"""Reference version of the structured forest (step 1); shapes and units are those of the operator."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+#: The image is mirrored by so many pixels on each side. A patch has 16 x 16 cells, a leaf 16 x 16 pixels.
+PADDING, PATCH = 8, 16
+NUM_CHANNELS, NUM_ORIENTATIONS = 13, 4
+#: Rows and columns of the cells whose differences are features; cells are numbered column by column.
+GRID = (1, 4, 8, 11, 14)
+#: OpenCV's polynomial for the arc tangent reaches 22.5 degrees, where orientations part, at this ratio.
+PARTING = 0.41412405
+_RGB_TO_XYZ = ((0.430574, 0.341550, 0.178325), (0.222015, 0.706655, 0.071330), (0.020183, 0.129553, 0.939180))
+
+
+def structured_forest_reference(
+    images: Tensor,
+    children: Tensor,
+    features: Tensor,
+    thresholds: Tensor,
+    boundary_counts: Tensor,
+    boundary_pixels: Tensor,
+    trees_per_site: int,
+    stride: int = 2,
+) -> Tensor:
+    """What :func:`torchjoint.ops.structured_forest` computes; the arguments are not checked."""
+    ends = boundary_counts.flatten().long().cumsum(0)
+    num_trees, length = children.shape
+    result = torch.zeros(len(images), *images.shape[2:])
+    for image, strength in zip(images, result, strict=True):
+        regular, similarity = forest_channels(image)
+        votes = torch.zeros_like(strength)
+        rows, columns = (range(0, max(0, size - PATCH), stride // 2) for size in regular.shape[1:])
+        for i, row in enumerate(rows):
+            for j, column in enumerate(columns):
+                patch = (part[:, row : row + PATCH, column : column + PATCH] for part in (regular, similarity))
+                values = _features(*patch)
+                for turn in range(trees_per_site):
+                    tree = ((i + j) % (2 * trees_per_site) + turn) % num_trees
+                    leaf = tree * length + _leaf(values, children[tree], features[tree], thresholds[tree])
+                    first = int(ends[leaf]) - int(boundary_counts.flatten()[leaf])
+                    for pixel in boundary_pixels[first : int(ends[leaf])].tolist():
+                        votes[2 * row + pixel % PATCH, 2 * column + pixel // PATCH] += 1
+        if strength.numel():
+            strength.copy_(triangle_filter(votes * (2.0 * stride**2 / PATCH**2 / trees_per_site), 1))
+    return result
+
+
+def _leaf(values: Tensor, children: Tensor, features: Tensor, thresholds: Tensor) -> int:
+    node = 0
+    while child := int(children[node]):
+        node = child - 1 if values[features[node]] < thresholds[node] else child
+    return node
+
+
+def _features(regular: Tensor, similarity: Tensor) -> Tensor:
+    """All 7228 features of a patch, from its cells in both kinds of channels [13, 16, 16]."""
+    cells = torch.stack([similarity[:, row, column] for column in GRID for row in GRID], dim=1)
+    first, second = torch.triu_indices(len(GRID) ** 2, len(GRID) ** 2, 1)
+    return torch.cat([regular.transpose(1, 2).flatten(), (cells[:, first] - cells[:, second]).flatten()])
+
+
+def forest_channels(image: Tensor) -> tuple[Tensor, Tensor]:
+    """The channels of an image [3, H, W], weakly and strongly smoothed, each [13, H / 2, W / 2] of the padded image.
+
+    They are L, u, v; then, for the image and for half of it, the magnitude of the gradient and 4 orientations.
+    """
+    for dim in (1, 2):
+        length = image.shape[dim]
+        image = image.index_select(dim, _mirrored(length, PADDING, PADDING + length % 2))
+    luv = rgb_to_luv(image)
+    half = _mean_of_cells(luv)
+    channels = [half]
+    for colors, cell in ((luv, 2), (half, 1)):
+        magnitude, orientation = _gradient(colors)
+        magnitude = magnitude / (triangle_filter(magnitude, 4) + 0.01)
+        channels.append((magnitude if cell == 1 else _mean_of_cells(magnitude))[None])
+        turns = torch.arange(NUM_ORIENTATIONS)[:, None, None]
+        parts = torch.where(orientation == turns, magnitude * (1 / cell**2), 0.0)
+        channels.append(parts if cell == 1 else _sum_of_cells(parts))
+    stacked = torch.cat(channels)
+    return triangle_filter(stacked, 1), triangle_filter(stacked, 4)
+
+
+def rgb_to_luv(image: Tensor) -> Tensor:
+    """Converts RGB [3, H, W] to CIE Luv with 1024 steps of lightness, all about in [0, 1]."""
+    red, green, blue = image
+    x, y, z = ((a * red + b * green) + c * blue for a, b, c in _RGB_TO_XYZ)
+    steps = torch.arange(1024, dtype=torch.float64) / 1024
+    slope = 29**3 / 27
+    table = torch.where(steps > 8 / slope, 116 * steps.pow(1 / 3) - 16, steps * slope) / 270
+    lightness = table.float()[(1024 * y).clamp(0, 1023).long()]
+    n = 1 / (((x + 15 * y) + 3 * z) + 1e-35)
+    u = lightness * ((52 * x) * n - 13 * 0.197833) + 88 / 270
+    v = lightness * ((117 * y) * n - 13 * 0.468331) + 134 / 270
+    return torch.stack([lightness, u, v])
+
+
+def triangle_filter(values: Tensor, radius: int) -> Tensor:
+    """Filters [..., H, W] with weights that fall linearly with distance up to `radius`."""
+    for dim in (-1, -2):
+        length = values.shape[dim]
+        padded = values.index_select(dim, _mirrored(length, radius, radius, inner=True))
+        weights = [(radius + 1 - i) / (radius + 1) ** 2 for i in range(radius + 1)]
+        values = weights[0] * padded.narrow(dim, radius, length)
+        for i in range(1, radius + 1):
+            both = padded.narrow(dim, radius - i, length) + padded.narrow(dim, radius + i, length)
+            values = values + weights[i] * both
+    return values
+
+
+def _gradient(colors: Tensor) -> tuple[Tensor, Tensor]:
+    """Magnitude and orientation (0 to 3), [H, W] each, in the channel where the gradient is largest."""
+    height, width = colors.shape[1:]
+    rows, columns = _mirrored(height, 1, 1), _mirrored(width, 1, 1)
+    across = colors[:, :, columns[2:]] - colors[:, :, columns[:-2]]
+    down = colors[:, rows[2:]] - colors[:, rows[:-2]]
+    squared = across * across + down * down
+    best = squared.argmax(dim=0, keepdim=True)  # the first, if several are largest
+    across, down, squared = (values.gather(0, best)[0] for values in (across, down, squared))
+    wide, tall = across.abs(), down.abs()
+    diagonal = torch.where(across * down > 0, 1, 3)
+    orientation = torch.where(tall < PARTING * wide, 0, torch.where(wide < PARTING * tall, 2, diagonal))
+    orientation[(wide < 1e-5) & (tall < 1e-5)] = 2
+    return squared.double().sqrt().float(), orientation
+
+
+def _mirrored(length: int, before: int, after: int, inner: bool = False) -> Tensor:
+    """The places from -before to length + after, mirrored into [0, length); `inner`: the border is not repeated."""
+    line = list(range(length))
+    period = line + (line[-2:0:-1] if inner else line[::-1])
+    return torch.tensor([period[place % len(period)] for place in range(-before, length + after)], dtype=torch.int64)
+
+
+def _sum_of_cells(values: Tensor) -> Tensor:
+    above, below = values[..., ::2, :], values[..., 1::2, :]
+    return ((above[..., ::2] + above[..., 1::2]) + below[..., ::2]) + below[..., 1::2]
+
+
+def _mean_of_cells(values: Tensor) -> Tensor:
+    above, below = values[..., ::2, :], values[..., 1::2, :]
+    return ((above[..., ::2] + above[..., 1::2]) + (below[..., ::2] + below[..., 1::2])) * 0.25
