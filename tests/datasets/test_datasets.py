@@ -61,6 +61,7 @@ def test_a_cloud_is_fused_and_kept(tmp_path, synthetic):
     again = tj.load_scene(recording, cloud=kept)
     assert len(scene.points) > 1000
     assert torch.equal(scene.points, again.points)
+    assert torch.equal(scene.colors, again.colors)  # a run that resumes has the colours of one that did not stop
     fresh = tj.load_scene(recording, voxel_size=0.05)
     assert torch.equal(scene.points, fresh.points)
     # The fused cloud lies on what the sensor measured: most points are near one of the synthetic cloud's.

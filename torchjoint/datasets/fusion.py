@@ -24,7 +24,8 @@ def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: b
         progress: show a progress bar.
 
     Returns:
-        points [N, 3] metres and colours [N, 3] in [0, 1], sorted by coordinates: the order is deterministic.
+        points [N, 3] metres and colours [N, 3] in [0, 1], sorted by coordinates: the order is deterministic. Colours
+        have 8 bits, so that the cloud is the same after it was written to a file and read back.
 
     Raises:
         ValueError: no frame has depth, or the depth gives no surface.
@@ -64,4 +65,5 @@ def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: b
     if len(points) == 0:
         raise ValueError(f"depth: the {fused} depth images give no surface; expected metres, mostly below {FAR}")
     order = np.lexsort(points.T)
-    return torch.from_numpy(points[order]), torch.from_numpy(colors[order]).clamp(0, 1)
+    in_bytes = (torch.from_numpy(colors[order]).clamp(0, 1) * 255).round()
+    return torch.from_numpy(points[order]), (in_bytes.double() / 255).float()
