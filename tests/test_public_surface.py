@@ -14,8 +14,8 @@ DOCUMENTS = ["README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs"
 
 PUBLIC = {
     "torchjoint": """
-        Config Frame JointSegmenter Scene Segmentation Superpoints SuperpointsConfig datasets load_scene metrics ops
-        superpoints synthetic transforms
+        Config Frame JointSegmenter Result Scene Segmentation Superpoints SuperpointsConfig datasets load_result
+        load_scene metrics ops superpoints synthetic transforms
     """,
     "torchjoint.config": """
         DETECTORS STAGES BoundaryConfig Config ContoursConfig ImageGraphConfig ImageSegmentsConfig

@@ -13,6 +13,7 @@ from torchjoint import datasets, metrics, ops, synthetic, transforms
 from torchjoint.config import Config, SuperpointsConfig
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
+from torchjoint.results.result import Result, load_result
 from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.superpoints import Superpoints, superpoints
 
@@ -22,11 +23,13 @@ __all__ = [
     "Config",
     "Frame",
     "JointSegmenter",
+    "Result",
     "Scene",
     "Segmentation",
     "Superpoints",
     "SuperpointsConfig",
     "datasets",
+    "load_result",
     "load_scene",
     "metrics",
     "ops",

@@ -13,6 +13,7 @@ from torchjoint.cli.benchmark import benchmark
 from torchjoint.cli.demo import demo
 from torchjoint.cli.evaluate import evaluate
 from torchjoint.cli.evaluate_boundaries import evaluate_boundaries
+from torchjoint.cli.export import export
 from torchjoint.cli.paper_tables import paper_tables
 from torchjoint.cli.parameters import parameters
 from torchjoint.cli.segment import segment
@@ -42,6 +43,7 @@ def main() -> None:
             "evaluate-boundaries": evaluate_boundaries,
             "paper-tables": paper_tables,
             "show": show,
+            "export": export,
             "parameters": parameters,
         }
         tyro.extras.subcommand_cli_from_dict(commands, prog="torchjoint")
