@@ -13,7 +13,8 @@ from torchjoint import datasets, metrics, ops, synthetic, transforms
 from torchjoint.config import Config, SuperpointsConfig
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
-from torchjoint.results.result import Result, load_result
+from torchjoint.results.loading import load_result
+from torchjoint.results.result import Result
 from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.superpoints import Superpoints, superpoints
 

@@ -165,16 +165,6 @@ def test_a_folder_in_the_way_is_left_alone(recording, run, tmp_path):
     assert mine.read_text() == "precious"
 
 
-def test_show(out, run, capsys):
-    run("show", out, "--no-open-browser")
-    page = out / "viewer.html"
-    assert str(page) in capsys.readouterr().out
-    text = page.read_text(encoding="utf-8")
-    assert "scatter3d" in text
-    assert "<script src=" not in text  # needs no network
-    page.unlink()
-
-
 def test_show_of_something_else(run, tmp_path):
     with pytest.raises(SystemExit, match=r"points\.npz: missing; expected a folder that `torchjoint segment` wrote"):
         run("show", tmp_path)

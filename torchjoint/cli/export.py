@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 import tyro
 
 from torchjoint.results.exports import FORMATS, SUFFIXES
-from torchjoint.results.result import Result, load_result
+from torchjoint.results.loading import load_result
+from torchjoint.results.result import Result
 
 
 def export(

@@ -49,5 +49,5 @@ def main() -> None:
         tyro.extras.subcommand_cli_from_dict(commands, prog="torchjoint")
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
-    except (ValueError, TypeError, OSError) as error:
+    except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
         sys.exit(f"torchjoint: error: {error}")

@@ -10,6 +10,7 @@ import tyro
 from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out, check_max_frames
+from torchjoint.cli.show import show_result
 from torchjoint.datasets import load_scene
 from torchjoint.datasets.files import fingerprint
 from torchjoint.joint import JointSegmenter
@@ -30,6 +31,7 @@ def segment(
     in_view: bool = False,
     thin: float | None = None,
     granularity: float | None = None,
+    show: bool = False,
 ) -> None:
     """Segments a recording: a folder of posed frames, with or without a point cloud.
 
@@ -47,6 +49,7 @@ def segment(
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5. All levels are saved in any case.
             Only point_segments.method learned has levels (auto, if the cloud is no scan).
+        show: show the result in the browser, as `torchjoint show` does.
     """
     config = parameters.config()
     check_max_frames(max_frames)
@@ -78,3 +81,4 @@ def segment(
         write_result(partial, loaded, result, config, str(scene), 0.5 if granularity is None else granularity)
         shutil.rmtree(partial / "state")
     summarize(result, out)
+    show_result(out, show)

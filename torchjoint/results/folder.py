@@ -166,10 +166,33 @@ def read_config(folder: Path) -> Config:
         FileNotFoundError: there is no run.yaml.
         ValueError, TypeError: run.yaml is damaged; the message names the file.
     """
+    return read_yaml(_run_file(folder), lambda record: Config.from_dict(record.get("config")), "a record of a run")
+
+
+def read_source(folder: Path) -> str:
+    """The input of the run that made a result: the recording's path, as `segment` was given it.
+
+    Raises:
+        FileNotFoundError: there is no run.yaml.
+        ValueError, TypeError: run.yaml is damaged; the message names the file.
+    """
+    return read_yaml(_run_file(folder), lambda record: str(record.get("scene")), "a record of a run")
+
+
+def read_granularity(folder: Path) -> float | None:
+    """The level of a result's labels; None if it has no levels. Raises as :func:`read_source`."""
+
+    def level(record: Any) -> float | None:
+        return None if record.get("granularity") is None else float(record["granularity"])
+
+    return read_yaml(_run_file(folder), level, "a record of a run")
+
+
+def _run_file(folder: Path) -> Path:
     file = folder / "run.yaml"
     if not file.is_file():
         raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
-    return read_yaml(file, lambda record: Config.from_dict(record.get("config")), "a record of a run")
+    return file
 
 
 def _image_names(result: Segmentation) -> list[str]:

@@ -33,7 +33,7 @@ def oriented_box(points: Array, up: Array) -> OrientedBox:
     """
     import cv2
 
-    level = _level_axes(up)
+    level = level_axes(up)
     origin = points.mean(0)
     footprint = (points - origin) @ level.T
     corners = cv2.boxPoints(cv2.minAreaRect(footprint.astype(np.float32))).astype(np.float64)
@@ -49,7 +49,7 @@ def oriented_box(points: Array, up: Array) -> OrientedBox:
     return OrientedBox(origin + (low + high) / 2 @ axes, high - low, axes)
 
 
-def _level_axes(up: Array) -> Array:
+def level_axes(up: Array) -> Array:
     """Two directions across `up`, [2, 3]."""
     across = np.eye(3)[int(np.argmin(np.abs(up)))]
     first = across - up * (across @ up)

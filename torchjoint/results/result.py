@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from pathlib import Path
 
 from torchjoint.config import Config
 from torchjoint.results.crops import Crop, best_crops
-from torchjoint.results.folder import read_config, read_points, read_result
-from torchjoint.results.inputs import CAMERAS, read_inputs
 from torchjoint.results.objects import SegmentRecord, segment_records
 from torchjoint.scene import Scene, Segmentation
 
@@ -20,10 +18,12 @@ class Result(Segmentation):
     Attributes:
         scene: the cloud, and the frames in the order of the images. Frames are read when they are used.
         config: the parameters of the run; None if unknown.
+        segment_names: names that were given by hand, by id.
     """
 
     scene: Scene = field(kw_only=True)
     config: Config | None = field(default=None, kw_only=True)
+    segment_names: Mapping[int, str] = field(default_factory=dict, kw_only=True)
 
     @classmethod
     def of(cls, segmentation: Segmentation, scene: Scene, config: Config | None = None) -> Result:
@@ -68,28 +68,3 @@ class Result(Segmentation):
             ValueError: an unknown id, k < 1, or a negative margin; or the result's frames are not there.
         """
         return best_crops(self.scene, self, segment, k, margin)
-
-
-def load_result(folder: str | Path) -> Result:
-    """Reads a folder that ``torchjoint segment`` wrote: labels, all levels, the cloud, cameras and parameters.
-
-    Images and frames are read when they are used, in the order of their names. Frames have the images as they were
-    saved, in JPEG. A result of an earlier version has no frames.
-
-    Args:
-        folder: the result.
-
-    Raises:
-        FileNotFoundError: a file is missing.
-        ValueError, TypeError: a file is damaged; the message names it.
-
-    Example:
-        >>> result = load_result("out/")  # doctest: +SKIP
-        >>> result.images[0], result.at(0.3), result.crops(7, k=3)[0].image  # doctest: +SKIP
-    """
-    folder = Path(folder)
-    segmentation, stored, config = read_result(folder), read_points(folder), read_config(folder)
-    frames = read_inputs(folder, segmentation.names) if (folder / CAMERAS).is_file() else ()
-    scene = Scene(stored.points, frames, stored.colors, name=folder.resolve().name)
-    values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
-    return Result(**values, scene=scene, config=config)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -77,3 +79,26 @@ def _largest_plane(normals: Tensor, up: Tensor, angle: float) -> Tensor | None:
     for _ in range(3):
         best = torch.nn.functional.normalize(near[near @ best > flat].mean(0), dim=0)
     return best if int((near @ best > flat).sum()) >= SMALLEST_SHARE * len(normals) else None
+
+
+def view_from_above(scene: Scene, up: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], ...]:
+    """A view of the whole cloud: its centre, and a position above and behind it, as seen from where the cameras look.
+
+    Args:
+        scene: the cloud and its frames.
+        up: [3] unit length.
+
+    Returns:
+        two positions [3], metres.
+    """
+    points = scene.points[:: -(-len(scene.points) // SAMPLED)].double().numpy()
+    center = np.median(points, axis=0)
+    radius = max(float(np.quantile(np.linalg.norm(points - center, axis=1), 0.9)), 1e-6)
+    count = min(16, len(scene.frames))
+    chosen = np.linspace(0, max(len(scene.frames) - 1, 0), count).astype(int).tolist()
+    forward = sum((scene.frames[i].world_to_camera[2, :3].numpy() for i in chosen), np.zeros(3))
+    forward = forward - up * (forward @ up)
+    if np.linalg.norm(forward) < 0.1 * max(count, 1):  # cameras that look down, or in all directions
+        forward = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    forward = forward / np.linalg.norm(forward) - 0.7 * up
+    return center, center - 2.2 * radius * forward / np.linalg.norm(forward)
