@@ -38,3 +38,8 @@ __all__ = [
     "synthetic",
     "transforms",
 ]
+
+
+def __dir__() -> list[str]:
+    """What completion offers after `tj.`: the public names alone."""
+    return [*__all__, "__version__"]

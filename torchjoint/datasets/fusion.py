@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import torch
@@ -15,6 +16,16 @@ from torchjoint.scene import Frame
 FAR = 5.0
 
 
+@contextmanager
+def _lost_if_interrupted() -> Iterator[None]:
+    """An interrupt inside says that the volume, which is in memory alone, is lost."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        raise KeyboardInterrupt("the cloud was being fused from depth, which starts over") from stop
+
+
+@_lost_if_interrupted()
 def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: bool = False) -> tuple[Tensor, Tensor]:
     """Fuses depth images into a truncated signed distance volume (Curless and Levoy 1996) and extracts its surface.
 

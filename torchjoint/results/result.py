@@ -11,7 +11,7 @@ from torchjoint.results.objects import SegmentRecord, segment_records
 from torchjoint.scene import Scene, Segmentation
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result(Segmentation):
     """A :class:`~torchjoint.Segmentation` that knows its scene: segments can be measured, cut out and cropped.
 

@@ -55,6 +55,10 @@ class Frame:
         if self.labels is not None:
             set_("labels", as_labels(self.labels, self.size, self._called("labels")))
 
+    def __repr__(self) -> str:
+        has = "".join(f", {name}" for name in ("depth", "labels") if getattr(self, name) is not None)
+        return f"Frame({self.name!r}: {self.size[1]} x {self.size[0]} pixels{has})"
+
     def _called(self, argument: str) -> str:
         return f"{argument} of frame {self.name!r}" if self.name else argument
 

@@ -59,6 +59,13 @@ class Segmentation:
     hierarchy: Hierarchy | None = None
     piece_images: Sequence[Tensor] = ()
 
+    def __repr__(self) -> str:
+        levels = ", all levels" if self.hierarchy is not None else ""
+        return (
+            f"{type(self).__name__}({len(self.points)} points in {self.num_point_segments} segments, "
+            f"{len(self.images)} images{levels})"
+        )
+
     @property
     def num_point_segments(self) -> int:
         """Number of segments of the cloud."""
