@@ -88,16 +88,16 @@ def superpoints(
         (tensor([0, 1]), tensor([400, 400]))
     """
     if isinstance(points, np.ndarray):
-        given = (points, colors, normals, edges, faces, ptr, viewpoint)
-        return _labels(*map(_as_tensor, given), preset, parameters).numpy()  # type: ignore[arg-type]
-    return _labels(points, colors, normals, edges, faces, ptr, viewpoint, preset, parameters)
+        values = [_as_tensor(value) for value in (points, colors, normals, edges, faces, ptr, viewpoint)]
+        return _segment_batch(*values, preset=preset, parameters=parameters).numpy()
+    return _segment_batch(points, colors, normals, edges, faces, ptr, viewpoint, preset=preset, parameters=parameters)
 
 
 def _as_tensor(values: Any) -> Any:
     return torch.from_numpy(np.array(values, order="C")) if isinstance(values, np.ndarray) else values
 
 
-def _labels(
+def _segment_batch(
     points: Tensor,
     colors: Tensor | None,
     normals: Tensor | None,
@@ -105,6 +105,7 @@ def _labels(
     faces: Tensor | None,
     ptr: Tensor | None,
     viewpoint: Tensor | None,
+    *,
     preset: str | SuperpointsConfig,
     parameters: dict[str, float | str],
 ) -> Tensor:
@@ -158,7 +159,7 @@ class Superpoints(nn.Module):
         ptr: Tensor | None = None,
     ) -> Tensor:
         """Labels [N] int64 of points [N, 3]; arguments and errors as in :func:`superpoints`."""
-        return superpoints(points, colors, normals, ptr=ptr, preset=self.preset, **self.parameters_given)  # type: ignore[arg-type]
+        return superpoints(points, colors, normals, ptr=ptr, preset=self.preset, **self.parameters_given)  # type: ignore[type-var, return-value]
 
     def extra_repr(self) -> str:
         """The parameters, printed as part of the module."""

@@ -88,7 +88,7 @@ class AddSuperpoints:
         faces = given.get("faces")
         if faces is not None and not isinstance(sample, Mapping) and faces.ndim == 2 and faces.shape[1] != 3:
             given["faces"] = faces.T
-        labels = superpoints(points, **given, preset=self.preset, **self.parameters)  # type: ignore[arg-type]
+        labels = superpoints(points, **given, preset=self.preset, **self.parameters)
         if isinstance(sample, Mapping):
             return type(sample)({**sample, self.to: labels})  # type: ignore[call-arg]
         changed = copy.copy(sample)
