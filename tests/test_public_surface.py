@@ -38,7 +38,8 @@ PUBLIC = {
         mean_best_iou objects_and_parts scannet_average_precision segmentation_covering undersegmentation_error
     """,
     "torchjoint.datasets": """
-        colmap folder kitti lidar_image list_scenes load_scene nerfstudio nuscenes organized_pcd scannet sis3d tum
+        bop cloud_alone colmap folder kitti lidar_image list_scenes load_scene nerfstudio nuscenes organized_pcd
+        posed_images scannet sis3d tum ycb_video
     """,
     "torchjoint.synthetic": "DOMAINS DomainSettings SyntheticScene domain_settings make_domain_scene make_scene",
     "torchjoint.transforms": "AddSuperpoints transfer_labels",

@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Protocol, cast
 
 from torchjoint.datasets import (
+    bop,
+    cloud_alone,
     colmap,
     folder,
     kitti,
@@ -23,14 +25,18 @@ from torchjoint.datasets import (
     nerfstudio,
     nuscenes,
     organized_pcd,
+    posed_images,
     scannet,
     sis3d,
     tum,
+    ycb_video,
 )
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
 
 __all__ = [
+    "bop",
+    "cloud_alone",
     "colmap",
     "folder",
     "kitti",
@@ -40,9 +46,11 @@ __all__ = [
     "nerfstudio",
     "nuscenes",
     "organized_pcd",
+    "posed_images",
     "scannet",
     "sis3d",
     "tum",
+    "ycb_video",
 ]
 
 
@@ -70,6 +78,10 @@ FORMATS: dict[str, Format] = {
     "nuscenes": cast(Format, nuscenes),
     "lidar_image": cast(Format, lidar_image),
     "organized_pcd": cast(Format, organized_pcd),
+    "bop": cast(Format, bop),
+    "ycb_video": cast(Format, ycb_video),
+    "posed_images": cast(Format, posed_images),
+    "cloud_alone": cast(Format, cloud_alone),  # last: other formats have clouds with images
 }
 
 
