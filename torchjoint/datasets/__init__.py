@@ -86,7 +86,7 @@ FORMATS: dict[str, Format] = {
 
 
 def load_scene(
-    path: str | Path, *, cloud: str | Path | None = None, voxel_size: float = 0.02, progress: bool = False
+    path: str | Path, *, cloud: str | Path | None = None, voxel_size: float = 0.02, progress: bool | None = None
 ) -> Scene:
     """Loads a scene; detects its format. Frames are read from disk on access.
 
@@ -96,7 +96,8 @@ def load_scene(
             cloud is fused from the depth images.
         cloud: a PLY file to use as the cloud; if it does not exist yet, a fused cloud is written there.
         voxel_size: of the fusion, metres; about the distance between fused points.
-        progress: show a progress bar while fusing.
+        progress: show a progress bar while fusing; None: if there is a terminal. A fused cloud is kept in the user's
+            cache for the next time (environment variable TORCHJOINT_CACHE: another folder, or empty: nowhere).
 
     Returns:
         The scene; `scene.truth` holds the ground-truth instances, if the data set has any.

@@ -26,13 +26,15 @@ def _lost_if_interrupted() -> Iterator[None]:
 
 
 @_lost_if_interrupted()
-def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: bool = False) -> tuple[Tensor, Tensor]:
+def fuse_cloud(
+    frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: bool | None = False
+) -> tuple[Tensor, Tensor]:
     """Fuses depth images into a truncated signed distance volume (Curless and Levoy 1996) and extracts its surface.
 
     Args:
         frames: with depth; frames without depth are skipped.
         voxel_size: metres.
-        progress: show a progress bar.
+        progress: show a progress bar; None: if there is a terminal.
 
     Returns:
         points [N, 3] metres and colours [N, 3] in [0, 1], sorted by coordinates: the order is deterministic. Colours
@@ -51,7 +53,9 @@ def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: b
         color_type=pipelines.integration.TSDFVolumeColorType.RGB8,
     )
     fused = 0
-    for index in tqdm(range(len(frames)), desc="fuse", unit="frame", disable=not progress):
+    for index in tqdm(
+        range(len(frames)), desc="fuse", unit="frame", disable=None if progress is None else not progress
+    ):
         frame = frames[index]
         if frame.depth is None:
             continue
