@@ -275,6 +275,11 @@ class JointSegmenter(nn.Module):
             raise ValueError("state: expected the state of a segmenter that was reset with the same cloud")
         self._state = state
 
+    @property
+    def method(self) -> str:
+        """Method of step 6: the config's, or, if that is auto, the one that :meth:`reset` chose."""
+        return self._definite.point_segments.method
+
     def _require_graph(self) -> PointGraph:
         if self._graph is None:
             raise RuntimeError("JointSegmenter: call reset(points) first")

@@ -211,6 +211,26 @@ def test_the_granularity_slider_and_the_frame_slider(viewer, page):
     assert ((u > 0) & (u < 1280) & (v > 0) & (v < 1000)).sum() > 300
 
 
+def test_parameters_of_a_run_in_memory(browser, out, scene_of):
+    from torchjoint.viewer.app import Viewer
+    from torchjoint.viewer.parameters import LiveRun
+
+    scene = scene_of(3).scene
+    segmenter = tj.JointSegmenter(tj.Config.from_preset("regions").set(["boundary.detector=gradient"]))
+    result = tj.Result.of(segmenter(scene), scene)
+    viewer = Viewer(result, run=LiveRun(segmenter, scene), port=8960)
+    page = browser.new_page(viewport={"width": 1280, "height": 1400})  # the whole panel, without scrolling
+    page.goto(viewer.url)
+    page.wait_for_selector("#tj-image")
+    page.locator("xpath=//*[starts-with(normalize-space(text()),'Parameters')]/following::input[1]").fill("0.1")
+    page.get_by_role("button", name="Compute again").click()
+    wait(lambda: viewer.result is not result)
+    wait(lambda: f"{viewer.result.num_point_segments} segments" in page.inner_text("body"))
+    assert viewer.result.num_point_segments != result.num_point_segments
+    page.close()
+    viewer.stop()
+
+
 def test_the_static_page(browser, out, run, tmp_path):
     run("show", out, "--static", tmp_path / "page.html")
     page = browser.new_page(viewport={"width": 1000, "height": 900})

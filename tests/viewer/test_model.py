@@ -210,3 +210,34 @@ def test_a_static_page_is_whole_and_upright(out, run, tmp_path, capsys):
     assert "6000 points" in text
     assert str(tmp_path / "page.html") in capsys.readouterr().out
     assert json.loads((out / "segments.json").read_text())["up"][2] > 0.99
+
+
+def test_a_run_in_memory_is_computed_again(scene_of):
+    from torchjoint.viewer.parameters import LIVE, LiveRun
+
+    scene = scene_of(3).scene
+    segmenter = tj.JointSegmenter(tj.Config.from_preset("regions").set(["boundary.detector=gradient"]))
+    before = segmenter(scene)
+    run = LiveRun(segmenter, scene)
+    assert tuple(run.parameters) == LIVE["regions"]
+    assert torch.equal(run.compute(run.parameters).points, before.points)
+    values = run.parameters | {"region_merging.threshold": 0.2, "image_support.min_size": 30.0}
+    config = segmenter.config.set(["region_merging.threshold=0.2", "image_support.min_size=30"])
+    again = run.compute(values)
+    assert again.config == config
+    assert torch.equal(again.points, segmenter.with_config(config).compute(images=False).points)
+    assert not torch.equal(again.points, before.points)
+    with pytest.raises(ValueError, match=r"image_support\.min_size: expected"):
+        run.compute({"image_support.min_size": -5.0})
+
+
+@pytest.mark.parametrize("method", ["learned", "regions", "edges", "scan"])
+def test_live_parameters_need_no_frames_again(method):
+    from torchjoint.viewer.parameters import LIVE
+
+    config = tj.Config().set([f"point_segments.method={method}"])
+    for name in LIVE[method]:
+        stage, _, parameter = name.partition(".")
+        value = getattr(getattr(config, stage), parameter)
+        changed = config.replace({stage: {parameter: value + (1 if isinstance(value, int) else 0.01)}})
+        assert tj.config.evidence_differences(config, changed) == []

@@ -31,10 +31,11 @@ def demo(
     config, source = parameters.config(), "synthetic, seed 0, medium"
     with output_folder(out, source, overwrite=overwrite) as partial:
         with printed_log():
-            result = JointSegmenter(config)(synthetic.scene, progress=True)
+            segmenter = JointSegmenter(config)
+            result = segmenter(synthetic.scene, progress=True)
         write_result(partial, synthetic.scene, result, config, source)
     summarize(result, out)
     in_3d = metrics.objects_and_parts(result.points, synthetic.point_labels)
     covering = metrics.segmentation_covering(result.points, synthetic.point_labels)
     print(f"against the truth, in 3D: covering {covering.symmetric:.2f}, F for objects and parts {in_3d.f:.2f}")
-    show_result(out, show)
+    show_result(out, show, segmenter, synthetic.scene)

@@ -75,10 +75,11 @@ def segment(
             loaded = loaded.select_points(voxel_subsample(loaded.points, thin))
         checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view} {thin}", config))
         with printed_log():
-            result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
+            segmenter = JointSegmenter(config)
+            result = segmenter(loaded, progress=True, checkpoint=checkpoint)
         if granularity is not None:
             result = result.at(granularity)
         write_result(partial, loaded, result, config, str(scene), 0.5 if granularity is None else granularity)
         shutil.rmtree(partial / "state")
     summarize(result, out)
-    show_result(out, show)
+    show_result(out, show, segmenter, loaded)

@@ -5,17 +5,23 @@ from __future__ import annotations
 import webbrowser
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 import tyro
 from torch import Tensor
 
+from torchjoint.joint import JointSegmenter
 from torchjoint.results.edits import read_edits
 from torchjoint.results.folder import read_source
 from torchjoint.results.loading import load_result
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.result import Result
+from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
+
+if TYPE_CHECKING:
+    from torchjoint.viewer.parameters import LiveRun
 
 
 def show(
@@ -57,10 +63,12 @@ def show(
         _serve(result, out if is_folder else None, granularity, direction, host, port, open_browser)
 
 
-def show_result(out: Path, now: bool) -> None:
-    """Shows a result that was just written, or says how to."""
+def show_result(out: Path, now: bool, segmenter: JointSegmenter, scene: Scene) -> None:
+    """Shows a result that was just written, with parameters that can be changed; or says how to show it."""
     if now:
-        show(out)
+        from torchjoint.viewer.parameters import LiveRun
+
+        _serve(load_result(out, edits=False), out, None, None, "127.0.0.1", 8080, True, LiveRun(segmenter, scene))
     else:
         print(f"torchjoint show {out}: look at it in the browser")
 
@@ -100,10 +108,11 @@ def _serve(
     host: str,
     port: int,
     open_browser: bool,
+    run: LiveRun | None = None,
 ) -> None:
     from torchjoint.viewer.app import Viewer
 
-    viewer = Viewer(result, folder, granularity=granularity, up=up, host=host, port=port)
+    viewer = Viewer(result, folder, run=run, granularity=granularity, up=up, host=host, port=port)
     print(f"{viewer.url}\nCtrl-C ends it")
     if open_browser:
         webbrowser.open(viewer.url)

@@ -20,6 +20,7 @@ from torchjoint.viewer.cameras import add_frustum, add_frustums, start, viewpoin
 from torchjoint.viewer.cloud import CloudView
 from torchjoint.viewer.html import HIDE_FIELD, PREFIX, image_html, panel_html, table_html
 from torchjoint.viewer.model import Model
+from torchjoint.viewer.parameters import LiveRun, add_parameters
 from torchjoint.viewer.pick import pick_point
 from torchjoint.viewer.selection import export_selected
 
@@ -32,6 +33,7 @@ class Viewer:
     Args:
         result: as on disk, without corrections.
         folder: where corrections are read, saved (edits.json), and selections are exported; None: nowhere.
+        run: the run that made the result, if it is still in memory: its parameters can then be changed on the page.
         granularity: level to start with, 0 (coarse) to 1 (fine); None: as on disk, or as corrected.
         up: [3] upward direction in the world frame; None: from the poses and the largest level plane.
         host, port: of the page. The default host is this machine alone; if the port is taken, the next one is used.
@@ -46,6 +48,7 @@ class Viewer:
         result: Result,
         folder: Path | None = None,
         *,
+        run: LiveRun | None = None,
         granularity: float | None = None,
         up: Tensor | None = None,
         host: str = "127.0.0.1",
@@ -64,13 +67,14 @@ class Viewer:
             edits = replace(edits, granularity=granularity)
         self.model, self.folder, self.result = Model(result, edits, upward), folder, result
         self._lock = threading.RLock()  # viser calls back from several threads
-        self._order = "points"
+        self._order, self._can_save = "points", True
         self.server: Any = viser.ViserServer(host=host, port=port, label="torchjoint", verbose=False)
         self.server.scene.set_up_direction(tuple(upward))
         position, target = start(result.scene, upward)
         self.server.initial_camera.position, self.server.initial_camera.look_at = position, target
         self._points = result.scene.points.numpy()
         self._cloud = CloudView(self.server, self._points, self.model.point_colors())
+        self._run = run
         self._build_panel()
         self._connect_scene(float(np.linalg.norm(position - target)))
         threading.Thread(target=self._read_frames, daemon=True).start()
@@ -110,6 +114,8 @@ class Viewer:
         with gui.add_folder("Selection"):
             self._panel = gui.add_html(panel_html((), ()))
             self._build_buttons()
+        if self._run is not None:
+            add_parameters(gui, self._run, lambda values: self._guarded(self._on_parameters, values))
         with gui.add_folder("Segments"):
             self._search = gui.add_text("Search", "", hint="a part of a name, or an id")
             self._search.on_update(lambda _: self._guarded(self._draw_table))
@@ -201,6 +207,16 @@ class Viewer:
         self._name.value = self.model.names().get(segments[0], "") if len(segments) == 1 else ""
         self._draw()
 
+    def _on_parameters(self, values: dict[str, float]) -> None:
+        """Shows the result with other parameters; corrections of another result mean nothing here, and go."""
+        assert self._run is not None  # without a run there are no parameters
+        self._say("computing again ...", "blue")
+        result = self._run.compute(values)
+        self.model, self.result, self._can_save = self.model.of_result(result), result, False
+        self.model.read_frames()
+        self._draw()
+        self._say(f"{result.num_point_segments} segments; OUT keeps its result: run `segment` with --set to write this")
+
     def _on_mode(self) -> None:
         self.model.mode = self._mode.value
         self._draw()
@@ -231,6 +247,8 @@ class Viewer:
 
     def _on_save(self) -> None:
         assert self.folder is not None  # without a folder the button is not shown
+        if not self._can_save:
+            raise ValueError("save: these are not the parameters of the result on disk")
         write_edits(self.folder, self.model.edits)
         self._say(f"{len(self.model.edits.steps)} corrections saved to {self.folder / 'edits.json'}")
 

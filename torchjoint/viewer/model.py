@@ -55,6 +55,15 @@ class Model:
         self._frames: list[tuple[Table, Table]] | None = None  # per frame: pieces, and the pixels of each
         self._rows: dict[int, Row] = {}
 
+    def of_result(self, result: Result) -> Model:
+        """The same view of another result of the scene; corrections stay if it has the same pieces."""
+        parts = Parts(result)
+        same = np.array_equal(parts.of_point, self.parts.of_point)
+        edits = self.edits if same else replace(self.edits, num_pieces=parts.count, steps=())
+        model = Model(result, edits, self.up)
+        model.mode = self.mode
+        return model
+
     # What is shown
 
     @property
