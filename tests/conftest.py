@@ -21,6 +21,14 @@ settings.register_profile("torchjoint", deadline=None, suppress_health_check=[He
 settings.load_profile("torchjoint")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def no_cache() -> Iterator[None]:
+    """Tests leave nothing in the user's cache, and find nothing there."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TORCHJOINT_CACHE", "")
+        yield
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of real data and checked values, which is no part of the checkout: without it, tests skip."""

@@ -14,8 +14,8 @@ DOCUMENTS = ["README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs"
 
 PUBLIC = {
     "torchjoint": """
-        Config Frame JointSegmenter Scene Segmentation Superpoints SuperpointsConfig datasets load_scene masks metrics
-        ops superpoints synthetic transforms
+        Config Frame JointSegmenter Result Scene Segmentation Superpoints SuperpointsConfig datasets load_result
+        load_scene masks metrics ops superpoints synthetic transforms
     """,
     "torchjoint.config": """
         DETECTORS STAGES BoundaryConfig Config ContoursConfig ImageGraphConfig ImageSegmentsConfig
@@ -42,7 +42,8 @@ PUBLIC = {
         mean_best_iou objects_and_parts scannet_average_precision segmentation_covering undersegmentation_error
     """,
     "torchjoint.datasets": """
-        colmap folder kitti lidar_image list_scenes load_scene nerfstudio nuscenes organized_pcd scannet sis3d tum
+        bop cloud_alone colmap folder kitti lidar_image list_scenes load_scene nerfstudio nuscenes organized_pcd
+        posed_images scannet sis3d tum ycb_video
     """,
     "torchjoint.synthetic": """
         DOMAINS MASK_LEVELS DomainSettings SyntheticScene domain_settings make_domain_scene make_network_masks

@@ -342,3 +342,8 @@ def test_outdoor_joins_the_rings_of_a_lidar():
     share_without = tj.superpoints(road, preset="outdoor", reach=0.0).bincount().max() / len(road)
     assert share > 0.9
     assert share_without < 0.5
+
+
+@pytest.mark.parametrize(("name", "same"), [("indoor", "room"), ("lidar", "outdoor")])
+def test_presets_have_the_joint_method_s_names_too(name, same):
+    assert tj.SuperpointsConfig.from_preset(name) == tj.SuperpointsConfig.from_preset(same)

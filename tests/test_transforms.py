@@ -59,12 +59,28 @@ def test_an_object_gets_labels_and_is_not_changed():
     assert torch.equal(result.superpoints, tj.superpoints(cloud(0), faces=faces.T, preset="segmentator"))
 
 
+def test_a_name_that_torch_geometric_offsets():
+    class Offset(Data):
+        def __inc__(self, key, value):
+            return int(value.max()) + 1 if "batch" in key else 0
+
+    result = AddSuperpoints(points="pos")(Offset(pos=cloud(0)))
+    assert torch.equal(result.superpoints_batch, tj.superpoints(cloud(0)))
+    assert not hasattr(result, "superpoints")
+    assert hasattr(AddSuperpoints(points="pos", to="superpoints")(Offset(pos=cloud(0))), "superpoints")
+
+
 def test_torch_geometric_s_own_data():
     data_module = pytest.importorskip("torch_geometric.data", reason="not installed; `Data` above stands for it")
     data = data_module.Data(pos=cloud(0))
     result = AddSuperpoints(points="pos")(data)
-    assert "superpoints" not in data
-    assert torch.equal(result.superpoints, tj.superpoints(cloud(0)))
+    assert "superpoints_batch" not in data
+    assert torch.equal(result.superpoints_batch, tj.superpoints(cloud(0)))
+    # A batch keeps the ids of its clouds apart.
+    other = AddSuperpoints(points="pos")(data_module.Data(pos=cloud(1)))
+    both = data_module.Batch.from_data_list([result, other])
+    ptr = torch.tensor([0, len(cloud(0)), len(cloud(0)) + len(cloud(1))])
+    assert torch.equal(both.superpoints_batch, tj.superpoints(torch.cat([cloud(0), cloud(1)]), ptr=ptr))
 
 
 def test_a_batch_keeps_its_clouds_apart():

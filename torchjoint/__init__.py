@@ -13,6 +13,8 @@ from torchjoint import datasets, masks, metrics, ops, synthetic, transforms
 from torchjoint.config import Config, SuperpointsConfig
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
+from torchjoint.results.loading import load_result
+from torchjoint.results.result import Result
 from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.superpoints import Superpoints, superpoints
 
@@ -22,11 +24,13 @@ __all__ = [
     "Config",
     "Frame",
     "JointSegmenter",
+    "Result",
     "Scene",
     "Segmentation",
     "Superpoints",
     "SuperpointsConfig",
     "datasets",
+    "load_result",
     "load_scene",
     "masks",
     "metrics",
@@ -35,3 +39,8 @@ __all__ = [
     "synthetic",
     "transforms",
 ]
+
+
+def __dir__() -> list[str]:
+    """What completion offers after `tj.`: the public names alone."""
+    return [*__all__, "__version__"]

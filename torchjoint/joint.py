@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from itertools import groupby
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -70,6 +71,10 @@ class JointSegmenter(nn.Module):
         image_segmenter: nn.Module | None = None,
     ) -> None:
         super().__init__()
+        if config is not None and not isinstance(config, Config):
+            raise TypeError(
+                f"config: expected a Config, got {type(config).__name__}; see JointSegmenter.from_preset('indoor')"
+            )
         self.config = config or Config()
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
@@ -87,6 +92,13 @@ class JointSegmenter(nn.Module):
         """
         return cls(Config.from_preset(name))
 
+    if TYPE_CHECKING:  # nn.Module's own would be untyped
+
+        def __call__(
+            self, scene: Scene, *, progress: bool = False, batch_size: int = 8, checkpoint: Checkpoint | None = None
+        ) -> Segmentation:
+            """See :meth:`forward`."""
+
     @torch.no_grad()
     def forward(
         self, scene: Scene, *, progress: bool = False, batch_size: int = 8, checkpoint: Checkpoint | None = None
@@ -103,11 +115,14 @@ class JointSegmenter(nn.Module):
             labels of the points [N] and of the frames [H, W]; see :class:`~torchjoint.scene.Segmentation`.
 
         Raises:
+            TypeError: not a scene.
             ValueError: the scene has frames, but none of them sees a point.
 
         Warns:
             PoseWarning: the poses or intrinsics look wrong.
         """
+        if not isinstance(scene, Scene):
+            raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; of points: Scene(points, frames)")
         self.reset(scene.points, scene.colors, scene.normals)
         checked = frames_to_check(scene)
         graph = self._require_graph()
@@ -259,6 +274,11 @@ class JointSegmenter(nn.Module):
         if state.views.shape != self.state.views.shape or state.facing.shape != self.state.facing.shape:
             raise ValueError("state: expected the state of a segmenter that was reset with the same cloud")
         self._state = state
+
+    @property
+    def method(self) -> str:
+        """Method of step 6: the config's, or, if that is auto, the one that :meth:`reset` chose."""
+        return self._definite.point_segments.method
 
     def _require_graph(self) -> PointGraph:
         if self._graph is None:

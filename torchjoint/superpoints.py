@@ -5,6 +5,10 @@ They use the graph of step 3, and need no images.
 
 from __future__ import annotations
 
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
@@ -19,19 +23,22 @@ from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Scene
 from torchjoint.scene.cloud_batch import Cloud, split_batch
 
+#: A tensor, or a numpy array.
+Values = TypeVar("Values", Tensor, npt.NDArray[Any])
+
 
 def superpoints(
-    points: Tensor,
-    colors: Tensor | None = None,
-    normals: Tensor | None = None,
+    points: Values,
+    colors: Values | None = None,
+    normals: Values | None = None,
     *,
-    edges: Tensor | None = None,
-    faces: Tensor | None = None,
-    ptr: Tensor | None = None,
-    viewpoint: Tensor | None = None,
+    edges: Values | None = None,
+    faces: Values | None = None,
+    ptr: Values | None = None,
+    viewpoint: Values | None = None,
     preset: str | SuperpointsConfig = "room",
     **parameters: float | str,
-) -> Tensor:
+) -> Values:
     """Cut one or several clouds into superpoints.
 
     Builds a graph of nearest neighbours (or takes the edges of a mesh, or your own edges), weights each edge by how
@@ -40,6 +47,8 @@ def superpoints(
 
     Fitted normals have an arbitrary sign. Angles between them are therefore taken without sign, and convex edges cost
     the same as concave edges. `normals`, `faces` or a `viewpoint` give oriented normals, which tell the two apart.
+
+    All arrays may be numpy arrays instead of tensors; the labels are then one, too.
 
     Args:
         points: [N, 3] metres, finite, N >= 1.
@@ -78,6 +87,29 @@ def superpoints(
         >>> labels.unique(return_counts=True)
         (tensor([0, 1]), tensor([400, 400]))
     """
+    if isinstance(points, np.ndarray):
+        values = [_as_tensor(value) for value in (points, colors, normals, edges, faces, ptr, viewpoint)]
+        return _segment_batch(*values, preset=preset, parameters=parameters).numpy()
+    return _segment_batch(points, colors, normals, edges, faces, ptr, viewpoint, preset=preset, parameters=parameters)
+
+
+def _as_tensor(values: Any) -> Any:
+    return torch.from_numpy(np.array(values, order="C")) if isinstance(values, np.ndarray) else values
+
+
+def _segment_batch(
+    points: Tensor,
+    colors: Tensor | None,
+    normals: Tensor | None,
+    edges: Tensor | None,
+    faces: Tensor | None,
+    ptr: Tensor | None,
+    viewpoint: Tensor | None,
+    *,
+    preset: str | SuperpointsConfig,
+    parameters: dict[str, float | str],
+) -> Tensor:
+    """:func:`superpoints` of tensors."""
     config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
     config = config.replace(parameters)
     if colors is None:
@@ -127,7 +159,7 @@ class Superpoints(nn.Module):
         ptr: Tensor | None = None,
     ) -> Tensor:
         """Labels [N] int64 of points [N, 3]; arguments and errors as in :func:`superpoints`."""
-        return superpoints(points, colors, normals, ptr=ptr, preset=self.preset, **self.parameters_given)  # type: ignore[arg-type]
+        return superpoints(points, colors, normals, ptr=ptr, preset=self.preset, **self.parameters_given)  # type: ignore[type-var, return-value]
 
     def extra_repr(self) -> str:
         """The parameters, printed as part of the module."""

@@ -38,7 +38,9 @@ class AddSuperpoints:
         points, colors, normals, faces, edges, ptr, viewpoint: names under which the sample stores the arguments of
             :func:`torchjoint.superpoints`; None = never use this argument. The faces of an object (not of a mapping)
             may be [3, F], as in torch_geometric.
-        to: name under which the labels are stored.
+        to: name under which the labels are stored. None: ``superpoints``; but in torch_geometric's ``Data``
+            ``superpoints_batch``, because torch_geometric then keeps the ids of the clouds of a batch apart (it adds
+            the number of ids before to each attribute with "batch" in its name).
         preset: as in :func:`torchjoint.superpoints`.
         parameters: replace parameters of the preset by name.
 
@@ -64,7 +66,7 @@ class AddSuperpoints:
         edges: str | None = None,
         ptr: str | None = "ptr",
         viewpoint: str | None = "viewpoint",
-        to: str = "superpoints",
+        to: str | None = None,
         preset: str | SuperpointsConfig = "room",
         **parameters: float | str,
     ) -> None:
@@ -82,17 +84,18 @@ class AddSuperpoints:
         points = _get(sample, self.points)
         if points is None:
             raise KeyError(f"{self.points}: expected the sample to have its points there, got {_names(sample)}")
-        if _get(sample, self.to) is not None:
-            raise KeyError(f"{self.to}: the sample has that already; choose another name with to=")
+        to = self.to or ("superpoints_batch" if hasattr(sample, "__inc__") else "superpoints")
+        if _get(sample, to) is not None:
+            raise KeyError(f"{to}: the sample has that already; choose another name with to=")
         given = {name: _get(sample, key) for name, key in self.names.items() if key is not None}
         faces = given.get("faces")
         if faces is not None and not isinstance(sample, Mapping) and faces.ndim == 2 and faces.shape[1] != 3:
             given["faces"] = faces.T
-        labels = superpoints(points, **given, preset=self.preset, **self.parameters)  # type: ignore[arg-type]
+        labels = superpoints(points, **given, preset=self.preset, **self.parameters)
         if isinstance(sample, Mapping):
-            return type(sample)({**sample, self.to: labels})  # type: ignore[call-arg]
+            return type(sample)({**sample, to: labels})  # type: ignore[call-arg]
         changed = copy.copy(sample)
-        setattr(changed, self.to, labels)
+        setattr(changed, to, labels)
         return changed
 
     def __repr__(self) -> str:

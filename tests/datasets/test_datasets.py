@@ -61,11 +61,31 @@ def test_a_cloud_is_fused_and_kept(tmp_path, synthetic):
     again = tj.load_scene(recording, cloud=kept)
     assert len(scene.points) > 1000
     assert torch.equal(scene.points, again.points)
+    assert torch.equal(scene.colors, again.colors)  # a run that resumes has the colours of one that did not stop
     fresh = tj.load_scene(recording, voxel_size=0.05)
     assert torch.equal(scene.points, fresh.points)
     # The fused cloud lies on what the sensor measured: most points are near one of the synthetic cloud's.
     distance = torch.cdist(scene.points, synthetic.scene.points).amin(1)
     assert distance.median() < 0.06
+
+
+def test_a_fused_cloud_is_found_in_the_cache(tmp_path, synthetic, monkeypatch):
+    recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
+    fused = tj.load_scene(recording, voxel_size=0.05)  # without a cache
+    monkeypatch.setenv("TORCHJOINT_CACHE", str(tmp_path / "cache"))
+    first = tj.load_scene(recording, voxel_size=0.05)
+    (kept,) = (tmp_path / "cache" / "clouds").iterdir()
+    monkeypatch.setattr("torchjoint.datasets.fused_clouds.fuse_cloud", lambda *_, **__: 1 / 0)
+    again = tj.load_scene(recording, voxel_size=0.05)
+    for scene in (first, again):
+        assert torch.equal(scene.points, fused.points)
+        assert torch.equal(scene.colors, fused.colors)
+    with pytest.raises(ZeroDivisionError):  # another voxel size is another cloud
+        tj.load_scene(recording, voxel_size=0.06)
+    kept.write_bytes(b"ply, but damaged")
+    with pytest.raises(ZeroDivisionError):
+        tj.load_scene(recording, voxel_size=0.05)
+    monkeypatch.undo()
 
 
 def test_without_cloud_and_depth_there_is_nothing_to_segment(tmp_path, synthetic):

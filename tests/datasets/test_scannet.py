@@ -392,9 +392,18 @@ class TestExported:
         write_mesh(folder / f"{SCAN}_vh_clean_2.ply", np.eye(3), np.zeros((3, 3)))
         return folder
 
-    @pytest.mark.parametrize(
-        "file", ["pose/1.txt", "intrinsic/intrinsic_depth.txt", "intrinsic/intrinsic_color.txt", "instance-filt/1.png"]
-    )
+    def test_without_the_depth_s_intrinsics(self, folder):
+        depth = np.zeros((3, 4), np.uint16)
+        depth[1, 2] = 1500
+        Image.fromarray(depth).save(folder / "depth" / "0.png")
+        color = [[8, 0, 3.5, 0], [0, 8, 2.5, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+        np.savetxt(folder / "intrinsic" / "intrinsic_color.txt", color)
+        (folder / "intrinsic" / "intrinsic_depth.txt").unlink()
+        read = tj.load_scene(folder).frames[0].depth
+        assert read.shape == (6, 8)
+        assert torch.equal(read > 0, torch.from_numpy(np.kron(depth, np.ones((2, 2))) > 0))
+
+    @pytest.mark.parametrize("file", ["pose/1.txt", "intrinsic/intrinsic_color.txt", "instance-filt/1.png"])
     def test_a_missing_file(self, folder, file):
         write_image_truth(folder, np.zeros((2, 6, 8), dtype=int))
         (folder / file).unlink()

@@ -12,9 +12,9 @@ from damage import CLEAR, damages
 from scannet_files import VOXEL, boxes_of, world_to_grid, write_detections
 from scipy.io import savemat
 
+from torchjoint.datasets.mat_files import read_matrices
 from torchjoint.datasets.vertex_numbers import read_vertex_instances
 from torchjoint.datasets.voxels import read_world_to_scene
-from torchjoint.evaluation.baselines.mat_files import read_matrices
 from torchjoint.evaluation.baselines.pickled_arrays import read_pickled_arrays
 from torchjoint.evaluation.baselines.scannet_benchmark import read_instance_masks
 from torchjoint.evaluation.baselines.scenecut import find_region_map, read_region_map

@@ -104,14 +104,14 @@ class TestCommands:
         assert torch.equal(read.at().points, expected.points)
         assert "granularity: 0.7" in (out / "run.yaml").read_text()
 
-    def test_show_makes_a_page_of_another_level(self, out, run, monkeypatch):
+    def test_show_makes_a_page_of_another_level(self, out, run, monkeypatch, tmp_path):
         shown = []
         monkeypatch.setattr(
-            "torchjoint.results.page.write_viewer", lambda path, points, labels, colors: shown.append(labels)
+            "torchjoint.results.page.write_page", lambda path, result, up: shown.append(result.points) or 0
         )
         result = read_result(out)
-        run("show", out, "--no-open-browser")
-        run("show", out, "--no-open-browser", "--granularity", 0.2)
+        run("show", out, "--static", tmp_path / "page.html")
+        run("show", out, "--static", tmp_path / "page.html", "--granularity", 0.2)
         assert torch.equal(shown[0], result.points)
         assert torch.equal(shown[1], result.at(0.2).points)
         with pytest.raises(SystemExit, match="--granularity: expected a number from 0"):
@@ -159,6 +159,7 @@ class TestCommands:
         assert list(tmp_path.iterdir()) == []
 
     def test_show_of_a_result_with_one_level(self, out, run, tmp_path):
-        (tmp_path / "points.npz").symlink_to(out / "points.npz")
-        with pytest.raises(SystemExit, match=r"hierarchy\.npz: missing; the result has one level only"):
+        for name in ("points.npz", "run.yaml"):
+            (tmp_path / name).symlink_to(out / name)
+        with pytest.raises(SystemExit, match=r"--granularity: .* has one level only"):
             run("show", tmp_path, "--granularity", 0.2)

@@ -13,4 +13,7 @@ def summarize(result: Segmentation, out: Path) -> None:
     print(f"{len(result.points)} points in {result.num_point_segments} segments, {len(result.images)} images")
     print(f"seconds by stage (added up over threads): {seconds}")
     levels = ", hierarchy.npz, pieces/" if result.hierarchy is not None else ""
-    print(f"written to {out}: overview.png, points.ply, points.npz, images/, run.yaml{levels}")
+    print(
+        f"written to {out}: overview.png, points.ply, points.npz, segments.json, images/, images_color/, inputs/, "
+        f"cameras.json, run.yaml{levels}"
+    )

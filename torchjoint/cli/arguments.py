@@ -9,14 +9,14 @@ from typing import Annotated
 
 import tyro
 
-from torchjoint.config import Config
+from torchjoint.config import Config, presets
 
 
 @dataclass(frozen=True)
 class Parameters:
     """Parameters of the method."""
 
-    preset: str = "default"
+    preset: Annotated[str, tyro.conf.arg(help=f"{', '.join(presets())}, or a YAML file of your own.")] = "default"
     """A preset that comes with the package, or a YAML file of your own."""
     set: tuple[str, ...] = ()
     """Single parameters: --set propagation.weight=0.2 refinement.merge_ratio=0.95"""

@@ -8,17 +8,21 @@ from torchjoint import metrics
 from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
+from torchjoint.cli.show import show_result
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.folder import output_folder, write_result
 
 
-def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = DEFAULTS, overwrite: bool = False) -> None:
+def demo(
+    out: Out = Path("torchjoint-demo"), parameters: Flat = DEFAULTS, overwrite: bool = False, show: bool = False
+) -> None:
     """Segments a generated synthetic scene and scores the result against its exact ground truth; needs no data.
 
     Args:
         out: folder for the result.
         parameters: parameters of the method.
         overwrite: replace OUT if it is an earlier result.
+        show: show the result in the browser, as `torchjoint show` does.
     """
     from torchjoint.synthetic import make_scene
 
@@ -27,9 +31,11 @@ def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = DEFAULTS, overwr
     config, source = parameters.config(), "synthetic, seed 0, medium"
     with output_folder(out, source, overwrite=overwrite) as partial:
         with printed_log():
-            result = JointSegmenter(config)(synthetic.scene, progress=True)
+            segmenter = JointSegmenter(config)
+            result = segmenter(synthetic.scene, progress=True)
         write_result(partial, synthetic.scene, result, config, source)
     summarize(result, out)
     in_3d = metrics.objects_and_parts(result.points, synthetic.point_labels)
     covering = metrics.segmentation_covering(result.points, synthetic.point_labels)
     print(f"against the truth, in 3D: covering {covering.symmetric:.2f}, F for objects and parts {in_3d.f:.2f}")
+    show_result(out, show, segmenter, synthetic.scene)

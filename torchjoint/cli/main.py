@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Callable
+from importlib.metadata import version
 from typing import Any
 
 import tyro
@@ -13,6 +15,7 @@ from torchjoint.cli.benchmark import benchmark
 from torchjoint.cli.demo import demo
 from torchjoint.cli.evaluate import evaluate
 from torchjoint.cli.evaluate_boundaries import evaluate_boundaries
+from torchjoint.cli.export import export
 from torchjoint.cli.paper_tables import paper_tables
 from torchjoint.cli.parameters import parameters
 from torchjoint.cli.segment import segment
@@ -20,6 +23,7 @@ from torchjoint.cli.show import show
 from torchjoint.cli.superpoints import superpoints
 from torchjoint.cli.train_boundaries import train_boundaries
 from torchjoint.cli.train_boundary_model import train_boundary_model
+from torchjoint.config import presets, superpoint_presets
 
 INTERRUPTED = (
     "torchjoint: interrupted; `segment`, `benchmark --tuning`, `train-boundaries` and `train-borders` go on where they "
@@ -27,9 +31,16 @@ INTERRUPTED = (
 )
 
 
+#: Exit status of a program whose output is not read to its end, as shells give it: 128 + SIGPIPE.
+PIPE_CLOSED = 141
+
+
 def main() -> None:
     """Entry point; prints user errors and warnings as one line."""
     warnings.formatwarning = lambda message, *_, **__: f"torchjoint: warning: {message}\n"
+    if sys.argv[1:] == ["--version"]:
+        print(f"torchjoint {version('torchjoint')}")
+        return
     try:
         commands: dict[str, Callable[..., Any]] = {
             "demo": demo,
@@ -42,10 +53,23 @@ def main() -> None:
             "evaluate-boundaries": evaluate_boundaries,
             "paper-tables": paper_tables,
             "show": show,
+            "export": export,
             "parameters": parameters,
         }
-        tyro.extras.subcommand_cli_from_dict(commands, prog="torchjoint")
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
-    except (ValueError, TypeError, OSError) as error:
+        tyro.extras.subcommand_cli_from_dict(commands, prog="torchjoint", description=_description())
+        sys.stdout.flush()  # here, where a closed pipe can still be dealt with
+    except BrokenPipeError:  # `torchjoint parameters | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(PIPE_CLOSED)
+    except KeyboardInterrupt as stop:
+        sys.exit(f"{INTERRUPTED}{f'; {stop}' if str(stop) else ''}")
+    except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
         sys.exit(f"torchjoint: error: {error}")
+
+
+def _description() -> str:
+    return (
+        "Joint segmentation of a point cloud and its images. The default needs no choice; --preset takes "
+        f"{', '.join(presets())}, or a YAML file; of `superpoints`: {', '.join(superpoint_presets())}. "
+        "`torchjoint parameters` lists the parameters, `torchjoint --version` prints the version."
+    )

@@ -11,6 +11,7 @@ import tyro
 from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out, check_max_frames
+from torchjoint.cli.show import show_result
 from torchjoint.datasets import load_scene
 from torchjoint.datasets.files import fingerprint
 from torchjoint.joint import JointSegmenter
@@ -34,6 +35,7 @@ def segment(
     granularity: float | None = None,
     masks: Path | None = None,
     without_masks: Literal["segment", "leave-out"] = "segment",
+    show: bool = False,
 ) -> None:
     """Segments a recording: a folder of posed frames, with or without a point cloud.
 
@@ -54,6 +56,7 @@ def segment(
         masks: masks of a network: a folder with NAME.png (labels, 0 = none), NAME.npz, NAME.json (SAM) or a folder NAME
             of binary PNGs for each frame NAME; or a COCO file. docs/masks.md shows how to make them.
         without_masks: what becomes of frames without masks: they are segmented without masks, or left out.
+        show: show the result in the browser, as `torchjoint show` does.
     """
     config = parameters.config()
     check_max_frames(max_frames)
@@ -85,9 +88,11 @@ def segment(
             loaded = loaded.select_points(voxel_subsample(loaded.points, thin))
         checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view} {thin}", config))
         with printed_log():
-            result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
+            segmenter = JointSegmenter(config)
+            result = segmenter(loaded, progress=True, checkpoint=checkpoint)
         if granularity is not None:
             result = result.at(granularity)
         write_result(partial, loaded, result, config, str(scene), 0.5 if granularity is None else granularity)
         shutil.rmtree(partial / "state")
     summarize(result, out)
+    show_result(out, show, segmenter, loaded)

@@ -1,34 +1,119 @@
-"""torchjoint show: makes a web page of a result's cloud."""
+"""torchjoint show: a result in the browser."""
 
 from __future__ import annotations
 
 import webbrowser
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import torch
 import tyro
+from torch import Tensor
 
-from torchjoint.results.folder import read_points
-from torchjoint.results.hierarchy_files import read_hierarchy
+from torchjoint.joint import JointSegmenter
+from torchjoint.results.edits import read_edits
+from torchjoint.results.folder import read_source
+from torchjoint.results.loading import load_result
+from torchjoint.results.parts import Parts, edited
+from torchjoint.results.result import Result
+from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
 
+if TYPE_CHECKING:
+    from torchjoint.viewer.parameters import LiveRun
 
-def show(out: tyro.conf.Positional[Path], open_browser: bool = True, granularity: float | None = None) -> None:
-    """Makes a web page of a result's cloud (viewer.html) and opens it in the browser.
+
+def show(
+    out: tyro.conf.Positional[Path],
+    static: Path | None = None,
+    granularity: float | None = None,
+    up: tuple[float, float, float] | None = None,
+    truth: bool = False,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    open_browser: bool = True,
+) -> None:
+    """Shows a result in the browser: cloud, images, a table of segments, levels, and corrections by hand.
+
+    Needs `pip install 'torchjoint[viewer]'`; --static does not. Ctrl-C ends it.
 
     Args:
-        out: folder that `torchjoint segment` wrote.
-        open_browser: open the page; otherwise only write it.
-        granularity: show another level than OUT holds, 0 (coarse) to 1 (fine); needs a result of method learned.
+        out: folder that `torchjoint segment` wrote; or labelled points: a .ply or .npz of `torchjoint superpoints`.
+        static: write this HTML file to send around, instead.
+        granularity: start with another level than OUT holds, 0 (coarse) to 1 (fine); needs a result of method learned.
+        up: upward direction x y z in the coordinates of the cloud; default: from the poses and the largest level plane.
+        truth: show the ground truth of the recording, too (Colour by: truth).
+        host: address of the page; 127.0.0.1 is this machine alone, 0.0.0.0 any.
+        port: of the page; if it is taken, the next one is used.
+        open_browser: open the page.
     """
-    from torchjoint.results.page import write_viewer
-
-    result = read_points(out)
-    labels = result.labels
+    if up is not None and not any(up):
+        raise ValueError("--up: expected a direction, got 0 0 0")
+    direction = None if up is None else torch.tensor(up, dtype=torch.float64)
+    is_folder = not out.is_file()
+    result = _read(out, truth)
     if granularity is not None:
         check_granularity(granularity, "--granularity")
-        labels = read_hierarchy(out, len(labels)).at(granularity)
-    page = out / "viewer.html"
-    write_viewer(page, result.points, labels, result.colors)
-    print(f"{page}\n{out / 'overview.png'}")
+        if result.hierarchy is None:
+            raise ValueError(f"--granularity: {out} has one level only, because only method learned makes all levels")
+    if static is not None:
+        _write_static(static, result, out if is_folder else None, granularity, direction)
+    else:
+        _serve(result, out if is_folder else None, granularity, direction, host, port, open_browser)
+
+
+def show_result(out: Path, now: bool, segmenter: JointSegmenter, scene: Scene) -> None:
+    """Shows a result that was just written, with parameters that can be changed; or says how to show it."""
+    if now:
+        from torchjoint.viewer.parameters import LiveRun
+
+        _serve(load_result(out, edits=False), out, None, None, "127.0.0.1", 8080, True, LiveRun(segmenter, scene))
+    else:
+        print(f"torchjoint show {out}: look at it in the browser")
+
+
+def _read(out: Path, truth: bool) -> Result:
+    if out.is_file():
+        from torchjoint.viewer.superpoint_file import read_labelled_cloud
+
+        if truth:
+            raise ValueError("--truth: expected a result's folder, got a file")
+        return read_labelled_cloud(out)
+    result = load_result(out, edits=False)
+    if not truth:
+        return result
+    from torchjoint.viewer.truth import with_truth
+
+    return with_truth(result, Path(read_source(out)), next(iter(sorted(out.glob("cloud-*mm.ply"))), None))
+
+
+def _write_static(
+    page: Path, result: Result, folder: Path | None, granularity: float | None, up: Tensor | None
+) -> None:
+    from torchjoint.results.page import write_page
+
+    if folder is not None:
+        edits = read_edits(folder, Parts(result).count)
+        result = edited(result, edits if granularity is None else replace(edits, granularity=granularity))
+    shown = write_page(page, result, up)
+    print(page if shown == len(result.points) else f"{page}: {shown} of {len(result.points)} points")
+
+
+def _serve(
+    result: Result,
+    folder: Path | None,
+    granularity: float | None,
+    up: Tensor | None,
+    host: str,
+    port: int,
+    open_browser: bool,
+    run: LiveRun | None = None,
+) -> None:
+    from torchjoint.viewer.app import Viewer
+
+    viewer = Viewer(result, folder, run=run, granularity=granularity, up=up, host=host, port=port)
+    print(f"{viewer.url}\nCtrl-C ends it")
     if open_browser:
-        webbrowser.open(page.resolve().as_uri())
+        webbrowser.open(viewer.url)
+    viewer.wait()

@@ -104,12 +104,8 @@ class Config:
         """
         stages = {}
         for stage, parameters in values.items():
-            if stage in RENAMED:
-                raise ValueError(f"{stage}: this stage is now called {RENAMED[stage]}")
-            if stage in REMOVED:
-                raise ValueError(f"{stage}: this stage {REMOVED[stage]}")
             if stage not in STAGES:
-                raise ValueError(f"{stage}: unknown stage, expected one of {', '.join(STAGES)}")
+                raise ValueError(unknown_stage(stage))
             if not isinstance(parameters, Mapping):
                 raise TypeError(f"{stage}: expected parameters by name, got {parameters!r}")
             stages[stage] = getattr(self, stage).replace(parameters)
@@ -148,3 +144,12 @@ _STAGES: tuple[type[Stage], ...] = (
 
 #: The stages by their names in :class:`Config`, in the order of the method's steps.
 STAGES = {stage.key(): stage for stage in _STAGES}
+
+
+def unknown_stage(stage: str) -> str:
+    """The message for a name that is no stage: its new name, what became of it, or the names that there are."""
+    if stage in RENAMED:
+        return f"{stage}: this stage is now called {RENAMED[stage]}"
+    if stage in REMOVED:
+        return f"{stage}: this stage {REMOVED[stage]}"
+    return f"{stage}: unknown stage, expected one of {', '.join(STAGES)}"

@@ -67,10 +67,12 @@ class SuperpointsConfig(Stage):
     def from_preset(cls, name: str) -> SuperpointsConfig:
         """Reads a preset (see :func:`superpoint_presets`), or a YAML file of your own.
 
+        The names of the joint method's presets for such data are understood, too: "indoor" and "lidar".
+
         Raises:
             ValueError, TypeError: an unknown preset, or a bad file; the message names it.
         """
-        return read_preset(name, superpoint_presets(), cls().replace)
+        return read_preset(_SAME_DATA.get(name, name), superpoint_presets(), cls().replace)
 
     def set(self, assignments: Sequence[str]) -> SuperpointsConfig:
         """A copy with command-line assignments applied: ``["scale=2", "color_weight=0.5"]``.
@@ -79,6 +81,10 @@ class SuperpointsConfig(Stage):
             ValueError, TypeError: a bad assignment, an unknown name or a bad value, by name.
         """
         return self.replace(dict(map(read_assignment, assignments)))
+
+
+#: Presets of the joint method -> presets of superpoints for the same data.
+_SAME_DATA = {"indoor": "room", "lidar": "outdoor"}
 
 
 def superpoint_presets() -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from torchjoint.config.config import STAGES
+from torchjoint.config.config import RENAMED, STAGES, unknown_stage
 from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
 
 
@@ -33,17 +33,26 @@ def marked_table() -> str:
     return "\n".join(lines)
 
 
-def parameter_table() -> str:
-    """All parameters as Markdown tables, one per stage, as the README shows them."""
+def parameter_table(stage: str | None = None) -> str:
+    """All parameters as Markdown tables, one per stage, as the README shows them; or those of one stage.
+
+    Raises:
+        ValueError: an unknown stage, or one that is gone. An old name of a stage is understood.
+    """
+    stage = None if stage is None else RENAMED.get(stage, stage)
+    if stage is not None and stage not in STAGES:
+        raise ValueError(unknown_stage(stage))
     parts = []
-    for name, stage in STAGES.items():
+    for name, parameters in STAGES.items():
+        if stage not in (None, name):
+            continue
         rows = []
-        for spec in dataclasses.fields(stage):
+        for spec in dataclasses.fields(parameters):
             meta = spec.metadata
             default = "null" if spec.default is None else f"{spec.default}"
             doc = meta["doc"] + (f" (one of: {', '.join(meta['choices'])})" if meta["choices"] else "")
             rows.append(f"| `{spec.name}` | {default} | {meta['unit']} | {meta['sensible']} | {doc} |")
-        title = (stage.__doc__ or "").split("\n")[0].rstrip(".")
+        title = (parameters.__doc__ or "").split("\n")[0].rstrip(".")
         head = "| parameter | default | unit | sensible | what it does |\n|---|---:|---|---|---|"
         parts.append(f"**`{name}`**: {title}.\n\n{head}\n" + "\n".join(rows))
     return "\n\n".join(parts)

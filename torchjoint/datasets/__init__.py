@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Protocol, cast
 
 from torchjoint.datasets import (
+    bop,
+    cloud_alone,
     colmap,
     folder,
     kitti,
@@ -23,14 +25,18 @@ from torchjoint.datasets import (
     nerfstudio,
     nuscenes,
     organized_pcd,
+    posed_images,
     scannet,
     sis3d,
     tum,
+    ycb_video,
 )
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
 
 __all__ = [
+    "bop",
+    "cloud_alone",
     "colmap",
     "folder",
     "kitti",
@@ -40,9 +46,11 @@ __all__ = [
     "nerfstudio",
     "nuscenes",
     "organized_pcd",
+    "posed_images",
     "scannet",
     "sis3d",
     "tum",
+    "ycb_video",
 ]
 
 
@@ -70,11 +78,15 @@ FORMATS: dict[str, Format] = {
     "nuscenes": cast(Format, nuscenes),
     "lidar_image": cast(Format, lidar_image),
     "organized_pcd": cast(Format, organized_pcd),
+    "bop": cast(Format, bop),
+    "ycb_video": cast(Format, ycb_video),
+    "posed_images": cast(Format, posed_images),
+    "cloud_alone": cast(Format, cloud_alone),  # last: other formats have clouds with images
 }
 
 
 def load_scene(
-    path: str | Path, *, cloud: str | Path | None = None, voxel_size: float = 0.02, progress: bool = False
+    path: str | Path, *, cloud: str | Path | None = None, voxel_size: float = 0.02, progress: bool | None = None
 ) -> Scene:
     """Loads a scene; detects its format. Frames are read from disk on access.
 
@@ -84,7 +96,8 @@ def load_scene(
             cloud is fused from the depth images.
         cloud: a PLY file to use as the cloud; if it does not exist yet, a fused cloud is written there.
         voxel_size: of the fusion, metres; about the distance between fused points.
-        progress: show a progress bar while fusing.
+        progress: show a progress bar while fusing; None: if there is a terminal. A fused cloud is kept in the user's
+            cache for the next time (environment variable TORCHJOINT_CACHE: another folder, or empty: nowhere).
 
     Returns:
         The scene; `scene.truth` holds the ground-truth instances, if the data set has any.

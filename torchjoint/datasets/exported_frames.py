@@ -11,7 +11,7 @@ from torchjoint.datasets.files import read_depth, read_image, read_matrix
 from torchjoint.datasets.lazy import LazySequence
 from torchjoint.datasets.recording import invert_pose
 from torchjoint.datasets.resampling import register_depth
-from torchjoint.datasets.scannet_cameras import Cameras
+from torchjoint.datasets.scannet_cameras import Calibration, Cameras
 from torchjoint.scene import Frame
 from torchjoint.scene.checks import as_pose
 
@@ -67,7 +67,9 @@ def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: Cameras,
     size = (image.shape[1], image.shape[2])
     intrinsics = cameras.color.scaled_to(size)
     if depth is not None:
-        depth_intrinsics = cameras.depth.scaled_to((depth.shape[0], depth.shape[1]))
+        # One calibration for both applies to the size that was chosen for the colour image.
+        of_depth = Calibration(intrinsics, (size,)) if cameras.depth is cameras.color else cameras.depth
+        depth_intrinsics = of_depth.scaled_to((depth.shape[0], depth.shape[1]))
         depth = register_depth(depth, depth_intrinsics, intrinsics, size)
     return Frame(image, intrinsics, world_to_camera, depth=depth, name=name)
 

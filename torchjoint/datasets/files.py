@@ -133,8 +133,11 @@ def fingerprint(path: Path) -> str:
     """Returns a hash of file names, sizes and times, to detect changed files.
 
     For a folder it covers all files in and below the folder. For a file it covers the file's folder, and the files with
-    the same stem in sibling folders (KITTI's layout).
+    the same stem in sibling folders (KITTI's layout); but for a cloud that stands alone, only the file.
     """
+    if path.is_file() and path.suffix.lower() in (".ply", ".npy", ".npz", ".xyz"):
+        status = path.stat()
+        return hashlib.sha256(repr((str(path.resolve()), status.st_size, status.st_mtime_ns)).encode()).hexdigest()
     folder = path if path.is_dir() else path.parent
     files = sorted({*folder.rglob("*"), *(() if path.is_dir() else folder.parent.glob(f"*/{path.stem}.*"))})
     stats = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files if file.is_file()]

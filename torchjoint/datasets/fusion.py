@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import torch
@@ -15,16 +16,29 @@ from torchjoint.scene import Frame
 FAR = 5.0
 
 
-def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: bool = False) -> tuple[Tensor, Tensor]:
+@contextmanager
+def _lost_if_interrupted() -> Iterator[None]:
+    """An interrupt inside says that the volume, which is in memory alone, is lost."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        raise KeyboardInterrupt("the cloud was being fused from depth, which starts over") from stop
+
+
+@_lost_if_interrupted()
+def fuse_cloud(
+    frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: bool | None = False
+) -> tuple[Tensor, Tensor]:
     """Fuses depth images into a truncated signed distance volume (Curless and Levoy 1996) and extracts its surface.
 
     Args:
         frames: with depth; frames without depth are skipped.
         voxel_size: metres.
-        progress: show a progress bar.
+        progress: show a progress bar; None: if there is a terminal.
 
     Returns:
-        points [N, 3] metres and colours [N, 3] in [0, 1], sorted by coordinates: the order is deterministic.
+        points [N, 3] metres and colours [N, 3] in [0, 1], sorted by coordinates: the order is deterministic. Colours
+        have 8 bits, so that the cloud is the same after it was written to a file and read back.
 
     Raises:
         ValueError: no frame has depth, or the depth gives no surface.
@@ -39,7 +53,9 @@ def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: b
         color_type=pipelines.integration.TSDFVolumeColorType.RGB8,
     )
     fused = 0
-    for index in tqdm(range(len(frames)), desc="fuse", unit="frame", disable=not progress):
+    for index in tqdm(
+        range(len(frames)), desc="fuse", unit="frame", disable=None if progress is None else not progress
+    ):
         frame = frames[index]
         if frame.depth is None:
             continue
@@ -64,4 +80,5 @@ def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: b
     if len(points) == 0:
         raise ValueError(f"depth: the {fused} depth images give no surface; expected metres, mostly below {FAR}")
     order = np.lexsort(points.T)
-    return torch.from_numpy(points[order]), torch.from_numpy(colors[order]).clamp(0, 1)
+    in_bytes = (torch.from_numpy(colors[order]).clamp(0, 1) * 255).round()
+    return torch.from_numpy(points[order]), (in_bytes.double() / 255).float()

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files import read_cloud, write_cloud
-from torchjoint.datasets.fusion import fuse_cloud
+from torchjoint.datasets.fused_clouds import fuse_or_recall
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.camera import camera_center
 
@@ -21,7 +21,7 @@ class Options:
 
     cloud: Path | None = None  #: a cloud file to use; if it does not exist, a fused cloud is written there
     voxel_size: float = 0.02  #: of the fusion, metres
-    progress: bool = False  #: show a progress bar while fusing
+    progress: bool | None = False  #: show a progress bar while fusing; None: if there is a terminal
 
 
 def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:
@@ -34,7 +34,7 @@ def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, cloud
     if file is not None:
         points, colors, normals = read_cloud(file)
         return Scene(points, frames, colors, normals, name=path.name)
-    points, colors = fuse_cloud(frames, options.voxel_size, progress=options.progress)
+    points, colors = fuse_or_recall(path, frames, options.voxel_size, options.progress)
     if options.cloud is not None:
         write_cloud(options.cloud, points, colors)
     return Scene(points, frames, colors, name=path.name)

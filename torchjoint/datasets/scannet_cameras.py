@@ -65,8 +65,9 @@ def find_cameras(folder: Path, info: Path) -> Cameras | None:
 
     Args:
         folder: may hold intrinsic/intrinsic_color.txt and intrinsic/intrinsic_depth.txt, 4x4, as ScanNet's exporter
-            writes them. They apply to the sensor's resolution, which the files do not give, or to the images, if both
-            were scaled.
+            writes them. Without the second, the first holds for depth, too, because ScanNet's depth is warped to the
+            colour camera's view. They apply to the sensor's resolution, which the files do not give, or to the images,
+            if both were scaled.
         info: ScanNet's SCAN.txt, which gives the sensor's calibration and resolution, but less exactly.
 
     Raises:
@@ -75,9 +76,14 @@ def find_cameras(folder: Path, info: Path) -> Cameras | None:
     color = folder / "intrinsic" / "intrinsic_color.txt"
     if color.is_file():
         depth = color.with_name("intrinsic_depth.txt")
-        matrices = [as_intrinsics(read_matrix(file, (4, 4))[:3, :3], str(file)) for file in (color, depth)]
-        return Cameras(*(Calibration(matrix, (COLOR_SIZE, DEPTH_SIZE), is_certain=False) for matrix in matrices))
+        of_color = _read_calibration(color)
+        return Cameras(of_color, _read_calibration(depth) if depth.is_file() else of_color)
     return _read_info(info) if info.is_file() else None
+
+
+def _read_calibration(file: Path) -> Calibration:
+    matrix = as_intrinsics(read_matrix(file, (4, 4))[:3, :3], str(file))
+    return Calibration(matrix, (COLOR_SIZE, DEPTH_SIZE), is_certain=False)
 
 
 def _read_info(path: Path) -> Cameras | None:

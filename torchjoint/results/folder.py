@@ -24,7 +24,9 @@ from torchjoint.datasets.files import read_label_image, write_cloud
 from torchjoint.datasets.lazy import LazySequence
 from torchjoint.results.figures import overview
 from torchjoint.results.hierarchy_files import FILE, FOLDER, read_hierarchy, read_piece_image, write_hierarchy
+from torchjoint.results.inputs import write_inputs
 from torchjoint.results.label_colors import label_colors
+from torchjoint.results.objects import write_segments
 from torchjoint.scene import Scene, Segmentation
 
 #: Largest label in a 16-bit label image, which stores label + 1; 0 = none.
@@ -90,8 +92,9 @@ def _check_replaceable(out: Path, overwrite: bool) -> None:
 def write_result(
     folder: Path, scene: Scene, result: Segmentation, config: Config, source: str, granularity: float = 0.5
 ) -> None:
-    """Writes points.ply, points.npz, images/NAME.png, overview.png and run.yaml into a folder.
+    """Writes points.ply, points.npz, segments.json, images/NAME.png, overview.png and run.yaml into a folder.
 
+    The frames are written, too: cameras.json, inputs/NAME.jpg, and images_color/NAME.jpg with the labels over them.
     A result with a hierarchy also gets hierarchy.npz and pieces/NAME.png, from which any level follows; run.yaml then
     records the granularity of the labels.
 
@@ -106,6 +109,8 @@ def write_result(
     _write_label_images(folder / "images", result)
     if result.hierarchy is not None:
         write_hierarchy(folder, result.hierarchy, _image_names(result), result.piece_images)
+    write_inputs(folder, scene, result, _image_names(result))
+    write_segments(folder, scene, result)
     overview(scene, result).savefig(folder / "overview.png", dpi=100)
     (folder / "run.yaml").write_text(
         yaml.safe_dump(_run_record(scene, result, config, source, granularity), sort_keys=False)
@@ -161,10 +166,33 @@ def read_config(folder: Path) -> Config:
         FileNotFoundError: there is no run.yaml.
         ValueError, TypeError: run.yaml is damaged; the message names the file.
     """
+    return read_yaml(_run_file(folder), lambda record: Config.from_dict(record.get("config")), "a record of a run")
+
+
+def read_source(folder: Path) -> str:
+    """The input of the run that made a result: the recording's path, as `segment` was given it.
+
+    Raises:
+        FileNotFoundError: there is no run.yaml.
+        ValueError, TypeError: run.yaml is damaged; the message names the file.
+    """
+    return read_yaml(_run_file(folder), lambda record: str(record.get("scene")), "a record of a run")
+
+
+def read_granularity(folder: Path) -> float | None:
+    """The level of a result's labels; None if it has no levels. Raises as :func:`read_source`."""
+
+    def level(record: Any) -> float | None:
+        return None if record.get("granularity") is None else float(record["granularity"])
+
+    return read_yaml(_run_file(folder), level, "a record of a run")
+
+
+def _run_file(folder: Path) -> Path:
     file = folder / "run.yaml"
     if not file.is_file():
         raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
-    return read_yaml(file, lambda record: Config.from_dict(record.get("config")), "a record of a run")
+    return file
 
 
 def _image_names(result: Segmentation) -> list[str]:

@@ -67,6 +67,10 @@ class Frame:
             set_("masks", as_masks(self.masks, self.size, self.mask_scores, self._called("masks")))
             set_("mask_scores", None)  # now in masks
 
+    def __repr__(self) -> str:
+        has = "".join(f", {name}" for name in ("depth", "labels") if getattr(self, name) is not None)
+        return f"Frame({self.name!r}: {self.size[1]} x {self.size[0]} pixels{has})"
+
     def _called(self, argument: str) -> str:
         return f"{argument} of frame {self.name!r}" if self.name else argument
 

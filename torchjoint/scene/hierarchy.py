@@ -64,6 +64,9 @@ class Hierarchy:
         if not 0 <= self.default <= 1:
             raise ValueError(f"default: expected a height in [0, 1], got {self.default}")
 
+    def __repr__(self) -> str:
+        return f"Hierarchy({len(self.piece)} points, {self.num_pieces} pieces, {len(self.merges)} merges)"
+
     @cached_property
     def num_pieces(self) -> int:
         """P, the number of pieces."""

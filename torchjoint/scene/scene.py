@@ -48,6 +48,10 @@ class Scene:
         object.__setattr__(self, "points", points)
         if not (hasattr(self.frames, "__len__") and hasattr(self.frames, "__getitem__")):
             raise TypeError(f"frames: expected a sequence of Frame, got {type(self.frames).__name__}")
+        if isinstance(self.frames, (list, tuple)):  # others are lazy, and not read here
+            for index, frame in enumerate(self.frames):
+                if not isinstance(frame, Frame):
+                    raise TypeError(f"frames[{index}]: expected a Frame, got {type(frame).__name__}")
         if self.colors is not None:
             colors = as_unit_range(self.colors, "colors")
             check_shape(colors, tuple(points.shape), "colors")
@@ -61,6 +65,11 @@ class Scene:
             object.__setattr__(self, "normals", normals / length)
         if self.truth is not None and self.truth.points is not None:
             as_labels(self.truth.points, (len(points),), "truth.points")
+
+    def __repr__(self) -> str:
+        parts = [f"{len(self.points)} points", f"{len(self.frames)} frames"]
+        parts += [name for name in ("colors", "normals", "truth") if getattr(self, name) is not None]
+        return f"Scene({self.name!r}: {', '.join(parts)})"
 
     def select_points(self, keep: Tensor) -> Scene:
         """The scene with some of its points, in the order of `keep` ([N] bool, or [M] int64 indices)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import overload
+from typing import Self, overload
 
 import torch
 from torch import Tensor
@@ -59,13 +59,20 @@ class Segmentation:
     hierarchy: Hierarchy | None = None
     piece_images: Sequence[Tensor] = ()
 
+    def __repr__(self) -> str:
+        levels = ", all levels" if self.hierarchy is not None else ""
+        return (
+            f"{type(self).__name__}({len(self.points)} points in {self.num_point_segments} segments, "
+            f"{len(self.images)} images{levels})"
+        )
+
     @property
     def num_point_segments(self) -> int:
         """Number of segments of the cloud."""
         return int(self.points.max()) + 1 if self.points.numel() else 0
 
     @one_thread_per_operation()
-    def at(self, granularity: float = 0.5) -> Segmentation:
+    def at(self, granularity: float = 0.5) -> Self:
         """The segmentation at another level: are the drawers parts of their cabinet, or objects of their own?
 
         Levels are nested: every segment lies inside one segment of each coarser level, in the cloud and in the images.

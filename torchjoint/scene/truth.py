@@ -25,6 +25,10 @@ class Truth:
     images: Sequence[Tensor] = ()
     kinds: Mapping[int, str] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        points = "none" if self.points is None else f"{len(self.points)}"
+        return f"Truth({points} points, {len(self.images)} images)"
+
     @property
     def has_points(self) -> bool:
         """Whether the instance of any point is known."""

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files import MAX_PIXELS, read_array
-from torchjoint.evaluation.baselines.mat_files import read_matrices
+from torchjoint.datasets.mat_files import read_matrices
 
 SUFFIXES = (".mat", ".npy")
 

@@ -1,0 +1,98 @@
+"""Small things a person meets: versions, presets, pipes, interrupts, types."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from folder_files import write_folder
+
+import torchjoint as tj
+
+PROGRAM = "import sys; from torchjoint.cli import main; sys.argv = ['torchjoint', *sys.argv[1:]]; main()"
+
+
+def test_version(run, capsys):
+    run("--version")
+    assert capsys.readouterr().out == f"torchjoint {tj.__version__}\n"
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("segment", "--help")])
+def test_help_lists_the_presets(run, capsys, arguments):
+    with pytest.raises(SystemExit):
+        run(*arguments)
+    text = " ".join(capsys.readouterr().out.split())
+    for preset in tj.config.presets():
+        assert preset in text
+
+
+def test_parameters_of_one_stage(run, capsys):
+    run("parameters", "region_merging")
+    text = capsys.readouterr().out
+    assert text.startswith("**`region_merging`**")
+    assert text.count("**") == 2
+    run("parameters", "borders")  # its old name
+    assert capsys.readouterr().out == text
+    with pytest.raises(SystemExit, match="nope: unknown stage, expected one of boundary, "):
+        run("parameters", "nope")
+
+
+def test_a_closed_pipe_is_no_error():
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "parameters"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    process.stderr.close()
+    assert process.wait() == 141
+
+
+def test_an_interrupt_while_fusing_says_what_is_lost(run, scene_of, tmp_path, monkeypatch):
+    recording = write_folder(tmp_path / "recording", scene_of(2), cloud=False)
+
+    def interrupt(path):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("torchjoint.datasets.folder.read_depth", interrupt)
+    with pytest.raises(SystemExit, match=r"interrupted; .*the cloud was being fused from depth, which starts over"):
+        run("segment", recording, "-o", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: tj.JointSegmenter("indoor"), r"config: expected a Config, got str; .*from_preset\('indoor'\)"),
+        (lambda: tj.JointSegmenter()(torch.rand(9, 3)), "scene: expected a Scene, got Tensor"),
+        (lambda: tj.Scene(torch.rand(9, 3), [(1, 2)]), r"frames\[0\]: expected a Frame, got tuple"),
+    ],
+)
+def test_wrong_types_are_named(call, message):
+    with pytest.raises(TypeError, match=message):
+        call()
+
+
+def test_reprs_are_short(scene_of):
+    synthetic = scene_of(2)
+    scene = synthetic.scene
+    assert repr(scene) == f"Scene({scene.name!r}: 6000 points, 6 frames, colors)".replace(
+        "colors)", "colors, truth)" if scene.truth is not None else "colors)"
+    )
+    assert repr(scene.frames[0]).startswith("Frame('frame-000000': 160 x 120 pixels")
+    segmentation = tj.Segmentation(torch.tensor([0, 0, 1]), ())
+    assert repr(segmentation) == "Segmentation(3 points in 2 segments, 0 images)"
+    assert repr(tj.Result.of(segmentation, tj.Scene(torch.rand(3, 3)))).startswith("Result(3 points in 2 segments")
+
+
+def test_completion_offers_the_public_names():
+    assert sorted(dir(tj)) == sorted([*tj.__all__, "__version__"])
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_superpoints_of_numpy_arrays_are_a_numpy_array(scene_of, dtype):
+    cloud = scene_of(2).scene
+    points, colors = cloud.points.numpy().astype(dtype), (cloud.colors.numpy() * 255).round().astype(np.uint8)
+    points.flags.writeable = False
+    labels = tj.superpoints(points, colors)
+    assert isinstance(labels, np.ndarray)
+    np.testing.assert_array_equal(labels, tj.superpoints(torch.tensor(points), torch.from_numpy(colors)))

@@ -1,0 +1,223 @@
+"""A result that others can use: read back with its frames, measured, cropped, exported."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import torchjoint as tj
+from torchjoint.results.folder import write_result
+from torchjoint.results.oriented_box import oriented_box
+from torchjoint.results.overlays import overlay
+from torchjoint.results.upright import up_direction
+
+GRADIENT = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
+
+
+@pytest.fixture(scope="module")
+def scene(scene_of):
+    return scene_of(3).scene
+
+
+@pytest.fixture(scope="module")
+def result(scene):
+    return tj.Result.of(tj.JointSegmenter(GRADIENT)(scene), scene, GRADIENT)
+
+
+@pytest.fixture(scope="module")
+def out(scene, result, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("result") / "out"
+    folder.mkdir()
+    write_result(folder, scene, result, GRADIENT, "test")
+    return folder
+
+
+def test_a_result_is_read_back(out, scene, result):
+    read = tj.load_result(str(out))
+    assert torch.equal(read.points, result.points)
+    assert torch.equal(read.scene.points, scene.points)
+    assert torch.equal(read.scene.colors, scene.colors)
+    assert read.config == GRADIENT
+    assert read.names == result.names
+    for got, expected in zip(read.scene.frames, scene.frames, strict=True):
+        assert torch.equal(got.intrinsics, expected.intrinsics)
+        assert torch.equal(got.world_to_camera, expected.world_to_camera)
+        assert (got.image - expected.image).abs().mean() < 0.02  # as JPEG keeps it
+    coarse = read.at(0.2)
+    assert isinstance(coarse, tj.Result)
+    assert coarse.num_point_segments < read.num_point_segments
+
+
+def test_a_result_without_cameras_has_no_frames(out, tmp_path):
+    for name in ("points.npz", "run.yaml"):
+        (tmp_path / name).write_bytes((out / name).read_bytes())
+    assert len(tj.load_result(tmp_path).scene.frames) == 0
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "other.png").write_bytes(next((out / "images").iterdir()).read_bytes())
+    (tmp_path / "cameras.json").write_bytes((out / "cameras.json").read_bytes())
+    with pytest.raises(ValueError, match=r"cameras\.json: not the cameras of these images: KeyError\('other'\)"):
+        tj.load_result(tmp_path)
+
+
+def test_segments_json_says_what_is_in_the_labels(out, scene, result):
+    record = json.loads((out / "segments.json").read_text())
+    assert len(record["segments"]) == result.num_point_segments
+    for segment in record["segments"]:
+        mask = result.points == segment["id"]
+        assert segment["points"] == int(mask.sum())
+        np.testing.assert_allclose(segment["center"], scene.points[mask].double().mean(0), atol=1e-5)
+        np.testing.assert_allclose(segment["color"], scene.colors[mask].double().mean(0), atol=1e-4)
+        inside = (scene.points[mask].double().numpy() - segment["box"]["center"]) @ np.array(segment["box"]["axes"]).T
+        np.testing.assert_allclose(np.abs(inside).max(0), np.array(segment["box"]["size"]) / 2, atol=1e-4)
+        seen = {view["name"]: view for view in segment["frames"]}
+        for name, labels in zip(result.names, result.images, strict=True):
+            rows, columns = torch.nonzero(labels == segment["id"], as_tuple=True)
+            assert (len(rows) > 0) == (name in seen)
+            if len(rows):
+                x, y = int(columns.min()), int(rows.min())
+                box = [x, y, int(columns.max()) - x + 1, int(rows.max()) - y + 1]
+                assert seen[name] == {"name": name, "pixels": len(rows), "box": box}
+
+
+def test_overlays_can_be_looked_at(out, result):
+    painted = np.array(Image.open(out / "images_color" / f"{result.names[0]}.jpg"))
+    assert painted.shape == (120, 160, 3)
+    assert painted.std() > 20  # not black
+    labels = torch.tensor([[-1, -1, 0, 0]])
+    one = overlay(torch.full((3, 1, 4), 0.5), labels, 1)
+    assert one[:, 0, 0].tolist() == [0.5] * 3
+    assert one[:, 0, 1].tolist() == [1.0] * 3  # the border
+    assert one[:, 0, 2].tolist() != [0.5] * 3
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, 1.3])
+def test_boxes_are_small_and_upright(turn):
+    rng = np.random.default_rng(0)
+    size = np.array([2.0, 0.5, 1.0])
+    turned = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T / 2
+    points = (np.concatenate([corners, rng.uniform(-0.5, 0.5, (50, 3))]) * size) @ turned + [5.0, 6.0, 7.0]
+    box = oriented_box(points, np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(box.size, size, atol=1e-5)
+    np.testing.assert_allclose(box.center, [5, 6, 7], atol=1e-5)
+    np.testing.assert_allclose(np.abs(box.axes @ turned.T), np.eye(3), atol=1e-5)
+
+
+@pytest.mark.parametrize("points", [[[1.0, 2, 3]], [[0.0, 0, 0], [1, 1, 0]], [[0.0, 0, 0], [0, 0, 2]]])
+def test_boxes_of_few_points(points):
+    box = oriented_box(np.array(points), np.array([0.0, 0.0, 1.0]))
+    assert np.isfinite(box.axes).all()
+    np.testing.assert_allclose(box.axes @ box.axes.T, np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(box.size.max(), np.ptp(points, axis=0).max() if box.size[2] else box.size[0], atol=1e-6)
+
+
+def test_up_is_against_gravity_in_any_world_frame(scene):
+    turn, _ = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64))
+    turn = turn * turn.det()
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = turn.T
+    frames = [tj.Frame(f.image, f.intrinsics, f.world_to_camera @ pose) for f in scene.frames]
+    for chosen in (frames, frames[:1]):  # one camera, which looks down: only the floor says how far
+        turned = tj.Scene((scene.points.double() @ turn.T).float(), chosen)
+        assert float(up_direction(turned) @ (turn @ torch.tensor([0.0, 0, 1], dtype=torch.float64))) > 0.999
+    assert float(up_direction(tj.Scene(scene.points))[2]) > 0.999
+
+
+class TestCrops:
+    def test_best_first(self, result):
+        seen = max(result.records(), key=lambda record: len(record.views))
+        crops = result.crops(seen.id, k=2)
+        assert len(crops) == 2
+        values = [crop.pixels * crop.whole**2 for crop in crops]
+        assert values[0] >= values[1] > 0
+        for crop in crops:
+            x, y, width, height = crop.box
+            assert crop.name == result.names[crop.frame]
+            labels = result.images[crop.frame][y : y + height, x : x + width]
+            assert torch.equal(crop.mask, labels == seen.id)
+            assert int(crop.mask.sum()) == crop.pixels
+            image = result.scene.frames[crop.frame].image
+            assert torch.equal(crop.image, image[:, y : y + height, x : x + width])
+        assert len(result.crops(seen.id, k=99)) == len(seen.views)
+
+    def test_the_whole_object_is_better_than_half_of_it(self):
+        intrinsics = torch.tensor([[10.0, 0, 5], [0, 10, 5], [0, 0, 1]], dtype=torch.float64)
+        points = torch.tensor([[x / 4, 0.0, 2.0] for x in range(-2, 3)])
+        aside = torch.eye(4, dtype=torch.float64)
+        aside[0, 3] = 1.1  # two of five points are inside
+        frames = [tj.Frame(torch.zeros(3, 11, 11), intrinsics, pose) for pose in (aside, torch.eye(4).double())]
+        images = [torch.zeros(11, 11, dtype=torch.int64), torch.full((11, 11), -1)]
+        images[1][4:9, 4:9] = 0
+        labels = torch.zeros(5, dtype=torch.int64)
+        result = tj.Result.of(tj.Segmentation(labels, images, names=("half", "whole")), tj.Scene(points, frames))
+        assert [crop.name for crop in result.crops(0)] == ["whole", "half"]
+        assert result.crops(0, margin=0.2)[0].box == (3, 3, 7, 7)
+
+    @pytest.mark.parametrize(("arguments", "message"), [((-1,), "segment: expected an id"), ((0, 0), "k >= 1")])
+    def test_errors(self, result, arguments, message):
+        with pytest.raises(ValueError, match=message):
+            result.crops(*arguments)
+
+    def test_another_scene(self, result):
+        with pytest.raises(ValueError, match="scene: expected 6000 points and 6 frames, got 3 and 0"):
+            tj.Result.of(result, tj.Scene(torch.rand(3, 3)))
+
+
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools about itself
+class TestExports:
+    @pytest.fixture
+    def export(self, run, out, tmp_path):
+        def command(kind, *arguments):
+            target = tmp_path / f"export.{kind}"
+            run("export", out, "--format", kind, "-o", target, *arguments)
+            return target
+
+        return command
+
+    def test_coco(self, export, result):
+        coco = pytest.importorskip("pycocotools.coco")
+        read = coco.COCO(export("coco"))
+        for image_id, labels in enumerate(result.images, 1):
+            drawn = torch.full_like(labels, -1)
+            for annotation in read.loadAnns(read.getAnnIds(imgIds=image_id)):
+                mask = torch.from_numpy(read.annToMask(annotation)).bool()
+                assert annotation["area"] == int(mask.sum())
+                assert annotation["in_cloud"] == (annotation["segment_id"] < result.num_point_segments)
+                drawn[mask] = annotation["segment_id"]
+            assert torch.equal(drawn, labels)
+
+    def test_sam(self, export, result):
+        coder = pytest.importorskip("pycocotools.mask")
+        folder = export("sam")
+        record = json.loads((folder / f"{result.names[1]}.json").read_text())
+        drawn = np.full((120, 160), -1)
+        for annotation in record["annotations"]:
+            drawn[coder.decode(annotation["segmentation"]).astype(bool)] = annotation["id"]
+            assert annotation["bbox"] == coder.toBbox(annotation["segmentation"]).tolist()
+        np.testing.assert_array_equal(drawn, result.images[1])
+
+    def test_las(self, export, result):
+        laspy = pytest.importorskip("laspy")
+        cloud = laspy.read(export("las"))
+        np.testing.assert_allclose(cloud.xyz, result.scene.points, atol=1e-4)
+        np.testing.assert_array_equal(cloud["label"], result.points)
+        np.testing.assert_allclose(np.array(cloud.green) / 65535, result.scene.colors[:, 1], atol=1e-4)
+
+    def test_npz_of_another_level(self, export, result):
+        with np.load(export("npz", "--granularity", 0.2)) as arrays:
+            np.testing.assert_array_equal(arrays["labels"], result.at(0.2).points)
+            for name, labels in zip(result.names, result.at(0.2).images, strict=True):
+                np.testing.assert_array_equal(arrays[f"image:{name}"], labels)
+
+    def test_ply_is_replaced_but_nothing_else(self, export, result):
+        folder = export("ply")
+        assert len(list(folder.iterdir())) == result.num_point_segments
+        with pytest.raises(SystemExit, match="exists already"):
+            export("ply")
+        export("ply", "--overwrite")
+        (folder / "thesis.tex").write_text("precious")
+        with pytest.raises(SystemExit, match=r"holds more than \.ply files"):
+            export("ply", "--overwrite")
+        assert (folder / "thesis.tex").read_text() == "precious"

@@ -1,0 +1,249 @@
+"""The viewer in a real browser: clicks in the cloud, in the image and in the table; what is drawn after them.
+
+Chromium is the system's (Debian's package `chromium`), driven by Playwright. Its WebGL runs in software.
+"""
+
+import io
+import json
+import shutil
+import time
+import warnings
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+import torchjoint as tj
+
+pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
+sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need playwright")
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+pytestmark = [
+    pytest.mark.skipif(BROWSER is None, reason="no browser: apt-get install chromium"),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning"),  # of viser and websockets
+    pytest.mark.slow,
+]
+# Without the first, WebGL in software is off since Chrome 144, and a page without a cloud would be tested.
+FLAGS = ["--enable-unsafe-swiftshader", "--use-angle=swiftshader", "--no-sandbox"]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def viewer(out, tmp_path):
+    from torchjoint.viewer.app import Viewer
+
+    folder = tmp_path / "out"
+    shutil.copytree(out, folder)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        viewer = Viewer(tj.load_result(folder, edits=False), folder, port=8950)
+    yield viewer
+    viewer.stop()
+
+
+@pytest.fixture
+def page(browser, viewer):
+    page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    page.goto(viewer.url)
+    page.wait_for_selector("#tj-image")
+    wait(lambda: drawn(page) > 1000)
+    wait(lambda: camera(viewer) is not None)
+    yield page
+    page.close()
+
+
+def wait(condition, seconds=30.0):
+    """Until a condition holds; the time only ends a test that has failed anyway."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it never happened"
+        time.sleep(0.1)
+
+
+def pixels(page):
+    """The page left of the panel, [H, W, 3]."""
+    shot = np.array(Image.open(io.BytesIO(page.screenshot())).convert("RGB")).astype(int)
+    shot[:170, :330] = 255  # viser's note that there is no GPU
+    return shot[:, :860]
+
+
+def drawn(page):
+    """Number of pixels in colour."""
+    return int((np.ptp(pixels(page), axis=2) > 40).sum())
+
+
+def camera(viewer):
+    clients = list(viewer.server.get_clients().values())
+    return clients[0].camera if clients and clients[0].camera.image_height else None
+
+
+def on_screen(viewer, points):
+    """Column and row of points on the page, and their depths."""
+    eye = camera(viewer)
+    rotation = Rotation.from_quat(np.asarray(eye.wxyz), scalar_first=True).as_matrix()
+    x, y, z = ((points - np.asarray(eye.position)) @ rotation).T
+    focal = eye.image_height / 2 / np.tan(eye.fov / 2)
+    return eye.image_width / 2 + focal * x / z, eye.image_height / 2 + focal * y / z, z
+
+
+def place_of(viewer, segment):
+    """A pixel in the midst of what is seen of a segment, whose neighbours all show it."""
+    model = viewer.model
+    points = model.result.scene.points.numpy()
+    u, v, z = on_screen(viewer, points)
+    of_point = model.table[model.parts.of_point]
+    inside = (u > 20) & (u < 840) & (v > 180) & (v < 980) & (z > 0)
+    best, place = 0, None
+    for index in np.nonzero(inside & (of_point == segment))[0]:
+        near = inside & (np.hypot(u - u[index], v - v[index]) < 15)
+        pure = (of_point[near] == segment).all()
+        if pure and near.sum() > best:
+            best, place = int(near.sum()), (float(u[index]), float(v[index]))
+    return place
+
+
+def visible_segments(viewer):
+    """Segments with a place to click, largest first."""
+    model = viewer.model
+    found = [(model.segment_of_key(row.key)) for row in model.rows()[0]]
+    return [(segment, place) for segment in found if (place := place_of(viewer, segment)) is not None]
+
+
+def color_at(page, place):
+    """The most frequent colour near a place that is not the background."""
+    column, row = (round(value) for value in place)
+    patch = pixels(page)[row - 7 : row + 8, column - 7 : column + 8].reshape(-1, 3)
+    colors, counts = np.unique(patch[patch.min(1) < 250], axis=0, return_counts=True)
+    return colors[counts.argmax()]
+
+
+def panel(page):
+    return page.inner_text("#tj-panel")
+
+
+def test_a_click_in_the_cloud_lights_the_segment_everywhere(viewer, page):
+    (first, here), (second, there) = visible_segments(viewer)[:2]
+    expected = viewer.model.piece_colors()
+    assert np.abs(color_at(page, here) - expected[first]).max() < 12
+    assert np.abs(color_at(page, there) - expected[second]).max() < 12
+    image = page.get_attribute("#tj-image", "src")
+    page.mouse.click(*here)
+    wait(lambda: "segment" in panel(page) and "Click" not in panel(page))
+    row = viewer.model.row(first)
+    assert f"segment {row.key}: {row.points} points" in panel(page)
+    wait(lambda: color_at(page, there).min() > 180)  # the others fade
+    assert np.abs(color_at(page, here) - expected[first]).max() < 12
+    assert page.get_attribute("#tj-image", "src") != image
+    assert page.eval_on_selector(f'tr[data-key="{row.key}"]', "e => e.style.background") != ""
+    # With shift a second one is added; then both become one.
+    page.keyboard.down("Shift")
+    page.mouse.click(*there)
+    page.keyboard.up("Shift")
+    wait(lambda: len(viewer.model.selected) == 2)
+    page.get_by_role("button", name="Join").click()
+    wait(lambda: len(viewer.model.selected) == 1)
+    together = row.points + int((viewer.result.points == viewer.model.key(second)).sum())
+    wait(lambda: f"{together} points" in panel(page))
+    page.get_by_role("button", name="Undo").click()
+    wait(lambda: len(np.unique(viewer.model.table)) == viewer.result.num_point_segments)
+
+
+def test_a_click_in_the_image_and_in_the_table(viewer, page):
+    labels = viewer.result.images[0]
+    middle = int(labels[60, 80])
+    box = page.locator("#tj-image").bounding_box()
+    page.mouse.click(box["x"] + box["width"] * 80.5 / 160, box["y"] + box["height"] * 60.5 / 120)
+    wait(lambda: f"segment {middle}:" in panel(page))
+    wait(lambda: "seen in 0" not in panel(page))
+    other = next(row.key for row in viewer.model.rows()[0] if row.key != middle)
+    page.click(f'tr[data-key="{other}"]')
+    wait(lambda: f"segment {other}:" in panel(page))
+    page.locator("xpath=//*[text()='Name']/following::input[1]").fill("<b>mug</b>")
+    wait(lambda: "<b>mug</b>" in page.inner_text("#tj-table"))  # as text
+    page.get_by_role("button", name="Save corrections").click()
+    wait(lambda: (viewer.folder / "edits.json").is_file())
+    assert list(tj.load_result(viewer.folder).segment_names.values()) == ["<b>mug</b>"]
+    page.get_by_role("button", name="PLY").click()
+    file = viewer.folder / "selection" / f"{other}.ply"
+    wait(file.is_file)
+    points = tj.datasets.clouds.read_cloud_file(file).points
+    assert len(points) == int((viewer.result.points == other).sum())
+    page.get_by_role("button", name="PNG").click()
+    wait((viewer.folder / "selection" / f"{other}-masks").is_dir)
+
+
+def test_the_granularity_slider_and_the_frame_slider(viewer, page):
+    before = len(np.unique(viewer.model.table))
+    slider = page.get_by_role("slider").first
+    slider.focus()
+    slider.press("Home")
+    wait(lambda: viewer.model.edits.granularity == 0)
+    slider.press("End")
+    wait(lambda: viewer.model.edits.granularity == 1)
+    assert len(np.unique(viewer.model.table)) > before
+    wait(lambda: f"{len(np.unique(viewer.model.table))} segments" in page.inner_text("body"))
+    fresh = [one for one in visible_segments(viewer) if viewer.model.key(one[0]) >= viewer.result.num_point_segments]
+    colors = viewer.model.piece_colors()
+    segment, place = fresh[0]
+    wait(lambda: np.abs(color_at(page, place) - colors[segment]).max() < 12)
+    image = page.get_attribute("#tj-image", "alt")
+    frames = page.get_by_role("slider").nth(2)
+    frames.focus()
+    frames.press("ArrowRight")
+    wait(lambda: page.get_attribute("#tj-image", "alt") == viewer.result.names[1] != image)
+    page.get_by_role("button", name="Stand at this camera").click()
+    center = (
+        -np.linalg.inv(viewer.result.scene.frames[1].world_to_camera.numpy())[:3, :3]
+        @ (viewer.result.scene.frames[1].world_to_camera.numpy()[:3, 3])
+    )
+    wait(lambda: np.abs(np.asarray(camera(viewer).position) - center).max() < 0.01)
+    # What the camera saw is now drawn where its image has it.
+    u, v, _ = on_screen(viewer, viewer.result.scene.points.numpy())
+    assert ((u > 0) & (u < 1280) & (v > 0) & (v < 1000)).sum() > 300
+
+
+def test_parameters_of_a_run_in_memory(browser, out, scene_of):
+    from torchjoint.viewer.app import Viewer
+    from torchjoint.viewer.parameters import LiveRun
+
+    scene = scene_of(3).scene
+    segmenter = tj.JointSegmenter(tj.Config.from_preset("regions").set(["boundary.detector=gradient"]))
+    result = tj.Result.of(segmenter(scene), scene)
+    viewer = Viewer(result, run=LiveRun(segmenter, scene), port=8960)
+    page = browser.new_page(viewport={"width": 1280, "height": 1400})  # the whole panel, without scrolling
+    page.goto(viewer.url)
+    page.wait_for_selector("#tj-image")
+    page.locator("xpath=//*[starts-with(normalize-space(text()),'Parameters')]/following::input[1]").fill("0.1")
+    page.get_by_role("button", name="Compute again").click()
+    wait(lambda: viewer.result is not result)
+    wait(lambda: f"{viewer.result.num_point_segments} segments" in page.inner_text("body"))
+    assert viewer.result.num_point_segments != result.num_point_segments
+    page.close()
+    viewer.stop()
+
+
+def test_the_static_page(browser, out, run, tmp_path):
+    run("show", out, "--static", tmp_path / "page.html")
+    page = browser.new_page(viewport={"width": 1000, "height": 900})
+    page.goto((tmp_path / "page.html").as_uri())
+    page.wait_for_selector("canvas")
+    wait(lambda: (np.ptp(pixels(page)[:600], axis=2) > 60).sum() > 3000)
+    eye = page.evaluate("document.querySelector('.js-plotly-plot')._fullLayout.scene.camera.eye")
+    assert eye["z"] > 0.3  # from above
+    shown = page.evaluate("Array.from(document.querySelector('.js-plotly-plot')._fullData[0].z)")
+    up = np.array(json.loads((out / "segments.json").read_text())["up"])
+    heights = tj.load_result(out).scene.points.numpy() @ up
+    assert np.corrcoef(shown, heights)[0, 1] > 0.9999
+    before = pixels(page)
+    page.click("text=colours")
+    wait(lambda: (np.abs(pixels(page) - before).max(2) > 30).sum() > 3000)
+    page.close()

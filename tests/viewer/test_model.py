@@ -1,0 +1,243 @@
+"""What the viewer shows, without a browser: levels, corrections and undo, colours, the table, clicks in the cloud."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+import torchjoint as tj
+from torchjoint.results.confidence import confidence
+from torchjoint.results.edits import Edit, Edits, read_edits, write_edits
+from torchjoint.results.parts import Parts, edited
+from torchjoint.scene import Hierarchy
+from torchjoint.viewer.cloud import blocks_of
+from torchjoint.viewer.model import Model
+from torchjoint.viewer.pick import pick_point
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture
+def result(out):
+    return tj.load_result(out, edits=False)
+
+
+@pytest.fixture
+def model(result):
+    return Model(result, Edits(Parts(result).count), UP)
+
+
+def largest(model, count=2):
+    return [model.segment_of_key(row.key) for row in model.rows()[0][:count]]
+
+
+def keys_of_points(model):
+    return model.parts.keys[model.table][model.parts.of_point]
+
+
+def test_ids_are_those_on_disk_at_its_level_and_stay_when_others_change(model, result):
+    np.testing.assert_array_equal(keys_of_points(model), result.points)
+    model.set_granularity(0.9)
+    fine = keys_of_points(model)
+    assert len(np.unique(fine)) == len(np.unique(model.table)) > result.num_point_segments
+    model.set_granularity(0.2)
+    assert set(keys_of_points(model)) <= set(range(result.num_point_segments))  # the ids of their first pieces
+    model.set_granularity(None)
+    _, second = largest(model)
+    before = keys_of_points(model)
+    model.select((second,))
+    model.split()
+    others = model.result.points.numpy() != model.key(second)
+    np.testing.assert_array_equal(keys_of_points(model)[others], before[others])
+
+
+def test_join_split_name_and_undo(model):
+    first, second = largest(model)
+    start = model.table.copy()
+    model.select((first, second))
+    model.join()
+    joined = min(first, second)
+    assert model.selected == (joined,)
+    assert (model.table[np.isin(start, (first, second))] == joined).all()
+    model.name("table")
+    assert model.row(joined).name == "table"
+    model.select((joined,))
+    model.split()
+    assert len(np.unique(model.table)) == len(np.unique(start))
+    assert model.undo()
+    assert model.undo()
+    assert model.names() == {}
+    assert model.undo()
+    np.testing.assert_array_equal(model.table, start)
+    assert not model.undo()
+    for action in (model.join, model.split, lambda: model.name("x")):
+        model.select(())
+        with pytest.raises(ValueError, match="select"):
+            action()
+
+
+def test_a_split_goes_down_the_tree():
+    merges = torch.tensor([[0, 1], [2, 3], [1, 2], [3, 4]])
+    hierarchy = Hierarchy(torch.arange(5), merges, torch.tensor([0.1, 0.2, 0.3, 0.9], dtype=torch.float64))
+    table = np.array([0, 0, 0, 0, 4])
+    once = Edits(5, None, (Edit("split", (1,)),)).apply(table, hierarchy)
+    assert once.tolist() == [0, 0, 2, 2, 4]
+    twice = Edits(5, None, (Edit("split", (1,)), Edit("split", (3,)))).apply(table, hierarchy)
+    assert twice.tolist() == [0, 0, 2, 3, 4]
+    apart = (Edit("join", (3, 4)), Edit("split", (4,)), Edit("split", (4,)))  # 3-4 merge last, so they part first
+    assert Edits(5, None, apart[:2]).apply(table, hierarchy).tolist() == [0, 0, 0, 0, 4]
+    with pytest.raises(ValueError, match="split: segment 4 is one piece"):
+        Edits(5, None, apart).apply(table, hierarchy)
+    with pytest.raises(ValueError, match="split: the result has no hierarchy"):
+        Edits(5, None, apart[1:]).apply(table, None)
+    assert confidence(hierarchy, 0.5).tolist() == pytest.approx([0.6, 0.6, 0.6, 0.6, 0.9])
+
+
+def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
+    first, second = largest(model)
+    edits = Edits(model.parts.count, None, (Edit("join", (first, second)), Edit("name", (first,), "Tisch <ö>")))
+    for name in ("points.npz", "run.yaml", "hierarchy.npz"):
+        (tmp_path / name).write_bytes((out / name).read_bytes())
+    for name in ("images", "pieces"):
+        (tmp_path / name).symlink_to(out / name)
+    write_edits(tmp_path, edits)
+    assert read_edits(tmp_path, model.parts.count) == edits
+    read = tj.load_result(tmp_path)
+    assert read.num_point_segments == result.num_point_segments - 1
+    assert read.points.max() + 1 == len(read.points.unique())
+    (segment,) = read.segment_names
+    assert read.segment_names[segment] == "Tisch <ö>"
+    both = np.isin(result.points, [model.key(first), model.key(second)])
+    np.testing.assert_array_equal(read.points == segment, both)
+    for got, stored in zip(read.images, result.images, strict=True):
+        np.testing.assert_array_equal(got == segment, np.isin(stored, [model.key(first), model.key(second)]))
+    assert torch.equal(tj.load_result(tmp_path, edits=False).points, result.points)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[", "not a list of edits"),
+        ('{"pieces": 5, "granularity": null, "edits": []}', r"expected edits of \d+ pieces, got 5"),
+        ('{"pieces": PIECES, "granularity": null, "edits": [{"kind": "burn", "pieces": [1]}]}', "unknown edit"),
+        ('{"pieces": PIECES, "granularity": null, "edits": [{"kind": "join", "pieces": [1]}]}', "unknown edit"),
+        ('{"pieces": PIECES, "granularity": null, "edits": [{"kind": "split", "pieces": [-1]}]}', "out of range"),
+    ],
+)
+def test_damaged_corrections(model, tmp_path, text, message):
+    (tmp_path / "edits.json").write_text(text.replace("PIECES", str(model.parts.count)))
+    with pytest.raises(ValueError, match=rf"edits\.json: .*{message}"):
+        read_edits(tmp_path, model.parts.count)
+
+
+def test_a_result_without_levels_can_be_joined(result):
+    flat = tj.Result.of(tj.Segmentation(result.points, list(result.images), names=result.names), result.scene)
+    after = edited(flat, Edits(flat.num_point_segments, None, (Edit("join", (0, 2)),)))
+    np.testing.assert_array_equal(after.points == 0, np.isin(result.points, [0, 2]))
+    np.testing.assert_array_equal(after.images[0] == 0, np.isin(result.images[0], [0, 2]))
+    private = result.images[0] >= result.num_point_segments
+    np.testing.assert_array_equal(after.images[0][private] + 1, result.images[0][private])
+
+
+def test_what_is_selected_is_lit_and_the_rest_fades(model):
+    first, _ = largest(model)
+    before = model.point_colors().astype(int)
+    model.select((first,))
+    after = model.point_colors().astype(int)
+    lit = model.table[model.parts.of_point] == first
+    np.testing.assert_array_equal(after[lit], before[lit])
+    assert after[~lit].min() > 190
+    index = max(range(6), key=lambda i: (model.parts.image(i) >= 0).sum())
+    seen = np.isin(model.parts.image(index), np.nonzero(model.table == first)[0])
+    plain = model.result.scene.frames[index].image.permute(1, 2, 0).numpy() * 255
+    changed = np.abs(model.painted(index, 0.5).astype(int) - plain).max(2) > 1
+    assert changed[seen].mean() > 0.9
+
+
+@pytest.mark.parametrize("mode", ["segments", "colours", "confidence", "initial"])
+def test_every_mode_has_colours(model, mode):
+    assert mode in model.modes
+    assert "truth" not in model.modes
+    model.mode = mode
+    assert model.point_colors().shape == (6000, 3)
+    assert model.painted(0, 0.5).shape == (120, 160, 3)
+
+
+def test_the_table_sorts_and_searches(model, result):
+    rows, count = model.rows()
+    assert count == result.num_point_segments
+    assert [row.points for row in rows] == sorted((row.points for row in rows), reverse=True)
+    assert sum(row.points for row in rows) == 6000
+    assert [row.key for row in model.rows(order="id")[0]] == list(range(count))
+    assert rows[0].frames == 0
+    model.read_frames()
+    seen = [row.frames for row in model.rows(order="frames")[0]]
+    assert seen == sorted(seen, reverse=True)
+    assert seen[0] == max(sum(bool((i == k).any()) for i in result.images) for k in range(count))
+    model.select((model.segment_of_key(2),))
+    model.name("Mug")
+    assert [row.key for row in model.rows("mug")[0]] == [2]
+    assert model.rows(order="name")[0][0].key == 2
+    assert model.rows("2")[0][0].key == 2
+    assert model.rows(most=3)[1] == count
+
+
+def test_a_click_takes_the_surface_in_front():
+    wall = np.array([[x / 10, y / 10, 2.0] for x in range(-5, 6) for y in range(-5, 6)])
+    points = np.concatenate([wall + np.array([0, 0, 1]), wall])
+    hit = pick_point(points, np.zeros(3), np.array([0.0, 0.0, 3.0]), 0.05)
+    assert points[hit].tolist() == [0, 0, 2]
+    assert pick_point(points, np.zeros(3), np.array([0.0, 0.0, -1.0]), 0.05) is None
+    assert pick_point(points, np.zeros(3), np.array([1.0, 0.0, 0.1]), 0.05) is None
+
+
+def test_blocks_hold_every_point_once():
+    points = np.random.default_rng(0).normal(size=(1000, 3)).astype(np.float32)
+    points[:400] = 0  # equal points cannot be cut apart by position
+    blocks = blocks_of(points, 64)
+    assert max(map(len, blocks)) <= 64
+    assert sorted(np.concatenate(blocks).tolist()) == list(range(1000))
+
+
+def test_a_static_page_is_whole_and_upright(out, run, tmp_path, capsys):
+    run("show", out, "--static", tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert text.count("data:image/jpeg;base64,") == 6
+    assert "<script src=" not in text  # needs no network
+    assert len(text) < 6_000_000
+    assert '"aspectmode":"data"' in text
+    assert "6000 points" in text
+    assert str(tmp_path / "page.html") in capsys.readouterr().out
+    assert json.loads((out / "segments.json").read_text())["up"][2] > 0.99
+
+
+def test_a_run_in_memory_is_computed_again(scene_of):
+    from torchjoint.viewer.parameters import LIVE, LiveRun
+
+    scene = scene_of(3).scene
+    segmenter = tj.JointSegmenter(tj.Config.from_preset("regions").set(["boundary.detector=gradient"]))
+    before = segmenter(scene)
+    run = LiveRun(segmenter, scene)
+    assert tuple(run.parameters) == LIVE["regions"]
+    assert torch.equal(run.compute(run.parameters).points, before.points)
+    values = run.parameters | {"region_merging.threshold": 0.2, "image_support.min_size": 30.0}
+    config = segmenter.config.set(["region_merging.threshold=0.2", "image_support.min_size=30"])
+    again = run.compute(values)
+    assert again.config == config
+    assert torch.equal(again.points, segmenter.with_config(config).compute(images=False).points)
+    assert not torch.equal(again.points, before.points)
+    with pytest.raises(ValueError, match=r"image_support\.min_size: expected"):
+        run.compute({"image_support.min_size": -5.0})
+
+
+@pytest.mark.parametrize("method", ["learned", "regions", "edges", "scan"])
+def test_live_parameters_need_no_frames_again(method):
+    from torchjoint.viewer.parameters import LIVE
+
+    config = tj.Config().set([f"point_segments.method={method}"])
+    for name in LIVE[method]:
+        stage, _, parameter = name.partition(".")
+        value = getattr(getattr(config, stage), parameter)
+        changed = config.replace({stage: {parameter: value + (1 if isinstance(value, int) else 0.01)}})
+        assert tj.config.evidence_differences(config, changed) == []

@@ -1,0 +1,98 @@
+"""torchjoint show: what it opens, with which scene, and what it says if it cannot."""
+
+import shutil
+import sys
+
+import numpy as np
+import pytest
+import torch
+from folder_files import write_folder, write_truth
+
+import torchjoint as tj
+from torchjoint.results.page import write_page
+from torchjoint.viewer.superpoint_file import read_labelled_cloud
+from torchjoint.viewer.truth import with_truth
+
+
+def test_the_truth_is_in_the_order_of_the_result(scene_of, tmp_path):
+    synthetic = scene_of(3)
+    recording = write_folder(tmp_path / "recording", synthetic)
+    write_truth(recording, synthetic)
+    scene = tj.load_scene(recording)
+    keep = torch.arange(0, 6000, 3).flip(0)
+    some = scene.select_points(keep).select_frames([4, 1])
+    images = [torch.zeros(120, 160, dtype=torch.int64)] * 2
+    names = tuple(frame.name for frame in some.frames)
+    labels = torch.zeros(2000, dtype=torch.int64)
+    result = tj.Result.of(tj.Segmentation(labels, images, names=names), some)
+    truth = with_truth(result, recording).scene.truth
+    assert torch.equal(truth.points, synthetic.point_labels[keep])
+    assert torch.equal(truth.images[0], synthetic.image_labels[4])
+    with pytest.raises(FileNotFoundError, match=r"--truth: the recording .*gone of this result is no longer there"):
+        with_truth(result, tmp_path / "gone")
+    for file in recording.glob("*truth*"):
+        file.unlink()
+    with pytest.raises(ValueError, match="has no ground truth"):
+        with_truth(result, recording)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".npz"])
+def test_superpoints_can_be_shown(run, scene_of, tmp_path, suffix):
+    cloud = scene_of(3).scene
+    np.savez(tmp_path / "cloud.npz", points=cloud.points.numpy(), colors=cloud.colors.numpy())
+    out = tmp_path / f"out{suffix}"
+    run("superpoints", tmp_path / "cloud.npz", "-o", out, "--no-picture")
+    result = read_labelled_cloud(out)
+    assert torch.equal(result.points, tj.superpoints(cloud.points, cloud.colors))
+    run("show", out, "--static", tmp_path / "page.html")
+    with pytest.raises(ValueError, match=r"cloud\.npz: has no labels"):
+        read_labelled_cloud(tmp_path / "cloud.npz")
+
+
+def test_a_large_cloud_says_how_many_points_are_shown(tmp_path):
+    points = torch.rand(250_000, 3)
+    result = tj.Result.of(tj.Segmentation(torch.zeros(250_000, dtype=torch.int64), ()), tj.Scene(points))
+    assert write_page(tmp_path / "page.html", result) == 83_334
+    assert "83334 of 250000 points" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--granularity", 2], "--granularity: expected a number from 0"),
+        (["--up", 0, 0, 0], "--up: expected a direction"),
+        (["--truth"], r"--truth: the recording test of this result is no longer there"),
+    ],
+)
+def test_errors(run, out, tmp_path, arguments, message):
+    with pytest.raises(SystemExit, match=message):
+        run("show", out, "--static", tmp_path / "page.html", *arguments)
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_without_viser_it_says_what_to_install(run, out, monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(SystemExit, match=r"the viewer needs viser: pip install 'torchjoint\[viewer\]'"):
+        run("show", out)
+
+
+def test_up_turns_the_page(run, out, tmp_path):
+    texts = []
+    for name, up in (("a", ()), ("b", ("--up", 0, 0, -1))):
+        run("show", out, "--static", tmp_path / f"{name}.html", *up)
+        texts.append((tmp_path / f"{name}.html").read_text(encoding="utf-8"))
+    assert texts[0] != texts[1]
+
+
+def test_corrections_are_in_the_static_page(run, out, tmp_path):
+    from torchjoint.results.edits import Edit, Edits, write_edits
+    from torchjoint.results.parts import Parts
+
+    folder = tmp_path / "out"
+    shutil.copytree(out, folder)
+    result = tj.load_result(folder)
+    parts = Parts(result)
+    other = int(np.nonzero(parts.stored == 1)[0][0])
+    write_edits(folder, Edits(parts.count, None, (Edit("join", (0, other)),)))
+    run("show", folder, "--static", tmp_path / "page.html")
+    assert f"{result.num_point_segments - 1} segments" in (tmp_path / "page.html").read_text(encoding="utf-8")

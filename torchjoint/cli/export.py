@@ -1,0 +1,62 @@
+"""torchjoint export: writes a result in the format of another tool."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from torchjoint.results.exports import FORMATS, SUFFIXES
+from torchjoint.results.loading import load_result
+from torchjoint.results.result import Result
+
+
+def export(
+    result: tyro.conf.Positional[Path],
+    format: Literal["coco", "sam", "ply", "las", "npz"],
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    granularity: float | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Writes a result in the format of another tool.
+
+    Args:
+        result: folder that `torchjoint segment` wrote.
+        format: coco: COCO's JSON of instances, for all images; sam: a JSON for each image, as in SA-1B; ply: a cloud
+            for each segment; las: the cloud with the extra dimension `label`; npz: all labels as arrays. coco, sam
+            and las need `pip install 'torchjoint[export]'`.
+        out: file, or folder for sam and ply; default: RESULT-FORMAT in the current folder, with the format's suffix.
+        granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); needs a result of method learned.
+        overwrite: replace OUT.
+    """
+    loaded = load_result(result)
+    if granularity is not None:
+        loaded = loaded.at(granularity)
+    suffix = SUFFIXES.get(format, "")
+    out = out or Path(f"{result.resolve().name}-{format}{suffix}")
+    if not out.parent.is_dir():
+        raise FileNotFoundError(f"-o: {out.parent} is no folder")
+    if out.is_dir() and suffix:
+        raise FileExistsError(f"-o: {out} is a folder; {format} writes one file")
+    if out.exists() and not overwrite:
+        raise FileExistsError(f"{out}: exists already; choose another name with -o, or --overwrite")
+    if suffix:
+        FORMATS[format](out, loaded)
+    else:
+        _write_folder(out, format, loaded)
+    print(out)
+
+
+def _write_folder(out: Path, format: str, loaded: Result) -> None:
+    """Writes a folder beside `out`, then renames it; an earlier folder is replaced if it holds nothing else."""
+    kind = ".json" if format == "sam" else ".ply"
+    if out.exists() and (not out.is_dir() or any(file.suffix != kind for file in out.iterdir())):
+        raise FileExistsError(f"{out}: holds more than {kind} files and will not be overwritten")
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as temporary:
+        FORMATS[format](Path(temporary) / "new", loaded)
+        if out.exists():
+            os.replace(out, Path(temporary) / "old")
+        os.replace(Path(temporary) / "new", out)

@@ -1,0 +1,56 @@
+"""Keeps fused clouds in the user's cache, because fusing takes long: load the same recording again, and it is there."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+from torch import Tensor
+
+from torchjoint.datasets.files import fingerprint, read_cloud, write_cloud
+from torchjoint.datasets.fusion import fuse_cloud
+from torchjoint.scene import Frame
+
+#: Names the folder of the cache; empty: nothing is kept. Default: torchjoint/ in the user's cache (XDG_CACHE_HOME).
+VARIABLE = "TORCHJOINT_CACHE"
+
+
+def fuse_or_recall(
+    path: Path, frames: Sequence[Frame], voxel_size: float, progress: bool | None
+) -> tuple[Tensor, Tensor | None]:
+    """The cloud fused from the frames of a recording, from the cache if it was fused before.
+
+    Args:
+        path: the recording; a changed file in it makes the kept cloud void, as does another version of the package.
+        frames, voxel_size, progress: as of :func:`~torchjoint.datasets.fusion.fuse_cloud`.
+
+    Returns:
+        points [N, 3] metres and colours [N, 3] in [0, 1]; the same whether they were kept or not.
+    """
+    file = _file(path, voxel_size)
+    if file is not None and file.is_file():
+        try:
+            points, colors, _ = read_cloud(file)
+            return points.float(), colors
+        except ValueError:
+            pass  # a damaged file is written anew
+    points, colors = fuse_cloud(frames, voxel_size, progress=progress)
+    if file is not None:
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_cloud(file, points, colors)
+        except OSError:
+            pass  # no place, or no permission: then the next time takes as long
+    return points, colors
+
+
+def _file(path: Path, voxel_size: float) -> Path | None:
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    folder = os.environ.get(VARIABLE, os.path.join(home, "torchjoint"))
+    if not folder:
+        return None
+    key = repr((fingerprint(path), float(voxel_size), version("torchjoint")))
+    return Path(folder) / "clouds" / f"{hashlib.sha256(key.encode()).hexdigest()}.ply"

@@ -1,0 +1,96 @@
+"""The best views of a segment (output after step 8), cut out of their images: for CLIP, a labelling tool, a person."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchjoint.results.objects import image_views
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.scene import Frame, Scene, Segmentation
+from torchjoint.views.projection import project
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A segment as one frame sees it.
+
+    Attributes:
+        image: [3, h, w] RGB in [0, 1], the part of the frame around the segment.
+        mask: [h, w] bool, the segment's pixels in it.
+        box: x, y, width w and height h of the part, pixels of the frame.
+        frame: index of the frame.
+        name: of the frame.
+        pixels: number of the segment's pixels.
+        whole: share of the segment's points that lie inside the image, 0 to 1.
+    """
+
+    image: Tensor
+    mask: Tensor
+    box: tuple[int, int, int, int]
+    frame: int
+    name: str
+    pixels: int
+    whole: float
+
+
+def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, margin: float = 0.1) -> list[Crop]:
+    """The frames that see a segment largest and whole, best first.
+
+    A frame is as good as the number of the segment's pixels, times the share of its points that lie inside the image,
+    squared: half an object at the image's border is worth less than the whole from farther away. Of equally good frames
+    the first counts.
+
+    Args:
+        scene: the frames and the cloud.
+        result: the labels.
+        segment: id of a segment of the cloud.
+        k: largest number of crops.
+        margin: added around the segment's box, as a share of the box's longer side.
+
+    Returns:
+        at most `k` crops; fewer if fewer frames see the segment.
+
+    Raises:
+        ValueError: an unknown id, k < 1, a negative margin, or a result without images.
+    """
+    if not 0 <= segment < result.num_point_segments:
+        raise ValueError(f"segment: expected an id from 0 to {result.num_point_segments - 1}, got {segment}")
+    if k < 1 or not margin >= 0:
+        raise ValueError(f"k and margin: expected k >= 1 and margin >= 0, got {k} and {margin}")
+    if len(result.images) != len(scene.frames):
+        raise ValueError(f"scene: expected the {len(result.images)} frames of the result, got {len(scene.frames)}")
+    points = scene.points[result.points == segment]
+
+    def score(index: int) -> tuple[int, float]:
+        pixels = int((result.images[index] == segment).sum())
+        return pixels, _share_inside(points, scene.frames[index]) if pixels else 0.0
+
+    scores = parallel_map(score, range(len(result.images)))
+    values = [pixels * share**2 for pixels, share in scores]
+    best = [index for index in sorted(range(len(values)), key=lambda i: -values[i]) if scores[index][0]]
+    return [_crop(scene, result, segment, index, scores[index][1], margin) for index in best[:k]]
+
+
+def _share_inside(points: Tensor, frame: Frame) -> float:
+    return len(project(points, frame.intrinsics, frame.world_to_camera, frame.size).point) / max(len(points), 1)
+
+
+def _crop(scene: Scene, result: Segmentation, segment: int, index: int, whole: float, margin: float) -> Crop:
+    frame, mask = scene.frames[index], result.images[index] == segment
+    ((_, pixels, (x, y, width, height)),) = image_views(torch.where(mask, 0, -1), 1)
+    around = round(margin * max(width, height))
+    left, top = max(0, x - around), max(0, y - around)
+    right, bottom = min(frame.size[1], x + width + around), min(frame.size[0], y + height + around)
+    name = result.names[index] or f"{index:06d}"
+    return Crop(
+        frame.image[:, top:bottom, left:right],
+        mask[top:bottom, left:right],
+        (left, top, right - left, bottom - top),
+        index,
+        name,
+        pixels,
+        whole,
+    )

@@ -1,0 +1,150 @@
+"""Corrections by hand (output after step 8): segments joined, split and named. They lie on top of the labels.
+
+An edit names a segment by one of its pieces, so it means the same at every level. edits.json holds the edits; the
+labels on disk stay as they are.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from torchjoint.runtime.files import write_text
+from torchjoint.scene import Hierarchy
+
+FILE = "edits.json"
+Table = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Edit:
+    """One correction.
+
+    Attributes:
+        kind: join: the segments of two pieces become one; split: the segment of a piece falls in two, at its last
+            merge; name: the segment of a piece gets a name ("" takes it away).
+        pieces: one piece, or the two of a join.
+        name: of a segment.
+    """
+
+    kind: Literal["join", "split", "name"]
+    pieces: tuple[int, ...]
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Edits:
+    """Corrections in their order.
+
+    Attributes:
+        num_pieces: number of pieces of the result: of its hierarchy, else of its labels.
+        granularity: the level that was corrected; None: the labels of the result.
+        steps: the corrections.
+    """
+
+    num_pieces: int
+    granularity: float | None = None
+    steps: tuple[Edit, ...] = ()
+
+    def apply(self, table: Table, hierarchy: Hierarchy | None) -> Table:
+        """Applies the corrections to a level.
+
+        Args:
+            table: [P] the segment of each piece, any numbers.
+            hierarchy: of the pieces; None: then no segment can be split.
+
+        Returns:
+            [P] the segment of each piece, which has the number of its first piece.
+
+        Raises:
+            ValueError: a split without a hierarchy, or of a single piece.
+        """
+        table = first_pieces(table)
+        for step in self.steps:
+            if step.kind == "join":
+                ends = [table[piece] for piece in step.pieces]
+                table[np.isin(table, ends)] = min(ends)
+            elif step.kind == "split":
+                table = _split(table, step.pieces[0], hierarchy)
+        return table
+
+    def names(self, table: Table) -> dict[int, str]:
+        """The names of segments, by the segment's number in `table`; of two names of one segment the later counts."""
+        names = {int(table[step.pieces[0]]): step.name for step in self.steps if step.kind == "name"}
+        return {segment: name for segment, name in names.items() if name}
+
+
+def first_pieces(table: Table) -> Table:
+    """Numbers each segment by its first piece: [P] any numbers -> [P]."""
+    _, first, inverse = np.unique(table, return_index=True, return_inverse=True)
+    return first[inverse].astype(np.int64)
+
+
+def _split(table: Table, piece: int, hierarchy: Hierarchy | None) -> Table:
+    if hierarchy is None:
+        raise ValueError("split: the result has no hierarchy; only point_segments.method learned makes one")
+    inside = table == table[piece]
+    if inside.sum() < 2:
+        raise ValueError(f"split: segment {int(table[piece])} is one piece, the smallest part there is")
+    merges, heights = hierarchy.merges.numpy(), hierarchy.heights.numpy()
+    own = np.nonzero(inside[merges].all(axis=1))[0]
+    parts = _parts(merges[own], len(table))
+    if len(np.unique(parts[inside])) == 1:  # undo the last merge; of equal heights the later one
+        last = len(own) - 1 - int(np.argmax(heights[own][::-1]))
+        parts = _parts(np.delete(merges[own], last, axis=0), len(table))
+    rest = inside & (parts != parts[table[piece]])
+    table = table.copy()
+    table[rest] = np.nonzero(rest)[0][0]
+    return table
+
+
+def _parts(merges: npt.NDArray[np.int64], count: int) -> npt.NDArray[Any]:
+    graph = coo_array((np.ones(len(merges), dtype=bool), (merges[:, 0], merges[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def write_edits(folder: Path, edits: Edits) -> None:
+    """Writes edits.json into a result's folder; the file is replaced as a whole."""
+    steps = [asdict(step) if step.name else {"kind": step.kind, "pieces": step.pieces} for step in edits.steps]
+    lines = ",\n".join(json.dumps(step, ensure_ascii=False) for step in steps)
+    head = f'"pieces": {edits.num_pieces}, "granularity": {json.dumps(edits.granularity)}'
+    write_text(folder / FILE, f'{{{head}, "edits": [\n{lines}\n]}}\n')
+
+
+def read_edits(folder: Path, num_pieces: int) -> Edits:
+    """The corrections of a result; none if there is no edits.json.
+
+    Raises:
+        ValueError: the file is damaged, or of another result; the message names it.
+    """
+    file = folder / FILE
+    if not file.is_file():
+        return Edits(num_pieces)
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))
+        steps = tuple(_parse(step, num_pieces) for step in record["edits"])
+        granularity = record["granularity"]
+        granularity = None if granularity is None else float(granularity)
+        found = int(record["pieces"])
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{file}: not a list of edits: {error!r}") from error
+    if found != num_pieces:
+        raise ValueError(f"{file}: expected edits of {num_pieces} pieces, got {found}; of another result?")
+    return Edits(num_pieces, granularity, steps)
+
+
+def _parse(step: Mapping[str, Any], num_pieces: int) -> Edit:
+    kind, pieces = step["kind"], tuple(int(piece) for piece in step["pieces"])
+    if kind not in ("join", "split", "name") or len(pieces) != (2 if kind == "join" else 1):
+        raise ValueError(f"unknown edit {dict(step)}")
+    if not all(0 <= piece < num_pieces for piece in pieces):
+        raise ValueError(f"piece out of range in {dict(step)}")
+    return Edit(kind, pieces, str(step.get("name", "")))

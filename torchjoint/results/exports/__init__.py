@@ -1,0 +1,25 @@
+"""Results in the formats of other tools (output after step 8): one module for each format.
+
+A format is a function ``export(path, result)``, which writes a file or, where `FOLDERS` has its name, a folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from torchjoint.results.exports.clouds import export_las, export_npz, export_ply
+from torchjoint.results.exports.coco import export_coco
+from torchjoint.results.exports.sam import export_sam
+from torchjoint.results.result import Result
+
+#: What the exports write, by name of the format.
+FORMATS: dict[str, Callable[[Path, Result], None]] = {
+    "coco": export_coco,
+    "sam": export_sam,
+    "ply": export_ply,
+    "las": export_las,
+    "npz": export_npz,
+}
+#: Suffix of the file of a format; formats that are not listed write a folder.
+SUFFIXES = {"coco": ".json", "las": ".las", "npz": ".npz"}

@@ -1,0 +1,60 @@
+"""Clouds with labels: a PLY for each segment, one LAS file, one archive of arrays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from torchjoint.datasets.files import write_cloud
+from torchjoint.results.result import Result
+from torchjoint.runtime.files import atomic_write
+
+
+def export_ply(folder: Path, result: Result) -> None:
+    """Writes ID.ply for each segment of the cloud, with the points' own colours, if there are any."""
+    folder.mkdir()
+    for segment in range(result.num_point_segments):
+        cloud = result.cloud(segment)
+        write_cloud(folder / f"{segment:06d}.ply", cloud.points, cloud.colors)
+
+
+def export_las(path: Path, result: Result) -> None:
+    """Writes a LAS 1.4 file of all points: 16-bit colours, if there are any, and the extra dimension `label` (int32).
+
+    Coordinates are kept to a tenth of a millimetre.
+
+    Raises:
+        ModuleNotFoundError: laspy is not installed.
+    """
+    try:
+        import laspy
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError("--format las needs laspy: pip install 'torchjoint[export]'") from error
+    points = result.scene.points.double().numpy()
+    header = laspy.LasHeader(point_format=7 if result.scene.colors is not None else 6, version="1.4")
+    header.offsets, header.scales = np.floor(points.min(0)), np.full(3, 1e-4)
+    header.add_extra_dim(laspy.ExtraBytesParams("label", np.int32))
+    header.creation_date = None  # equal results are equal bytes
+    cloud = laspy.LasData(header)
+    cloud.xyz = points
+    cloud["label"] = result.points.numpy().astype(np.int32)
+    if result.scene.colors is not None:
+        colors = (result.scene.colors.clamp(0, 1) * 65535).round().numpy().astype(np.uint16)
+        cloud.red, cloud.green, cloud.blue = colors.T
+    with atomic_write(path) as partial:
+        cloud.write(partial)
+
+
+def export_npz(path: Path, result: Result) -> None:
+    """Writes the arrays points [N, 3], labels [N], colors [N, 3] if any, names [L], `image:NAME` [H, W]."""
+    arrays = {"points": result.scene.points.numpy(), "labels": result.points.numpy()}
+    if result.scene.colors is not None:
+        arrays["colors"] = result.scene.colors.numpy()
+    names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
+    arrays["names"] = np.array(names, dtype=str)
+    arrays |= {
+        f"image:{name}": image.numpy().astype(np.int32) for name, image in zip(names, result.images, strict=True)
+    }
+    with atomic_write(path) as partial:
+        np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]

@@ -1,0 +1,55 @@
+"""COCO's JSON of instances: masks of all images, class-agnostic, with the ids that points and images share."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from torchjoint.results.exports.masks import masks_of
+from torchjoint.results.result import Result
+from torchjoint.runtime.files import write_text
+from torchjoint.runtime.threads import parallel_map
+
+
+def export_coco(path: Path, result: Result) -> None:
+    """Writes one JSON file; an annotation's `segment_id` is the label, the same in all images and in the cloud.
+
+    `in_cloud` is False for a segment of an image that has no points. All annotations have category 1, "object".
+
+    Raises:
+        ModuleNotFoundError: pycocotools is not installed.
+        ValueError: the result has no images.
+    """
+    if not len(result.images):
+        raise ValueError("--format coco: the result has no images")
+    count = result.num_point_segments
+    of_images = parallel_map(lambda index: list(masks_of(result.images[index])), range(len(result.images)))
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    for index, masks in enumerate(of_images):
+        height, width = result.images[index].shape
+        file_name = f"{result.names[index] or f'{index:06d}'}.jpg"
+        images.append({"id": index + 1, "file_name": file_name, "width": width, "height": height})
+        for mask in masks:
+            annotations.append(
+                {
+                    "id": len(annotations) + 1,
+                    "image_id": index + 1,
+                    "category_id": 1,
+                    "segmentation": mask.encoded,
+                    "area": mask.area,
+                    "bbox": mask.box,
+                    "iscrowd": 0,
+                    "segment_id": mask.segment,
+                    "in_cloud": mask.segment < count,
+                }
+            )
+    record = {
+        "info": {"description": "torchjoint: one segment_id is one object, in every image"},
+        "licenses": [],
+        "images": images,
+        "annotations": annotations,
+        "categories": [{"id": 1, "name": "object", "supercategory": "object"}],
+    }
+    write_text(path, json.dumps(record))

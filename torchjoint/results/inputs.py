@@ -1,0 +1,90 @@
+"""The frames of a result on disk (output after step 8): cameras.json, inputs/NAME.jpg and images_color/NAME.jpg.
+
+With them a result needs the recording no more: its frames can be shown, cropped and exported.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from PIL import Image
+from torch import Tensor
+
+from torchjoint.datasets.files import read_image
+from torchjoint.datasets.lazy import LazySequence
+from torchjoint.results.overlays import overlay
+from torchjoint.runtime.files import write_text
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.scene import Frame, Scene, Segmentation
+
+CAMERAS, INPUTS, OVERLAYS = "cameras.json", "inputs", "images_color"
+#: Quality of the JPEG files.
+QUALITY = 90
+
+
+def write_inputs(folder: Path, scene: Scene, result: Segmentation, names: Sequence[str]) -> None:
+    """Writes the cameras, the images, and the images with their labels blended over them; equal results, equal bytes.
+
+    Args:
+        folder: the result.
+        scene: its frames, in the order of the result's images.
+        result: the segmentation of the scene.
+        names: of the images, without suffix.
+    """
+    for part in (INPUTS, OVERLAYS):
+        shutil.rmtree(folder / part, ignore_errors=True)
+        (folder / part).mkdir()
+    num_point_segments = result.num_point_segments
+
+    def write(index: int) -> dict[str, Any]:
+        frame = scene.frames[index]
+        painted = overlay(frame.image, result.images[index], num_point_segments)
+        _save(folder / INPUTS / f"{names[index]}.jpg", frame.image)
+        _save(folder / OVERLAYS / f"{names[index]}.jpg", painted)
+        return {
+            "name": names[index],
+            "size": list(frame.size),
+            "intrinsics": frame.intrinsics.tolist(),
+            "world_to_camera": frame.world_to_camera.tolist(),
+        }
+
+    cameras = parallel_map(write, range(len(names)))
+    lines = ",\n".join(json.dumps(camera) for camera in cameras)
+    write_text(folder / CAMERAS, f'{{"frames": [\n{lines}\n]}}\n')
+
+
+def read_inputs(folder: Path, names: Sequence[str]) -> Sequence[Frame]:
+    """The frames of a result, in the order of `names`; images are read when they are used.
+
+    Raises:
+        FileNotFoundError: there is no cameras.json (a result of an earlier version has none).
+        ValueError: it is damaged or has other names; the message names it.
+    """
+    file = folder / CAMERAS
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: missing; expected a result with cameras, which `torchjoint segment` writes")
+    try:
+        records = {record["name"]: record for record in json.loads(file.read_text(encoding="utf-8"))["frames"]}
+        cameras = [
+            tuple(torch.tensor(records[name][key], dtype=torch.float64) for key in ("intrinsics", "world_to_camera"))
+            for name in names
+        ]
+    except (ValueError, KeyError, TypeError, RuntimeError, RecursionError) as error:
+        raise ValueError(f"{file}: not the cameras of these images: {error!r}") from error
+
+    def read(index: int) -> Frame:
+        intrinsics, world_to_camera = cameras[index]
+        image = read_image(folder / INPUTS / f"{names[index]}.jpg")
+        return Frame(image, intrinsics, world_to_camera, name=names[index])
+
+    return LazySequence(len(names), read, names)
+
+
+def _save(file: Path, image: Tensor) -> None:
+    pixels = (image * 255).round().to(torch.uint8).permute(1, 2, 0).contiguous().numpy()
+    Image.fromarray(pixels).save(file, quality=QUALITY)

@@ -1,0 +1,43 @@
+"""Reads a result's folder, with its scene and the corrections by hand (output after step 8)."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+from torchjoint.results.edits import FILE, read_edits
+from torchjoint.results.folder import read_config, read_points, read_result
+from torchjoint.results.inputs import CAMERAS, read_inputs
+from torchjoint.results.parts import Parts, edited
+from torchjoint.results.result import Result
+from torchjoint.scene import Scene, Segmentation
+
+
+def load_result(folder: str | Path, *, edits: bool = True) -> Result:
+    """Reads a folder that ``torchjoint segment`` wrote: labels, all levels, the cloud, cameras and parameters.
+
+    Images and frames are read when they are used, in the order of their names. Frames have the images as they were
+    saved, in JPEG. A result of an earlier version has no frames.
+
+    Args:
+        folder: the result.
+        edits: apply the corrections of edits.json, if there are any; then ids are numbered anew. Levels from
+            :meth:`~torchjoint.Segmentation.at` are without them.
+
+    Raises:
+        FileNotFoundError: a file is missing.
+        ValueError, TypeError: a file is damaged; the message names it.
+
+    Example:
+        >>> result = load_result("out/")  # doctest: +SKIP
+        >>> result.images[0], result.at(0.3), result.crops(7, k=3)[0].image  # doctest: +SKIP
+    """
+    folder = Path(folder)
+    segmentation, stored, config = read_result(folder), read_points(folder), read_config(folder)
+    frames = read_inputs(folder, segmentation.names) if (folder / CAMERAS).is_file() else ()
+    scene = Scene(stored.points, frames, stored.colors, name=folder.resolve().name)
+    values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
+    result = Result(**values, scene=scene, config=config)
+    if not edits or not (folder / FILE).is_file():
+        return result
+    return edited(result, read_edits(folder, Parts(result).count))

@@ -1,0 +1,142 @@
+"""What is known of each segment (output after step 8): its place, size, colour, and the frames that see it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.ndimage import find_objects
+from torch import Tensor
+
+from torchjoint.results.oriented_box import OrientedBox, oriented_box
+from torchjoint.results.upright import up_direction
+from torchjoint.runtime.files import write_text
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.scene import Scene, Segmentation
+
+FILE = "segments.json"
+
+
+@dataclass(frozen=True)
+class View:
+    """A frame that sees a segment.
+
+    Attributes:
+        frame: index of the frame.
+        name: of the frame.
+        pixels: number of pixels of the segment.
+        box: x, y, width and height around them, pixels.
+    """
+
+    frame: int
+    name: str
+    pixels: int
+    box: tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class SegmentRecord:
+    """One segment of the cloud.
+
+    Attributes:
+        id: its label.
+        points: number of its points.
+        center: [3] mean of its points, metres, world frame.
+        box: the upright box around its points.
+        color: [3] mean RGB in [0, 1] of its points; None if the cloud has no colours.
+        views: the frames that see it, in the order of the frames.
+    """
+
+    id: int
+    points: int
+    center: tuple[float, ...]
+    box: OrientedBox
+    color: tuple[float, ...] | None
+    views: tuple[View, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The record as it stands in segments.json: lengths in metres to a hundredth of a millimetre."""
+        return {
+            "id": self.id,
+            "points": self.points,
+            "center": _rounded(self.center, 5),
+            "box": {
+                "center": _rounded(self.box.center, 5),
+                "size": _rounded(self.box.size, 5),
+                "axes": [_rounded(axis, 6) for axis in self.box.axes],
+            },
+            "color": None if self.color is None else _rounded(self.color, 4),
+            "frames": [{"name": view.name, "pixels": view.pixels, "box": list(view.box)} for view in self.views],
+        }
+
+
+def segment_records(scene: Scene, result: Segmentation, up: Tensor | None = None) -> list[SegmentRecord]:
+    """Describes each segment of the cloud.
+
+    Args:
+        scene: the cloud; its frames, if any, give the upward direction.
+        result: its labels, and those of the images.
+        up: [3] upward direction of the boxes, unit length; None: as :func:`~torchjoint.results.upright.up_direction`.
+
+    Returns:
+        a record for each id 0 ... num_point_segments - 1, in this order.
+    """
+    vertical = (up_direction(scene) if up is None else up).double().numpy()
+    labels = result.points.numpy()
+    order = np.argsort(labels, kind="stable")
+    counts = np.bincount(labels[order][labels[order] >= 0], minlength=result.num_point_segments)
+    parts = np.split(order[(labels < 0).sum() :], np.cumsum(counts)[:-1])
+    views = _views(result)
+    points, colors = scene.points.double().numpy(), None if scene.colors is None else scene.colors.double().numpy()
+    return [
+        SegmentRecord(
+            number,
+            len(part),
+            tuple(points[part].mean(0).tolist()),
+            oriented_box(points[part], vertical),
+            None if colors is None else tuple(colors[part].mean(0).tolist()),
+            tuple(views[number]),
+        )
+        for number, part in enumerate(parts)
+        if len(part)
+    ]
+
+
+def write_segments(folder: Path, scene: Scene, result: Segmentation) -> None:
+    """Writes segments.json: the upward direction, and a line for each segment of the cloud."""
+    up = up_direction(scene)
+    lines = ",\n".join(json.dumps(record.to_dict()) for record in segment_records(scene, result, up))
+    head = f'"units": "metres", "up": {json.dumps(_rounded(up.tolist(), 6))}'
+    write_text(folder / FILE, f'{{{head}, "segments": [\n{lines}\n]}}\n')
+
+
+def image_views(labels: Tensor, num_segments: int) -> list[tuple[int, int, tuple[int, int, int, int]]]:
+    """Segments in a label image [H, W]: (id, number of pixels, box x, y, width, height), for ids below a number."""
+    shown = torch.where(labels < num_segments, labels, -1).to(torch.int32).numpy() + 1
+    counts = np.bincount(shown.ravel(), minlength=num_segments + 1)
+    found = []
+    for number, place in enumerate(find_objects(shown)):
+        if place is not None:
+            (top, bottom), (left, right) = ((one.start, one.stop) for one in place)
+            found.append((number, int(counts[number + 1]), (left, top, right - left, bottom - top)))
+    return found
+
+
+def _views(result: Segmentation) -> list[list[View]]:
+    count = result.num_point_segments
+    names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
+    of_frames = parallel_map(lambda index: image_views(result.images[index], count), range(len(result.images)))
+    views: list[list[View]] = [[] for _ in range(count)]
+    for index, found in enumerate(of_frames):
+        for number, pixels, box in found:
+            views[number].append(View(index, names[index], pixels, box))
+    return views
+
+
+def _rounded(values: Sequence[float] | np.ndarray[Any, Any], digits: int) -> list[float]:
+    return [round(float(value), digits) + 0.0 for value in values]  # + 0.0: no -0.0

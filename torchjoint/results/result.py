@@ -1,0 +1,70 @@
+"""A segmentation together with its scene and parameters (output after step 8): what `tj.load_result` gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+
+from torchjoint.config import Config
+from torchjoint.results.crops import Crop, best_crops
+from torchjoint.results.objects import SegmentRecord, segment_records
+from torchjoint.scene import Scene, Segmentation
+
+
+@dataclass(frozen=True, repr=False)
+class Result(Segmentation):
+    """A :class:`~torchjoint.Segmentation` that knows its scene: segments can be measured, cut out and cropped.
+
+    Attributes:
+        scene: the cloud, and the frames in the order of the images. Frames are read when they are used.
+        config: the parameters of the run; None if unknown.
+        segment_names: names that were given by hand, by id.
+    """
+
+    scene: Scene = field(kw_only=True)
+    config: Config | None = field(default=None, kw_only=True)
+    segment_names: Mapping[int, str] = field(default_factory=dict, kw_only=True)
+
+    @classmethod
+    def of(cls, segmentation: Segmentation, scene: Scene, config: Config | None = None) -> Result:
+        """The result of a run in memory: ``Result.of(segmenter(scene), scene)``.
+
+        Raises:
+            ValueError: the scene has another number of points or frames.
+        """
+        got = len(scene.points), len(scene.frames)
+        expected = len(segmentation.points), len(segmentation.images)
+        if got[0] != expected[0] or (expected[1] and got[1] != expected[1]):
+            raise ValueError(
+                f"scene: expected {expected[0]} points and {expected[1]} frames, got {got[0]} and {got[1]}"
+            )
+        values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
+        return cls(**values, scene=scene, config=config)
+
+    def records(self) -> list[SegmentRecord]:
+        """What is known of each segment: points, centre, box, colour, and the frames that see it."""
+        return segment_records(self.scene, self)
+
+    def cloud(self, segment: int) -> Scene:
+        """The segment's own points, with their colours; a scene without frames.
+
+        Raises:
+            ValueError: an unknown id.
+        """
+        if not 0 <= segment < self.num_point_segments:
+            raise ValueError(f"segment: expected an id from 0 to {self.num_point_segments - 1}, got {segment}")
+        cloud = Scene(self.scene.points, colors=self.scene.colors, name=f"{self.scene.name} {segment}".strip())
+        return cloud.select_points(self.points == segment)
+
+    def crops(self, segment: int, k: int = 3, margin: float = 0.1) -> list[Crop]:
+        """The views that see a segment largest and whole, best first; see :class:`~torchjoint.results.crops.Crop`.
+
+        Args:
+            segment: id of a segment of the cloud.
+            k: largest number of views.
+            margin: added around the segment, as a share of its longer side in the image.
+
+        Raises:
+            ValueError: an unknown id, k < 1, or a negative margin; or the result's frames are not there.
+        """
+        return best_crops(self.scene, self, segment, k, margin)

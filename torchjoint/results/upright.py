@@ -1,0 +1,104 @@
+"""The upward direction of a scene: from the poses, then from the large planes of the cloud (output after step 8)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from torchjoint.points.neighbors import nearest_neighbors
+from torchjoint.points.normals import estimate_normals
+from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.scene import Scene
+
+#: Number of points that are looked at, evenly spread: enough to find a floor.
+SAMPLED = 20_000
+#: A plane is searched within this angle of the poses' upward direction (degrees), if the cameras turned and so fixed
+#: it well; and if all cameras look one way, so that it is off by as much as they look down.
+NEAR, FAR = 20.0, 55.0
+#: A plane's points have normals within this angle of the plane's, degrees.
+FLAT = 8.0
+#: A plane counts if it has at least this share of the points.
+SMALLEST_SHARE = 0.03
+
+
+@one_thread_per_operation()
+def up_direction(scene: Scene) -> Tensor:
+    """The direction against gravity, in the world frame of the scene.
+
+    Most cameras are held upright, so their x axes are level. The largest plane near that direction, such as a floor or
+    a table, makes it exact. Without frames +z is taken as a start.
+
+    Returns:
+        [3] float64, unit length; the same for the same scene.
+    """
+    up, angle = _of_poses(scene)
+    normals = _normals(scene.points)
+    found = _largest_plane(normals, up, angle)
+    return up if found is None else found
+
+
+def _of_poses(scene: Scene) -> tuple[Tensor, float]:
+    """Up as the cameras are held, and the angle, in degrees, by which it may be off."""
+    if not len(scene.frames):
+        return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64), NEAR
+    count = min(32, len(scene.frames))
+    chosen = torch.linspace(0, len(scene.frames) - 1, count).long().tolist()
+    rotations = torch.stack([scene.frames[i].world_to_camera[:3, :3] for i in chosen])
+    sideways, mean = rotations[:, 0], -rotations[:, 1].mean(0)
+    spread = sideways.T @ sideways / count
+    # The x axes leave one direction open if the cameras turned, else two: then the mean of the -y axes chooses.
+    values, vectors = torch.linalg.eigh(spread - 0.05 * torch.outer(mean, mean))
+    up = vectors[:, 0]
+    side = float(up @ mean)
+    if abs(side) < 1e-6:  # cameras that were rolled in all directions
+        side = float(up[up.abs().argmax()])
+    return (up if side > 0 else -up), NEAR if float(values[1]) > 0.05 else FAR
+
+
+def _normals(points: Tensor) -> Tensor:
+    """Normals of a sample of the points, [M, 3] float64, of any sign."""
+    sample = points[:: -(-len(points) // SAMPLED)]
+    return estimate_normals(sample, nearest_neighbors(sample, 12).indices).double()
+
+
+def _largest_plane(normals: Tensor, up: Tensor, angle: float) -> Tensor | None:
+    """The normal that most points share, within an angle of `up`; a plane that is less steep counts more."""
+    steep = normals @ up
+    normals = torch.where(steep[:, None] < 0, -normals, normals)
+    near = normals[steep.abs() > math.cos(math.radians(angle))]
+    if not len(near):
+        return None
+    candidates = near[:: -(-len(near) // 500)]
+    flat = math.cos(math.radians(FLAT))
+    score = (candidates @ near.T > flat).sum(1) * (candidates @ up).square()
+    best = candidates[int(score.argmax())]
+    for _ in range(3):
+        best = torch.nn.functional.normalize(near[near @ best > flat].mean(0), dim=0)
+    return best if int((near @ best > flat).sum()) >= SMALLEST_SHARE * len(normals) else None
+
+
+def view_from_above(scene: Scene, up: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], ...]:
+    """A view of the whole cloud: its centre, and a position above and behind it, as seen from where the cameras look.
+
+    Args:
+        scene: the cloud and its frames.
+        up: [3] unit length.
+
+    Returns:
+        two positions [3], metres.
+    """
+    points = scene.points[:: -(-len(scene.points) // SAMPLED)].double().numpy()
+    center = np.median(points, axis=0)
+    radius = max(float(np.quantile(np.linalg.norm(points - center, axis=1), 0.9)), 1e-6)
+    count = min(16, len(scene.frames))
+    chosen = np.linspace(0, max(len(scene.frames) - 1, 0), count).astype(int).tolist()
+    forward = sum((scene.frames[i].world_to_camera[2, :3].numpy() for i in chosen), np.zeros(3))
+    forward = forward - up * (forward @ up)
+    if np.linalg.norm(forward) < 0.1 * max(count, 1):  # cameras that look down, or in all directions
+        forward = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    forward = forward / np.linalg.norm(forward) - 0.7 * up
+    return center, center - 2.2 * radius * forward / np.linalg.norm(forward)

@@ -1,0 +1,1 @@
+"""The viewer: a result in the browser, on viser (extra ``torchjoint[viewer]``)."""

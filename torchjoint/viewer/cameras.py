@@ -1,0 +1,71 @@
+"""The cameras in the cloud, and the views from which to look at it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from torchjoint.results.upright import view_from_above
+from torchjoint.scene import Frame, Scene
+from torchjoint.scene.camera import camera_center
+from torchjoint.scene.subset import evenly_spaced_indices
+
+#: Largest number of cameras that are drawn; a thousand would hide the cloud.
+MOST = 60
+
+
+class Viewpoint(NamedTuple):
+    """Where a camera stands, and how it is turned."""
+
+    position: npt.NDArray[np.float64]  #: [3] metres
+    wxyz: npt.NDArray[np.float64]  #: [4] quaternion, camera to world, OpenCV axes
+    fov: float  #: vertical field of view, radians
+    aspect: float  #: width / height
+
+
+def viewpoint(frame: Frame) -> Viewpoint:
+    """The viewpoint of a frame."""
+    rotation = frame.world_to_camera[:3, :3].T.numpy()
+    height, width = frame.size
+    fov = 2 * np.arctan2(height / 2, float(frame.intrinsics[1, 1]))
+    wxyz = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+    return Viewpoint(camera_center(frame.world_to_camera).numpy(), wxyz, float(fov), width / height)
+
+
+def start(scene: Scene, up: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Position and target of the first view: from above, looking where the cameras look."""
+    center, position = view_from_above(scene, up)
+    return position, center
+
+
+def add_frustum(server: Any, name: str, frame: Frame, size: float, color: tuple[int, int, int]) -> Any:
+    """Draws the camera of a frame; one of the same name is replaced. `size` is its depth in metres."""
+    view = viewpoint(frame)
+    return server.scene.add_camera_frustum(
+        name,
+        fov=view.fov,
+        aspect=view.aspect,
+        scale=size,
+        line_width=1.5,
+        color=color,
+        wxyz=view.wxyz,
+        position=view.position,
+    )
+
+
+def add_frustums(server: Any, scene: Scene, size: float, on_click: Callable[[int, Any], None]) -> None:
+    """Draws cameras, evenly spread over the frames.
+
+    Args:
+        server: viser.ViserServer.
+        scene: its frames.
+        size: of a drawn camera, metres.
+        on_click: called with the frame's index and the browser's client.
+    """
+    for index in evenly_spaced_indices(len(scene.frames), MOST):
+        handle = add_frustum(server, f"/cameras/{index}", scene.frames[index], size, (90, 90, 90))
+        handle.on_click(lambda event, index=index: on_click(index, event.client))

@@ -1,0 +1,101 @@
+"""The cloud in the browser, by level of detail: a sample of it all, and all points of the blocks near the camera."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from torchjoint.viewer.model import Bytes
+
+Array = npt.NDArray[np.float32]
+#: Points that are always drawn, points of a block, and points that are drawn at a time, at most.
+SAMPLE, BLOCK, BUDGET = 400_000, 60_000, 1_600_000
+
+
+def point_spacing(points: Array) -> float:
+    """Distance to the nearest neighbour, metres: three quarters of the points have a smaller one."""
+    if len(points) < 2:
+        return 0.01
+    distances = cKDTree(points).query(points[:: max(1, len(points) // 2000)], k=2)[0][:, 1]
+    return max(float(np.quantile(distances, 0.75)), 1e-6)
+
+
+def blocks_of(points: Array, most: int = BLOCK) -> list[npt.NDArray[np.int64]]:
+    """Cuts a cloud at medians until no block has more than so many points; returns the indices of each block."""
+    todo, blocks = [np.arange(len(points))], []
+    while todo:
+        block = todo.pop()
+        if len(block) <= most:
+            blocks.append(block)
+            continue
+        own = points[block]
+        order = np.argsort(own[:, int(np.argmax(np.ptp(own, axis=0)))], kind="stable")
+        half = len(order) // 2
+        todo += [block[order[half:]], block[order[:half]]]
+    return blocks
+
+
+class CloudView:
+    """Keeps the points on a viser server up to date.
+
+    Args:
+        server: viser.ViserServer.
+        points: [N, 3] metres.
+        colors: [N, 3].
+    """
+
+    def __init__(self, server: Any, points: Array, colors: Bytes) -> None:
+        self._server, self._points, self._colors = server, points, colors
+        self.size = 1.2 * point_spacing(points)
+        everything = np.random.default_rng(0).permutation(len(points))
+        self._parts = [everything[:SAMPLE]]
+        rest = everything[SAMPLE:]
+        self._parts += [rest[block] for block in blocks_of(points[rest])] if len(rest) else []
+        self._centers = np.array([points[part].mean(0) for part in self._parts[1:]]).reshape(-1, 3)
+        self._current: set[int] = set()  # parts whose colours are up to date
+        self._shown = {0}
+        self._handles: dict[int, Any] = {}
+        self._draw()
+
+    def recolor(self, colors: Bytes) -> None:
+        """Draws the points in other colours; those of hidden blocks follow when they are shown."""
+        self._colors, self._current = colors, set()
+        self._draw()
+
+    def resize(self, factor: float) -> None:
+        """Draws points at a multiple of their size."""
+        for handle in self._handles.values():
+            handle.point_size = factor * self.size
+
+    def look_from(self, position: npt.NDArray[np.float64]) -> None:
+        """Shows all points of the blocks nearest to a position, as many as the budget has room for."""
+        order = np.argsort(((self._centers - position) ** 2).sum(1), kind="stable")
+        room = max(0, BUDGET - SAMPLE) // BLOCK
+        shown = {0, *(int(index) + 1 for index in order[:room])}
+        if shown != self._shown:
+            self._shown = shown
+            self._draw()
+
+    def _draw(self) -> None:
+        for index, part in enumerate(self._parts):
+            handle, visible = self._handles.get(index), index in self._shown
+            if handle is not None and handle.visible != visible:
+                handle.visible = visible
+            if not visible or index in self._current:
+                continue
+            if handle is None:
+                self._handles[index] = self._server.scene.add_point_cloud(
+                    f"/cloud/{index}",
+                    self._points[part],
+                    self._colors[part],
+                    point_size=self._handles[0].point_size if index else self.size,
+                    point_shape="circle",
+                    point_shading="flat",
+                    precision="float32",
+                )
+            else:
+                handle.colors = self._colors[part]
+            self._current.add(index)

@@ -1,0 +1,82 @@
+"""The parts of the viewer's panel that viser has no element for: an image and a table that can be clicked.
+
+A click writes a line, such as ``torchjoint:image 12 80 0``, into a text field that is not shown, of which viser tells
+the server.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from html import escape
+
+from PIL import Image
+
+from torchjoint.viewer.model import Bytes, Row
+
+PREFIX = "torchjoint:"
+#: Finds the text field, whatever the page looks like, and writes into it as a person would.
+_SEND = (
+    "const i=[...document.querySelectorAll('input')].find(e=>e.value.startsWith('" + PREFIX + "'));"
+    "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call("
+    "i,'" + PREFIX + "'+line+' '+Date.now());"
+    "i.dispatchEvent(new Event('input',{bubbles:true}));"
+)
+HIDE_FIELD = f"<style>.mantine-Flex-root:has(input[value^='{PREFIX}']){{display:none}}</style>"
+COLUMNS = ("id", "name", "points", "size", "frames")
+
+
+def image_html(image: Bytes, caption: str) -> str:
+    """An image that sends `image COLUMN ROW SHIFT` where it is clicked, in pixels of the image."""
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, "jpeg", quality=88)
+    data = base64.b64encode(stream.getvalue()).decode("ascii")
+    position = (
+        "const r=this.getBoundingClientRect();"
+        f"const line='image '+Math.floor((event.clientX-r.left)/r.width*{image.shape[1]})+' '"
+        f"+Math.floor((event.clientY-r.top)/r.height*{image.shape[0]})+' '+(event.shiftKey?1:0);"
+    )
+    return (
+        f'<img id="tj-image" alt="{escape(caption)}" title="{escape(caption)}" src="data:image/jpeg;base64,{data}" '
+        f'style="width:100%;cursor:crosshair;display:block" onclick="{position}{_SEND}">'
+    )
+
+
+def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[int]) -> str:
+    """The table of segments; a click sends `row KEY SHIFT`, one on a head `sort COLUMN`."""
+    heads = "".join(
+        f'<th style="text-align:left;cursor:pointer" onclick="const line=\'sort {column}\';{_SEND}">'
+        f"{column}{' ▾' if column == order else ''}</th>"
+        for column in COLUMNS
+    )
+    lines = []
+    for row in rows:
+        style = "background:#ffe08a;color:#000;" if row.key in selected else ""
+        size = " × ".join(f"{value:.2f}" for value in row.size)
+        cells = "".join(f"<td>{cell}</td>" for cell in (row.key, escape(row.name), row.points, size, row.frames))
+        send = f"const line='row {row.key} '+(event.shiftKey?1:0);{_SEND}"
+        lines.append(f'<tr data-key="{row.key}" style="cursor:pointer;{style}" onclick="{send}">{cells}</tr>')
+    note = f"{len(rows)} of {count} segments" if len(rows) < count else f"{count} segments"
+    return (
+        f'<div style="font-size:11px">{note}; sizes in metres</div>'
+        '<div style="max-height:260px;overflow-y:auto"><table id="tj-table" style="font-size:12px;width:100%">'
+        f"<thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
+    )
+
+
+def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
+    """What is known of the selected segments; `frames`: names and pixels of those that see the first."""
+    if not rows:
+        return '<div id="tj-panel" style="font-size:12px">Click a segment, in the cloud or in the image.</div>'
+    parts = []
+    for row in rows:
+        size = " × ".join(f"{value:.2f}" for value in row.size)
+        name = f" <b>{escape(row.name)}</b>" if row.name else ""
+        parts.append(
+            f"<div>segment <b>{row.key}</b>{name}: {row.points} points, {size} m, seen in {row.frames} frames</div>"
+        )
+    if len(rows) == 1 and frames:
+        seen = ", ".join(f"{escape(name)} ({pixels} px)" for name, pixels in frames[:8])
+        parts.append(f"<div>{seen}{', ...' if len(frames) > 8 else ''}</div>")
+    return f'<div id="tj-panel" style="font-size:12px">{"".join(parts)}</div>'

@@ -1,0 +1,64 @@
+"""Writes the selected segments: a cloud, masks, or COCO's JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from torchjoint.datasets.files import write_cloud
+from torchjoint.datasets.lazy import LazySequence
+from torchjoint.results.exports.coco import export_coco
+from torchjoint.viewer.model import Model
+
+
+def export_selected(model: Model, folder: Path, kind: str) -> Path:
+    """Writes what is selected into a folder, and returns the file or folder; an earlier one of its name is replaced.
+
+    * PLY: one cloud of the selected points, in their own colours, with the property `label`: the id that is shown;
+    * PNG: a mask for each frame that sees something of it, 255 = selected;
+    * COCO: COCO's JSON of the selected segments in all frames, with the ids that are shown.
+
+    Raises:
+        ValueError: nothing is selected.
+        ModuleNotFoundError: COCO needs pycocotools.
+    """
+    if not model.selected:
+        raise ValueError("export: select a segment first")
+    folder.mkdir(exist_ok=True)
+    name = "-".join(str(model.key(segment)) for segment in model.selected[:5])
+    result, keys = model.result, _keys_of_pieces(model)
+    if kind == "PLY":
+        labels = torch.from_numpy(keys[model.parts.of_point])
+        chosen = result.scene.select_points(labels >= 0)
+        write_cloud(folder / f"{name}.ply", chosen.points, chosen.colors, labels[labels >= 0])
+        return folder / f"{name}.ply"
+    images = LazySequence(len(result.images), lambda index: _labels(model, keys, index))
+    if kind == "PNG":
+        return _write_masks(folder / f"{name}-masks", images, result.names)
+
+    export_coco(folder / f"{name}.json", replace(result, images=images, hierarchy=None, piece_images=()))
+    return folder / f"{name}.json"
+
+
+def _keys_of_pieces(model: Model) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """[P] the id that is shown for the segment of each piece; -1 = not selected."""
+    return np.where(np.isin(model.table, model.selected), model.parts.keys[model.table], -1)
+
+
+def _labels(model: Model, keys: np.ndarray[tuple[int], np.dtype[np.int64]], index: int) -> Tensor:
+    pieces = model.parts.image(index)
+    return torch.from_numpy(np.where(pieces < 0, -1, keys[pieces]))
+
+
+def _write_masks(folder: Path, images: Sequence[Tensor], names: Sequence[str]) -> Path:
+    folder.mkdir(exist_ok=True)
+    for name, labels in zip(names, images, strict=True):
+        if bool((labels >= 0).any()):
+            Image.fromarray(((labels >= 0) * 255).numpy().astype(np.uint8)).save(folder / f"{name}.png")
+    return folder

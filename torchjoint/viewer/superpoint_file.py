@@ -1,0 +1,38 @@
+"""A labelled cloud, such as `torchjoint superpoints` writes, as a result to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from torchjoint.datasets.clouds import read_cloud_file
+from torchjoint.results.result import Result
+from torchjoint.scene import Scene, Segmentation
+
+
+def read_labelled_cloud(path: Path) -> Result:
+    """Reads a .ply with the property `label`, or a .npz with the arrays points and labels.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is damaged, or has no labels; the message names it.
+    """
+    cloud = read_cloud_file(path)
+    labels = _labels(path)
+    if labels is None or len(labels) != len(cloud.points):
+        raise ValueError(f"{path}: has no labels; expected a .ply with the property `label`, or a .npz with `labels`")
+    numbered = np.unique(labels, return_inverse=True)[1]
+    scene = Scene(cloud.points, colors=cloud.colors if path.suffix == ".npz" else None, name=path.stem)
+    return Result.of(Segmentation(torch.from_numpy(numbered.astype(np.int64)), ()), scene)
+
+
+def _labels(path: Path) -> np.ndarray[tuple[int], np.dtype[np.int64]] | None:
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as arrays:
+            return arrays["labels"].astype(np.int64) if "labels" in arrays.files else None
+    from open3d import t
+
+    cloud = t.io.read_point_cloud(str(path))
+    return cloud.point.label.numpy().ravel().astype(np.int64) if "label" in cloud.point else None
