@@ -9,7 +9,8 @@ from folder_files import write_folder
 from PIL import Image
 
 import torchjoint as tj
-from torchjoint.datasets.files import read_array, read_cloud, read_depth, read_image, write_cloud
+from torchjoint.datasets.files import read_array, read_cloud, read_depth, read_image
+from torchjoint.datasets.ply import write_cloud
 from torchjoint.datasets.recording import invert_pose
 
 
@@ -146,7 +147,7 @@ def test_other_people_s_clouds(tmp_path, name, newline, kind):
     assert colors.tolist() == [[1, 0, 0], [0, 1, 0]]
     assert normals is None
     (tmp_path / name).write_text(newline.join([*lines, f"1 2 3 {one} 0 0"]), newline="")
-    with pytest.raises(ValueError, match="truncated: expected 2 points, got 1"):
+    with pytest.raises(ValueError, match=r"truncated, or too long: expected 2 lines \(2 of vertex\), got 1"):
         read_cloud(tmp_path / name)
 
 

@@ -20,8 +20,9 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.config import Config, read_yaml
-from torchjoint.datasets.files import read_label_image, write_cloud
+from torchjoint.datasets.files import read_label_image
 from torchjoint.datasets.lazy import LazySequence
+from torchjoint.datasets.ply import write_cloud
 from torchjoint.results.figures import overview
 from torchjoint.results.hierarchy_files import FILE, FOLDER, read_hierarchy, read_piece_image, write_hierarchy
 from torchjoint.results.label_colors import label_colors
