@@ -28,13 +28,16 @@ from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Frame, LabelImages, Scene, Segmentation
+from torchjoint.scene.local_cloud import LocalFrame, composed, warn_of_rounding, without_copies
 from torchjoint.views.observation import Observation
-from torchjoint.views.pose_check import check_poses, frames_to_check
+from torchjoint.views.pose_check import PoseCheck, frames_to_check
 from torchjoint.views.propagation import edge_overlaps
 from torchjoint.views.state import JointState
 from torchjoint.views.visibility import visible_points
 
 logger = logging.getLogger(__name__)
+
+_NO_CLOUD = "JointSegmenter: call reset(points) before update, compute or state"
 
 
 class JointSegmenter(nn.Module):
@@ -74,6 +77,9 @@ class JointSegmenter(nn.Module):
         self._definite = self.config  # after `reset` without "auto"
         self._graph: PointGraph | None = None
         self._of_point: Tensor | None = None  # [N] the graph's point of each given point; None = itself
+        self._given: Tensor | None = None  # [M, 3] the given points without copies
+        self._local = LocalFrame.of_world()  # of the graph's points
+        self._check: PoseCheck | None = None  # of frames that come one by one
         self._state: JointState | None = None
 
     @classmethod
@@ -108,9 +114,9 @@ class JointSegmenter(nn.Module):
         """
         self.reset(scene.points, scene.colors, scene.normals)
         checked = frames_to_check(scene)
-        graph = self._require_graph()
-        cloud = Scene(graph.points, scene.frames, colors=graph.colors, name=scene.name)
-        check_poses(cloud, graph.spacing, self.config.visibility, list(checked.values()))
+        check = self._new_check(scene.name)
+        check.look_at(checked.values())
+        check.warn()
         num_frames = len(scene.frames)
         if checkpoint is not None:
             self.state = checkpoint.load() or self.state
@@ -118,14 +124,12 @@ class JointSegmenter(nn.Module):
         with tqdm(total=num_frames, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
             for start in range(done, num_frames, batch_size):
                 indices = range(start, min(start + batch_size, num_frames))
-                self.update(self._load_frames(scene.frames, indices, checked))
+                self._add(self._load_frames(scene.frames, indices, checked))
                 bar.update(len(indices))
                 if checkpoint is not None:
                     checkpoint.save(self.state)
         if checkpoint is not None:
             checkpoint.save(self.state, now=True)
-        if num_frames and not any(o.visible.point.numel() for o in self.state.observations):
-            raise ValueError(f"frames: none of the {num_frames} images sees a point; wrong poses, axes or units?")
         return self.compute(progress=progress)
 
     def _load_frames(self, frames: Sequence[Frame], indices: range, loaded: dict[int, Frame]) -> list[Frame]:
@@ -151,18 +155,31 @@ class JointSegmenter(nn.Module):
         cloud = Scene(points, colors=colors, normals=normals)
         self.stopwatch = Stopwatch()
         with one_thread_per_operation(), self.stopwatch("point graph"):
-            self._definite, self._of_point = with_method(self.config, cloud.points), None
+            distinct, of_point = without_copies(cloud)
+            self._given, self._definite = distinct.points, with_method(self.config, distinct.points.float())
             method = self._definite.point_segments.method
+            # A scan's sensor is at the origin, so its coordinates stay.
+            self._local = LocalFrame.of_world() if method == "scan" else LocalFrame.of(distinct.points)
+            local, rounded = without_copies(self._local.cloud(distinct))
+            thinned = None
             if method == "scan":
-                self._graph = build_edgeless_graph(cloud)
+                self._graph = build_edgeless_graph(local)
             elif method == "learned":
-                working, scales, self._of_point = working_cloud(cloud)
-                self._graph = build_point_graph(working, self.config.point_graph, scales)
+                local, scales, thinned = working_cloud(local)
+                self._graph = build_point_graph(local, self.config.point_graph, scales)
             else:
-                self._graph = build_point_graph(cloud, self.config.point_graph)
+                self._graph = build_point_graph(local, self.config.point_graph)
+            self._of_point = composed(of_point, rounded, thinned)
+            warn_of_rounding(cloud.points, self._graph.spacing)
             if logger.isEnabledFor(logging.INFO):
                 logger.info(describe(len(cloud.points), self._graph, self._definite))
         self._state = JointState.empty(self._graph.edge_index.shape[1], self._graph.num_points)
+        self._check = self._new_check()
+
+    def _new_check(self, name: str = "") -> PoseCheck:
+        graph = self._require_graph()
+        cloud = Scene(graph.points, colors=graph.colors)
+        return PoseCheck(cloud, graph.spacing, self.config.visibility, self._local, name)
 
     @torch.no_grad()
     def update(self, frames: Frame | Sequence[Frame]) -> None:
@@ -173,10 +190,21 @@ class JointSegmenter(nn.Module):
         Raises:
             RuntimeError: :meth:`reset` was not called before.
             ValueError: a boundary detector or an image segmenter returns a wrong shape or bad values.
+
+        Warns:
+            PoseWarning: the poses or intrinsics look wrong, once that some frames came (or at :meth:`compute`).
         """
+        frames = [frames] if isinstance(frames, Frame) else list(frames)
+        if self._check is None:
+            raise RuntimeError(_NO_CLOUD)
+        self._check.look_as_they_come(frames)
+        self._add(frames)
+
+    def _add(self, frames: Sequence[Frame]) -> None:
+        """Adds the evidence of frames whose poses have been checked."""
         state = self.state
         with one_thread_per_operation():
-            for batch in _batches_of_one_size([frames] if isinstance(frames, Frame) else frames):
+            for batch in _batches_of_one_size(frames):
                 boundaries, labels = self.image_segmenter(batch, self.stopwatch)
                 observations = parallel_map(
                     lambda item: self._observe(*item), zip(batch, boundaries, labels, strict=True)
@@ -201,8 +229,17 @@ class JointSegmenter(nn.Module):
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
+            ValueError: there are frames, but none of them sees a point.
+
+        Warns:
+            PoseWarning: the poses or intrinsics look wrong.
         """
         state = self.state
+        if self._check is not None:
+            self._check.warn()
+        count = len(state.observations)
+        if count and not any(observation.visible.point.numel() for observation in state.observations):
+            raise ValueError(f"frames: none of the {count} images sees a point; wrong poses, axes or units?")
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
                 graph, hierarchy, piece = self._require_graph(), None, None
@@ -216,6 +253,8 @@ class JointSegmenter(nn.Module):
                     given_points = hierarchy.at()
                 else:
                     given_points = point_labels = segment_points(graph, state, self._definite)
+                    if self._of_point is not None:
+                        given_points = point_labels[self._of_point]
             if not images:
                 return Segmentation(given_points, (), seconds=dict(self.stopwatch.seconds), hierarchy=hierarchy)
             sizes = torch.bincount(point_labels)
@@ -251,7 +290,7 @@ class JointSegmenter(nn.Module):
             ValueError: (when set) the state belongs to another cloud.
         """
         if self._state is None:
-            raise RuntimeError("JointSegmenter: call reset(points) before update, compute or state")
+            raise RuntimeError(_NO_CLOUD)
         return self._state
 
     @state.setter
@@ -273,7 +312,8 @@ class JointSegmenter(nn.Module):
         """
         if other.config != self.config:
             raise ValueError("other: expected a segmenter with the same config")
-        if self._graph is None or other._graph is None or not self._graph.is_same(other._graph):
+        is_same = self._graph is not None and other._graph is not None and self._graph.is_same(other._graph)
+        if not (is_same and self._local.is_same(other._local)):
             raise ValueError("other: expected a segmenter that was reset with the same points")
         both = {o.name for o in self.state.observations if o.name} & {o.name for o in other.state.observations}
         if other is self or both:
@@ -289,22 +329,26 @@ class JointSegmenter(nn.Module):
         graph = self._require_graph()
         is_decided = self.config.point_segments.method == config.point_segments.method  # from all points, if "auto"
         definite = config.replace({"point_segments": {"method": self._definite.point_segments.method}})
-        definite = definite if is_decided else with_method(config, graph.points)
+        if not is_decided and self._given is not None:
+            definite = with_method(config, self._given.float())
         if different := evidence_differences(self._definite, definite):
             raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
         modules = self.image_segmenter
         other = JointSegmenter(config, boundary=modules.boundary, image_segmenter=modules.segmenter)
         other._graph, other._definite, other._of_point = graph, definite, self._of_point
+        other._local, other._given = self._local, self._given
         other._state = self.state + JointState.empty(graph.edge_index.shape[1], graph.num_points)  # a copy
+        other._check = other._new_check()
         return other
 
     def _observe(self, frame: Frame, boundary: Tensor, labels: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor]:
         """Steps 4 and 5 for one frame: the observation, votes for the normals' signs, edges and their overlaps."""
         graph = self._require_graph()
         with self.stopwatch("visibility"):
-            camera = (frame.intrinsics, frame.world_to_camera, frame.size)
+            pose = self._local.pose(frame.world_to_camera)
+            camera = (frame.intrinsics, pose, frame.size)
             visible = visible_points(graph.points, graph.spacing, *camera, self.config.visibility)
-            facing = orientation_votes(graph, visible.point, frame.world_to_camera)
+            facing = orientation_votes(graph, visible.point, pose)
         with self.stopwatch("propagation"):
             labels = labels.to(torch.int32)
             edges, overlaps = edge_overlaps(graph.adjacency, visible, labels, self.config.propagation.window)

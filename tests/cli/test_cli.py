@@ -10,6 +10,7 @@ from folder_files import write_folder
 from PIL import Image
 
 import torchjoint as tj
+from torchjoint.datasets.ply import write_cloud
 from torchjoint.results.folder import output_folder, read_points
 
 SMALL = ["--set", "point_segments.min_size=20", "image_segments.min_size=20"]
@@ -69,6 +70,23 @@ def test_the_cloud_opens_elsewhere_with_colours_and_labels(out):
     assert len(colors) == len(labels)
     assert len(np.unique(colors[labels == 0], axis=0)) == 1  # one segment, one colour
     assert t.io.read_point_cloud(str(out / "points.ply")).point.label.numpy().ravel().tolist() == labels.tolist()
+
+
+def test_a_recording_far_from_the_origin(recording, synthetic, out, run, tmp_path):
+    """Coordinates of a map, with a cloud of doubles: the same labels to the last bit."""
+    offset = np.array([500_000.0, 5_400_000.0, 100.0])
+    far = shutil.copytree(recording, tmp_path / "far")
+    for file in far.glob("*.pose.txt"):
+        pose = np.loadtxt(file)
+        pose[:3, 3] += offset
+        np.savetxt(file, pose, fmt="%.17g")
+    write_cloud(far / "cloud.ply", synthetic.scene.points.double() + torch.from_numpy(offset), synthetic.scene.colors)
+    run("segment", far, "-o", tmp_path / "out", *SMALL, "propagation.weight=0.2")
+    here, there = read_points(out), read_points(tmp_path / "out")
+    torch.testing.assert_close(there.points - torch.from_numpy(offset), here.points.double(), atol=1e-8, rtol=0)
+    assert torch.equal(there.labels, here.labels)
+    for image in (out / "images").iterdir():
+        assert image.read_bytes() == (tmp_path / "out" / "images" / image.name).read_bytes()
 
 
 def test_an_existing_result_is_kept(out, recording, run):

@@ -1,6 +1,7 @@
 """Reading recordings from disk."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from PIL import Image
 
 import torchjoint as tj
 from torchjoint.datasets.files import read_array, read_cloud, read_depth, read_image
+from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.datasets.ply import write_cloud
 from torchjoint.datasets.recording import invert_pose
 
@@ -67,6 +69,16 @@ def test_a_cloud_is_fused_and_kept(tmp_path, synthetic):
     # The fused cloud lies on what the sensor measured: most points are near one of the synthetic cloud's.
     distance = torch.cdist(scene.points, synthetic.scene.points).amin(1)
     assert distance.median() < 0.06
+
+
+def test_a_cloud_that_is_fused_far_from_the_origin_is_as_exact(synthetic):
+    offset = torch.tensor([1024.0 * 500, -1024.0 * 5000, 0], dtype=torch.float64)  # 2^14 voxels or multiples of that
+    back = torch.eye(4, dtype=torch.float64)
+    back[:3, 3] = -offset
+    there = [replace(frame, world_to_camera=frame.world_to_camera @ back) for frame in synthetic.scene.frames]
+    here, moved = (fuse_cloud(frames, 0.0625)[0] for frames in (synthetic.scene.frames, there))
+    assert moved.dtype == torch.float64
+    torch.testing.assert_close(moved - offset, here.double(), atol=1e-6, rtol=0)
 
 
 def test_without_cloud_and_depth_there_is_nothing_to_segment(tmp_path, synthetic):

@@ -12,24 +12,29 @@ from torch import Tensor
 #: have 7 digits; a pose that was averaged or interpolated carelessly is off by much more.
 RIGID_TOLERANCE = 1e-3
 
-#: Distance from the origin, in metres, up to which float32 coordinates are exact to a millimetre.
-LARGEST_COORDINATE = 8192.0
+#: Largest coordinate: squares of distances, and sums of them, must fit into float32.
+LARGEST_COORDINATE = 1e12
 
 
 def as_points(points: Tensor, name: str = "points") -> Tensor:
-    """Checks a cloud: [N, 3], N >= 1, finite, within LARGEST_COORDINATE of the origin; returns it as float32."""
-    points = as_float(points, name, torch.float64)
+    """Checks a cloud: [N, 3], N >= 1, finite; returns it as float32, or as float64 if float32 would round it."""
+    points = as_float(points, name, points.dtype if is_double(points) else torch.float32)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"{name}: expected shape [N, 3], got {list(points.shape)}")
     if points.shape[0] == 0:
         raise ValueError(f"{name}: expected at least one point, got an empty cloud")
     largest = points.abs().max().item()
     if largest > LARGEST_COORDINATE:
-        raise ValueError(
-            f"{name}: coordinates up to {largest:.4g} m would keep only {largest * 2**-23:.2g} m in float32; subtract "
-            "an offset from points and camera positions"
-        )
-    return points.to(torch.float32)
+        raise ValueError(f"{name}: expected coordinates up to {LARGEST_COORDINATE:g} m, got {largest:.4g} m")
+    if is_double(points):
+        rounded = points.float()
+        return rounded if torch.equal(rounded.double(), points) else points
+    return points
+
+
+def is_double(value: Tensor) -> bool:
+    """Whether the value is a float64 tensor."""
+    return isinstance(value, Tensor) and value.dtype == torch.float64
 
 
 def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
