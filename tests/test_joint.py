@@ -190,6 +190,13 @@ class TestOtherSegmentations:
         assert (results[0].images[0][:20] == -1).all()
         assert (results[0].images[0][20:] >= 0).all()
 
+    def test_a_mask_s_background_is_no_segment(self, synthetic):
+        mask = synthetic.image_labels[0] == 2
+        frame = dataclasses.replace(synthetic.scene.frames[0], labels=mask)
+        assert torch.equal(frame.labels, torch.where(mask, 0, -1))
+        with pytest.raises(ValueError, match=r"labels of frame .*: got only 0 and 255, as in the image of a mask"):
+            dataclasses.replace(frame, labels=mask.byte() * 255)
+
     def test_any_module_may_segment_images(self, synthetic):
         class Quarters(nn.Module):
             def forward(self, images):
@@ -568,6 +575,14 @@ class TestScan:
         coarse = SCAN.set(["scan.min_size=200"])
         expected = segment_scan(synthetic.scene.points, coarse.scan)
         assert torch.equal(scanner.with_config(coarse).compute(images=False).points, expected)
+
+    def test_images_that_have_no_say_are_told(self, synthetic, caplog):
+        segmenter = tj.JointSegmenter(SCAN)
+        segmenter.reset(synthetic.scene.points)
+        frame = dataclasses.replace(synthetic.scene.frames[0], labels=synthetic.image_labels[0])
+        with caplog.at_level("INFO"), pytest.warns(UserWarning, match="these labels have no effect on the points"):
+            segmenter.update([frame, frame])
+        assert "segments the points without images" in caplog.text
 
     @pytest.mark.parametrize("method", ["regions", "edges"])
     def test_another_method_would_miss_the_edges(self, synthetic, scanner, method):

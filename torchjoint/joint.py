@@ -7,6 +7,7 @@ Sequences", ICRA 2021.
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
@@ -203,6 +204,8 @@ class JointSegmenter(nn.Module):
     def _add(self, frames: Sequence[Frame]) -> None:
         """Adds the evidence of frames whose poses have been checked."""
         state = self.state
+        if not state.observations and frames:
+            self._tell_unused(frames[0])
         with one_thread_per_operation():
             for batch in _batches_of_one_size(frames):
                 boundaries, labels = self.image_segmenter(batch, self.stopwatch)
@@ -214,6 +217,18 @@ class JointSegmenter(nn.Module):
                     state.overlap_sum.index_add_(0, edges, overlaps)
                     state.facing[observation.visible.point] += facing
                     state.observations.append(observation)
+
+    def _tell_unused(self, frame: Frame) -> None:
+        """Says so if images have no say in the segments of the points."""
+        if self._definite.point_segments.method != "scan":
+            return
+        logger.info("frames: method scan segments the points without images; images only get the points' labels")
+        if frame.labels is not None:
+            warnings.warn(
+                "labels of frames: method scan segments the points without images, so these labels have no effect on "
+                "the points; point_segments.method=learned uses them",
+                stacklevel=3,
+            )
 
     @torch.no_grad()
     def compute(self, *, images: bool = True, progress: bool = False) -> Segmentation:

@@ -54,12 +54,19 @@ def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
 
 
 def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Tensor:
-    """Checks labels: shape `size`, integers >= -1; returns them as int64."""
+    """Checks labels: shape `size`, integers >= -1, or a mask (bool): True is 0, False none; returns them as int64."""
     if not isinstance(labels, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor, got {type(labels).__name__}")
     if labels.dtype.is_floating_point or labels.dtype.is_complex:
         raise TypeError(f"{name}: expected an integer dtype, got {labels.dtype}")
     check_shape(labels, size, name)
+    if labels.dtype == torch.bool:
+        return torch.where(labels, 0, -1)
+    if labels.dtype == torch.uint8 and (values := labels.unique().tolist())[:1] == [0] and len(values) == 2:
+        raise ValueError(
+            f"{name}: got only 0 and {values[1]}, as in the image of a mask; its background would be a segment: pass "
+            "`mask > 0`, or int64 labels (-1 = none)"
+        )
     labels = labels.to(torch.int64)
     if labels.numel() and int(labels.min()) < -1:
         raise ValueError(f"{name}: expected labels >= -1 (-1 = none), got {int(labels.min())}")

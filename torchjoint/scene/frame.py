@@ -29,7 +29,7 @@ class Frame:
         depth: optional [H, W], metres along the camera's z; 0 = unknown. The method itself does not use it; it serves
             to check poses, and to fuse a cloud if there is none.
         labels: optional [H, W] integers, an initial segmentation of the image (a network's output, SAM masks, ...);
-            -1 = none. It replaces the segmentation of step 2 for this frame.
+            -1 = none; or one mask, bool, with no label outside. It replaces the segmentation of step 2 for this frame.
         name: used in file names and messages.
 
     Raises:
