@@ -27,7 +27,7 @@ from torchjoint.points.segments import point_hierarchy, segment_points
 from torchjoint.points.working_cloud import working_cloud
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.stopwatch import Stopwatch
-from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
+from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Frame, LabelImages, Scene, Segmentation
 from torchjoint.scene.local_cloud import LocalFrame, composed, warn_of_rounding, without_copies
 from torchjoint.views.observation import Observation
@@ -93,6 +93,7 @@ class JointSegmenter(nn.Module):
         return cls(Config.from_preset(name))
 
     @torch.no_grad()
+    @on_cpu()
     def forward(
         self, scene: Scene, *, progress: bool = False, batch_size: int = 8, checkpoint: Checkpoint | None = None
     ) -> Segmentation:
@@ -139,6 +140,7 @@ class JointSegmenter(nn.Module):
             return parallel_map(lambda index: loaded.pop(index, None) or frames[index], indices)
 
     @torch.no_grad()
+    @on_cpu()
     def reset(self, points: Tensor, colors: Tensor | None = None, normals: Tensor | None = None) -> None:
         """Forgets all frames, chooses the method of step 6 if it is auto, and builds the graph of a cloud (step 3).
 
@@ -183,6 +185,7 @@ class JointSegmenter(nn.Module):
         return PoseCheck(cloud, graph.spacing, self.config.visibility, self._local, name)
 
     @torch.no_grad()
+    @on_cpu()
     def update(self, frames: Frame | Sequence[Frame]) -> None:
         """Adds the evidence of one or several frames (steps 1, 2, 4, 5).
 
@@ -231,6 +234,7 @@ class JointSegmenter(nn.Module):
             )
 
     @torch.no_grad()
+    @on_cpu()
     def compute(self, *, images: bool = True, progress: bool = False) -> Segmentation:
         """Computes the segmentation from all frames seen so far (steps 6-8); more frames may follow.
 
@@ -335,6 +339,7 @@ class JointSegmenter(nn.Module):
             raise ValueError(f"other: expected a segmenter that saw other frames, both saw {sorted(both)[:3]}")
         self.state = self.state + other.state
 
+    @on_cpu()
     def with_config(self, config: Config) -> JointSegmenter:
         """A segmenter with the same evidence and other parameters: tries out parameters without seeing frames again.
 

@@ -1,6 +1,8 @@
 """The command line, end to end: files that open in other people's tools, nothing overwritten or half written."""
 
+import errno
 import shutil
+from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from PIL import Image
 
 import torchjoint as tj
 from torchjoint.datasets.ply import write_cloud
-from torchjoint.results.folder import output_folder, read_points
+from torchjoint.results.folder import read_points
+from torchjoint.results.output_folder import output_folder
 
 SMALL = ["--set", "point_segments.min_size=20", "image_segments.min_size=20"]
 
@@ -208,3 +211,44 @@ def test_demo(monkeypatch, tmp_path, capsys, run):
     assert "against the truth, in 3D: covering 0." in capsys.readouterr().out
     with pytest.raises(SystemExit, match="demo: exists already"):
         run("demo", "-o", tmp_path / "demo", *SMALL)
+
+
+def test_an_error_that_is_no_one_s_fault_is_one_line(recording, run, tmp_path, monkeypatch):
+    """Full disks and too little memory; what the package itself does wrong keeps its traceback."""
+    for error, message in [
+        (OSError(errno.ENOSPC, "No space", "sums.pt"), r"error: the disk is full \(sums\.pt\); make room"),
+        (MemoryError(), r"error: out of memory; see --thin"),
+        (RuntimeError("[enforce fail] DefaultCPUAllocator: not enough memory: you tried"), r"error: out of memory"),
+        (RecursionError("maximum recursion depth exceeded"), r"error: nested too deeply"),
+        (BrokenProcessPool("a worker was killed"), r"error: a worker was killed"),
+    ]:
+
+        def fail(*_, error=error, **__):
+            raise error
+
+        monkeypatch.setattr("torchjoint.cli.segment.load_scene", fail)
+        with pytest.raises(SystemExit, match=message):
+            run("segment", recording, "-o", tmp_path / "out", *SMALL)
+    monkeypatch.setattr("torchjoint.cli.segment.load_scene", lambda *_, **__: torch.zeros(2) @ torch.zeros(3))
+    with pytest.raises(RuntimeError, match="inconsistent tensor size"):
+        run("segment", recording, "-o", tmp_path / "out", *SMALL)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
+    """After making room the run goes on where it was, also at the default interval, with the same result."""
+    again = tmp_path / "out"
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("torchjoint.cli.segment.write_result", full)
+    with pytest.raises(SystemExit, match="error: the disk is full; make room and start again"):
+        run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
+    monkeypatch.undo()
+    added = []
+    monkeypatch.setattr(tj.JointSegmenter, "_add", lambda self, frames: added.append(frames))
+    run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
+    assert added == []
+    for file in ("points.npz", "hierarchy.npz", "points.ply", "overview.png"):
+        assert (again / file).read_bytes() == (out / file).read_bytes()

@@ -10,10 +10,11 @@ from folder_files import write_folder
 from PIL import Image
 
 import torchjoint as tj
-from torchjoint.datasets.files import read_array, read_cloud, read_depth, read_image
+from torchjoint.datasets.files import fingerprint, read_array, read_cloud, read_depth, read_image
 from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.datasets.ply import write_cloud
 from torchjoint.datasets.recording import invert_pose
+from torchjoint.results.output_folder import output_folder, own_files
 
 
 @pytest.fixture(scope="module")
@@ -275,3 +276,33 @@ class TestKitchen:
         # The views overlap: what the first two see is largely the same objects.
         shared_ids = set(result.images[0].unique().tolist()) & set(result.images[1].unique().tolist())
         assert len([i for i in shared_ids if i < result.num_point_segments]) > 3
+
+
+class TestFingerprint:
+    """Whether a recording has changed since the state of a run was saved."""
+
+    def test_images_behind_a_linked_folder(self, tmp_path):
+        (tmp_path / "images").mkdir()
+        (tmp_path / "images" / "0.png").write_bytes(b"one")
+        (tmp_path / "recording").mkdir()
+        (tmp_path / "recording" / "images").symlink_to(tmp_path / "images")
+        before = fingerprint(tmp_path / "recording")
+        assert fingerprint(tmp_path / "recording") == before
+        (tmp_path / "images" / "0.png").write_bytes(b"other")
+        assert fingerprint(tmp_path / "recording") != before
+
+    def test_links_that_lead_back(self, tmp_path):
+        (tmp_path / "0.png").write_bytes(b"one")
+        (tmp_path / "again").symlink_to(tmp_path)
+        assert fingerprint(tmp_path)
+
+    def test_a_result_inside_the_recording_does_not_count(self, tmp_path):
+        (tmp_path / "0.png").write_bytes(b"one")
+        out = tmp_path / "results" / "out"
+        out.parent.mkdir()
+        before = fingerprint(tmp_path, own_files(out))
+        with output_folder(out, "source") as partial:
+            (partial / "half").write_text("x")
+            assert fingerprint(tmp_path, own_files(out)) == before
+        assert fingerprint(tmp_path, own_files(out)) == before
+        assert fingerprint(tmp_path) != before

@@ -9,7 +9,8 @@ from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
 from torchjoint.joint import JointSegmenter
-from torchjoint.results.folder import output_folder, write_result
+from torchjoint.results.folder import write_result
+from torchjoint.results.output_folder import output_folder
 
 
 def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = DEFAULTS, overwrite: bool = False) -> None:
@@ -26,6 +27,7 @@ def demo(out: Out = Path("torchjoint-demo"), parameters: Flat = DEFAULTS, overwr
     synthetic = make_scene(seed=0, size="medium")
     config, source = parameters.config(), "synthetic, seed 0, medium"
     with output_folder(out, source, overwrite=overwrite) as partial:
+        assert partial is not None  # without a key there is always something to do
         with printed_log():
             result = JointSegmenter(config)(synthetic.scene, progress=True)
         write_result(partial, synthetic.scene, result, config, source)

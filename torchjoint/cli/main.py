@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 import warnings
 from collections.abc import Callable
+from concurrent.futures import BrokenExecutor
 from typing import Any
 
 import tyro
@@ -20,6 +22,9 @@ from torchjoint.cli.show import show
 from torchjoint.cli.superpoints import superpoints
 from torchjoint.cli.train_boundaries import train_boundaries
 from torchjoint.cli.train_boundary_model import train_boundary_model
+
+#: Part of torch's message.
+_OUT_OF_MEMORY = "not enough memory"
 
 INTERRUPTED = (
     "torchjoint: interrupted; `segment`, `benchmark --tuning`, `train-boundaries` and `train-borders` go on where they "
@@ -47,5 +52,18 @@ def main() -> None:
         tyro.extras.subcommand_cli_from_dict(commands, prog="torchjoint")
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
-    except (ValueError, TypeError, OSError) as error:
-        sys.exit(f"torchjoint: error: {error}")
+    except (ValueError, TypeError, OSError, MemoryError, RecursionError, RuntimeError) as error:
+        sys.exit(f"torchjoint: error: {_in_one_line(error)}")
+
+
+def _in_one_line(error: Exception) -> str:
+    """What went wrong, for a user; an error of the package itself is raised again, with its traceback."""
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"the disk is full{f' ({error.filename})' if error.filename else ''}; make room and start again"
+    if isinstance(error, MemoryError) or _OUT_OF_MEMORY in str(error):
+        return "out of memory; see --thin, --max-frames and --voxel-size for less to compute"
+    if isinstance(error, RecursionError):
+        return f"nested too deeply: {error}"
+    if isinstance(error, RuntimeError) and not isinstance(error, BrokenExecutor):
+        raise error
+    return str(error)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import tyro
@@ -14,7 +13,11 @@ from torchjoint.datasets import load_scene
 from torchjoint.datasets.files import fingerprint
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.checkpoint import Checkpoint, run_key
-from torchjoint.results.folder import output_folder, write_result
+from torchjoint.results.folder import write_result
+from torchjoint.results.output_folder import STATE, output_folder, own_files
+from torchjoint.runtime.checked_files import file_checksum
+from torchjoint.runtime.files import write_text
+from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
 from torchjoint.scene.thinning import voxel_subsample
 from torchjoint.views.projection import in_any_view
@@ -60,21 +63,36 @@ def segment(
             )
     if out.resolve() in (scene.resolve(), *scene.resolve().parents):
         raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
-    source = f"{fingerprint(scene)} {voxel_size}"
-    with output_folder(out, source, overwrite=overwrite) as partial:
-        fused = partial / f"cloud-{voxel_size * 1000:g}mm.ply"  # kept in the result if the recording has no cloud
-        loaded = load_scene(scene, cloud=fused, voxel_size=voxel_size, progress=True)
+    source = f"{fingerprint(scene, own_files(out))} {voxel_size}"
+    key = run_key(f"{source} {max_frames} {in_view} {thin}", config)
+    with output_folder(out, source, key=f"{key} {granularity}", overwrite=overwrite) as partial:
+        if partial is None:
+            print(f"{out}: an earlier run was killed when all was written; its result is in its place now")
+            return
+        loaded = _load(scene, partial, voxel_size)
         if max_frames is not None:
             loaded = loaded.sample_frames(max_frames)
         if in_view:
             loaded = loaded.select_points(in_any_view(loaded.points, loaded.frames))
         if thin is not None:
             loaded = loaded.select_points(voxel_subsample(loaded.points, thin))
-        checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view} {thin}", config))
+        checkpoint = Checkpoint(partial / STATE / "frames", key)
         with printed_log():
             result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
         if granularity is not None:
             result = result.at(granularity)
         write_result(partial, loaded, result, config, str(scene), 0.5 if granularity is None else granularity)
-        shutil.rmtree(partial / "state")
     summarize(result, out)
+
+
+def _load(path: Path, partial: Path, voxel_size: float) -> Scene:
+    """The recording; a fused cloud is kept in the partial result, and stays in the result."""
+    fused, checksum = partial / f"cloud-{voxel_size * 1000:g}mm.ply", partial / STATE / "cloud.sha256"
+    is_whole = fused.is_file() and checksum.is_file() and checksum.read_bytes().decode() == file_checksum(fused)
+    if not is_whole:
+        fused.unlink(missing_ok=True)
+    scene = load_scene(path, cloud=fused, voxel_size=voxel_size, progress=True)
+    if fused.is_file() and not is_whole:
+        checksum.parent.mkdir(exist_ok=True)
+        write_text(checksum, file_checksum(fused))
+    return scene

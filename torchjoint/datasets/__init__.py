@@ -28,6 +28,7 @@ from torchjoint.datasets import (
     tum,
 )
 from torchjoint.datasets.recording import Options
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
 
 __all__ = [
@@ -73,6 +74,7 @@ FORMATS: dict[str, Format] = {
 }
 
 
+@on_cpu()
 def load_scene(
     path: str | Path, *, cloud: str | Path | None = None, voxel_size: float = 0.02, progress: bool = False
 ) -> Scene:

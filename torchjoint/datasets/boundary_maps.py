@@ -35,7 +35,7 @@ def read_boundary_map(path: Path) -> Tensor:
     if path.suffix == ".png":
         return read_grey_image(path)
     try:
-        values = np.load(path, allow_pickle=False)
+        values = np.load(path, allow_pickle=False, mmap_mode="r")  # checks the size before memory is allocated
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: missing; expected a boundary map") from None
     except (ValueError, OSError, EOFError) as error:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import read_mesh
+from torchjoint.datasets.files import read_array, read_mesh
+from torchjoint.runtime.archives import read_archive
 
 #: Numbers in a row of a LiDAR scan that are tried; rows that are looked at, and how few are too few to tell.
 COLUMNS, ROWS, LEAST_ROWS = (3, 4, 5, 6, 7), 1 << 16, 100
@@ -64,9 +64,8 @@ def read_cloud_file(path: Path, columns: int | None = None) -> CloudFile:
     try:
         if suffix == ".npz":
             return _from_archive(path)
-        rows = np.load(path, allow_pickle=False) if suffix == ".npy" else np.loadtxt(path, ndmin=2)
-        return _from_rows(rows)
-    except (ValueError, KeyError, OSError, EOFError, BadZipFile, TypeError) as error:
+        return _from_rows(read_array(path).numpy() if suffix == ".npy" else np.loadtxt(path, ndmin=2))
+    except (ValueError, KeyError, OSError, EOFError, TypeError) as error:
         raise ValueError(f"{path}: not a whole {suffix} cloud: {error}") from error
 
 
@@ -117,8 +116,7 @@ def read_scan(path: Path, columns: int) -> Tensor:
 
 
 def _from_archive(path: Path) -> CloudFile:
-    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-        values = {name: torch.from_numpy(arrays[name]) for name in arrays.files}
+    values = {name: torch.from_numpy(array) for name, array in read_archive(path).items()}
     if "points" not in values:
         raise ValueError(f"expected an array `points`, got {', '.join(values) or 'none'}")
     return CloudFile(*(values.get(name) for name in CloudFile._fields))  # type: ignore[arg-type]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 import struct
 import tokenize
 import warnings
 import zlib
+from collections.abc import Iterable, Iterator, Set
 from pathlib import Path
 from typing import Any
 
@@ -119,16 +121,32 @@ def read_array(path: Path) -> Tensor:
         raise ValueError(f"{path}: not a whole .npy array of numbers: {error}") from error
 
 
-def fingerprint(path: Path) -> str:
+def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     """Returns a hash of file names, sizes and times, to detect changed files.
 
-    For a folder it covers all files in and below the folder. For a file it covers the file's folder, and the files with
-    the same stem in sibling folders (KITTI's layout).
+    For a folder it covers all files in and below the folder, also behind links. For a file it covers the file's folder,
+    and the files with the same stem in sibling folders (KITTI's layout).
+
+    Args:
+        path: of a recording.
+        without: files and folders that do not count, such as the result of a run if it is inside the recording.
     """
     folder = path if path.is_dir() else path.parent
-    files = sorted({*folder.rglob("*"), *(() if path.is_dir() else folder.parent.glob(f"*/{path.stem}.*"))})
+    left_out = {os.path.abspath(one) for one in without}
+    beside = () if path.is_dir() else folder.parent.glob(f"*/{path.stem}.*")
+    files = sorted({*_files_below(folder, left_out), *beside})
     stats = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files if file.is_file()]
     return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
+
+
+def _files_below(folder: Path, without: Set[str]) -> Iterator[Path]:
+    """Files in and below a folder, behind links, too; a folder that links to one above it is entered once."""
+    entered = set()
+    for place, folders, names in os.walk(folder, followlinks=True):
+        entered.add(os.path.realpath(place))
+        inside = [name for name in folders if os.path.abspath(os.path.join(place, name)) not in without]
+        folders[:] = [name for name in sorted(inside) if os.path.realpath(os.path.join(place, name)) not in entered]
+        yield from (Path(place, name) for name in names if os.path.abspath(os.path.join(place, name)) not in without)
 
 
 def _opened(path: Path) -> Image.Image:

@@ -75,7 +75,8 @@ def fuse_cloud(frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: b
     sorted_points = torch.from_numpy(points[order])
     return (
         sorted_points.double() + origin if origin.any() else sorted_points,
-        torch.from_numpy(colors[order]).clamp(0, 1),
+        # As the file of a cloud stores them, so that a cloud that is read again is the same.
+        (torch.from_numpy(colors[order]).clamp(0, 1) * 255).round().double().div(255).float(),
     )
 
 

@@ -258,7 +258,7 @@ def _colors(vertex: Mapping[str, Array]) -> Tensor | None:
     kinds = {vertex[name].dtype for name in names}
     (kind,) = kinds if len(kinds) == 1 else (np.dtype(np.uint8),)
     white = 1 if kind.kind == "f" else np.iinfo(kind).max
-    return (colors / white).float()
+    return (colors.double() / white).float()
 
 
 def _faces(elements: Mapping[str, Mapping[str, Array]], num_points: int) -> Tensor | None:

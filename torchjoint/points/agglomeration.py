@@ -97,7 +97,7 @@ def build_hierarchy(evidence: Evidence, model: BoundaryModel) -> Hierarchy:
         joined, mean = ops.region_merges(ends, cost, num_regions, threshold)
         merges.add(evidence.regions_of_pieces(region), joined, mean, threshold)
         # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect.
-        region = ops.felzenszwalb(joined, torch.zeros(len(mean)), num_regions, scale=1.0)[region]
+        region = ops.felzenszwalb(joined, torch.zeros(len(mean), dtype=torch.float32), num_regions, scale=1.0)[region]
     return merges.hierarchy(evidence.piece, max(model.thresholds))
 
 

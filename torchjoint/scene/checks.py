@@ -42,9 +42,9 @@ def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
     pose = as_float(pose, name, torch.float64)
     check_shape(pose, (4, 4), name)
     rotation = pose[:3, :3]
-    error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max().item()
+    error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64, device="cpu")).abs().max().item()
     determinant = torch.linalg.det(rotation).item()
-    last_row = (pose[3] - torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64)).abs().max().item()
+    last_row = (pose[3] - torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64, device="cpu")).abs().max().item()
     if error > RIGID_TOLERANCE or abs(determinant - 1) > RIGID_TOLERANCE or last_row > RIGID_TOLERANCE:
         raise ValueError(
             f"{name}: expected a rigid transform [R t; 0 1], got R R^T off the identity by {error:.3g}, "
