@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import platform
 import shutil
-from importlib.metadata import version
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -146,6 +147,10 @@ def _write_label_images(folder: Path, result: Segmentation) -> None:
 
 def _run_record(scene: Scene, result: Segmentation, config: Config, source: str, granularity: float) -> dict[str, Any]:
     packages = ("torchjoint", "torch", "kornia", "numpy", "scipy", "open3d", "opencv-contrib-python-headless")
+    versions = {"python": platform.python_version()}
+    for name in packages:
+        with suppress(PackageNotFoundError):  # a package may be optional
+            versions[name] = version(name)
     return {
         "scene": source,
         **({} if result.hierarchy is None else {"granularity": granularity}),
@@ -156,7 +161,7 @@ def _run_record(scene: Scene, result: Segmentation, config: Config, source: str,
             "image_segments_without_points": _count_private(result),
         },
         "seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
-        "versions": {"python": platform.python_version()} | {name: version(name) for name in packages},
+        "versions": versions,
         "config": config.to_dict(),
     }
 
