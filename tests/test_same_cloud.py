@@ -73,6 +73,25 @@ class TestCopies:
         number = torch.cat([torch.arange(count), drawn])
         assert torch.equal(tj.superpoints(scene.points[number], scene.colors[number]), plain[number])
 
+    @pytest.mark.parametrize("method", ["learned", "edges"])
+    def test_points_within_a_cube(self, scene, method):
+        """Nearly equal points, as of scans that overlap: each pair counts as one point, and gets one label."""
+        options = [f"point_segments.method={method}", "point_segments.min_size=20", "boundary.detector=gradient"]
+        segmenter = tj.JointSegmenter(tj.Config().set(options), merge_within=0.01)
+        count = len(scene.points)
+        jitter = 1e-5 * torch.randn(count, 3, generator=torch.Generator().manual_seed(0))
+        both = torch.cat([scene.points, scene.points + jitter])
+        twice = tj.Scene(both, scene.frames, colors=scene.colors.repeat(2, 1))
+        result = segmenter(twice)
+        assert segmenter._require_graph().num_points < 1.02 * count
+        assert (result.points[:count] == result.points[count:]).float().mean() > 0.99
+        assert result.points[0] == 0
+        assert int((result.points[1:] - torch.cummax(result.points, 0).values[:-1]).max()) <= 1
+
+    def test_a_cube_that_cannot_be(self):
+        with pytest.raises(ValueError, match="merge_within: expected metres >= 0, got -1"):
+            tj.JointSegmenter(merge_within=-1.0)
+
     def test_viewpoints_and_normals_of_copies(self, scene):
         normals = torch.nn.functional.normalize(scene.points - scene.points.mean(0), dim=1)
         eye = scene.points.new_tensor([0.0, 0, 2]).expand(len(normals), 3)

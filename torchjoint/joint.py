@@ -7,6 +7,7 @@ Sequences", ICRA 2021.
 from __future__ import annotations
 
 import logging
+import math
 import warnings
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -29,7 +30,14 @@ from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Frame, LabelImages, Scene, Segmentation
-from torchjoint.scene.local_cloud import LocalFrame, composed, warn_of_rounding, without_copies
+from torchjoint.scene.local_cloud import (
+    LocalFrame,
+    composed,
+    merged_points,
+    points_within,
+    warn_of_rounding,
+    without_copies,
+)
 from torchjoint.views.observation import Observation
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
 from torchjoint.views.propagation import edge_overlaps
@@ -55,6 +63,9 @@ class JointSegmenter(nn.Module):
             that the config names (step 1).
         image_segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none; it replaces the graph
             segmentation of images (step 2). If a frame has labels, they are used instead of both.
+        merge_within: metres; the points in a cube with this side count as one point, their mean, and all get its label
+            (not with method scan). For scans that overlap with small errors. Copies, which are equal to the last bit,
+            always count as one.
 
     Example:
         >>> import torchjoint as tj
@@ -70,8 +81,12 @@ class JointSegmenter(nn.Module):
         *,
         boundary: nn.Module | None = None,
         image_segmenter: nn.Module | None = None,
+        merge_within: float = 0.0,
     ) -> None:
         super().__init__()
+        if not (math.isfinite(merge_within) and merge_within >= 0):
+            raise ValueError(f"merge_within: expected metres >= 0, got {merge_within}")
+        self.merge_within = merge_within
         self.config = config or Config()
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
@@ -164,7 +179,10 @@ class JointSegmenter(nn.Module):
             # A scan's sensor is at the origin, so its coordinates stay.
             self._local = LocalFrame.of_world() if method == "scan" else LocalFrame.of(distinct.points)
             local, rounded = without_copies(self._local.cloud(distinct))
-            thinned = None
+            merged = thinned = None
+            if method != "scan" and self.merge_within > 0:
+                merged = points_within(local.points, self.merge_within)
+                local = merged_points(local, merged, int(merged.max()) + 1)
             if method == "scan":
                 self._graph = build_edgeless_graph(local)
             elif method == "learned":
@@ -172,7 +190,7 @@ class JointSegmenter(nn.Module):
                 self._graph = build_point_graph(local, self.config.point_graph, scales)
             else:
                 self._graph = build_point_graph(local, self.config.point_graph)
-            self._of_point = composed(of_point, rounded, thinned)
+            self._of_point = composed(of_point, rounded, merged, thinned)
             warn_of_rounding(cloud.points, self._graph.spacing)
             if logger.isEnabledFor(logging.INFO):
                 logger.info(describe(len(cloud.points), self._graph, self._definite))
@@ -354,7 +372,9 @@ class JointSegmenter(nn.Module):
         if different := evidence_differences(self._definite, definite):
             raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
         modules = self.image_segmenter
-        other = JointSegmenter(config, boundary=modules.boundary, image_segmenter=modules.segmenter)
+        other = JointSegmenter(
+            config, boundary=modules.boundary, image_segmenter=modules.segmenter, merge_within=self.merge_within
+        )
         other._graph, other._definite, other._of_point = graph, definite, self._of_point
         other._local, other._given = self._local, self._given
         other._state = self.state + JointState.empty(graph.edge_index.shape[1], graph.num_points)  # a copy

@@ -32,6 +32,7 @@ def segment(
     max_frames: int | None = None,
     in_view: bool = False,
     thin: float | None = None,
+    merge_within: float = 0.0,
     granularity: float | None = None,
 ) -> None:
     """Segments a recording: a folder of posed frames, with or without a point cloud.
@@ -47,6 +48,7 @@ def segment(
         voxel_size: metres, for fusing a cloud from depth if the recording has no cloud.
         max_frames: number of frames to use, evenly spread over the recording.
         thin: keep one point per voxel of this size, metres; for clouds that are denser than their noise, or too large.
+        merge_within: metres; the points in a cube with this side count as one point, and all get its label.
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5. All levels are saved in any case.
             Only point_segments.method learned has levels (auto, if the cloud is no scan).
@@ -64,7 +66,7 @@ def segment(
     if out.resolve() in (scene.resolve(), *scene.resolve().parents):
         raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
     source = f"{fingerprint(scene, own_files(out))} {voxel_size}"
-    key = run_key(f"{source} {max_frames} {in_view} {thin}", config)
+    key = run_key(f"{source} {max_frames} {in_view} {thin} {merge_within}", config)
     with output_folder(out, source, key=f"{key} {granularity}", overwrite=overwrite) as partial:
         if partial is None:
             print(f"{out}: an earlier run was killed when all was written; its result is in its place now")
@@ -78,7 +80,7 @@ def segment(
             loaded = loaded.select_points(voxel_subsample(loaded.points, thin))
         checkpoint = Checkpoint(partial / STATE / "frames", key)
         with printed_log():
-            result = JointSegmenter(config)(loaded, progress=True, checkpoint=checkpoint)
+            result = JointSegmenter(config, merge_within=merge_within)(loaded, progress=True, checkpoint=checkpoint)
         if granularity is not None:
             result = result.at(granularity)
         write_result(partial, loaded, result, config, str(scene), 0.5 if granularity is None else granularity)

@@ -92,6 +92,18 @@ def merged_points(cloud: Scene, of_point: Tensor, count: int) -> Scene:
     )
 
 
+def points_within(points: Tensor, side: float) -> Tensor:
+    """The cube of a grid in which each point [N, 3] lies: [N] int64, numbered by first appearance.
+
+    Args:
+        points: [N, 3] metres; the grid starts at their smallest coordinates.
+        side: of a cube, metres, > 0.
+    """
+    scaled = (points.double() - points.double().amin(0)) / side
+    cell = distinct_points(scaled.floor())
+    return torch.arange(len(points)) if cell is None else cell
+
+
 def first_of_each(of_point: Tensor) -> Tensor:
     """The first point [M] int64 of each of M groups; `of_point` [N] int64 is the group of each point."""
     none = torch.full((int(of_point.max()) + 1,), len(of_point))
