@@ -100,10 +100,12 @@ def test_ascii_with_lists(tmp_path):
     [
         (b"1 2 3\n4 5 6", "expected a line break after the last number"),  # perhaps 6.25, cut
         (b"1 2 3\n\n4 5 6\n", "expected 2 lines"),
-        (b"\n1 2 3\n", "line 0 of 2 is blank"),
-        (b"1 2 3\n4 5\n", "requires|number of columns|changed"),
-        (b"1 2 3 4\n5 6 7 8\n", "expected 2 rows of 3 numbers"),
-        (b"1 2 3\n4 5 x\n", "could not convert"),
+        (b"\n1 2 3\n", "expected 3 numbers in row 0, got 0 words"),
+        (b"1 2 3\n4 5\n", "expected 3 numbers in row 1, got 2 words"),
+        (b"1 2 3 4\n5 6\n", "expected 3 numbers in row 0, got 4 words"),
+        (b"1 2 3\n4 5 x\n", "a word is no number"),
+        (b"1 2 3\n4 5 6-7\n", "a word is no number|7 numbers in 6 words"),
+        (b"1 2 3\n4_0 5 6\n", "a word is no number"),
         (b"1 2 3\n", "truncated"),
     ],
 )

@@ -5,7 +5,7 @@ Each number of the file is accounted for: what is cut, too long or not a number 
 
 from __future__ import annotations
 
-import io
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -154,36 +154,56 @@ def _check_rest(data: bytes, place: int, size: int, element: Element) -> None:
 
 def _read_ascii(data: bytes, header: PlyHeader) -> dict[str, Mapping[str, Array]]:
     body = data[header.size :]
-    lines = body.rstrip().splitlines() if body.strip() else []
+    text = body.rstrip() + b"\n"
+    ends, words = _lines(text) if body.strip() else (np.empty(0, np.int64), np.empty(0, np.int64))
     expected = sum(element.rows for element in header.elements if element.properties)
-    if len(lines) != expected:
+    if len(ends) != expected:
         counts = ", ".join(f"{element.rows} of {element.name}" for element in header.elements)
-        raise ValueError(f"truncated, or too long: expected {expected} lines ({counts}), got {len(lines)}")
+        raise ValueError(f"truncated, or too long: expected {expected} lines ({counts}), got {len(ends)}")
     if body and not body.endswith(b"\n"):
         raise ValueError("truncated: expected a line break after the last number, which may be cut off")
-    place = 0
+    place, start = 0, 0
     elements: dict[str, Mapping[str, Array]] = {}
     for element in header.elements:
-        if element.properties:
-            rows = lines[place : place + element.rows]
-            elements[element.name] = _ascii_lists(rows, element) if element.lists else _ascii_rows(rows, element)
-            place += element.rows
+        if not element.properties:
+            continue
+        rows = slice(place, place + element.rows)
+        end = int(ends[rows.stop - 1]) if element.rows else start
+        if element.lists:
+            elements[element.name] = _ascii_lists(text[start:end].splitlines(), element)
+        else:
+            elements[element.name] = _ascii_rows(text[start:end], words[rows], element)
+        place, start = rows.stop, end
     return elements
 
 
-def _ascii_rows(lines: list[bytes], element: Element) -> dict[str, Array]:
-    if not lines:
-        return {one.name: np.empty(0, one.kind) for one in element.properties}
-    for number, line in enumerate(lines):
-        if not line.strip():
-            raise ValueError(f"element {element.name}: line {number} of {len(lines)} is blank")
-    values = np.loadtxt(io.BytesIO(b"\n".join(lines)), comments=None, ndmin=2)
-    if values.shape != (element.rows, len(element.properties)):
+def _lines(text: bytes) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """The end of each line, behind its line break, and the number of words in it."""
+    characters = np.frombuffer(text, np.uint8)
+    is_space = (characters == 32) | ((characters >= 9) & (characters <= 13))
+    begins = ~is_space & np.concatenate([[True], is_space[:-1]])
+    ends = np.flatnonzero(characters == 10) + 1
+    counted = np.cumsum(begins)[ends - 1]
+    return ends, np.diff(counted, prepend=0)
+
+
+def _ascii_rows(text: bytes, words: npt.NDArray[np.int64], element: Element) -> dict[str, Array]:
+    columns = len(element.properties)
+    wrong = np.flatnonzero(words != columns)
+    if len(wrong):
         raise ValueError(
-            f"element {element.name}: expected {element.rows} rows of {len(element.properties)} numbers, got "
-            f"{list(values.shape)}"
+            f"element {element.name}: expected {columns} numbers in row {wrong[0]}, got {words[wrong[0]]} words"
         )
-    return {one.name: _converted(values[:, place], one.kind, one.name) for place, one in enumerate(element.properties)}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # about what is no number, with an older NumPy
+            values = np.fromstring(text.decode("ascii", errors="replace"), np.float64, sep=" ")
+    except (ValueError, DeprecationWarning) as error:
+        raise ValueError(f"element {element.name}: a word is no number: {error}") from error
+    if len(values) != element.rows * columns:
+        raise ValueError(f"element {element.name}: {len(values)} numbers in {element.rows * columns} words")
+    table = values.reshape(-1, columns)
+    return {one.name: _converted(table[:, place], one.kind, one.name) for place, one in enumerate(element.properties)}
 
 
 def _ascii_lists(lines: list[bytes], element: Element) -> dict[str, Array]:
