@@ -42,6 +42,14 @@ def test_an_archive_that_inflates(tmp_path, monkeypatch):
         read_archive(path)
 
 
+@pytest.mark.parametrize("header", [b"{'descr': (", b"{'descr': '<f4', 'shape': (1,}", b"[" * 200, b"\xff"])
+def test_headers_that_are_no_dictionary(tmp_path, header):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("a.npy", b"\x93NUMPY\x01\x00" + bytes([len(header), 0]) + header)
+    with pytest.raises(ValueError, match=r"a\.npz: not a whole archive of arrays"):
+        read_archive(tmp_path / "a.npz")
+
+
 def test_objects_are_not_read(tmp_path):
     np.savez(tmp_path / "a.npz", a=np.array([{}], dtype=object))
     with pytest.raises(ValueError, match=r"a\.npz: not a whole archive of arrays: Object arrays"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -35,7 +36,7 @@ def read_archive(path: Path) -> dict[str, npt.NDArray[Any]]:
                 )
             return {entry.filename.removesuffix(".npy"): _read_array(archive, entry) for entry in entries}
     except (ValueError, KeyError, OSError, EOFError, RuntimeError, NotImplementedError, OverflowError, SyntaxError,
-            TypeError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
+            TypeError, tokenize.TokenError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
         raise ValueError(f"{path}: not a whole archive of arrays: {error}") from error
 
 
