@@ -39,7 +39,7 @@ def load_evidence(path: Path) -> LabelledEvidence:
         if not isinstance(prepared, LabelledEvidence) or not isinstance(prepared.evidence, Evidence):
             raise TypeError(f"expected the evidence of a scene, got {type(prepared).__name__}")
     except Exception as error:  # a damaged file can raise anything
-        first = (str(error).splitlines() or [type(error).__name__])[0]
+        first = (str(error).removeprefix(f"{path}: ").splitlines() or [type(error).__name__])[0]
         raise ValueError(f"{path}: damaged; delete it and start again ({first})") from error
     return prepared
 
