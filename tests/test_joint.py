@@ -190,6 +190,13 @@ class TestOtherSegmentations:
         assert (results[0].images[0][:20] == -1).all()
         assert (results[0].images[0][20:] >= 0).all()
 
+    def test_a_mask_s_background_is_no_segment(self, synthetic):
+        mask = synthetic.image_labels[0] == 2
+        frame = dataclasses.replace(synthetic.scene.frames[0], labels=mask)
+        assert torch.equal(frame.labels, torch.where(mask, 0, -1))
+        with pytest.raises(ValueError, match=r"labels of frame .*: got only 0 and 255, as in the image of a mask"):
+            dataclasses.replace(frame, labels=mask.byte() * 255)
+
     def test_any_module_may_segment_images(self, synthetic):
         class Quarters(nn.Module):
             def forward(self, images):
@@ -429,6 +436,77 @@ class TestPoseCheck:
         )
         assert any("those of another image size" in message for message in messages)
 
+    def test_poses_in_reversed_order(self, synthetic):
+        frames = synthetic.scene.frames
+        poses = [frame.world_to_camera for frame in frames][::-1]
+        pairs = list(zip(frames, poses, strict=True))
+        depth = [dataclasses.replace(f, world_to_camera=pose) for f, pose in pairs]
+        messages = self.warnings_of(dataclasses.replace(synthetic.scene, frames=depth))
+        assert any("the depth images and the cloud disagree" in message for message in messages)
+        colors = [dataclasses.replace(frame, depth=None) for frame in depth]
+        messages = self.warnings_of(dataclasses.replace(synthetic.scene, frames=colors))
+        assert any("agree no more than by chance" in message for message in messages)
+
+    @pytest.mark.parametrize("axis", range(3))
+    def test_a_cloud_shifted_by_half_a_metre(self, synthetic, axis):
+        frames = [dataclasses.replace(frame, depth=None) for frame in synthetic.scene.frames]
+        assert self.warnings_of(dataclasses.replace(synthetic.scene, frames=frames)) == []
+        points = synthetic.scene.points + 0.5 * torch.eye(3)[axis]
+        messages = self.warnings_of(dataclasses.replace(synthetic.scene, points=points, frames=frames))
+        assert any("agree no more than by chance" in message for message in messages)
+
+    def test_blank_images_say_nothing_about_colours(self, synthetic):
+        frames = [
+            dataclasses.replace(frame, depth=None, image=torch.full_like(frame.image, 0.4))
+            for frame in synthetic.scene.frames
+        ]
+        colors = torch.full_like(synthetic.scene.points, 0.41)
+        assert self.warnings_of(dataclasses.replace(synthetic.scene, colors=colors, frames=frames)) == []
+
+    def streamed(self, scene, frames, compute):
+        segmenter = tj.JointSegmenter(CONFIG)
+        segmenter.reset(scene.points, scene.colors)
+        for frame in frames:
+            segmenter.update(frame)
+        return segmenter.compute(images=False) if compute else None
+
+    def test_frames_that_come_one_by_one_are_checked(self, synthetic):
+        def invert(frame):
+            return dataclasses.replace(frame, world_to_camera=torch.linalg.inv(frame.world_to_camera), depth=None)
+
+        frames = [invert(frame) for frame in synthetic.scene.frames]
+        with pytest.warns(PoseWarning, match="the poses look inverted"):
+            self.streamed(synthetic.scene, frames, compute=True)
+        many = [dataclasses.replace(frame, name=f"{i}") for i in range(6) for frame in frames]
+        with pytest.warns(PoseWarning, match="the poses look inverted") as caught:
+            self.streamed(synthetic.scene, many, compute=False)  # before the end of the stream
+        assert len(caught) == 1  # each problem once
+
+    def test_millimetres_that_come_one_by_one(self, synthetic):
+        def millimetres(frame):
+            pose = frame.world_to_camera.clone()
+            pose[:3, 3] *= 1000
+            return dataclasses.replace(frame, world_to_camera=pose, depth=None)
+
+        frames = [millimetres(frame) for frame in synthetic.scene.frames]
+        with pytest.warns(PoseWarning, match="agree no more than by chance|no point of the cloud is in view"):
+            self.streamed(synthetic.scene, frames, compute=True)
+
+    def test_frames_that_come_one_by_one_and_see_nothing(self, synthetic):
+        away = synthetic.scene.frames[0].world_to_camera.clone()
+        away[2, 3] = -1000
+        blind = dataclasses.replace(synthetic.scene.frames[0], world_to_camera=away)
+        with (
+            pytest.warns(PoseWarning, match="no point of the cloud is in view"),
+            pytest.raises(ValueError, match="frames: none of the 1 images sees a point; wrong poses"),
+        ):
+            self.streamed(synthetic.scene, [blind], compute=True)
+
+    def test_right_poses_that_come_one_by_one_are_silent(self, synthetic):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            self.streamed(synthetic.scene, synthetic.scene.frames, compute=True)
+
 
 def test_points_alone_are_segmented_without_the_images(synthetic):
     segmenter = tj.JointSegmenter()
@@ -497,6 +575,14 @@ class TestScan:
         coarse = SCAN.set(["scan.min_size=200"])
         expected = segment_scan(synthetic.scene.points, coarse.scan)
         assert torch.equal(scanner.with_config(coarse).compute(images=False).points, expected)
+
+    def test_images_that_have_no_say_are_told(self, synthetic, caplog):
+        segmenter = tj.JointSegmenter(SCAN)
+        segmenter.reset(synthetic.scene.points)
+        frame = dataclasses.replace(synthetic.scene.frames[0], labels=synthetic.image_labels[0])
+        with caplog.at_level("INFO"), pytest.warns(UserWarning, match="these labels have no effect on the points"):
+            segmenter.update([frame, frame])
+        assert "segments the points without images" in caplog.text
 
     @pytest.mark.parametrize("method", ["regions", "edges"])
     def test_another_method_would_miss_the_edges(self, synthetic, scanner, method):

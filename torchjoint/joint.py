@@ -7,6 +7,8 @@ Sequences", ICRA 2021.
 from __future__ import annotations
 
 import logging
+import math
+import warnings
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING
@@ -28,15 +30,25 @@ from torchjoint.points.working_cloud import working_cloud
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.ahead import ahead
 from torchjoint.runtime.stopwatch import Stopwatch
-from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
+from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Frame, LabelImages, Scene, Segmentation
+from torchjoint.scene.local_cloud import (
+    LocalFrame,
+    composed,
+    merged_points,
+    points_within,
+    warn_of_rounding,
+    without_copies,
+)
 from torchjoint.views.observation import Observation
-from torchjoint.views.pose_check import check_poses, frames_to_check
+from torchjoint.views.pose_check import PoseCheck, frames_to_check
 from torchjoint.views.propagation import edge_overlaps
 from torchjoint.views.state import JointState
 from torchjoint.views.visibility import visible_points
 
 logger = logging.getLogger(__name__)
+
+_NO_CLOUD = "JointSegmenter: call reset(points) before update, compute or state"
 
 
 class JointSegmenter(nn.Module):
@@ -54,6 +66,9 @@ class JointSegmenter(nn.Module):
         image_segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none, or -> B
             :class:`~torchjoint.scene.Masks`; it replaces the graph segmentation of images (step 2). If a frame has
             masks or labels, they are used instead.
+        merge_within: metres; the points in a cube with this side count as one point, their mean, and all get its label
+            (not with method scan). For scans that overlap with small errors. Copies, which are equal to the last bit,
+            always count as one.
 
     Example:
         >>> import torchjoint as tj
@@ -69,18 +84,25 @@ class JointSegmenter(nn.Module):
         *,
         boundary: nn.Module | None = None,
         image_segmenter: nn.Module | None = None,
+        merge_within: float = 0.0,
     ) -> None:
         super().__init__()
         if config is not None and not isinstance(config, Config):
             raise TypeError(
                 f"config: expected a Config, got {type(config).__name__}; see JointSegmenter.from_preset('indoor')"
             )
+        if not (math.isfinite(merge_within) and merge_within >= 0):
+            raise ValueError(f"merge_within: expected metres >= 0, got {merge_within}")
+        self.merge_within = merge_within
         self.config = config or Config()
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
         self._definite = self.config  # after `reset` without "auto"
         self._graph: PointGraph | None = None
         self._of_point: Tensor | None = None  # [N] the graph's point of each given point; None = itself
+        self._given: Tensor | None = None  # [M, 3] the given points without copies
+        self._local = LocalFrame.of_world()  # of the graph's points
+        self._check: PoseCheck | None = None  # of frames that come one by one
         self._state: JointState | None = None
 
     @classmethod
@@ -100,6 +122,7 @@ class JointSegmenter(nn.Module):
             """See :meth:`forward`."""
 
     @torch.no_grad()
+    @on_cpu()
     def forward(
         self, scene: Scene, *, progress: bool = False, batch_size: int = 8, checkpoint: Checkpoint | None = None
     ) -> Segmentation:
@@ -125,9 +148,9 @@ class JointSegmenter(nn.Module):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; of points: Scene(points, frames)")
         self.reset(scene.points, scene.colors, scene.normals)
         checked = frames_to_check(scene)
-        graph = self._require_graph()
-        cloud = Scene(graph.points, scene.frames, colors=graph.colors, name=scene.name)
-        check_poses(cloud, graph.spacing, self.config.visibility, list(checked.values()))
+        check = self._new_check(scene.name)
+        check.look_at(checked.values())
+        check.warn()
         num_frames = len(scene.frames)
         if checkpoint is not None:
             self.state = checkpoint.load() or self.state
@@ -135,14 +158,12 @@ class JointSegmenter(nn.Module):
         with tqdm(total=num_frames, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
             batches = [range(num_frames)[start : start + batch_size] for start in range(done, num_frames, batch_size)]
             for batch in ahead(lambda indices: self._load_frames(scene.frames, indices, checked), batches):
-                self.update(batch)
+                self._add(batch)
                 bar.update(len(batch))
                 if checkpoint is not None:
                     checkpoint.save(self.state)
         if checkpoint is not None:
             checkpoint.save(self.state, now=True)
-        if num_frames and not any(o.visible.point.numel() for o in self.state.observations):
-            raise ValueError(f"frames: none of the {num_frames} images sees a point; wrong poses, axes or units?")
         return self.compute(progress=progress)
 
     def _load_frames(self, frames: Sequence[Frame], indices: range, loaded: dict[int, Frame]) -> list[Frame]:
@@ -151,6 +172,7 @@ class JointSegmenter(nn.Module):
             return parallel_map(lambda index: loaded.pop(index, None) or frames[index], indices)
 
     @torch.no_grad()
+    @on_cpu()
     def reset(self, points: Tensor, colors: Tensor | None = None, normals: Tensor | None = None) -> None:
         """Forgets all frames, chooses the method of step 6 if it is auto, and builds the graph of a cloud (step 3).
 
@@ -168,20 +190,37 @@ class JointSegmenter(nn.Module):
         cloud = Scene(points, colors=colors, normals=normals)
         self.stopwatch = Stopwatch()
         with one_thread_per_operation(), self.stopwatch("point graph"):
-            self._definite, self._of_point = with_method(self.config, cloud.points), None
+            distinct, of_point = without_copies(cloud)
+            self._given, self._definite = distinct.points, with_method(self.config, distinct.points.float())
             method = self._definite.point_segments.method
+            # A scan's sensor is at the origin, so its coordinates stay.
+            self._local = LocalFrame.of_world() if method == "scan" else LocalFrame.of(distinct.points)
+            local, rounded = without_copies(self._local.cloud(distinct))
+            merged = thinned = None
+            if method != "scan" and self.merge_within > 0:
+                merged = points_within(local.points, self.merge_within)
+                local = merged_points(local, merged, int(merged.max()) + 1)
             if method == "scan":
-                self._graph = build_edgeless_graph(cloud)
+                self._graph = build_edgeless_graph(local)
             elif method == "learned":
-                working, scales, self._of_point = working_cloud(cloud)
-                self._graph = build_point_graph(working, self.config.point_graph, scales)
+                local, scales, thinned = working_cloud(local)
+                self._graph = build_point_graph(local, self.config.point_graph, scales)
             else:
-                self._graph = build_point_graph(cloud, self.config.point_graph)
+                self._graph = build_point_graph(local, self.config.point_graph)
+            self._of_point = composed(of_point, rounded, merged, thinned)
+            warn_of_rounding(cloud.points, self._graph.spacing)
             if logger.isEnabledFor(logging.INFO):
                 logger.info(describe(len(cloud.points), self._graph, self._definite))
         self._state = JointState.empty(self._graph.edge_index.shape[1], self._graph.num_points)
+        self._check = self._new_check()
+
+    def _new_check(self, name: str = "") -> PoseCheck:
+        graph = self._require_graph()
+        cloud = Scene(graph.points, colors=graph.colors)
+        return PoseCheck(cloud, graph.spacing, self.config.visibility, self._local, name)
 
     @torch.no_grad()
+    @on_cpu()
     def update(self, frames: Frame | Sequence[Frame]) -> None:
         """Adds the evidence of one or several frames (steps 1, 2, 4, 5).
 
@@ -190,10 +229,23 @@ class JointSegmenter(nn.Module):
         Raises:
             RuntimeError: :meth:`reset` was not called before.
             ValueError: a boundary detector or an image segmenter returns a wrong shape or bad values.
+
+        Warns:
+            PoseWarning: the poses or intrinsics look wrong, once that some frames came (or at :meth:`compute`).
         """
+        frames = [frames] if isinstance(frames, Frame) else list(frames)
+        if self._check is None:
+            raise RuntimeError(_NO_CLOUD)
+        self._check.look_as_they_come(frames)
+        self._add(frames)
+
+    def _add(self, frames: Sequence[Frame]) -> None:
+        """Adds the evidence of frames whose poses have been checked."""
         state = self.state
+        if not state.observations and frames:
+            self._tell_unused(frames[0])
         with one_thread_per_operation():
-            for batch in _batches_of_one_size([frames] if isinstance(frames, Frame) else frames):
+            for batch in _batches_of_one_size(frames):
                 segments = self.image_segmenter(batch, self.stopwatch)
                 observations = parallel_map(lambda item: self._observe(*item), zip(batch, segments, strict=True))
                 for observation, facing, edges, overlaps in observations:
@@ -202,7 +254,21 @@ class JointSegmenter(nn.Module):
                     state.facing[observation.visible.point] += facing
                     state.observations.append(observation)
 
+    def _tell_unused(self, frame: Frame) -> None:
+        """Says so if images have no say in the segments of the points."""
+        if self._definite.point_segments.method != "scan":
+            return
+        logger.info("frames: method scan segments the points without images; images only get the points' labels")
+        given = "masks" if frame.masks is not None else "labels" if frame.labels is not None else ""
+        if given:
+            warnings.warn(
+                f"{given} of frames: method scan segments the points without images, so these {given} have no effect on "
+                "the points; point_segments.method=learned uses them",
+                stacklevel=3,
+            )
+
     @torch.no_grad()
+    @on_cpu()
     def compute(self, *, images: bool = True, progress: bool = False) -> Segmentation:
         """Computes the segmentation from all frames seen so far (steps 6-8); more frames may follow.
 
@@ -216,8 +282,17 @@ class JointSegmenter(nn.Module):
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
+            ValueError: there are frames, but none of them sees a point.
+
+        Warns:
+            PoseWarning: the poses or intrinsics look wrong.
         """
         state = self.state
+        if self._check is not None:
+            self._check.warn()
+        count = len(state.observations)
+        if count and not any(observation.visible.point.numel() for observation in state.observations):
+            raise ValueError(f"frames: none of the {count} images sees a point; wrong poses, axes or units?")
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
                 graph, hierarchy, piece = self._require_graph(), None, None
@@ -231,6 +306,8 @@ class JointSegmenter(nn.Module):
                     given_points = hierarchy.at()
                 else:
                     given_points = point_labels = segment_points(graph, state, self._definite)
+                    if self._of_point is not None:
+                        given_points = point_labels[self._of_point]
             if not images:
                 return Segmentation(given_points, (), seconds=dict(self.stopwatch.seconds), hierarchy=hierarchy)
             sizes = torch.bincount(point_labels)
@@ -266,7 +343,7 @@ class JointSegmenter(nn.Module):
             ValueError: (when set) the state belongs to another cloud.
         """
         if self._state is None:
-            raise RuntimeError("JointSegmenter: call reset(points) before update, compute or state")
+            raise RuntimeError(_NO_CLOUD)
         return self._state
 
     @state.setter
@@ -293,13 +370,15 @@ class JointSegmenter(nn.Module):
         """
         if other.config != self.config:
             raise ValueError("other: expected a segmenter with the same config")
-        if self._graph is None or other._graph is None or not self._graph.is_same(other._graph):
+        is_same = self._graph is not None and other._graph is not None and self._graph.is_same(other._graph)
+        if not (is_same and self._local.is_same(other._local)):
             raise ValueError("other: expected a segmenter that was reset with the same points")
         both = {o.name for o in self.state.observations if o.name} & {o.name for o in other.state.observations}
         if other is self or both:
             raise ValueError(f"other: expected a segmenter that saw other frames, both saw {sorted(both)[:3]}")
         self.state = self.state + other.state
 
+    @on_cpu()
     def with_config(self, config: Config) -> JointSegmenter:
         """A segmenter with the same evidence and other parameters: tries out parameters without seeing frames again.
 
@@ -309,22 +388,28 @@ class JointSegmenter(nn.Module):
         graph = self._require_graph()
         is_decided = self.config.point_segments.method == config.point_segments.method  # from all points, if "auto"
         definite = config.replace({"point_segments": {"method": self._definite.point_segments.method}})
-        definite = definite if is_decided else with_method(config, graph.points)
+        if not is_decided and self._given is not None:
+            definite = with_method(config, self._given.float())
         if different := evidence_differences(self._definite, definite):
             raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
         modules = self.image_segmenter
-        other = JointSegmenter(config, boundary=modules.boundary, image_segmenter=modules.segmenter)
+        other = JointSegmenter(
+            config, boundary=modules.boundary, image_segmenter=modules.segmenter, merge_within=self.merge_within
+        )
         other._graph, other._definite, other._of_point = graph, definite, self._of_point
+        other._local, other._given = self._local, self._given
         other._state = self.state + JointState.empty(graph.edge_index.shape[1], graph.num_points)  # a copy
+        other._check = other._new_check()
         return other
 
     def _observe(self, frame: Frame, segments: ImageSegments) -> tuple[Observation, Tensor, Tensor, Tensor]:
         """Steps 4 and 5 for one frame: the observation, votes for the normals' signs, edges and their overlaps."""
         graph = self._require_graph()
         with self.stopwatch("visibility"):
-            camera = (frame.intrinsics, frame.world_to_camera, frame.size)
+            pose = self._local.pose(frame.world_to_camera)
+            camera = (frame.intrinsics, pose, frame.size)
             visible = visible_points(graph.points, graph.spacing, *camera, self.config.visibility)
-            facing = orientation_votes(graph, visible.point, frame.world_to_camera)
+            facing = orientation_votes(graph, visible.point, pose)
         with self.stopwatch("propagation"):
             labels = segments.labels.to(torch.int32) if segments.masks is None else segments.masks.atom
             edges, overlaps = edge_overlaps(graph.adjacency, visible, labels, self.config.propagation.window)

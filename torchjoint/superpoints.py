@@ -21,7 +21,9 @@ from torchjoint.points.neighbors import neighbor_tables
 from torchjoint.points.normals import estimate_normals
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Scene
+from torchjoint.scene.checks import is_double
 from torchjoint.scene.cloud_batch import Cloud, split_batch
+from torchjoint.scene.local_cloud import LocalFrame, composed, first_of_each, warn_of_rounding, without_copies
 
 #: A tensor, or a numpy array.
 Values = TypeVar("Values", Tensor, npt.NDArray[Any])
@@ -166,9 +168,12 @@ class Superpoints(nn.Module):
         return repr(self.config)
 
 
-def _segment(cloud: Cloud, config: SuperpointsConfig) -> Tensor:
+def _segment(given: Cloud, config: SuperpointsConfig) -> Tensor:
     """The labels [N] int64 of one cloud."""
-    edges, normals, oriented = _graph(cloud, config)
+    cloud, of_point = _local(given)
+    edges, normals, oriented, spacing = _graph(cloud, config)
+    if len(spacing):
+        warn_of_rounding(given.points, spacing)
     turn = segmentator_turn if config.weight == "segmentator" else None
     if not oriented:  # convex and concave edges cannot be told apart, so do not test
         config = config.replace({"convex_factor": 1.0})
@@ -176,25 +181,53 @@ def _segment(cloud: Cloud, config: SuperpointsConfig) -> Tensor:
     weights = geometric_weights(
         cloud.points, edges, normals, all_oriented, config.point_graph, cloud.colors, turn, config.angle_weight
     )
-    return ops.felzenszwalb(edges, weights, len(cloud.points), config.scale, config.min_size)
+    labels = ops.felzenszwalb(edges, weights, len(cloud.points), config.scale, config.min_size)
+    return labels if of_point is None else labels[of_point]
 
 
-def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, bool]:
-    """Edges [2, E], normals [N, 3], and whether the normals are oriented."""
+def _local(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
+    """The cloud that is segmented, and its point for each given one; None: all of them, in their order.
+
+    Copies are merged only if the graph is ours: given edges and faces say themselves which points belong together.
+    """
+    scene, maps = Scene(cloud.points, colors=cloud.colors, normals=cloud.normals), []
+    ours = cloud.edges is None and cloud.faces is None
+    if ours:
+        scene, of_point = without_copies(scene)
+        maps.append(of_point)
+    # ScanNet's segmentator computes normals of float32 coordinates as they are.
+    as_given = cloud.faces is not None and not is_double(scene.points)
+    frame = LocalFrame.of_world() if as_given else LocalFrame.of(scene.points)
+    scene = frame.cloud(scene)
+    if ours:
+        scene, of_point = without_copies(scene)
+        maps.append(of_point)
+    of_given, viewpoint = composed(*maps), cloud.viewpoint
+    if viewpoint is not None:
+        viewpoint = (viewpoint.double() - frame.origin).float()
+        if of_given is not None and viewpoint.ndim == 2:
+            viewpoint = viewpoint[first_of_each(of_given)]
+    return cloud._replace(
+        points=scene.points, colors=scene.colors, normals=scene.normals, viewpoint=viewpoint
+    ), of_given
+
+
+def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, bool, Tensor]:
+    """Edges [2, E], normals [N, 3], whether the normals are oriented, and the spacing [N] (empty if not measured)."""
     points, normals, edges, oriented = cloud.points, cloud.normals, cloud.edges, True
     if cloud.faces is not None:
         edges = face_edges(cloud.faces)
         normals = vertex_normals(points, cloud.faces) if normals is None else normals
     for_edges = config.neighbors if edges is None else 0
     for_normals = config.normal_neighbors if normals is None else 0
-    table = neighbor_tables(points, (for_edges, for_normals), config.reach)[0]
+    table, spacing = neighbor_tables(points, (for_edges, for_normals), config.reach)
     if normals is None:
         normals, oriented = estimate_normals(points, table[for_normals]), False
         if cloud.viewpoint is not None:
             normals, oriented = _turned_to(cloud.viewpoint, points, normals), True
     if edges is None:
         edges = undirected_edges(table[for_edges])
-    return edges, normals, oriented
+    return edges, normals, oriented, spacing
 
 
 def _turned_to(viewpoint: Tensor, points: Tensor, normals: Tensor) -> Tensor:

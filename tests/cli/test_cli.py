@@ -1,6 +1,8 @@
 """The command line, end to end: files that open in other people's tools, nothing overwritten or half written."""
 
+import errno
 import shutil
+from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ from folder_files import write_folder
 from PIL import Image
 
 import torchjoint as tj
-from torchjoint.results.folder import output_folder, read_points
+from torchjoint.datasets.ply import write_cloud
+from torchjoint.results.folder import read_points
+from torchjoint.results.output_folder import output_folder
 
 SMALL = ["--set", "point_segments.min_size=20", "image_segments.min_size=20"]
 
@@ -70,6 +74,23 @@ def test_the_cloud_opens_elsewhere_with_colours_and_labels(out):
     assert len(colors) == len(labels)
     assert len(np.unique(colors[labels == 0], axis=0)) == 1  # one segment, one colour
     assert t.io.read_point_cloud(str(out / "points.ply")).point.label.numpy().ravel().tolist() == labels.tolist()
+
+
+def test_a_recording_far_from_the_origin(recording, synthetic, out, run, tmp_path):
+    """Coordinates of a map, with a cloud of doubles: the same labels to the last bit."""
+    offset = np.array([500_000.0, 5_400_000.0, 100.0])
+    far = shutil.copytree(recording, tmp_path / "far")
+    for file in far.glob("*.pose.txt"):
+        pose = np.loadtxt(file)
+        pose[:3, 3] += offset
+        np.savetxt(file, pose, fmt="%.17g")
+    write_cloud(far / "cloud.ply", synthetic.scene.points.double() + torch.from_numpy(offset), synthetic.scene.colors)
+    run("segment", far, "-o", tmp_path / "out", *SMALL, "propagation.weight=0.2")
+    here, there = read_points(out), read_points(tmp_path / "out")
+    torch.testing.assert_close(there.points - torch.from_numpy(offset), here.points.double(), atol=1e-8, rtol=0)
+    assert torch.equal(there.labels, here.labels)
+    for image in (out / "images").iterdir():
+        assert image.read_bytes() == (tmp_path / "out" / "images" / image.name).read_bytes()
 
 
 def test_an_existing_result_is_kept(out, recording, run):
@@ -181,3 +202,44 @@ def test_demo(monkeypatch, tmp_path, capsys, run):
     assert "against the truth, in 3D: covering 0." in capsys.readouterr().out
     with pytest.raises(SystemExit, match="demo: exists already"):
         run("demo", "-o", tmp_path / "demo", *SMALL)
+
+
+def test_an_error_that_is_no_one_s_fault_is_one_line(recording, run, tmp_path, monkeypatch):
+    """Full disks and too little memory; what the package itself does wrong keeps its traceback."""
+    for error, message in [
+        (OSError(errno.ENOSPC, "No space", "sums.pt"), r"error: the disk is full \(sums\.pt\); make room"),
+        (MemoryError(), r"error: out of memory; see --thin"),
+        (RuntimeError("[enforce fail] DefaultCPUAllocator: not enough memory: you tried"), r"error: out of memory"),
+        (RecursionError("maximum recursion depth exceeded"), r"error: nested too deeply"),
+        (BrokenProcessPool("a worker was killed"), r"error: a worker was killed"),
+    ]:
+
+        def fail(*_, error=error, **__):
+            raise error
+
+        monkeypatch.setattr("torchjoint.cli.segment.load_scene", fail)
+        with pytest.raises(SystemExit, match=message):
+            run("segment", recording, "-o", tmp_path / "out", *SMALL)
+    monkeypatch.setattr("torchjoint.cli.segment.load_scene", lambda *_, **__: torch.zeros(2) @ torch.zeros(3))
+    with pytest.raises(RuntimeError, match="inconsistent tensor size"):
+        run("segment", recording, "-o", tmp_path / "out", *SMALL)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
+    """After making room the run goes on where it was, also at the default interval, with the same result."""
+    again = tmp_path / "out"
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("torchjoint.cli.segment.write_result", full)
+    with pytest.raises(SystemExit, match="error: the disk is full; make room and start again"):
+        run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
+    monkeypatch.undo()
+    added = []
+    monkeypatch.setattr(tj.JointSegmenter, "_add", lambda self, frames: added.append(frames))
+    run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
+    assert added == []
+    for file in ("points.npz", "hierarchy.npz", "points.ply", "overview.png"):
+        assert (again / file).read_bytes() == (out / file).read_bytes()

@@ -7,7 +7,7 @@ from PIL import Image
 
 import torchjoint as tj
 from torchjoint.datasets.clouds import read_cloud_file
-from torchjoint.datasets.files import write_cloud
+from torchjoint.datasets.ply import write_cloud
 
 POINTS = torch.rand(400, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 1.0, 0.01])
 COLORS = torch.rand(400, 3, generator=torch.Generator().manual_seed(1))
@@ -108,3 +108,35 @@ def test_errors_are_one_line(tmp_path, monkeypatch, arguments, message, run):
     with pytest.raises(SystemExit, match="torchjoint: error: " + message):
         run("superpoints", *arguments)
     assert set(tmp_path.iterdir()) == before
+
+
+def turning(count=2000):
+    """Rows x y z intensity ring of a LiDAR that turns."""
+    angle = torch.arange(count) / count * 6.28
+    radius = 10 + torch.sin(5 * angle)
+    rows = [radius * angle.cos(), radius * angle.sin(), torch.zeros(count), 60 + 50 * angle.cos(), torch.zeros(count)]
+    return torch.stack(rows, 1).numpy().astype("<f4")
+
+
+class TestScans:
+    def test_those_of_nuscenes_have_five_columns(self, tmp_path):
+        turning().tofile(tmp_path / "LIDAR_TOP.pcd.bin")
+        read = read_cloud_file(tmp_path / "LIDAR_TOP.pcd.bin")
+        np.testing.assert_array_equal(read.points, turning()[:, :3])
+
+    def test_columns_that_are_not_plausible(self, tmp_path, run):
+        turning().tofile(tmp_path / "scan.bin")  # would be 2500 points of KITTI
+        with pytest.raises(SystemExit, match=r"scan\.bin: is not likely to have rows of 4 float32.*--columns 5"):
+            run("superpoints", tmp_path / "scan.bin", "-o", tmp_path / "a.npy", "--no-picture")
+        run("superpoints", tmp_path / "scan.bin", "-o", tmp_path / "a.npy", "--no-picture", "--columns", 5)
+        assert len(np.load(tmp_path / "a.npy")) == 2000
+        assert len(read_cloud_file(tmp_path / "scan.bin", 4).points) == 2500  # who insists gets it
+
+    def test_columns_of_another_format(self, tmp_path):
+        with pytest.raises(ValueError, match="expected at least 3 columns, and a file that ends"):
+            read_cloud_file(write(tmp_path / "cloud.npy"), 5)
+
+    def test_transposed_arrays(self, tmp_path):
+        np.save(tmp_path / "cloud.npy", POINTS.T.numpy())
+        with pytest.raises(ValueError, match=r"cloud\.npy.*got shape \[3, 400\]: transpose the array"):
+            read_cloud_file(tmp_path / "cloud.npy")

@@ -133,3 +133,9 @@ def test_every_parameter_is_declared_with_a_text():
 def test_configs_are_frozen():
     with pytest.raises(dataclasses.FrozenInstanceError):
         Config().propagation.weight = 3  # type: ignore[misc]
+
+
+def test_a_file_that_is_nested_too_deeply(tmp_path):
+    (tmp_path / "deep.yaml").write_text("[" * 10_000)
+    with pytest.raises(ValueError, match=r"deep\.yaml"):
+        Config.from_yaml(tmp_path / "deep.yaml")

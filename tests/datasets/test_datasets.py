@@ -1,6 +1,7 @@
 """Reading recordings from disk."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,11 @@ from folder_files import write_folder
 from PIL import Image
 
 import torchjoint as tj
-from torchjoint.datasets.files import read_array, read_cloud, read_depth, read_image, write_cloud
+from torchjoint.datasets.files import fingerprint, read_array, read_cloud, read_depth, read_image
+from torchjoint.datasets.fusion import fuse_cloud
+from torchjoint.datasets.ply import write_cloud
 from torchjoint.datasets.recording import invert_pose
+from torchjoint.results.output_folder import output_folder, own_files
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +90,16 @@ def test_a_fused_cloud_is_found_in_the_cache(tmp_path, synthetic, monkeypatch):
     with pytest.raises(ZeroDivisionError):
         tj.load_scene(recording, voxel_size=0.05)
     monkeypatch.undo()
+
+
+def test_a_cloud_that_is_fused_far_from_the_origin_is_as_exact(synthetic):
+    offset = torch.tensor([1024.0 * 500, -1024.0 * 5000, 0], dtype=torch.float64)  # 2^14 voxels or multiples of that
+    back = torch.eye(4, dtype=torch.float64)
+    back[:3, 3] = -offset
+    there = [replace(frame, world_to_camera=frame.world_to_camera @ back) for frame in synthetic.scene.frames]
+    here, moved = (fuse_cloud(frames, 0.0625)[0] for frames in (synthetic.scene.frames, there))
+    assert moved.dtype == torch.float64
+    torch.testing.assert_close(moved - offset, here.double(), atol=1e-6, rtol=0)
 
 
 def test_without_cloud_and_depth_there_is_nothing_to_segment(tmp_path, synthetic):
@@ -166,7 +180,7 @@ def test_other_people_s_clouds(tmp_path, name, newline, kind):
     assert colors.tolist() == [[1, 0, 0], [0, 1, 0]]
     assert normals is None
     (tmp_path / name).write_text(newline.join([*lines, f"1 2 3 {one} 0 0"]), newline="")
-    with pytest.raises(ValueError, match="truncated: expected 2 points, got 1"):
+    with pytest.raises(ValueError, match=r"truncated, or too long: expected 2 lines \(2 of vertex\), got 1"):
         read_cloud(tmp_path / name)
 
 
@@ -282,3 +296,33 @@ class TestKitchen:
         # The views overlap: what the first two see is largely the same objects.
         shared_ids = set(result.images[0].unique().tolist()) & set(result.images[1].unique().tolist())
         assert len([i for i in shared_ids if i < result.num_point_segments]) > 3
+
+
+class TestFingerprint:
+    """Whether a recording has changed since the state of a run was saved."""
+
+    def test_images_behind_a_linked_folder(self, tmp_path):
+        (tmp_path / "images").mkdir()
+        (tmp_path / "images" / "0.png").write_bytes(b"one")
+        (tmp_path / "recording").mkdir()
+        (tmp_path / "recording" / "images").symlink_to(tmp_path / "images")
+        before = fingerprint(tmp_path / "recording")
+        assert fingerprint(tmp_path / "recording") == before
+        (tmp_path / "images" / "0.png").write_bytes(b"other")
+        assert fingerprint(tmp_path / "recording") != before
+
+    def test_links_that_lead_back(self, tmp_path):
+        (tmp_path / "0.png").write_bytes(b"one")
+        (tmp_path / "again").symlink_to(tmp_path)
+        assert fingerprint(tmp_path)
+
+    def test_a_result_inside_the_recording_does_not_count(self, tmp_path):
+        (tmp_path / "0.png").write_bytes(b"one")
+        out = tmp_path / "results" / "out"
+        out.parent.mkdir()
+        before = fingerprint(tmp_path, own_files(out))
+        with output_folder(out, "source") as partial:
+            (partial / "half").write_text("x")
+            assert fingerprint(tmp_path, own_files(out)) == before
+        assert fingerprint(tmp_path, own_files(out)) == before
+        assert fingerprint(tmp_path) != before

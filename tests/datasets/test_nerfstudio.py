@@ -10,7 +10,7 @@ from PIL import Image
 from posed_files import assert_same_frames, assert_same_segmentation, eight_bits, save_depth, save_image
 
 import torchjoint as tj
-from torchjoint.datasets.files import write_cloud
+from torchjoint.datasets.ply import write_cloud
 
 #: What nerfstudio did to the world of COLMAP; the poses and the cloud are after it.
 APPLIED = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [-0.0, -1.0, -0.0, -0.0]]

@@ -9,7 +9,7 @@ from posed_files import assert_same_frames, assert_same_segmentation, eight_bits
 
 import torchjoint as tj
 from torchjoint.datasets import tum
-from torchjoint.datasets.files import write_cloud
+from torchjoint.datasets.ply import write_cloud
 
 START = 1305031102.0
 

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from torchjoint.datasets.bsds import BsdsImage, bsds_images
-from torchjoint.images.forest import NUM_FEATURES, Forest, read_forest, write_forest
+from torchjoint.images import forest as forest_file
+from torchjoint.images.forest import NUM_FEATURES, Forest, read_forest, read_text, write_forest
 from torchjoint.images.structured_forest import padded
 from torchjoint.training import TrainingOptions, TreeOptions, train_boundaries
 from torchjoint.training.channels import image_channels, rgb_to_luv, triangle_filter
@@ -352,3 +353,23 @@ def _stump(feature: int, threshold: float) -> Forest:
         np.array([8 * 16 + 8], np.uint8),
         1,
     )
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_a_file_that_is_too_large_is_not_read_to_its_end(tmp_path, monkeypatch, packed):
+    """A gzip bomb of 1.5 MB holds 1.5 GB."""
+    monkeypatch.setattr(forest_file, "MAX_TEXT", 10_000)
+    file = tmp_path / "forest.yml.gz"
+    file.write_bytes(gzip.compress(b"%YAML" + bytes(20_000)) if packed else b"%YAML" + bytes(20_000))
+    with pytest.raises(ValueError, match=r"forest\.yml\.gz: expected a .* forest, at most 10000 bytes, got more"):
+        read_text(file)
+
+
+def test_lists_that_are_nested_too_deeply(tmp_path):
+    file = tmp_path / "forest.yml"
+    entries = "".join(f"{name}:\n   - {'[' * 100_000}\n" for name in ("childs", "featureIds", "thresholds"))
+    rest = "edgeBoundaries:\n   - [ 0 ]\nedgeBins:\n   - [ 0 ]\n"
+    options = "".join(f"   {name}: {value}\n" for name, value in forest_file._OPTIONS.items())
+    file.write_text(f"%YAML:1.0\n---\noptions:\n{options}{entries}{rest}")
+    with pytest.raises(ValueError, match=r"forest\.yml: not a structured forest"):
+        read_forest(file)

@@ -74,9 +74,9 @@ def test_bad_frames(change, error, message):
         ({"points": torch.zeros(5, 3).long()}, TypeError, "points: expected a floating dtype, got torch.int64"),
         ({"points": torch.zeros(5, 3), "colors": torch.zeros(4, 3)}, ValueError, r"colors: expected shape \[5, 3\]"),
         (
-            {"points": torch.full((5, 3), 5.4e6)},
+            {"points": torch.full((5, 3), 5.4e13)},
             ValueError,
-            r"points: coordinates up to 5\.4e\+06 m would keep only 0\.64",
+            r"points: expected coordinates up to 1e\+12 m, got 5\.4e\+13 m",
         ),
         (
             {"points": torch.zeros(5, 3), "colors": torch.ones(5, 3) * 255},

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ import torch
 from torchjoint.points.agglomeration import build_hierarchy
 from torchjoint.points.boundary_features import FEATURE_NAMES
 from torchjoint.points.boundary_model import calibrated, load_boundary_model
+from torchjoint.runtime.checked_files import write_checked
 from torchjoint.scene import Scene, Truth
 from torchjoint.training import (
     BoundaryModelOptions,
@@ -95,10 +98,14 @@ def test_evidence_on_disk(prepared, tmp_path):
     expected = boundary_examples.boundary_features(prepared[0].evidence, prepared[0].evidence.piece).values
     found = boundary_examples.boundary_features(again.evidence, again.evidence.piece).values
     torch.testing.assert_close(found, expected, rtol=0, atol=0, equal_nan=True)
-    path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(ValueError, match=r"scene\.pt: damaged"):
-        load_evidence(path)
-    torch.save({"evidence": 1}, path)
+    whole = path.read_bytes()
+    for damaged in (whole[:1000], whole[:2000] + bytes([whole[2000] ^ 1]) + whole[2001:], b""):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"scene\.pt: damaged"):
+            load_evidence(path)
+    content = io.BytesIO()
+    torch.save({"evidence": 1}, content)
+    write_checked(path, content.getvalue())
     with pytest.raises(ValueError, match="expected the evidence of a scene, got dict"):
         load_evidence(path)
 

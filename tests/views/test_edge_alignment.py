@@ -13,8 +13,9 @@ from PIL import Image, ImageDraw
 import torchjoint as tj
 from torchjoint.config import VisibilityConfig
 from torchjoint.points.neighbors import nearest_neighbors
-from torchjoint.views.edge_alignment import edge_alignment
-from torchjoint.views.pose_check import CHANCE, PoseWarning, check_poses
+from torchjoint.scene.local_cloud import LocalFrame
+from torchjoint.views.edge_alignment import combined
+from torchjoint.views.pose_check import CHANCE, PoseCheck, PoseWarning, check_poses
 
 CONFIG = VisibilityConfig()
 SIZE = (240, 400)
@@ -31,7 +32,9 @@ def spacing_of(scene):
 
 
 def alignment(scene, frames=None):
-    return edge_alignment(scene, frames or list(scene.frames), spacing_of(scene), CONFIG)
+    check = PoseCheck(scene, spacing_of(scene), CONFIG, LocalFrame.of_world())
+    check.look_at(frames or scene.frames)
+    return combined([look.edges for look in check._looks if look.edges is not None])
 
 
 def messages(scene):

@@ -28,6 +28,20 @@ def points_in_view(points, method, spacing=0.02, **changes):
     return visible_points(points, torch.full((len(points),), spacing), K, POSE, SIZE, config(method, **changes))
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_hidden_points_are_those_of_open3d(seed):
+    """Which runs the same hull; without it, the package needs SciPy only."""
+    open3d = pytest.importorskip("open3d")
+    points = torch.rand(2000, 3, generator=torch.Generator().manual_seed(seed)) + torch.tensor([0.0, 0, 1])
+    center, factor = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64), 0.01
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points.double().numpy()))
+    radius = float((points.double() - center).norm(dim=1).max()) * len(points) * factor
+    _, kept = cloud.hidden_point_removal(center.numpy(), radius)
+    found = hidden_point_removal(points, center, factor).nonzero().squeeze(1)
+    assert 50 < len(found) < 1000
+    assert sorted(kept) == found.tolist()
+
+
 def test_projection_by_hand():
     points = torch.tensor([[0.0, 0, 2], [0.5, -0.25, 2]])
     projected = project(points, K, POSE, SIZE)

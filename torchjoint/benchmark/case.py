@@ -67,7 +67,7 @@ class Case:
     @cached_property
     def viewpoints(self) -> Tensor:
         """[N, 3] per point the center of the nearest camera that sees the point, else of the nearest camera of all."""
-        points = self.scene.points
+        points = self.scene.points.float()
         centers = torch.stack([camera_center(frame.world_to_camera).float() for frame in self.frames])
         nearest = torch.full((len(points),), torch.inf)
         chosen = torch.cdist(points, centers).argmin(1)

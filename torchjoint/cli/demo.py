@@ -10,7 +10,8 @@ from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
 from torchjoint.cli.show import show_result
 from torchjoint.joint import JointSegmenter
-from torchjoint.results.folder import output_folder, write_result
+from torchjoint.results.folder import write_result
+from torchjoint.results.output_folder import output_folder
 
 
 def demo(
@@ -30,6 +31,7 @@ def demo(
     synthetic = make_scene(seed=0, size="medium")
     config, source = parameters.config(), "synthetic, seed 0, medium"
     with output_folder(out, source, overwrite=overwrite) as partial:
+        assert partial is not None  # without a key there is always something to do
         with printed_log():
             segmenter = JointSegmenter(config)
             result = segmenter(synthetic.scene, progress=True)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import warnings
 from collections.abc import Callable
+from concurrent.futures import BrokenExecutor
 from importlib.metadata import version
 from typing import Any
 
@@ -24,6 +26,9 @@ from torchjoint.cli.superpoints import superpoints
 from torchjoint.cli.train_boundaries import train_boundaries
 from torchjoint.cli.train_boundary_model import train_boundary_model
 from torchjoint.config import presets, superpoint_presets
+
+#: Part of torch's message.
+_OUT_OF_MEMORY = "not enough memory"
 
 INTERRUPTED = (
     "torchjoint: interrupted; `segment`, `benchmark --tuning`, `train-boundaries` and `train-borders` go on where they "
@@ -63,8 +68,8 @@ def main() -> None:
         sys.exit(PIPE_CLOSED)
     except KeyboardInterrupt as stop:
         sys.exit(f"{INTERRUPTED}{f'; {stop}' if str(stop) else ''}")
-    except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
-        sys.exit(f"torchjoint: error: {error}")
+    except (ValueError, TypeError, OSError, ModuleNotFoundError, MemoryError, RecursionError, RuntimeError) as error:
+        sys.exit(f"torchjoint: error: {_in_one_line(error)}")
 
 
 def _description() -> str:
@@ -73,3 +78,16 @@ def _description() -> str:
         f"{', '.join(presets())}, or a YAML file; of `superpoints`: {', '.join(superpoint_presets())}. "
         "`torchjoint parameters` lists the parameters, `torchjoint --version` prints the version."
     )
+
+
+def _in_one_line(error: Exception) -> str:
+    """What went wrong, for a user; an error of the package itself is raised again, with its traceback."""
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"the disk is full{f' ({error.filename})' if error.filename else ''}; make room and start again"
+    if isinstance(error, MemoryError) or _OUT_OF_MEMORY in str(error):
+        return "out of memory; see --thin, --max-frames and --voxel-size for less to compute"
+    if isinstance(error, RecursionError):
+        return f"nested too deeply: {error}"
+    if isinstance(error, RuntimeError) and not isinstance(error, BrokenExecutor):
+        raise error
+    return str(error)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +16,11 @@ from torchjoint.datasets.files import fingerprint
 from torchjoint.joint import JointSegmenter
 from torchjoint.masks import read_folder
 from torchjoint.results.checkpoint import Checkpoint, run_key
-from torchjoint.results.folder import output_folder, write_result
+from torchjoint.results.folder import write_result
+from torchjoint.results.output_folder import STATE, output_folder, own_files
+from torchjoint.runtime.checked_files import file_checksum
+from torchjoint.runtime.files import write_text
+from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
 from torchjoint.scene.thinning import voxel_subsample
 from torchjoint.views.projection import in_any_view
@@ -32,6 +35,7 @@ def segment(
     max_frames: int | None = None,
     in_view: bool = False,
     thin: float | None = None,
+    merge_within: float = 0.0,
     granularity: float | None = None,
     masks: Path | None = None,
     without_masks: Literal["segment", "leave-out"] = "segment",
@@ -50,6 +54,7 @@ def segment(
         voxel_size: metres, for fusing a cloud from depth if the recording has no cloud.
         max_frames: number of frames to use, evenly spread over the recording.
         thin: keep one point per voxel of this size, metres; for clouds that are denser than their noise, or too large.
+        merge_within: metres; the points in a cube with this side count as one point, and all get its label.
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5. All levels are saved in any case.
             Only point_segments.method learned has levels (auto, if the cloud is no scan).
@@ -72,12 +77,15 @@ def segment(
         raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
     if masks is not None and out.resolve() in (masks.resolve(), *masks.resolve().parents):
         raise ValueError(f"-o: {out} is, or holds, the masks; choose another folder")
-    source = f"{fingerprint(scene)} {voxel_size}"
+    source = f"{fingerprint(scene, own_files(out))} {voxel_size}"
     if masks is not None:
         source += f" {fingerprint(masks)} {without_masks}"
-    with output_folder(out, source, overwrite=overwrite) as partial:
-        fused = partial / f"cloud-{voxel_size * 1000:g}mm.ply"  # kept in the result if the recording has no cloud
-        loaded = load_scene(scene, cloud=fused, voxel_size=voxel_size, progress=True)
+    key = run_key(f"{source} {max_frames} {in_view} {thin} {merge_within}", config)
+    with output_folder(out, source, key=f"{key} {granularity}", overwrite=overwrite) as partial:
+        if partial is None:
+            print(f"{out}: an earlier run was killed when all was written; its result is in its place now")
+            return
+        loaded = _load(scene, partial, voxel_size)
         if masks is not None:
             loaded = read_folder(masks, loaded, "segment" if without_masks == "segment" else "leave out")
         if max_frames is not None:
@@ -86,13 +94,25 @@ def segment(
             loaded = loaded.select_points(in_any_view(loaded.points, loaded.frames))
         if thin is not None:
             loaded = loaded.select_points(voxel_subsample(loaded.points, thin))
-        checkpoint = Checkpoint(partial / "state", run_key(f"{source} {max_frames} {in_view} {thin}", config))
+        checkpoint = Checkpoint(partial / STATE / "frames", key)
         with printed_log():
-            segmenter = JointSegmenter(config)
+            segmenter = JointSegmenter(config, merge_within=merge_within)
             result = segmenter(loaded, progress=True, checkpoint=checkpoint)
         if granularity is not None:
             result = result.at(granularity)
         write_result(partial, loaded, result, config, str(scene), 0.5 if granularity is None else granularity)
-        shutil.rmtree(partial / "state")
     summarize(result, out)
     show_result(out, show, segmenter, loaded)
+
+
+def _load(path: Path, partial: Path, voxel_size: float) -> Scene:
+    """The recording; a fused cloud is kept in the partial result, and stays in the result."""
+    fused, checksum = partial / f"cloud-{voxel_size * 1000:g}mm.ply", partial / STATE / "cloud.sha256"
+    is_whole = fused.is_file() and checksum.is_file() and checksum.read_bytes().decode() == file_checksum(fused)
+    if not is_whole:
+        fused.unlink(missing_ok=True)
+    scene = load_scene(path, cloud=fused, voxel_size=voxel_size, progress=True)
+    if fused.is_file() and not is_whole:
+        checksum.parent.mkdir(exist_ok=True)
+        write_text(checksum, file_checksum(fused))
+    return scene

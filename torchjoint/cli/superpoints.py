@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.clouds import read_cloud_file
-from torchjoint.datasets.files import write_cloud
+from torchjoint.datasets.ply import write_cloud
 from torchjoint.runtime.files import atomic_write
 from torchjoint.scene import Scene
 from torchjoint.superpoints import superpoints as segment
@@ -24,19 +24,22 @@ def superpoints(
     preset: str = "room",
     set: tuple[str, ...] = (),
     viewpoint: tuple[float, float, float] | None = None,
+    columns: int | None = None,
     picture: bool = True,
     overwrite: bool = False,
 ) -> None:
     """Segments a cloud into superpoints.
 
     Args:
-        cloud: .ply, .pcd, .npy, .npz, .bin (KITTI) or .xyz file. Preset segmentator uses the triangles of a .ply mesh.
+        cloud: .ply, .pcd, .npy, .npz, .bin (KITTI), .pcd.bin (nuScenes) or .xyz file. Preset segmentator uses the
+            triangles of a .ply mesh.
         out: file for the result; default: CLOUD-superpoints.ply in the current folder. A .ply holds the points, a
             colour per superpoint, and a property `label`; a .npy the labels, int64; a .npz the arrays points, labels
             and colors.
         preset: room, outdoor or segmentator, or a YAML file of your own.
         set: single parameters: --set scale=2 color_weight=0.5; `torchjoint parameters --superpoints` lists them.
         viewpoint: x y z of the sensor, metres; orients the normals outward, so that convex and concave edges differ.
+        columns: numbers in a row of a .bin file; default: 4, or 5 for .pcd.bin.
         picture: write a picture of the cloud and its superpoints next to OUT.
         overwrite: replace existing files.
     """
@@ -44,7 +47,7 @@ def superpoints(
     png = out.with_suffix(".png")
     _check_output(out, png if picture else None, overwrite)
     config = SuperpointsConfig.from_preset(preset).set(set)
-    read = read_cloud_file(cloud)
+    read = read_cloud_file(cloud, columns)
     mesh = read.faces if config.weight == "segmentator" else None
     scene = Scene(read.points, colors=read.colors, normals=read.normals)
     labels = segment(
@@ -52,7 +55,7 @@ def superpoints(
         scene.colors,
         scene.normals if mesh is None else None,
         faces=mesh,
-        viewpoint=None if viewpoint is None else torch.tensor(viewpoint),
+        viewpoint=None if viewpoint is None else torch.tensor(viewpoint, dtype=torch.float64),
         preset=config,
     )
     _write(out, scene, labels)

@@ -62,14 +62,14 @@ def read_assignment(assignment: str, form: str = "parameter") -> tuple[str, Any]
         raise ValueError(f"--set: expected {form}=value, got {assignment!r}")
     try:
         return name, yaml.safe_load(text)
-    except yaml.YAMLError:
+    except (yaml.YAMLError, RecursionError):
         raise ValueError(f"{name}: expected a value, got {text!r}") from None
 
 
 def _parse(text: str, source: str, make: Callable[[Mapping[str, Any]], T], form: str) -> T:
     try:
         values = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(f"{source}: not valid YAML: {error}") from error
     if values is not None and not isinstance(values, dict):
         raise ValueError(f"{source}: expected {form}, got a {type(values).__name__}")

@@ -32,6 +32,7 @@ from torchjoint.datasets import (
     ycb_video,
 )
 from torchjoint.datasets.recording import Options
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
 
 __all__ = [
@@ -85,6 +86,7 @@ FORMATS: dict[str, Format] = {
 }
 
 
+@on_cpu()
 def load_scene(
     path: str | Path, *, cloud: str | Path | None = None, voxel_size: float = 0.02, progress: bool | None = None
 ) -> Scene:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tokenize
 from pathlib import Path
 
 import numpy as np
@@ -35,10 +36,10 @@ def read_boundary_map(path: Path) -> Tensor:
     if path.suffix == ".png":
         return read_grey_image(path)
     try:
-        values = np.load(path, allow_pickle=False)
+        values = np.load(path, allow_pickle=False, mmap_mode="r")  # checks the size before memory is allocated
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: missing; expected a boundary map") from None
-    except (ValueError, OSError, EOFError) as error:
+    except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:
         raise ValueError(f"{path}: not a whole .npy file: {error}") from error
     if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind != "f":
         got = f"{values.dtype} {list(values.shape)}" if isinstance(values, np.ndarray) else "an archive"

@@ -4,14 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import read_cloud
+from torchjoint.datasets.files import read_array, read_mesh
+from torchjoint.runtime.archives import read_archive
+
+#: Numbers in a row of a LiDAR scan that are tried; rows that are looked at, and how few are too few to tell.
+COLUMNS, ROWS, LEAST_ROWS = (3, 4, 5, 6, 7), 1 << 16, 100
+
+#: More columns than this, and than rows, are points: the array is transposed.
+MOST_COLUMNS = 16
+
+#: Another number of columns is likelier if the median step between points falls below this share.
+MUCH = 0.25
 
 SUFFIXES = (".ply", ".pcd", ".npy", ".npz", ".bin", ".xyz", ".txt")
 
@@ -25,13 +34,18 @@ class CloudFile(NamedTuple):
     faces: Tensor | None = None  #: [F, 3] int64, triangles of a mesh
 
 
-def read_cloud_file(path: Path) -> CloudFile:
+def read_cloud_file(path: Path, columns: int | None = None) -> CloudFile:
     """Reads a cloud; the suffix of the file gives its format.
 
     * .ply, .pcd: positions; colours and normals, if any; the triangles of a .ply mesh;
     * .npz: array `points` and, if any, arrays `colors`, `normals`, `faces`;
     * .npy, .xyz, .txt: one row per point, x y z first; six columns are x y z and colours (0-255, or 0-1);
-    * .bin: KITTI's LiDAR scans, float32 x y z reflectance.
+    * .pcd.bin: nuScenes' LiDAR scans, rows of 5 float32: x y z intensity ring;
+    * other .bin: KITTI's LiDAR scans, rows of 4 float32: x y z reflectance.
+
+    Args:
+        path: of the file.
+        columns: numbers in a row of a .bin file, if other than above.
 
     Raises:
         FileNotFoundError, ValueError: naming the file and its error.
@@ -42,17 +56,44 @@ def read_cloud_file(path: Path) -> CloudFile:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud")
     if suffix in (".ply", ".pcd"):
-        points, colors, normals = read_cloud(path)
-        return CloudFile(points, colors, normals, _triangles(path) if suffix == ".ply" else None)
+        return CloudFile(*read_mesh(path))
+    if columns is not None and (suffix != ".bin" or columns < 3):
+        raise ValueError(f"{path}: expected at least 3 columns, and a file that ends in .bin, got {columns} columns")
     if suffix == ".bin":
-        return CloudFile(read_scan(path, 4)[:, :3])
+        return CloudFile(_read_bin(path, columns)[:, :3])
     try:
         if suffix == ".npz":
             return _from_archive(path)
-        rows = np.load(path, allow_pickle=False) if suffix == ".npy" else np.loadtxt(path, ndmin=2)
-        return _from_rows(rows)
-    except (ValueError, KeyError, OSError, EOFError, BadZipFile, TypeError) as error:
+        return _from_rows(read_array(path).numpy() if suffix == ".npy" else np.loadtxt(path, ndmin=2))
+    except (ValueError, KeyError, OSError, EOFError, TypeError) as error:
         raise ValueError(f"{path}: not a whole {suffix} cloud: {error}") from error
+
+
+def _read_bin(path: Path, columns: int | None) -> Tensor:
+    """A LiDAR scan; if the number of columns was not given, it must be plausible."""
+    usual = 5 if path.name.lower().endswith(".pcd.bin") else 4
+    rows = read_scan(path, columns or usual)
+    better = None if columns is not None else likelier_columns(rows)
+    if better is not None:
+        raise ValueError(
+            f"{path}: is not likely to have rows of {usual} float32: with {better} columns consecutive points are near "
+            f"each other, as a LiDAR sees them; give the number of columns (--columns {better}, or --columns {usual})"
+        )
+    return rows
+
+
+def likelier_columns(rows: Tensor) -> int | None:
+    """Another number of columns with which rows [N, C] of a LiDAR scan make much more sense; None: there is none.
+
+    A LiDAR turns, so that consecutive points are near each other. In rows of a wrong length the columns are mixed up.
+    """
+    values, steps = rows.flatten(), {}
+    for columns in (rows.shape[1], *(count for count in COLUMNS if len(values) % count == 0)):
+        xyz = values[: ROWS * columns].reshape(-1, columns)[:, :3].double()
+        step, size = (xyz[1:] - xyz[:-1]).norm(dim=1), (xyz - xyz.median(0).values).norm(dim=1)
+        steps[columns] = float(step.median() / size.median()) if len(xyz) >= LEAST_ROWS and size.median() > 0 else 1.0
+    best = min(steps, key=lambda columns: (steps[columns], columns))
+    return best if steps[best] < MUCH * steps[rows.shape[1]] else None
 
 
 def read_scan(path: Path, columns: int) -> Tensor:
@@ -75,8 +116,7 @@ def read_scan(path: Path, columns: int) -> Tensor:
 
 
 def _from_archive(path: Path) -> CloudFile:
-    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-        values = {name: torch.from_numpy(arrays[name]) for name in arrays.files}
+    values = {name: torch.from_numpy(array) for name, array in read_archive(path).items()}
     if "points" not in values:
         raise ValueError(f"expected an array `points`, got {', '.join(values) or 'none'}")
     return CloudFile(*(values.get(name) for name in CloudFile._fields))  # type: ignore[arg-type]
@@ -85,20 +125,10 @@ def _from_archive(path: Path) -> CloudFile:
 def _from_rows(rows: npt.NDArray[Any]) -> CloudFile:
     if rows.ndim != 2 or rows.shape[1] < 3:
         raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}")
+    if rows.shape[1] > max(MOST_COLUMNS, rows.shape[0]):
+        raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}: transpose the array")
     values = torch.from_numpy(np.ascontiguousarray(rows)).to(torch.float64)
     colors = values[:, 3:6].float() if rows.shape[1] == 6 else None
     if colors is not None and colors.numel() and float(colors.max()) > 1:
         colors = colors / 255
     return CloudFile(values[:, :3], colors)
-
-
-def _triangles(path: Path) -> Tensor | None:
-    with path.open("rb") as stream:
-        header = stream.read(4096).split(b"end_header")[0]
-    if b"element face" not in header:
-        return None
-    import open3d
-
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        faces = np.asarray(open3d.io.read_triangle_mesh(str(path)).triangles)
-    return torch.from_numpy(faces.astype(np.int64)) if len(faces) else None

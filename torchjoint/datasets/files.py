@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import io
-import re
+import os
 import struct
 import tokenize
 import warnings
 import zlib
+from collections.abc import Iterable, Iterator, Set
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.datasets.pcd import read_pcd
-from torchjoint.runtime.files import atomic_write
+from torchjoint.datasets.ply import Ply, read_ply
 
 #: Larger images are rejected before they are decoded.
 MAX_PIXELS = 64_000_000
@@ -78,39 +79,30 @@ def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
     """Reads a PLY or PCD file.
 
     Returns:
-        points [N, 3] float64; colours [N, 3] in [0, 1] or None; normals [N, 3] or None (also if all are zero).
+        points [N, 3] float32 or float64, as in the file; colours [N, 3] in [0, 1] or None; normals [N, 3] or None (also
+        if all are zero).
 
     Raises:
         FileNotFoundError, ValueError: naming the file and its error.
     """
+    return read_mesh(path)[:3]
+
+
+def read_mesh(path: Path) -> Ply:
+    """Reads a PLY or PCD file, with the triangles of a PLY mesh; otherwise as :func:`read_cloud`."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud")
     if path.suffix.lower() == ".pcd":
         pcd = read_pcd(path)
-        points, packed, normals = pcd.points(), pcd.colors(), pcd.normals()
-        colors = None if packed is None else packed.float() / 255
+        colors = pcd.colors()
+        mesh = Ply(pcd.points(), None if colors is None else colors.float() / 255, pcd.normals(), None)
     else:
-        points, colors, normals = _read_ply(path)
-    if not torch.isfinite(points).all():
-        bad = int((~torch.isfinite(points)).any(1).sum())
-        raise ValueError(f"{path}: {bad} of {len(points)} points are NaN or infinite; remove them")
-    return points, colors, normals if normals is not None and normals.any() else None
-
-
-def _read_ply(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
-    header = _check_ply_is_whole(path)
-    import open3d
-
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        cloud = open3d.io.read_point_cloud(str(path))
-    if not cloud.has_points():
-        raise ValueError(f"{path}: no points could be read; truncated, empty or not a point cloud")
-    points = torch.from_numpy(np.asarray(cloud.points))
-    colors = torch.from_numpy(np.asarray(cloud.colors)).float() if cloud.has_colors() else None
-    if colors is not None and ["property", "float", "red"] in header:
-        colors = colors * 255  # Open3D treats all colours as 8-bit, whatever their type
-    normals = torch.from_numpy(np.asarray(cloud.normals)).float() if cloud.has_normals() else None
-    return points, colors, normals
+        mesh = read_ply(path)
+    finite = torch.isfinite(mesh.points).all(1)
+    if not finite.all():
+        bad = int((~finite).sum())
+        raise ValueError(f"{path}: {bad} of {len(finite)} points are NaN or infinite; remove them")
+    return mesh if mesh.normals is not None and mesh.normals.any() else mesh._replace(normals=None)
 
 
 def read_array(path: Path) -> Tensor:
@@ -129,62 +121,36 @@ def read_array(path: Path) -> Tensor:
         raise ValueError(f"{path}: not a whole .npy array of numbers: {error}") from error
 
 
-def fingerprint(path: Path) -> str:
+def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     """Returns a hash of file names, sizes and times, to detect changed files.
 
-    For a folder it covers all files in and below the folder. For a file it covers the file's folder, and the files with
-    the same stem in sibling folders (KITTI's layout); but for a cloud that stands alone, only the file.
+    For a folder it covers all files in and below the folder, also behind links. For a file it covers the file's folder,
+    and the files with the same stem in sibling folders (KITTI's layout); but for a cloud that stands alone, only the
+    file.
+
+    Args:
+        path: of a recording.
+        without: files and folders that do not count, such as the result of a run if it is inside the recording.
     """
     if path.is_file() and path.suffix.lower() in (".ply", ".npy", ".npz", ".xyz"):
         status = path.stat()
         return hashlib.sha256(repr((str(path.resolve()), status.st_size, status.st_mtime_ns)).encode()).hexdigest()
     folder = path if path.is_dir() else path.parent
-    files = sorted({*folder.rglob("*"), *(() if path.is_dir() else folder.parent.glob(f"*/{path.stem}.*"))})
+    left_out = {os.path.abspath(one) for one in without}
+    beside = () if path.is_dir() else folder.parent.glob(f"*/{path.stem}.*")
+    files = sorted({*_files_below(folder, left_out), *beside})
     stats = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files if file.is_file()]
     return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
 
 
-def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels: Tensor | None = None) -> None:
-    """Writes a binary PLY with positions [N, 3], 8-bit colours (from [0, 1]) and an int32 property `label`; atomic."""
-    from open3d import core, t
-
-    cloud = t.geometry.PointCloud(core.Tensor(points.float().numpy()))
-    if colors is not None:
-        cloud.point.colors = core.Tensor((colors.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
-    if labels is not None:
-        cloud.point.label = core.Tensor(labels.to(torch.int32)[:, None].numpy())
-    with atomic_write(path) as partial:
-        if not t.io.write_point_cloud(str(partial), cloud):
-            raise OSError(f"{path}: could not be written")
-
-
-_PLY_SIZES = {
-    "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
-    "int": 4, "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8,
-}  # fmt: skip
-
-
-def _check_ply_is_whole(path: Path) -> list[list[str]]:
-    """Open3D reads a truncated file without an error and returns undefined points. Returns the header."""
-    data = path.read_bytes()
-    end = re.search(rb"end_header\r?\n", data)
-    header, body = (data[: end.start()], data[end.end() :]) if end else (data[:1000], b"")
-    lines = [line.split() for line in header.decode("ascii", errors="replace").splitlines()]
-    formats = [line[1] for line in lines if line[:1] == ["format"] and len(line) > 1]
-    if not header.startswith(b"ply") or end is None or not formats:
-        raise ValueError(f"{path}: not a PLY file, or its header is truncated")
-    count, stride, element = 0, 0, ""
-    for line in lines:
-        if line[:1] == ["element"] and len(line) == 3 and line[2].isdigit():
-            element = line[1]
-            count = int(line[2]) if element == "vertex" else count
-        elif line[:1] == ["property"] and element == "vertex":
-            stride += _PLY_SIZES.get(line[1], 0)
-    ascii_body = formats[0] == "ascii"
-    present = body.count(b"\n") + (not body.endswith(b"\n")) if ascii_body else len(body) // max(stride, 1)
-    if present < count:
-        raise ValueError(f"{path}: truncated: expected {count} points, got {present}")
-    return lines
+def _files_below(folder: Path, without: Set[str]) -> Iterator[Path]:
+    """Files in and below a folder, behind links, too; a folder that links to one above it is entered once."""
+    entered = set()
+    for place, folders, names in os.walk(folder, followlinks=True):
+        entered.add(os.path.realpath(place))
+        inside = [name for name in folders if os.path.abspath(os.path.join(place, name)) not in without]
+        folders[:] = [name for name in sorted(inside) if os.path.realpath(os.path.join(place, name)) not in entered]
+        yield from (Path(place, name) for name in names if os.path.abspath(os.path.join(place, name)) not in without)
 
 
 def _opened(path: Path) -> Image.Image:

@@ -11,9 +11,13 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchjoint.scene import Frame
+from torchjoint.scene.camera import camera_center
 
 #: Depth beyond this many metres is left out: a depth camera's error grows with the square of distance.
 FAR = 5.0
+
+#: Voxels between the places where the origin of the volume may lie.
+GRID = 1 << 14
 
 
 @contextmanager
@@ -37,8 +41,9 @@ def fuse_cloud(
         progress: show a progress bar; None: if there is a terminal.
 
     Returns:
-        points [N, 3] metres and colours [N, 3] in [0, 1], sorted by coordinates: the order is deterministic. Colours
-        have 8 bits, so that the cloud is the same after it was written to a file and read back.
+        points [N, 3] metres, float32 (float64 far from the origin), and colours [N, 3] in [0, 1], sorted by
+        coordinates: the order is deterministic. Colours have 8 bits, so that the cloud is the same after it was written
+        to a file and read back.
 
     Raises:
         ValueError: no frame has depth, or the depth gives no surface.
@@ -47,6 +52,7 @@ def fuse_cloud(
         raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
     from open3d import camera, geometry, pipelines
 
+    origin = _origin(frames, voxel_size)
     volume = pipelines.integration.ScalableTSDFVolume(
         voxel_length=voxel_size,
         sdf_trunc=4 * voxel_size,
@@ -72,7 +78,9 @@ def fuse_cloud(
         intrinsic = camera.PinholeCameraIntrinsic(
             frame.size[1], frame.size[0], float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
         )
-        volume.integrate(image, intrinsic, frame.world_to_camera.numpy())
+        pose = frame.world_to_camera.clone()
+        pose[:3, 3] += pose[:3, :3] @ origin
+        volume.integrate(image, intrinsic, pose.numpy())
     if fused == 0:
         raise ValueError("frames: none has a depth image, and there is no cloud.ply: there is no cloud to segment")
     cloud = volume.extract_point_cloud()
@@ -80,5 +88,19 @@ def fuse_cloud(
     if len(points) == 0:
         raise ValueError(f"depth: the {fused} depth images give no surface; expected metres, mostly below {FAR}")
     order = np.lexsort(points.T)
-    in_bytes = (torch.from_numpy(colors[order]).clamp(0, 1) * 255).round()
-    return torch.from_numpy(points[order]), (in_bytes.double() / 255).float()
+    sorted_points = torch.from_numpy(points[order])
+    return (
+        sorted_points.double() + origin if origin.any() else sorted_points,
+        # As the file of a cloud stores them, so that a cloud that is read again is the same.
+        (torch.from_numpy(colors[order]).clamp(0, 1) * 255).round().double().div(255).float(),
+    )
+
+
+def _origin(frames: Sequence[Frame], voxel_size: float) -> Tensor:
+    """The volume's own origin in the world, [3] float64 metres: a voxel less than GRID voxels away from a camera.
+
+    So coordinates fit float32 wherever the recording was made; near the origin of the world it is that origin.
+    """
+    step = GRID * voxel_size
+    center = camera_center(frames[0].world_to_camera) if len(frames) else torch.zeros(3, dtype=torch.float64)
+    return (center / step).round() * step

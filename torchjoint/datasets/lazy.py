@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeVar, overload
 
+from torchjoint.runtime.threads import on_cpu
+
 T = TypeVar("T")
 
 
@@ -27,6 +29,7 @@ class LazySequence(Sequence[T]):
     @overload
     def __getitem__(self, index: slice) -> list[T]: ...
     def __getitem__(self, index: int | slice) -> T | list[T]:
-        if isinstance(index, slice):
-            return [self._read(i) for i in self._indices[index]]
-        return self._read(self._indices[index])
+        with on_cpu():
+            if isinstance(index, slice):
+                return [self._read(i) for i in self._indices[index]]
+            return self._read(self._indices[index])

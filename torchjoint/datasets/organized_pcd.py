@@ -70,7 +70,7 @@ def _intrinsics(path: Path, points: Tensor, known: Tensor, width: int) -> Tensor
     place = torch.nonzero(known).squeeze(1)
     matrix = torch.eye(3, dtype=torch.float64)
     for axis, pixel in enumerate((place % width, place.div(width, rounding_mode="floor"))):
-        slope, pixel = points[place, axis] / points[place, 2], pixel.double()
+        slope, pixel = points[place, axis].double() / points[place, 2].double(), pixel.double()
         if len(place) < 2 or float(slope.max() - slope.min()) < 1e-6:
             raise ValueError(f"{path}: {len(place)} points with depth are too few, or too close, to find intrinsics")
         away = slope - slope.mean()

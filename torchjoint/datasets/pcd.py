@@ -72,8 +72,8 @@ class Pcd:
     fields: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def points(self) -> Tensor:
-        """Returns [N, 3] float64; NaN where the sensor had no return."""
-        return self._columns(("x", "y", "z")).to(torch.float64)
+        """Returns [N, 3] float32 or float64, as in the file; NaN where the sensor had no return."""
+        return self._columns(("x", "y", "z"))
 
     def colors(self) -> Tensor | None:
         """Returns [N, 3] uint8 RGB, or None; reads field `rgb` or `rgba`: four bytes b g r a, whatever its type."""
@@ -89,7 +89,9 @@ class Pcd:
         return self._columns(names).to(torch.float32) if all(name in self.fields for name in names) else None
 
     def _columns(self, names: tuple[str, ...]) -> Tensor:
-        return torch.from_numpy(np.stack([self.fields[name] for name in names], axis=1).astype(np.float64))
+        columns = [self.fields[name] for name in names]
+        narrow = all(column.dtype == np.float32 for column in columns)
+        return torch.from_numpy(np.stack(columns, axis=1).astype(np.float32 if narrow else np.float64))
 
 
 def read_pcd(path: Path) -> Pcd:

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from torchjoint.runtime.files import atomic_write
 
+#: Largest size of a forest's text, bytes; the package's own has 26 MB.
+MAX_TEXT = 1 << 27
 #: Side of the patch whose boundaries a leaf stores, pixels.
 LABEL_SIZE = 16
 #: Number of features that OpenCV's detector computes of a patch.
@@ -118,7 +120,7 @@ def read_forest(path: Path) -> Forest:
     text = _read_text(path)
     try:
         return _parse(text)
-    except (ValueError, OverflowError) as error:
+    except (ValueError, OverflowError, RecursionError) as error:
         raise ValueError(f"{path}: not a structured forest as OpenCV reads it: {error}") from error
 
 
@@ -127,10 +129,15 @@ def _read_text(path: Path) -> bytes:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a structured forest, NAME.yml.gz")
     try:
-        raw = path.read_bytes()
-        return gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw
+        with path.open("rb") as stream:
+            is_packed = stream.read(2) == b"\x1f\x8b"
+        with gzip.open(path) if is_packed else path.open("rb") as content:
+            text = content.read(MAX_TEXT + 1)
     except (OSError, EOFError, zlib.error) as error:
         raise ValueError(f"{path}: not a whole .gz file: {error}") from error
+    if len(text) > MAX_TEXT:
+        raise ValueError(f"{path}: expected a structured forest, at most {MAX_TEXT} bytes, got more")
+    return text
 
 
 def _rows(values: NDArray[np.generic], length: int = 1000) -> Iterator[bytes]:

@@ -41,7 +41,10 @@ def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, confi
     internal = pairs.num_pairs * (pairs.low_label == pairs.high_label)
     n_all, n_internal = (torch.zeros_like(keys).index_add(0, of_key, counts) for counts in (pairs.num_pairs, internal))
     merging = keys[n_internal / n_all >= config.merge_ratio]
-    graph = coo_matrix((torch.ones(len(merging)), (merging // num_labels, merging % num_labels)), (num_labels,) * 2)
+    graph = coo_matrix(
+        (torch.ones(len(merging), dtype=torch.float32), (merging // num_labels, merging % num_labels)),
+        (num_labels,) * 2,
+    )
     _, component = connected_components(graph, directed=False)
     component = torch.from_numpy(component).long()
     lowest = torch.full((num_labels,), num_labels).scatter_reduce(0, component, torch.arange(num_labels), "amin")

@@ -131,7 +131,7 @@ def _merge_in_steps(
             joined, height = linkage.merges(of_piece, ends, cost, threshold)
         merges.add(of_piece, joined, height, threshold)
         # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect.
-        region = ops.felzenszwalb(joined, torch.zeros(len(height)), num_regions, scale=1.0)[region]
+        region = ops.felzenszwalb(joined, torch.zeros(len(height), dtype=torch.float32), num_regions, scale=1.0)[region]
     return region
 
 
@@ -141,7 +141,7 @@ def _with_far_pairs(
     """Adds an edge for each pair of regions that lie in one mask and do not touch. Geometry alone keeps these apart."""
     key, known = (pairs[0] * num_regions + pairs[1] for pairs in (in_one_mask, touching))
     far = in_one_mask[:, ~torch.isin(key, known)]
-    return torch.cat([ends, far], 1), torch.cat([cost, torch.ones(far.shape[1])])
+    return torch.cat([ends, far], 1), torch.cat([cost, torch.ones(far.shape[1], dtype=torch.float32)])
 
 
 class _Merges:

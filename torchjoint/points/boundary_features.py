@@ -216,7 +216,7 @@ def _shapes(regions: RegionStatistics, small: Tensor, large: Tensor) -> Tensor:
 def _colors(regions: RegionStatistics, pairs: Tensor, small: Tensor, large: Tensor) -> Tensor:
     """Differences of the regions' colours, and the spreads of the colours: [B, 5], NaN without colours."""
     if regions.color is None or regions.color_variance is None:
-        return torch.full((pairs.shape[1], 5), torch.nan)
+        return torch.full((pairs.shape[1], 5), torch.nan, dtype=torch.float32)
     difference = regions.color[small] - regions.color[large]
     spread = regions.color_variance.sum(1).sqrt()
     contrast = length(difference) / ((spread[small] + spread[large]) / 2 + COLOR_NOISE)

@@ -105,7 +105,7 @@ class BoundaryModel:
                 raise ValueError(f"{name}: expected one for each of {len(self.rounds)} rounds, got {len(of_rounds)}")
         if not all(0 <= threshold <= 1 for threshold in self.thresholds):
             raise ValueError(f"thresholds: expected numbers in [0, 1], got {list(self.thresholds)}")
-        no_rows = torch.empty(0, len(self.feature_names))
+        no_rows = torch.empty(0, len(self.feature_names), dtype=torch.float32)
         for number, (trees, calibration) in enumerate(zip(self.rounds, self.calibrations, strict=True)):
             try:
                 if not math.isfinite(trees.baseline):

@@ -97,7 +97,7 @@ def map_edges(weigh: Callable[[Tensor], Tensor], edge_index: Tensor) -> Tensor:
     Returns:
         [E] float32.
     """
-    weights = torch.empty(edge_index.shape[1])
+    weights = torch.empty(edge_index.shape[1], dtype=torch.float32)
     starts = range(0, edge_index.shape[1], EDGES)
 
     def weigh_some(start: int) -> None:

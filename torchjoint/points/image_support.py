@@ -32,13 +32,13 @@ def best_overlaps(point_labels: Tensor, observations: Sequence[Observation]) -> 
     """
     num_segments = int(point_labels.max()) + 1
     overlaps = parallel_map(lambda seen: _overlaps(point_labels, seen, num_segments), observations)
-    return torch.stack([torch.zeros(num_segments), *overlaps]).amax(0)
+    return torch.stack([torch.zeros(num_segments, dtype=torch.float32), *overlaps]).amax(0)
 
 
 def _overlaps(point_labels: Tensor, seen: Observation, num_segments: int) -> Tensor:
     point, in_image = seen.labelled_points()
     segment = point_labels[point]
-    overlap = torch.zeros(num_segments)
+    overlap = torch.zeros(num_segments, dtype=torch.float32)
     if not in_image.numel():
         return overlap
     num_labels = int(in_image.max()) + 1
@@ -46,5 +46,5 @@ def _overlaps(point_labels: Tensor, seen: Observation, num_segments: int) -> Ten
     of_segment, of_label = pair // num_labels, pair % num_labels
     num_seen = torch.bincount(segment, minlength=num_segments)
     union = num_seen[of_segment] + torch.bincount(in_image, minlength=num_labels)[of_label] - both
-    overlap.scatter_reduce_(0, of_segment, both / union, "amax")
+    overlap.scatter_reduce_(0, of_segment, both.float() / union, "amax")
     return torch.where(num_seen >= MIN_POINTS, overlap, 0)

@@ -60,6 +60,6 @@ def vertex_normals(points: Tensor, faces: Tensor) -> Tensor:
     busy = torch.arange(len(points))
     for done in range(int(counts.max()) if len(points) else 0):
         busy = busy[counts[busy] > done]
-        share = torch.tensor(1.0) / (done + 1.0)  # in float32, like the rest
+        share = torch.tensor(1.0, dtype=torch.float32) / (done + 1.0)  # in float32, like the rest
         normals[busy] = share * blend[order[first[busy] + done]] + (1 - share) * normals[busy]
     return normals

@@ -55,7 +55,7 @@ def nearest_neighbors(points: Tensor, count: int, reach: float = 0.0) -> Neighbo
     num_points = points.shape[0]
     count = max(0, min(count, num_points - 1))
     indices = torch.empty(num_points, count, dtype=torch.int32)
-    spacing = torch.zeros(num_points)
+    spacing = torch.zeros(num_points, dtype=torch.float32)
     if count == 0:
         return Neighbors(indices, spacing)
     coordinates = np.ascontiguousarray(points.double().numpy())
@@ -83,7 +83,7 @@ def neighbor_tables(points: Tensor, counts: Iterable[int], reach: float) -> tupl
     """
     counts = sorted(set(counts) - {0})
     if not counts:
-        return {}, torch.empty(0)
+        return {}, torch.empty(0, dtype=torch.float32)
     if reach > 0:  # the smaller table is then not the first columns of the larger one
         found = {count: nearest_neighbors(points, count, reach) for count in counts}
         return {count: near.indices for count, near in found.items()}, found[counts[-1]].spacing

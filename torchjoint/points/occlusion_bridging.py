@@ -75,7 +75,8 @@ def bridge(
     num_votes = torch.bincount(of_pair[goes_on], minlength=len(pairs))
     joined = pairs[(num_votes >= config.min_votes) & (num_votes >= SHARE * num_lines.double())]
     graph = coo_matrix(
-        (torch.ones(len(joined)), (joined // num_segments, joined % num_segments)), (num_segments, num_segments)
+        (torch.ones(len(joined), dtype=torch.float32), (joined // num_segments, joined % num_segments)),
+        (num_segments, num_segments),
     )
     _, component = connected_components(graph, directed=False)
     return torch.from_numpy(component).long()[point_labels]

@@ -51,7 +51,7 @@ def piece_disagreement(
         for index, overlap in parallel_map(lambda seen: _overlaps(piece, num_pieces, pairs, seen), batch):
             views[index] += 1
             overlap_sum[index] += overlap
-    r = torch.zeros(edge_index.shape[1])
+    r = torch.zeros(edge_index.shape[1], dtype=torch.float32)
     r[across] = disagreement(views, overlap_sum, len(observations), config)[of_pair]
     return r
 

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import normalize
 
 from torchjoint.points.scales import NEIGHBORS_PER_NOISE, Scales, measure_scales
 from torchjoint.scene import Scene
+from torchjoint.scene.local_cloud import merged_points
 
 #: The cells are so large that normals of the thinned cloud need about this many neighbours ...
 WANTED_NEIGHBORS = 8
@@ -72,17 +72,4 @@ def cell_means(cloud: Scene, side: float) -> tuple[Tensor, Scene]:
         raise ValueError(f"side: cells of {side} m are too small to be numbered in a cloud this large")
     cell, width = scaled.long(), width.long()
     key, of_point = torch.unique((cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2], return_inverse=True)
-    count = torch.bincount(of_point, minlength=len(key)).double()[:, None]
-
-    def mean(values: Tensor | None) -> Tensor | None:
-        if values is None:
-            return None
-        return (torch.zeros(len(key), 3, dtype=torch.float64).index_add_(0, of_point, values.double()) / count).float()
-
-    means, normals = mean(cloud.points), mean(cloud.normals)
-    assert means is not None
-    if normals is not None:
-        first = torch.full((len(key),), len(points)).scatter_reduce(0, of_point, torch.arange(len(points)), "amin")
-        opposite = normals.square().sum(1, keepdim=True) < 1e-6  # the mean of opposite normals has no direction
-        normals = normalize(torch.where(opposite, cloud.normals[first], normals), dim=1)  # type: ignore[index]
-    return of_point, Scene(means, colors=mean(cloud.colors), normals=normals)
+    return of_point, merged_points(cloud, of_point, len(key))

@@ -3,26 +3,39 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import shutil
 import time
 import warnings
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import torch
 import yaml
 
 from torchjoint.config import Config
-from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.checked_files import read_checked, write_checked
+from torchjoint.runtime.files import write_text
 from torchjoint.views.observation import Observation
 from torchjoint.views.state import JointState
 
-#: Smallest time between two saves, seconds.
+#: Longest time between two saves, seconds.
 INTERVAL = 20.0
+
+#: A save may take this share of the time: a small state is saved after each batch, a large one every INTERVAL seconds.
+SHARE = 0.05
+
+#: Version of the files.
+FORMAT = 2
 
 
 class Checkpoint:
     """Saves a :class:`JointState` from time to time: one file per observation, then the sums over these observations.
+
+    Every file is written under another name first and has a checksum, so that a run that is killed, or whose disk is
+    full, leaves the state as it was at the last save.
 
     Args:
         directory: created if it does not exist; emptied if it belongs to another run.
@@ -31,23 +44,23 @@ class Checkpoint:
 
     def __init__(self, directory: Path, key: str) -> None:
         self.directory = directory
-        key_file = directory / "key.txt"
-        if not key_file.is_file() or key_file.read_text(encoding="utf-8") != key:
+        key_file, known = directory / "key.txt", f"{FORMAT} {key}"
+        if not key_file.is_file() or key_file.read_text(encoding="utf-8", errors="replace") != known:
             shutil.rmtree(directory, ignore_errors=True)
             directory.mkdir(parents=True)
-            key_file.write_text(key, encoding="utf-8")
+            write_text(key_file, known)
         self._saved = 0
-        self._last_save = time.monotonic()
+        self._next_save = 0.0
 
     def load(self) -> JointState | None:
         """The last saved state; None if there is none, or (with a warning) if its files are damaged."""
         if not (self.directory / "sums.pt").is_file():
             return None
         try:
-            values = torch.load(self.directory / "sums.pt", weights_only=True)
+            values = _read(self.directory / "sums.pt")
             count = values.pop("count")
-            observations = [torch.load(self._file(i), weights_only=True) for i in range(count)]
-            state = JointState(**values, observations=[Observation.from_dict(o) for o in observations])
+            observations = [Observation.from_dict(_read(self._file(i))) for i in range(count)]
+            state = JointState(**values, observations=observations)
         except Exception as error:  # a damaged file can raise anything
             warnings.warn(f"{self.directory}: damaged, starting over ({error})", stacklevel=2)
             return None
@@ -55,19 +68,35 @@ class Checkpoint:
         return state
 
     def save(self, state: JointState, *, now: bool = False) -> None:
-        """Saves the state if `now` is True or the last save was at least `INTERVAL` seconds ago."""
-        if not now and time.monotonic() - self._last_save < INTERVAL:
+        """Saves the state if `now` is True, or if it is time: after INTERVAL seconds, or sooner if saving is quick.
+
+        Raises:
+            OSError: the disk is full, for example; the state on disk is that of the last save.
+        """
+        start = time.monotonic()
+        if not now and start < self._next_save:
             return
         for i in range(self._saved, len(state.observations)):
-            torch.save(state.observations[i].to_dict(), self._file(i))
-        self._saved = len(state.observations)
+            _write(self._file(i), state.observations[i].to_dict())
+            self._saved = i + 1
         sums = {"views": state.views, "overlap_sum": state.overlap_sum, "facing": state.facing, "count": self._saved}
-        with atomic_write(self.directory / "sums.pt") as partial:
-            torch.save(sums, partial)
-        self._last_save = time.monotonic()
+        _write(self.directory / "sums.pt", sums)
+        end = time.monotonic()
+        self._next_save = end + min(INTERVAL, (end - start) / SHARE)
 
     def _file(self, index: int) -> Path:
         return self.directory / f"observation-{index:06d}.pt"
+
+
+def _write(path: Path, values: Mapping[str, Any]) -> None:
+    content = io.BytesIO()
+    torch.save(values, content)
+    write_checked(path, content.getvalue())
+
+
+def _read(path: Path) -> dict[str, Any]:
+    values: dict[str, Any] = torch.load(io.BytesIO(read_checked(path)), weights_only=True)
+    return values
 
 
 def run_key(source: str, config: Config) -> str:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from importlib.metadata import version
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -20,13 +16,15 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.config import Config, read_yaml
-from torchjoint.datasets.files import read_label_image, write_cloud
+from torchjoint.datasets.files import read_label_image
 from torchjoint.datasets.lazy import LazySequence
+from torchjoint.datasets.ply import write_cloud
 from torchjoint.results.figures import overview
 from torchjoint.results.hierarchy_files import FILE, FOLDER, read_hierarchy, read_piece_image, write_hierarchy
 from torchjoint.results.inputs import write_inputs
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.objects import write_segments
+from torchjoint.runtime.archives import read_archive
 from torchjoint.scene import Scene, Segmentation
 
 #: Largest label in a 16-bit label image, which stores label + 1; 0 = none.
@@ -41,54 +39,6 @@ class PointResult(NamedTuple):
     colors: Tensor | None  #: [N, 3] float32
 
 
-@contextmanager
-def output_folder(out: Path, source: str, *, overwrite: bool = False) -> Iterator[Path]:
-    """A temporary folder to write into; it becomes `out` on success. After an error it stays, so the run can resume.
-
-    Args:
-        out: the result's folder.
-        source: describes the input of the result; a partial result of another source is deleted.
-        overwrite: replace an earlier result; only a result (an empty folder, or one with a run.yaml) is replaced.
-
-    Raises:
-        FileExistsError: `out` exists and `overwrite` is False, or `out` is not a result; or the path of the partial
-            result, beside `out`, is used by something else.
-    """
-    out = Path(os.path.abspath(out))
-    _check_replaceable(out, overwrite)
-    partial = out.with_name(out.name + ".partial")
-    source_file = partial / "source.txt"
-    if partial.exists() and not source_file.is_file():
-        raise FileExistsError(f"{partial}: is in the way and not of an earlier run; move it, or choose another output")
-    if partial.exists() and source_file.read_text(encoding="utf-8") != source:
-        shutil.rmtree(partial)
-    partial.mkdir(parents=True, exist_ok=True)
-    source_file.write_text(source, encoding="utf-8")
-    try:
-        yield partial
-    except BaseException:
-        if list(partial.iterdir()) == [source_file]:  # nothing to resume: remove the folder
-            shutil.rmtree(partial)
-        raise
-    source_file.unlink()
-    trash = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
-    if out.exists():
-        os.replace(out, trash / "old")
-    os.replace(partial, out)
-    shutil.rmtree(trash)
-
-
-def _check_replaceable(out: Path, overwrite: bool) -> None:
-    if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise FileExistsError(f"{out}: exists and is not a folder; choose another name for the output")
-    if not out.exists():
-        return
-    if not overwrite:
-        raise FileExistsError(f"{out}: exists already; choose another folder, or --overwrite")
-    if any(out.iterdir()) and not (out / "run.yaml").is_file():
-        raise FileExistsError(f"{out}: is no result of torchjoint (it has no run.yaml) and will not be overwritten")
-
-
 def write_result(
     folder: Path, scene: Scene, result: Segmentation, config: Config, source: str, granularity: float = 0.5
 ) -> None:
@@ -101,6 +51,7 @@ def write_result(
     Raises:
         ValueError: a label does not fit 16-bit images, or two frames have the same name.
     """
+    _remove_earlier(folder)
     write_cloud(folder / "points.ply", scene.points, label_colors(result.points), result.points)
     arrays = {"points": scene.points, "labels": result.points} | (
         {} if scene.colors is None else {"colors": scene.colors}
@@ -117,6 +68,14 @@ def write_result(
     )
 
 
+def _remove_earlier(folder: Path) -> None:
+    """Deletes what an interrupted run has written: it may have had other parameters, and so other files."""
+    for name in ("points.ply", "points.npz", FILE, "overview.png", "run.yaml"):
+        (folder / name).unlink(missing_ok=True)
+    for name in ("images", FOLDER):
+        shutil.rmtree(folder / name, ignore_errors=True)
+
+
 def read_points(folder: Path) -> PointResult:
     """Reads `points.npz` of a result.
 
@@ -128,10 +87,9 @@ def read_points(folder: Path) -> PointResult:
     if not file.is_file():
         raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
     try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-            values = {key: torch.from_numpy(arrays[key]) for key in arrays.files}
+        values = {key: torch.from_numpy(array) for key, array in read_archive(file).items()}
         return PointResult(values["points"], values["labels"], values.get("colors"))
-    except (ValueError, KeyError, OSError, EOFError, BadZipFile) as error:
+    except (ValueError, KeyError, TypeError, OSError) as error:
         raise ValueError(f"{file}: not a whole result: {error!r}") from error
 
 
@@ -217,6 +175,10 @@ def _write_label_images(folder: Path, result: Segmentation) -> None:
 
 def _run_record(scene: Scene, result: Segmentation, config: Config, source: str, granularity: float) -> dict[str, Any]:
     packages = ("torchjoint", "torch", "kornia", "numpy", "scipy", "open3d", "opencv-contrib-python-headless")
+    versions = {"python": platform.python_version()}
+    for name in packages:
+        with suppress(PackageNotFoundError):  # a package may be optional
+            versions[name] = version(name)
     return {
         "scene": source,
         **({} if result.hierarchy is None else {"granularity": granularity}),
@@ -227,7 +189,7 @@ def _run_record(scene: Scene, result: Segmentation, config: Config, source: str,
             "image_segments_without_points": _count_private(result),
         },
         "seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
-        "versions": {"python": platform.python_version()} | {name: version(name) for name in packages},
+        "versions": versions,
         "config": config.to_dict(),
     }
 

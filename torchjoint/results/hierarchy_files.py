@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -13,6 +12,7 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.datasets.files import read_image
+from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
 
@@ -70,10 +70,10 @@ def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
             "learned) makes all levels"
         )
     try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-            piece, merges = (torch.from_numpy(arrays[name].astype(np.int64)) for name in ("piece", "merges"))
-            hierarchy = Hierarchy(piece, merges, torch.from_numpy(arrays["heights"]), float(arrays["default"]))
-    except (TypeError, ValueError, KeyError, OSError, EOFError, BadZipFile) as error:
+        arrays = read_archive(file)
+        piece, merges = (torch.from_numpy(arrays[name].astype(np.int64)) for name in ("piece", "merges"))
+        hierarchy = Hierarchy(piece, merges, torch.from_numpy(arrays["heights"]), float(arrays["default"]))
+    except (TypeError, ValueError, KeyError, OSError) as error:
         raise ValueError(f"{file}: not a whole hierarchy: {error!r}") from error
     if len(hierarchy.piece) != num_points:
         raise ValueError(f"{file}: expected a hierarchy of {num_points} points, got {len(hierarchy.piece)}")

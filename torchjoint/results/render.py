@@ -35,7 +35,7 @@ def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640
     far_first = torch.argsort(seen.z, descending=True, stable=True)
     radius = (0.6 * spacing[seen.point] * focal / seen.z).round().clamp(0, 4).long()[far_first]
     row, column, paint = seen.row[far_first], seen.column[far_first], colors[seen.point[far_first]]
-    picture, depth = torch.ones(height * width, 3), torch.full((height * width,), -1)
+    picture, depth = torch.ones(height * width, 3, dtype=torch.float32), torch.full((height * width,), -1)
     order = torch.arange(len(far_first))
     for down in range(-4, 5):
         for right in range(-4, 5):
@@ -67,7 +67,7 @@ def _bird_view(scene: Scene) -> Tensor:
 def _up_and_forward(scene: Scene) -> tuple[Tensor, Tensor]:
     """Up and viewing direction, [3] each: means of the cameras' -y and z axes, as most cameras are held upright."""
     count = min(16, len(scene.frames))
-    chosen = torch.linspace(0, max(len(scene.frames) - 1, 0), count).long().tolist()
+    chosen = torch.linspace(0, max(len(scene.frames) - 1, 0), count, dtype=torch.float32).long().tolist()
     rotations = [scene.frames[i].world_to_camera[:3, :3] for i in chosen]
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     forward = torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)

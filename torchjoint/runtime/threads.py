@@ -37,10 +37,20 @@ def one_thread_per_operation() -> Iterator[None]:
     """Inside the block a torch operation runs on one thread; :func:`parallel_map` uses as many as torch had before."""
     token = _workers.set(num_threads())
     try:
-        with _thread_limit(1):
+        with _thread_limit(1), on_cpu():
             yield
     finally:
         _workers.reset(token)
+
+
+@contextmanager
+def on_cpu() -> Iterator[None]:
+    """Inside the block, or a function that it decorates, new tensors are on the CPU, whatever the default device."""
+    if torch.get_default_device().type == "cpu":  # as nearly always: the other way slows each operation a little
+        yield
+    else:
+        with torch.device("cpu"):
+            yield
 
 
 @contextmanager

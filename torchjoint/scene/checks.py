@@ -12,24 +12,29 @@ from torch import Tensor
 #: have 7 digits; a pose that was averaged or interpolated carelessly is off by much more.
 RIGID_TOLERANCE = 1e-3
 
-#: Distance from the origin, in metres, up to which float32 coordinates are exact to a millimetre.
-LARGEST_COORDINATE = 8192.0
+#: Largest coordinate: squares of distances, and sums of them, must fit into float32.
+LARGEST_COORDINATE = 1e12
 
 
 def as_points(points: Tensor, name: str = "points") -> Tensor:
-    """Checks a cloud: [N, 3], N >= 1, finite, within LARGEST_COORDINATE of the origin; returns it as float32."""
-    points = as_float(points, name, torch.float64)
+    """Checks a cloud: [N, 3], N >= 1, finite; returns it as float32, or as float64 if float32 would round it."""
+    points = as_float(points, name, points.dtype if is_double(points) else torch.float32)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"{name}: expected shape [N, 3], got {list(points.shape)}")
     if points.shape[0] == 0:
         raise ValueError(f"{name}: expected at least one point, got an empty cloud")
     largest = points.abs().max().item()
     if largest > LARGEST_COORDINATE:
-        raise ValueError(
-            f"{name}: coordinates up to {largest:.4g} m would keep only {largest * 2**-23:.2g} m in float32; subtract "
-            "an offset from points and camera positions"
-        )
-    return points.to(torch.float32)
+        raise ValueError(f"{name}: expected coordinates up to {LARGEST_COORDINATE:g} m, got {largest:.4g} m")
+    if is_double(points):
+        rounded = points.float()
+        return rounded if torch.equal(rounded.double(), points) else points
+    return points
+
+
+def is_double(value: Tensor) -> bool:
+    """Whether the value is a float64 tensor."""
+    return isinstance(value, Tensor) and value.dtype == torch.float64
 
 
 def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
@@ -37,9 +42,9 @@ def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
     pose = as_float(pose, name, torch.float64)
     check_shape(pose, (4, 4), name)
     rotation = pose[:3, :3]
-    error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max().item()
+    error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64, device="cpu")).abs().max().item()
     determinant = torch.linalg.det(rotation).item()
-    last_row = (pose[3] - torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64)).abs().max().item()
+    last_row = (pose[3] - torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64, device="cpu")).abs().max().item()
     if error > RIGID_TOLERANCE or abs(determinant - 1) > RIGID_TOLERANCE or last_row > RIGID_TOLERANCE:
         raise ValueError(
             f"{name}: expected a rigid transform [R t; 0 1], got R R^T off the identity by {error:.3g}, "
@@ -49,12 +54,19 @@ def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
 
 
 def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Tensor:
-    """Checks labels: shape `size`, integers >= -1; returns them as int64."""
+    """Checks labels: shape `size`, integers >= -1, or a mask (bool): True is 0, False none; returns them as int64."""
     if not isinstance(labels, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor, got {type(labels).__name__}")
     if labels.dtype.is_floating_point or labels.dtype.is_complex:
         raise TypeError(f"{name}: expected an integer dtype, got {labels.dtype}")
     check_shape(labels, size, name)
+    if labels.dtype == torch.bool:
+        return torch.where(labels, 0, -1)
+    if labels.dtype == torch.uint8 and (values := labels.unique().tolist())[:1] == [0] and len(values) == 2:
+        raise ValueError(
+            f"{name}: got only 0 and {values[1]}, as in the image of a mask; its background would be a segment: pass "
+            "`mask > 0`, or int64 labels (-1 = none)"
+        )
     labels = labels.to(torch.int64)
     if labels.numel() and int(labels.min()) < -1:
         raise ValueError(f"{name}: expected labels >= -1 (-1 = none), got {int(labels.min())}")

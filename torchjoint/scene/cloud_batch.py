@@ -14,12 +14,12 @@ from torchjoint.scene.scene import Scene
 class Cloud(NamedTuple):
     """One checked cloud; edges and faces use the cloud's own point numbers 0 ... n - 1."""
 
-    points: Tensor  #: [n, 3] float32 metres
+    points: Tensor  #: [n, 3] float32 or float64 metres
     colors: Tensor | None  #: [n, 3] float32 RGB in [0, 1]
     normals: Tensor | None  #: [n, 3] float32, unit length
     edges: Tensor | None  #: [2, e] int64
     faces: Tensor | None  #: [f, 3] int64
-    viewpoint: Tensor | None  #: [3] or [n, 3] float32 metres
+    viewpoint: Tensor | None  #: [3] or [n, 3] float64 metres
 
 
 def split_batch(
@@ -103,7 +103,7 @@ def _views(viewpoint: Tensor | None, starts: list[int]) -> list[Tensor | None]:
         raise ValueError(f"viewpoint: expected shape [3], [{num_clouds}, 3] or [{num_points}, 3], got {shape}")
     if not torch.isfinite(viewpoint).all():
         raise ValueError("viewpoint: expected finite values, got NaN or infinite ones")
-    viewpoint = viewpoint.detach().float()
+    viewpoint = viewpoint.detach().double()
     if shape == [3]:
         return [viewpoint] * num_clouds
     if shape == [num_clouds, 3]:

@@ -30,7 +30,8 @@ class Frame:
         depth: optional [H, W], metres along the camera's z; 0 = unknown. The method itself does not use it; it serves
             to check poses, and to fuse a cloud if there is none.
         labels: optional [H, W] integers, an initial segmentation of the image that replaces the one of step 2, such as
-            superpixels; -1 = none. Like segments of step 2, it may cut objects in parts.
+            superpixels; -1 = none; or one mask, bool, with no label outside. Like segments of step 2, it may cut
+            objects in parts.
         masks: optional objects that a network found in the image. A label map [H, W] (-1 = none); a stack [M, H, W] of
             booleans that may overlap and nest; or :class:`~torchjoint.scene.Masks`, see :mod:`torchjoint.masks`. They
             are scaled to the image's size, and replace `labels`, boundaries and step 2 for this frame.

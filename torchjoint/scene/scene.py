@@ -19,13 +19,17 @@ from torchjoint.scene.frame import Frame
 from torchjoint.scene.subset import evenly_spaced_indices, subset
 from torchjoint.scene.truth import Truth
 
+#: Normals whose length differs from 1 by less than this are kept as they are.
+UNIT = 1e-6
+
 
 @dataclass(frozen=True)
 class Scene:
     """One point cloud and its frames.
 
     Args:
-        points: [N, 3] metres, world frame; N >= 1, finite.
+        points: [N, 3] metres, world frame; N >= 1, finite. They are kept as float32, or as float64 if float32 would
+            round them: pass float64 for clouds far from the origin.
         frames: a sequence of :class:`Frame`; may be lazy (read at access) or empty (plain 3D segmentation).
         colors: optional [N, 3] RGB in [0, 1].
         normals: optional [N, 3], pointing out of the surface; estimated if absent.
@@ -62,7 +66,8 @@ class Scene:
             length = normals.norm(dim=1, keepdim=True)
             if float(length.min()) < 1e-3:
                 raise ValueError(f"normals: expected unit vectors, got {int((length < 1e-3).sum())} of length 0")
-            object.__setattr__(self, "normals", normals / length)
+            is_unit = (length - 1).abs() < UNIT  # so that checking twice changes nothing
+            object.__setattr__(self, "normals", torch.where(is_unit, normals, normals / length))
         if self.truth is not None and self.truth.points is not None:
             as_labels(self.truth.points, (len(points),), "truth.points")
 

@@ -22,4 +22,5 @@ def evenly_spaced_indices(count: int, most: int) -> list[int]:
     >>> evenly_spaced_indices(10, 4)
     [0, 3, 6, 9]
     """
-    return [int(index) for index in torch.linspace(0, max(count - 1, 0), min(most, count)).round().tolist()]
+    places = torch.linspace(0, max(count - 1, 0), min(most, count), dtype=torch.float32, device="cpu")
+    return [int(place) for place in places.round().tolist()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import overload
@@ -12,7 +13,7 @@ from torchjoint.points.evidence import BoundaryEdges, Evidence
 from torchjoint.points.group_summaries import Measure
 from torchjoint.points.image_evidence import ImageEvidence
 from torchjoint.points.region_statistics import RegionStatistics
-from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.checked_files import read_checked, write_checked
 from torchjoint.training.boundary_examples import LabelledEvidence
 
 #: The types that a file may contain besides tensors and numbers; none of them runs code when it is made.
@@ -20,9 +21,10 @@ _TYPES = (LabelledEvidence, Evidence, BoundaryEdges, Measure, RegionStatistics, 
 
 
 def save_evidence(path: Path, prepared: LabelledEvidence) -> None:
-    """Writes the evidence of one scene, atomically."""
-    with atomic_write(path) as partial:
-        torch.save(prepared, partial)
+    """Writes the evidence of one scene with a checksum, atomically."""
+    content = io.BytesIO()
+    torch.save(prepared, content)
+    write_checked(path, content.getvalue())
 
 
 def load_evidence(path: Path) -> LabelledEvidence:
@@ -33,11 +35,11 @@ def load_evidence(path: Path) -> LabelledEvidence:
     """
     try:
         with torch.serialization.safe_globals(list(_TYPES)):
-            prepared = torch.load(path, weights_only=True)
+            prepared = torch.load(io.BytesIO(read_checked(path)), weights_only=True)
         if not isinstance(prepared, LabelledEvidence) or not isinstance(prepared.evidence, Evidence):
             raise TypeError(f"expected the evidence of a scene, got {type(prepared).__name__}")
     except Exception as error:  # a damaged file can raise anything
-        first = (str(error).splitlines() or [type(error).__name__])[0]
+        first = (str(error).removeprefix(f"{path}: ").splitlines() or [type(error).__name__])[0]
         raise ValueError(f"{path}: damaged; delete it and start again ({first})") from error
     return prepared
 

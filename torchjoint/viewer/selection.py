@@ -11,8 +11,8 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from torchjoint.datasets.files import write_cloud
 from torchjoint.datasets.lazy import LazySequence
+from torchjoint.datasets.ply import write_cloud
 from torchjoint.results.exports.coco import export_coco
 from torchjoint.viewer.model import Model
 

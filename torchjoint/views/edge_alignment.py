@@ -22,7 +22,6 @@ from torch import Tensor
 from torchjoint.config import VisibilityConfig
 from torchjoint.images.gradient_boundary import GradientBoundary
 from torchjoint.images.smoothing import smooth
-from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Frame, Scene
 from torchjoint.views.projection import Projection, project
 from torchjoint.views.visibility import visible_points
@@ -68,33 +67,28 @@ class EdgeAlignment(NamedTuple):
     significance: float
 
 
-def edge_alignment(
-    scene: Scene, frames: Sequence[Frame], spacing: Tensor, config: VisibilityConfig
-) -> EdgeAlignment | None:
-    """Compares depth edges and image edges of a cloud that was recorded from about one position, such as a LiDAR scan.
-
-    Args:
-        scene: the points.
-        frames: frames of the scene, with the poses to check.
-        spacing: [N] metres, spacing of the points.
-        config: parameters of the visibility.
-
-    Returns:
-        None if no verdict is possible: the cloud is not a scan, too few depth jumps are in view, or the images are
-        blank.
-    """
-    with one_thread_per_operation():
-        rows = parallel_map(lambda frame: _correlations(scene, frame, spacing, config), frames)
-    known = [row for row in rows if row is not None]
-    if not known:
+def combined(correlations: Sequence[Tensor]) -> EdgeAlignment | None:
+    """The alignment of several frames, from the :func:`edge_correlations` of each; None: no frame has a verdict."""
+    if not correlations:
         return None
-    given, *shifted = torch.stack(known).mean(dim=0)
+    given, *shifted = torch.stack(list(correlations)).mean(dim=0)
     others = torch.stack(shifted)
     return EdgeAlignment(float(given), float((given - others.mean()) / others.std().clamp(min=1e-9)))
 
 
-def _correlations(scene: Scene, frame: Frame, spacing: Tensor, config: VisibilityConfig) -> Tensor | None:
-    """The correlations [1 + number of SHIFTS] float64; the first is without shift."""
+def edge_correlations(scene: Scene, frame: Frame, spacing: Tensor, config: VisibilityConfig) -> Tensor | None:
+    """Correlations of depth edges and image edges of a cloud recorded from about one position, such as a LiDAR scan.
+
+    Args:
+        scene: the points.
+        frame: a frame of the scene, with the pose to check.
+        spacing: [N] metres, spacing of the points.
+        config: parameters of the visibility.
+
+    Returns:
+        [1 + number of SHIFTS] float64, the first without shift. None if no verdict is possible: the cloud is not a
+        scan, too few depth jumps are in view, or the image is blank.
+    """
     projection = project(scene.points, frame.intrinsics, frame.world_to_camera, frame.size)
     if len(projection.point) <= NEIGHBORS or not _is_scan(scene, frame, spacing, config, projection):
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
 
@@ -26,14 +27,14 @@ def hidden_point_removal(points: Tensor, center: Tensor, radius_factor: float) -
     unique, inverse = torch.unique(points, dim=0, return_inverse=True)
     if unique.shape[0] < 5:  # too few for a hull of the flipped points and the centre: so few points hide nothing
         return ~visible
-    from open3d import geometry, utility
-
-    cloud = geometry.PointCloud(utility.Vector3dVector(unique.double().numpy()))
-    distance = (unique.double() - center).norm(dim=1)
+    seen_from = unique.double() - center
+    distance = seen_from.norm(dim=1, keepdim=True)
+    radius = float(distance.max()) * unique.shape[0] * radius_factor
+    flipped = seen_from + 2 * (radius - distance) * seen_from / distance
     try:
-        _, kept = cloud.hidden_point_removal(center.numpy(), float(distance.max()) * unique.shape[0] * radius_factor)
-    except RuntimeError:  # qhull fails: all points lie in one plane through the camera, which is seen edge-on
+        hull = ConvexHull(torch.cat([flipped, torch.zeros(1, 3, dtype=torch.float64)]).numpy(), qhull_options="Qt")
+    except QhullError:  # all points lie in one plane through the camera, which is seen edge-on
         return ~visible
-    visible_unique = torch.zeros(unique.shape[0], dtype=torch.bool)
-    visible_unique[torch.tensor(kept, dtype=torch.int64)] = True
-    return visible_unique[inverse]
+    on_hull = torch.zeros(unique.shape[0] + 1, dtype=torch.bool)  # the last one is the camera
+    on_hull[torch.from_numpy(hull.vertices).long()] = True
+    return on_hull[:-1][inverse]

@@ -39,13 +39,18 @@ def project(
     """Projects points into an image; keeps the points in front of the camera and inside the image frame.
 
     Args:
-        points: [N, 3] metres, world frame.
+        points: [N, 3] metres, world frame; float32 or float64.
         intrinsics: [3, 3] pixels.
         world_to_camera: [4, 4].
         size: (H, W) pixels.
         margin: width added to the image frame on each side, in image widths.
     """
-    camera = (world_to_camera.double(), intrinsics.double())
+    pose = world_to_camera.double()
+    if points.dtype == torch.float64:  # far from the origin: relative to one of the points
+        origin = points[:1]
+        points, pose = (points - origin).float(), pose.clone()
+        pose[:3, 3] += pose[:3, :3] @ origin[0]
+    camera = (pose, intrinsics.double())
     return Projection(*ops.project(points, *camera, NEAREST, FARTHEST, *size, margin * size[1]))
 
 

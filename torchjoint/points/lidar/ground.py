@@ -104,7 +104,7 @@ def height_over_ground(points: Tensor, sensor: Tensor | None = None) -> Tensor:
     columns, the height is interpolated linearly.
     """
     points = as_points(points)
-    sensor = torch.zeros(3) if sensor is None else as_float(sensor, "sensor", torch.float64)
+    sensor = torch.zeros(3, dtype=torch.float32) if sensor is None else as_float(sensor, "sensor", torch.float64)
     check_shape(sensor, (3,), "sensor")
     with torch.no_grad(), one_thread_per_operation():
         seen, height = directions(points, sensor), points[:, 2].double() - sensor[2]

@@ -127,5 +127,5 @@ def components(edges: Tensor, weight: Tensor, on_ground: Tensor, config: ScanCon
     near = weight <= JOINING_GAP
     of_ground = torch.nonzero(on_ground).flatten()
     chain = torch.stack([of_ground[:-1], of_ground[1:]])
-    excess = torch.cat([(weight[near] - 1).clamp(min=0), torch.zeros(chain.shape[1])])
+    excess = torch.cat([(weight[near] - 1).clamp(min=0), torch.zeros(chain.shape[1], dtype=torch.float32)])
     return ops.felzenszwalb(torch.cat([edges[:, near], chain], 1), excess, len(on_ground), 0.0, config.min_size)

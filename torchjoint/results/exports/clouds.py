@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchjoint.datasets.files import write_cloud
+from torchjoint.datasets.ply import write_cloud
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import atomic_write
 

@@ -1,0 +1,313 @@
+"""Random inputs to the compiled operators, and damaged files to all readers: nothing may crash, or be silently wrong.
+
+    python benchmarks/fuzz.py --operators 1000000 --files 100000 --state fuzz.json
+
+* Operators get arguments that are right, with random changes of values, shapes, dtypes and strides: through the
+  wrappers and through ``torch.ops``. An error must be a clear one; a result must be that of the slow twin, if there is
+  one.
+* Files are the samples of tests/samples, clouds, and the state and result of a run; bytes are cut, flipped and
+  replaced. A reader must raise a clear error, or read numbers; whether it read as many points and frames as the intact
+  file has is counted. Files with checksums must not be read at all.
+
+Case i depends on the seed and on i alone. The work is done in a process of its own; if it dies, the case is a finding,
+and the work goes on behind it. With --state an interrupted campaign goes on where it was. .ci/sanitize runs it, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+import math
+import multiprocessing
+import shutil
+import sys
+import tempfile
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+import torchjoint as tj
+from torchjoint.ops import reference
+from torchjoint.runtime.files import write_text
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+#: Cases between two saves of the state.
+BLOCK = 500
+
+#: What an operator may raise; torch.ops also has its own errors of types and shapes.
+CLEAR = (ValueError, TypeError)
+DTYPES = (torch.float32, torch.float64, torch.int32, torch.int64, torch.uint8, torch.bool, torch.float16)
+#: Operators whose result is not unique for odd inputs (the normal of points on a line); tests/ops judges them.
+AMBIGUOUS = ("fit_normals", "region_planes")
+ODD = (math.nan, math.inf, -math.inf, -0.0, 0.0, 1e30, -1e30, 1e-40, 1.0)
+
+
+class FindingError(Exception):
+    """A case that should not be."""
+
+
+def changed_tensor(value: torch.Tensor, rng: np.random.Generator, values_only: bool) -> torch.Tensor:
+    """A tensor with other values, and perhaps of another shape, dtype or layout."""
+    value, kind = value.clone(), rng.integers(3 if values_only else 8)
+    flat = value.view(-1)
+    if kind == 0 and len(flat):  # shuffled
+        return flat[torch.from_numpy(rng.permutation(len(flat)))].view(value.shape)
+    if kind == 1 and len(flat):  # one other value
+        place = int(rng.integers(len(flat)))
+        if value.is_floating_point():
+            flat[place] = float(rng.choice(ODD)) if rng.integers(2) else float(rng.normal())
+        else:
+            flat[place] = int(rng.integers(-2, 5)) if rng.integers(8) else int(rng.choice([2**31 - 1, -(2**31), 100]))
+        return value
+    if kind == 2 and value.is_floating_point():
+        return torch.from_numpy(rng.normal(size=tuple(value.shape))).to(value.dtype).abs()
+    if kind == 3:
+        return value.to(DTYPES[rng.integers(len(DTYPES))])
+    if kind == 4 and value.ndim:  # fewer, more or no rows
+        rows = int(rng.integers(0, 2 * len(value) + 1))
+        return value[torch.from_numpy(rng.integers(0, max(len(value), 1), rows))] if len(value) else value
+    if kind == 5 and value.ndim:
+        return value.transpose(0, -1)
+    if kind == 6:
+        return torch.stack([value, value], -1)[..., 0]  # the same values, with gaps between them
+    return value[None] if kind == 7 else value
+
+
+def changed_number(value: float, rng: np.random.Generator, values_only: bool) -> Any:
+    if isinstance(value, (bool, int)):
+        return int(rng.integers(0, 6)) if values_only else int(rng.choice([-1, 0, 1, 2**31, 2**62, 7]))
+    return float(rng.uniform(0, 3)) if values_only else float(rng.choice(ODD))
+
+
+def operator_case(index: int, seed: int) -> str:
+    """One call of an operator; returns how it ended."""
+    from operator_arguments import VALID
+
+    rng = np.random.default_rng([seed, index])
+    operator = list(VALID)[rng.integers(len(VALID))]
+    arguments, values_only = dict(VALID[operator]), bool(rng.integers(2))
+    for name, value in arguments.items():
+        if rng.random() < 0.4:
+            change = changed_tensor if isinstance(value, torch.Tensor) else changed_number
+            arguments[name] = change(value, rng, values_only)
+    if rng.random() < 0.3:
+        raw = getattr(torch.ops.torchjoint, operator.__name__).default
+        try:
+            raw(*arguments.values())
+        except (*CLEAR, RuntimeError, NotImplementedError, IndexError):
+            return "torch.ops: error"
+        return "torch.ops: result"
+    try:
+        result = operator(**arguments)
+    except CLEAR as error:
+        if not str(error):
+            raise FindingError("an error without words") from error
+        return "wrapper: error"
+    twin = getattr(reference, f"{operator.__name__}_reference", None)
+    if operator.__name__ in AMBIGUOUS or twin is None or set(inspect.signature(twin).parameters) < set(arguments):
+        return "wrapper: result, without a twin"
+    compare(operator, result, twin(**arguments))
+    return "wrapper: result of the twin"
+
+
+def compare(operator: Callable[..., Any], result: Any, expected: Any) -> None:
+    pairs = zip(
+        result if isinstance(result, tuple) else (result,),
+        expected if isinstance(expected, tuple) else (expected,),
+        strict=True,
+    )
+    for one, other in pairs:
+        if isinstance(one, torch.Tensor):
+            if one.is_floating_point():
+                if not torch.allclose(one, other.to(one.dtype), equal_nan=True, rtol=1e-4, atol=1e-5):
+                    raise FindingError(f"{operator.__name__}: {one.tolist()} instead of {other.tolist()}")
+            elif not torch.equal(one, other.to(one.dtype)):
+                raise FindingError(f"{operator.__name__}: {one.tolist()} instead of {other.tolist()}")
+        elif isinstance(one, (list, tuple)):
+            compare(operator, tuple(one), tuple(other))
+        elif not math.isclose(one, other, rel_tol=1e-6, abs_tol=1e-9):
+            raise FindingError(f"{operator.__name__}: {one} instead of {other}")
+
+
+class Sample:
+    """A file or folder that is read as a whole."""
+
+    def restore(self) -> None:
+        """Writes what is missing or damaged again."""
+        for path, content in self.files.items():
+            if not path.is_file() or path.read_bytes() != content:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(content)
+
+    def __init__(self, name: str, root: Path, read: Callable[[], Any], checksums: bool = False) -> None:
+        self.name, self.read, self.checksums = name, read, checksums
+        self.files = {path: path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
+        self.intact = read()
+
+
+def scene_summary(path: Path) -> tuple[int, tuple[Any, ...]]:
+    scene = tj.load_scene(path)
+    frames = [(tuple(frame.image.shape), frame.depth is None) for frame in scene.frames]
+    truth = [] if scene.truth is None else [tuple(labels.shape) for labels in scene.truth.images]
+    if not torch.isfinite(scene.points).all():
+        raise FindingError("points that are not finite")
+    return len(scene.points), (frames, truth)
+
+
+def make_samples(folder: Path) -> list[Sample]:
+    """Writes all samples; tests/samples has the data sets."""
+    import samples
+
+    from torchjoint.datasets.clouds import read_cloud_file
+    from torchjoint.datasets.ply import write_cloud
+    from torchjoint.results.checkpoint import Checkpoint
+    from torchjoint.results.folder import read_result, write_result
+
+    made = []
+    for name in samples.FORMATS:
+        path = samples.write(name, folder / name)
+        made.append(Sample(name, folder / name, lambda path=path: scene_summary(path)))
+    points = torch.rand(60, 3, generator=torch.Generator().manual_seed(0))
+    for suffix in ("ply", "npz", "npy", "xyz"):
+        path = folder / suffix / f"cloud.{suffix}"
+        path.parent.mkdir()
+        if suffix == "ply":
+            write_cloud(path, points, points, torch.arange(60))
+        elif suffix == "npz":
+            np.savez_compressed(path, points=points.numpy(), colors=points.numpy())
+        else:
+            np.save(path, points.numpy()) if suffix == "npy" else np.savetxt(path, points.numpy())
+        made.append(Sample(f".{suffix}", path.parent, lambda path=path: len(read_cloud_file(path).points)))
+    scene = tj.synthetic.make_scene(seed=3, num_points=400, num_views=2, height=48, width=64).scene
+    segmenter = tj.JointSegmenter(tj.Config().set(["boundary.detector=gradient"]))
+    result = segmenter(scene)
+    Checkpoint(folder / "state", "key").save(segmenter.state, now=True)
+
+    def state() -> bool:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            loaded = Checkpoint(folder / "state", "key").load()
+        if loaded is None:
+            raise ValueError("damaged, starting over")
+        return torch.equal(loaded.overlap_sum, segmenter.state.overlap_sum)
+
+    made.append(Sample("state of a run", folder / "state", state, checksums=True))
+    (folder / "result").mkdir()
+    write_result(folder / "result", scene, result, segmenter.config, "fuzz")
+    (folder / "result" / "overview.png").unlink()
+
+    def whole() -> tuple[Any, ...]:
+        read = read_result(folder / "result")
+        pieces = [tuple(read.piece_images[index].shape) for index in range(len(read.piece_images))]
+        return len(read.points), [tuple(image.shape) for image in read.images], pieces
+
+    made.append(Sample("result", folder / "result", whole))
+    return made
+
+
+def file_case(index: int, seed: int, samples: list[Sample]) -> str:
+    """One damaged file; returns how reading it ended."""
+    from damage import damage
+
+    rng = np.random.default_rng([seed, 1, index])
+    sample = samples[rng.integers(len(samples))]
+    file, intact = list(sample.files.items())[rng.integers(len(sample.files))]
+    spoiled = damage(intact, rng)
+    if spoiled == intact:
+        return "files: not damaged"
+    file.write_bytes(spoiled)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            read = sample.read()
+    except (*CLEAR, FileNotFoundError) as error:
+        if len(str(error)) < 10:
+            raise FindingError(f"{sample.name}: an error without words: {error!r}") from error
+        return "files: error"
+    finally:
+        sample.restore()
+    if sample.checksums and file.suffix == ".pt":
+        raise FindingError(f"{sample.name}: {file.name} was read in spite of its damage")
+    if read != sample.intact:
+        return f"files: other sizes, {sample.name}/{file.name}"
+    return "files: sizes of the intact file"
+
+
+def worker(begin: int, end: int, seed: int, kind: str, place: Any, connection: Any) -> None:
+    """Does the cases from `begin` to `end`; `place` is the case that is being done."""
+    torch.set_num_threads(1)
+    counts: Counter[str] = Counter()
+    findings: list[str] = []
+    folder = Path(tempfile.mkdtemp())
+    try:
+        made = make_samples(folder) if kind == "files" else []
+        for index in range(begin, end):
+            place.value = index
+            try:
+                counts[operator_case(index, seed) if kind == "operators" else file_case(index, seed, made)] += 1
+            except Exception as error:
+                findings.append(f"{kind} {index}: {type(error).__name__}: {str(error)[:300]}")
+            if (index + 1 - begin) % BLOCK == 0 or index + 1 == end:
+                connection.send((index + 1, dict(counts), findings))
+                counts, findings = Counter(), []
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def blocks(begin: int, end: int, seed: int, kind: str) -> Iterator[tuple[int, dict[str, int], list[str]]]:
+    """Does the cases in processes of their own; yields how far it is, counts and findings."""
+    context = multiprocessing.get_context("spawn")
+    while begin < end:
+        place, (ours, theirs) = context.Value("q", begin), context.Pipe(duplex=False)
+        process = context.Process(target=worker, args=(begin, end, seed, kind, place, theirs))
+        process.start()
+        theirs.close()
+        try:
+            while True:
+                begin, counts, findings = ours.recv()
+                yield begin, counts, findings
+        except EOFError:
+            process.join()
+        if process.exitcode:
+            yield place.value + 1, {}, [f"{kind} {place.value}: the process died ({process.exitcode})"]
+            begin = place.value + 1
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--operators", type=int, default=1_000_000)
+    parser.add_argument("--files", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--state", type=Path)
+    arguments = parser.parse_args()
+    state: dict[str, Any] = {"operators": 0, "files": 0, "counts": {}, "findings": [], "seed": arguments.seed}
+    if arguments.state is not None and arguments.state.is_file():
+        state = json.loads(arguments.state.read_text())
+        if state["seed"] != arguments.seed:
+            sys.exit(f"{arguments.state}: of seed {state['seed']}")
+    for kind in ("operators", "files"):
+        for done, counts, findings in blocks(state[kind], getattr(arguments, kind), arguments.seed, kind):
+            state[kind] = done
+            for name, count in counts.items():
+                state["counts"][name] = state["counts"].get(name, 0) + count
+            state["findings"] += findings
+            for finding in findings:
+                print(finding, flush=True)
+            if arguments.state is not None:
+                write_text(arguments.state, json.dumps(state, indent=1))
+    found = len(state["findings"])
+    print(f"{state['operators']} inputs of operators, {state['files']} damaged files, {found} findings")
+    for name, count in sorted(state["counts"].items()):
+        print(f"  {name}: {count}")
+    sys.exit(1 if state["findings"] else 0)
+
+
+if __name__ == "__main__":
+    main()

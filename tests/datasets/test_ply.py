@@ -1,0 +1,151 @@
+"""PLY: what others write is read as they read it; what is cut, too long or no number is an error."""
+
+import numpy as np
+import pytest
+import torch
+from damage import CLEAR, damage
+
+from torchjoint.datasets.ply import read_ply, write_cloud
+
+POINTS = torch.rand(50, 3, generator=torch.Generator().manual_seed(0))
+COLORS = torch.randint(256, (50, 3), generator=torch.Generator().manual_seed(1)) / 255
+FACES = torch.randint(50, (20, 3), generator=torch.Generator().manual_seed(2))
+
+
+def header(encoding, *lines):
+    return "\n".join(["ply", f"format {encoding} 1.0", *lines, "end_header", ""]).encode()
+
+
+VERTEX = ("element vertex 2", "property float x", "property float y", "property float z")
+
+
+def written(path, data):
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("ascii_", [True, False])
+@pytest.mark.parametrize("compare", ["cloud", "mesh"])
+def test_it_reads_what_open3d_writes(tmp_path, ascii_, compare):
+    open3d = pytest.importorskip("open3d")
+    vector = open3d.utility.Vector3dVector
+    if compare == "cloud":
+        made = open3d.geometry.PointCloud(vector(POINTS.double().numpy()))
+        made.colors, made.normals = vector(COLORS.double().numpy()), vector(POINTS.double().numpy())
+        open3d.io.write_point_cloud(str(tmp_path / "a.ply"), made, write_ascii=ascii_)
+    else:
+        made = open3d.geometry.TriangleMesh(
+            vector(POINTS.double().numpy()), open3d.utility.Vector3iVector(FACES.numpy())
+        )
+        made.vertex_colors = vector(COLORS.double().numpy())
+        open3d.io.write_triangle_mesh(str(tmp_path / "a.ply"), made, write_ascii=ascii_)
+    read = read_ply(tmp_path / "a.ply")
+    torch.testing.assert_close(read.points.double(), POINTS.double(), atol=1e-6, rtol=0)
+    torch.testing.assert_close(read.colors, COLORS, atol=1e-6, rtol=0)
+    if compare == "mesh":
+        assert torch.equal(read.faces, FACES)
+    else:
+        torch.testing.assert_close(read.normals, POINTS, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_open3d_reads_what_it_writes(tmp_path, dtype):
+    open3d = pytest.importorskip("open3d")
+    points = POINTS.to(dtype) + 500_000 * (dtype == torch.float64)
+    write_cloud(tmp_path / "a.ply", points, COLORS, torch.arange(50))
+    read = open3d.t.io.read_point_cloud(str(tmp_path / "a.ply")).point
+    np.testing.assert_array_equal(read.positions.numpy(), points.numpy())
+    np.testing.assert_array_equal(read.colors.numpy(), (COLORS * 255).round().numpy())
+    assert read.label.numpy().ravel().tolist() == list(range(50))
+    assert torch.equal(read_ply(tmp_path / "a.ply").points, points)
+
+
+@pytest.mark.parametrize("order", ["little", "big"])
+def test_vertices_after_other_elements(tmp_path, order):
+    """Triangles and a quad come first; the vertices have doubles, a list, and colours of 16 bits."""
+    sign = "<" if order == "little" else ">"
+    lines = ("element face 2", "property list uchar int vertex_indices", "property uchar flag")
+    lines += ("element vertex 4", "property double x", "property list uchar short near", "property double y")
+    lines += ("property double z", *(f"property ushort {name}" for name in ("red", "green", "blue")))
+    body = b"".join(
+        np.array([(n, c, 7)], dtype=[("n", "u1"), ("c", f"{sign}i4", (n,)), ("f", "u1")]).tobytes()
+        for n, c in ((3, (0, 1, 2)), (4, (3, 2, 1, 0)))
+    )
+    for i in range(4):
+        row = [("x", f"{sign}f8"), ("n", "u1"), ("near", f"{sign}i2", (i,)), ("yz", f"{sign}f8", (2,))]
+        body += np.array([(i, i, [9] * i, (0.5, -i), (65535, 0, 0))], [*row, ("c", f"{sign}u2", (3,))]).tobytes()
+    data = header(f"binary_{order}_endian", *lines) + body
+    read = read_ply(written(tmp_path / "a.ply", data))
+    assert read.points.tolist() == [[i, 0.5, -i] for i in range(4)]
+    assert read.points.dtype == torch.float64
+    assert read.colors.tolist() == [[1, 0, 0]] * 4
+    assert read.faces.tolist() == [[0, 1, 2], [3, 2, 1], [3, 1, 0]]
+    for cut in range(1, len(body)):  # Open3D reads 12 bytes less as a vertex at 1.7e-309
+        with pytest.raises(ValueError, match=r"a\.ply: truncated"):
+            read_ply(written(tmp_path / "a.ply", data[:-cut]))
+    with pytest.raises(ValueError, match="got 3 more bytes"):
+        read_ply(written(tmp_path / "a.ply", data + b"abc"))
+
+
+def test_ascii_with_lists(tmp_path):
+    lines = (*VERTEX, "element face 2", "property list uchar int vertex_index")
+    data = header("ascii", *lines) + b"1 2 3\n4 5 6\n3 0 1 1\n4 0 1 0 1\n"
+    read = read_ply(written(tmp_path / "a.ply", data))
+    assert read.points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert read.faces.tolist() == [[0, 1, 1], [0, 1, 0], [0, 0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (b"1 2 3\n4 5 6", "expected a line break after the last number"),  # perhaps 6.25, cut
+        (b"1 2 3\n\n4 5 6\n", "expected 2 lines"),
+        (b"\n1 2 3\n", "expected 3 numbers in row 0, got 0 words"),
+        (b"1 2 3\n4 5\n", "expected 3 numbers in row 1, got 2 words"),
+        (b"1 2 3 4\n5 6\n", "expected 3 numbers in row 0, got 4 words"),
+        (b"1 2 3\n4 5 x\n", "a word is no number"),
+        (b"1 2 3\n4 5 6-7\n", "a word is no number|7 numbers in 6 words"),
+        (b"1 2 3\n4_0 5 6\n", "a word is no number"),
+        (b"1 2 3\n", "truncated"),
+    ],
+)
+def test_ascii_that_is_damaged(tmp_path, body, message):
+    with pytest.raises(ValueError, match=message):
+        read_ply(written(tmp_path / "a.ply", header("ascii", *VERTEX) + body))
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ((*VERTEX[:3], "property real z"), "header: 'property real z' is not understood"),
+        ((*VERTEX, "property float x"), "property x of element vertex is there twice"),
+        ((*VERTEX[:3], "property float w"), "z missing"),
+        (("element vertex 999999999999", *VERTEX[1:]), "truncated"),
+        ((*VERTEX, "format ascii 1.0"), "'format ascii 1.0' is not understood"),
+        ((*VERTEX, "element face -1", "property list int int vertex_index"), "expected a count"),
+    ],
+)
+def test_headers_that_are_wrong(tmp_path, lines, message):
+    with pytest.raises(ValueError, match=message):
+        read_ply(written(tmp_path / "a.ply", header("binary_little_endian", *lines) + bytes(24)))
+
+
+def test_faces_of_vertices_that_are_not_there(tmp_path):
+    lines = (*VERTEX, "element face 1", "property list uchar int vertex_index")
+    with pytest.raises(ValueError, match=r"expected vertices in \[0, 2\), got 0 to 2"):
+        read_ply(written(tmp_path / "a.ply", header("ascii", *lines) + b"1 2 3\n4 5 6\n3 0 1 2\n"))
+
+
+def test_damage_is_an_error_or_leaves_the_size(tmp_path):
+    """A flipped bit of a coordinate cannot be told; a wrong number of points can."""
+    write_cloud(tmp_path / "a.ply", POINTS, COLORS, torch.arange(50))
+    whole, rng = (tmp_path / "a.ply").read_bytes(), np.random.default_rng(0)
+    for _ in range(300):
+        spoiled = damage(whole, rng)
+        try:
+            read = read_ply(written(tmp_path / "b.ply", spoiled))
+        except CLEAR as error:
+            assert "b.ply" in str(error)  # noqa: PT017
+        else:
+            assert len(spoiled) == len(whole)
+            assert len(read.points) == 50

@@ -1,0 +1,160 @@
+"""A result is there as a whole or not at all, wherever the run that makes it is killed; and only one run makes it."""
+
+import os
+import sys
+import warnings
+
+import pytest
+
+from torchjoint.results import output_folder as module
+from torchjoint.results.output_folder import STATE, output_folder, own_files
+
+NEW = {"run.yaml": "new", "images/0.png": "new image", "points.ply": "new points"}
+OLD = {"run.yaml": "old", "images/0.png": "old image", "images/1.png": "old image", "hierarchy.npz": "old levels"}
+STEPS = {"os.rename", "os.remove", "os.rmdir", "os.mkdir", "shutil.rmtree", "open"}
+
+
+def write(folder, files):
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+def content(folder):
+    return {str(p.relative_to(folder)): p.read_text() for p in folder.rglob("*") if p.is_file()}
+
+
+def run(out, key="key", source="source", files=NEW, overwrite=True):
+    """One run; returns whether it had something to do."""
+    with output_folder(out, source, key=key, overwrite=overwrite) as partial:
+        if partial is None:
+            return False
+        (partial / STATE).mkdir(exist_ok=True)
+        (partial / STATE / "sums.pt").write_text("state")
+        write(partial, files)
+    return True
+
+
+class Killed:
+    """An audit hook that ends the process, as kill -9 does, before its n-th step on files below a folder."""
+
+    def __init__(self, folder, steps):
+        self.folder, self.left = str(folder), steps
+
+    def __call__(self, event, arguments):
+        if event in STEPS and str(arguments[0]).startswith(self.folder):
+            if self.left == 0:
+                os._exit(9)
+            self.left -= 1
+
+
+def killed_run(out, steps, **options):
+    """A run in a process of its own that is killed before a step; False if it ended before."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about forks of processes with threads
+        process = os.fork()
+    if process == 0:
+        code = 1
+        try:
+            sys.addaudithook(Killed(out.parent, steps))
+            run(out, **options)
+            code = 0
+        finally:
+            os._exit(code)
+    code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    assert code in (0, 9)
+    return code == 9
+
+
+@pytest.fixture(params=["renamed", "mount point"])
+def out(request, tmp_path, monkeypatch):
+    folder = tmp_path / "o" / "out"
+    folder.parent.mkdir()
+    if request.param == "mount point":
+        folder.mkdir()
+        monkeypatch.setattr(module, "is_fixed", lambda path: True)
+    return folder
+
+
+@pytest.mark.parametrize("before", [{}, OLD])
+def test_killed_before_every_step(out, before):
+    """The next run finishes what was begun, and leaves nothing but the result."""
+    steps = 0
+    while True:
+        module.shutil.rmtree(out, ignore_errors=True)
+        out.mkdir()
+        write(out, before)
+        if not killed_run(out, steps):
+            break
+        run(out)
+        assert content(out) == NEW, steps
+        assert list(out.parent.iterdir()) == [out], steps
+        steps += 1
+    assert steps > 15
+    assert content(out) == NEW
+
+
+def test_killed_again_while_it_finishes(out):
+    steps = 0
+    while True:
+        module.shutil.rmtree(out, ignore_errors=True)
+        write(out, OLD)
+        if not killed_run(out, steps):
+            return
+        for more in (1, 3, 5):
+            killed_run(out, more)
+        run(out)
+        assert content(out) == NEW, steps
+        assert list(out.parent.iterdir()) == [out], steps
+        steps += 1
+
+
+def test_a_complete_result_is_not_computed_again(tmp_path):
+    write(tmp_path / "out.partial", {**NEW, module.COMPLETE: "key"})
+    assert not run(tmp_path / "out", overwrite=False)
+    assert content(tmp_path / "out") == NEW
+
+
+def test_what_another_run_has_completed_stays_for_those_who_do_not_overwrite(tmp_path):
+    """Its place has been taken meanwhile: nothing is lost."""
+    out, partial = tmp_path / "out", tmp_path / "out.partial"
+    write(out, OLD)
+    write(partial, {**NEW, module.COMPLETE: "key"})
+    with pytest.raises(FileExistsError, match="out: exists already"):
+        run(out, overwrite=False)
+    assert content(out) == OLD
+    assert run(out, key="other")
+    assert content(out) == NEW
+
+
+def test_two_runs_at_once(out):
+    with output_folder(out, "source", overwrite=True) as partial:
+        write(partial, NEW)
+        with pytest.raises(FileExistsError, match="out: another run is writing this result; wait for it"):
+            run(out)
+    assert content(out) == NEW
+    assert run(out, overwrite=True)
+
+
+def test_a_mount_point_keeps_what_is_not_ours(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "is_fixed", lambda path: True)
+    out = tmp_path / "out"
+    write(out, {"thesis.tex": "precious"})
+    with pytest.raises(FileExistsError, match=r"it has no run\.yaml"):
+        run(out)
+    assert content(out) == {"thesis.tex": "precious"}
+
+
+def test_mount_points_and_read_only_folders_are_known(tmp_path, monkeypatch):
+    assert module.is_fixed(module.Path("/dev/shm"))  # a mount point on every Linux
+    assert not module.is_fixed(tmp_path)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    assert module.is_fixed(tmp_path)
+
+
+def test_own_files_are_all_that_a_run_writes(out):
+    seen = set()
+    with output_folder(out, "source", overwrite=True) as partial:
+        write(partial, NEW)
+        seen.update(out.parent.iterdir(), out.iterdir() if out.exists() else ())
+    assert seen <= own_files(out)

@@ -1,0 +1,56 @@
+"""Archives of arrays: no more memory than the file is worth."""
+
+import tracemalloc
+import zipfile
+
+import numpy as np
+import pytest
+
+from torchjoint.datasets.clouds import read_cloud_file
+from torchjoint.runtime.archives import read_archive
+
+
+def declared(path, shape, content=b""):
+    """An archive with an array whose header declares a shape."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("points.npy", "w") as stream:
+        np.lib.format.write_array_header_1_0(stream, {"descr": "<f4", "fortran_order": False, "shape": shape})
+        stream.write(content)
+    return path
+
+
+def test_what_numpy_writes(tmp_path):
+    arrays = {"a": np.arange(6.0).reshape(2, 3), "b": np.array(5), "c": np.asfortranarray(np.eye(3))}
+    np.savez_compressed(tmp_path / "a.npz", **arrays)
+    read = read_archive(tmp_path / "a.npz")
+    assert set(read) == set(arrays)
+    assert all(np.array_equal(read[name], arrays[name]) and read[name].dtype == arrays[name].dtype for name in arrays)
+
+
+def test_an_array_that_declares_more_than_there_is(tmp_path):
+    path = declared(tmp_path / "a.npz", (10**9, 3))
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=r"a\.npz.*declares shape \[1000000000, 3\], more than the archive holds"):
+        read_cloud_file(path)
+    assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    tracemalloc.stop()
+
+
+def test_an_archive_that_inflates(tmp_path, monkeypatch):
+    monkeypatch.setattr("torchjoint.runtime.archives.FREE", 0)
+    path = declared(tmp_path / "a.npz", (100_000, 3), bytes(1_200_000))
+    with pytest.raises(ValueError, match=r"declares 0\.0012 GB; expected .* at most in so small a file"):
+        read_archive(path)
+
+
+@pytest.mark.parametrize("header", [b"{'descr': (", b"{'descr': '<f4', 'shape': (1,}", b"[" * 200, b"\xff"])
+def test_headers_that_are_no_dictionary(tmp_path, header):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("a.npy", b"\x93NUMPY\x01\x00" + bytes([len(header), 0]) + header)
+    with pytest.raises(ValueError, match=r"a\.npz: not a whole archive of arrays"):
+        read_archive(tmp_path / "a.npz")
+
+
+def test_objects_are_not_read(tmp_path):
+    np.savez(tmp_path / "a.npz", a=np.array([{}], dtype=object))
+    with pytest.raises(ValueError, match=r"a\.npz: not a whole archive of arrays: Object arrays"):
+        read_archive(tmp_path / "a.npz")

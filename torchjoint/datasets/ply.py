@@ -1,0 +1,302 @@
+"""Reads PLY files (Greg Turk's Polygon File Format, 1994), ascii and binary of both byte orders; writes binary ones.
+
+Each number of the file is accounted for: what is cut, too long or not a number is an error, wherever it is.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.ply_header import Element, PlyHeader, parse_header
+from torchjoint.runtime.files import atomic_write
+
+Array = npt.NDArray[Any]
+
+#: Names of the list of a face's vertices.
+_FACE_LISTS = ("vertex_indices", "vertex_index")
+
+
+class Ply(NamedTuple):
+    """A cloud, or a mesh."""
+
+    points: Tensor  #: [N, 3] metres, float32 or float64 as in the file
+    colors: Tensor | None  #: [N, 3] float32 RGB in [0, 1]
+    normals: Tensor | None  #: [N, 3] float32
+    faces: Tensor | None  #: [F, 3] int64; polygons are cut into triangles from their first vertex
+
+
+def read_ply(path: Path) -> Ply:
+    """Reads the vertices and faces of a PLY file; other elements are checked for their size and left out.
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and its error; sizes in the header are compared with the file's
+            size before memory is allocated.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a point cloud, .ply")
+    data = path.read_bytes()
+    try:
+        header = parse_header(data)
+        elements = _read_ascii(data, header) if header.encoding == "ascii" else _read_binary(data, header)
+        return _assembled(header, elements)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels: Tensor | None = None) -> None:
+    """Writes a binary PLY atomically: equal arguments give equal bytes.
+
+    Args:
+        path: of the file.
+        points: [N, 3], as float, or double if they are float64.
+        colors: [N, 3] in [0, 1], as uchar red green blue.
+        labels: [N] integers, as int label.
+    """
+    kind = "f8" if points.dtype == torch.float64 else "f4"
+    fields = [(name, f"<{kind}") for name in "xyz"]
+    fields += [] if colors is None else [(name, "u1") for name in ("red", "green", "blue")]
+    fields += [] if labels is None else [("label", "<i4")]
+    rows = np.empty(len(points), dtype=np.dtype(fields))
+    for axis, name in enumerate("xyz"):
+        rows[name] = points[:, axis].numpy()
+    if colors is not None:
+        bytes_ = (colors.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+        for axis, name in enumerate(("red", "green", "blue")):
+            rows[name] = bytes_[:, axis]
+    if labels is not None:
+        rows["label"] = labels.to(torch.int32).numpy()
+    names = {"<f4": "float", "<f8": "double", "u1": "uchar", "<i4": "int"}
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    lines += [f"property {names[kind]} {name}" for name, kind in fields]
+    with atomic_write(path) as partial, partial.open("wb") as stream:
+        stream.write(("\n".join([*lines, "end_header"]) + "\n").encode())
+        stream.write(rows.tobytes())
+
+
+def _read_binary(data: bytes, header: PlyHeader) -> dict[str, Mapping[str, Array]]:
+    place = header.size
+    elements: dict[str, Mapping[str, Array]] = {}
+    for element in header.elements:
+        if not element.properties:
+            continue
+        if element.lists:
+            elements[element.name], place = _rows_with_lists(data, place, element, header)
+            continue
+        dtype = element.dtype(header.byte_order)
+        _check_rest(data, place, dtype.itemsize * element.rows, element)
+        rows = np.frombuffer(data, dtype, element.rows, place)
+        elements[element.name] = {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()}
+        place += rows.nbytes
+    if data[place:].strip():
+        raise ValueError(f"expected the end at byte {place}, got {len(data) - place} more bytes")
+    return elements
+
+
+def _rows_with_lists(data: bytes, place: int, element: Element, header: PlyHeader) -> tuple[dict[str, Array], int]:
+    """The rows of an element with lists, as object arrays or [count, k] where all lists have one length."""
+    smallest = sum(np.dtype(p.length or p.kind).itemsize for p in element.properties)
+    _check_rest(data, place, smallest * element.rows, element)
+    if element.rows == 0:
+        return {}, place
+    lengths = _lengths(data, place, element, header)
+    dtype = element.dtype(header.byte_order, lengths)
+    if dtype.itemsize * element.rows <= len(data) - place:
+        rows = np.frombuffer(data, dtype, element.rows, place)
+        if all((rows[f"#{name}"] == length).all() for name, length in lengths.items()):
+            return {name: rows[name] for name in element.names}, place + rows.nbytes
+    columns: dict[str, list[Any]] = {name: [] for name in element.names}
+    for _ in range(element.rows):
+        row = np.frombuffer(*_one_row(data, place, element, header))[0]
+        for name in element.names:
+            columns[name].append(row[name])
+        place += row.nbytes
+    return _arrays(columns, element), place
+
+
+def _one_row(data: bytes, place: int, element: Element, header: PlyHeader) -> tuple[bytes, np.dtype[Any], int, int]:
+    dtype = element.dtype(header.byte_order, _lengths(data, place, element, header))
+    _check_rest(data, place, dtype.itemsize, element)
+    return data, dtype, 1, place
+
+
+def _lengths(data: bytes, place: int, element: Element, header: PlyHeader) -> dict[str, int]:
+    """The lengths of the lists in the row at `place`."""
+    lengths = {}
+    for one in element.properties:
+        if one.length is not None:
+            _check_rest(data, place, np.dtype(one.length).itemsize, element)
+            length = int(np.frombuffer(data, np.dtype(header.byte_order + one.length), 1, place)[0])
+            if length < 0:
+                raise ValueError(f"element {element.name}: a list of {length} numbers")
+            lengths[one.name] = length
+            place += np.dtype(one.length).itemsize + length * np.dtype(one.kind).itemsize
+        else:
+            place += np.dtype(one.kind).itemsize
+        _check_rest(data, place, 0, element)
+    return lengths
+
+
+def _check_rest(data: bytes, place: int, size: int, element: Element) -> None:
+    if size > len(data) - place:
+        raise ValueError(
+            f"truncated: {element.rows} of element {element.name} need {size} bytes at byte {place}, "
+            f"got {max(0, len(data) - place)}"
+        )
+
+
+def _read_ascii(data: bytes, header: PlyHeader) -> dict[str, Mapping[str, Array]]:
+    body = data[header.size :]
+    text = body.rstrip() + b"\n"
+    ends, words = _lines(text) if body.strip() else (np.empty(0, np.int64), np.empty(0, np.int64))
+    expected = sum(element.rows for element in header.elements if element.properties)
+    if len(ends) != expected:
+        counts = ", ".join(f"{element.rows} of {element.name}" for element in header.elements)
+        raise ValueError(f"truncated, or too long: expected {expected} lines ({counts}), got {len(ends)}")
+    if body and not body.endswith(b"\n"):
+        raise ValueError("truncated: expected a line break after the last number, which may be cut off")
+    place, start = 0, 0
+    elements: dict[str, Mapping[str, Array]] = {}
+    for element in header.elements:
+        if not element.properties:
+            continue
+        rows = slice(place, place + element.rows)
+        end = int(ends[rows.stop - 1]) if element.rows else start
+        if element.lists:
+            elements[element.name] = _ascii_lists(text[start:end].splitlines(), element)
+        else:
+            elements[element.name] = _ascii_rows(text[start:end], words[rows], element)
+        place, start = rows.stop, end
+    return elements
+
+
+def _lines(text: bytes) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """The end of each line, behind its line break, and the number of words in it."""
+    characters = np.frombuffer(text, np.uint8)
+    is_space = (characters == 32) | ((characters >= 9) & (characters <= 13))
+    begins = ~is_space & np.concatenate([[True], is_space[:-1]])
+    ends = np.flatnonzero(characters == 10) + 1
+    counted = np.cumsum(begins)[ends - 1]
+    return ends, np.diff(counted, prepend=0)
+
+
+def _ascii_rows(text: bytes, words: npt.NDArray[np.int64], element: Element) -> dict[str, Array]:
+    columns = len(element.properties)
+    wrong = np.flatnonzero(words != columns)
+    if len(wrong):
+        raise ValueError(
+            f"element {element.name}: expected {columns} numbers in row {wrong[0]}, got {words[wrong[0]]} words"
+        )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # about what is no number, with an older NumPy
+            values = np.fromstring(text.decode("ascii", errors="replace"), np.float64, sep=" ")
+    except (ValueError, DeprecationWarning) as error:
+        raise ValueError(f"element {element.name}: a word is no number: {error}") from error
+    if len(values) != element.rows * columns:
+        raise ValueError(f"element {element.name}: {len(values)} numbers in {element.rows * columns} words")
+    table = values.reshape(-1, columns)
+    return {one.name: _converted(table[:, place], one.kind, one.name) for place, one in enumerate(element.properties)}
+
+
+def _ascii_lists(lines: list[bytes], element: Element) -> dict[str, Array]:
+    columns: dict[str, list[Any]] = {name: [] for name in element.names}
+    for line in lines:
+        if b"_" in line:  # Python reads 1_0 as 10
+            raise ValueError(f"element {element.name}: expected numbers, got {line[:80]!r}")
+        words, place = [float(word) for word in line.split()], 0
+        for one in element.properties:
+            length = 1
+            if one.length is not None:
+                length = int(_converted(np.array(words[place : place + 1]), one.length, one.name)[0])
+                place += 1
+            if not 0 <= length <= len(words) - place:
+                raise ValueError(f"element {element.name}: expected {length} numbers of {one.name} in {line[:80]!r}")
+            values = _converted(np.array(words[place : place + length]), one.kind, one.name)
+            columns[one.name].append(values if one.length is not None else values[0])
+            place += length
+        if place != len(words):
+            raise ValueError(f"element {element.name}: expected {place} numbers in {line[:80]!r}")
+    return _arrays(columns, element)
+
+
+def _arrays(columns: Mapping[str, list[Any]], element: Element) -> dict[str, Array]:
+    """An array for each property; lists are objects."""
+    arrays = {}
+    for one in element.properties:
+        arrays[one.name] = np.empty(len(columns[one.name]), dtype=one.kind if one.length is None else object)
+        arrays[one.name][:] = columns[one.name]
+    return arrays
+
+
+def _converted(values: npt.NDArray[np.float64], kind: str, name: str) -> Array:
+    """Numbers from text in the type of their property; integers must fit into it."""
+    dtype = np.dtype(kind)
+    if dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            return values.astype(dtype)
+    limits = np.iinfo(dtype)
+    if not len(values) or ((values >= limits.min) & (values <= limits.max) & (values == np.floor(values))).all():
+        return values.astype(dtype)
+    raise ValueError(f"property {name}: expected integers of {dtype.itemsize * 8} bits")
+
+
+def _assembled(header: PlyHeader, elements: Mapping[str, Mapping[str, Array]]) -> Ply:
+    vertex = elements.get("vertex", {})
+    missing = [name for name in "xyz" if name not in vertex or vertex[name].dtype == object]
+    if missing:
+        raise ValueError(f"expected an element vertex with properties x, y and z; {', '.join(missing)} missing")
+    points = _columns(vertex, "xyz")
+    assert points is not None
+    if not len(points):
+        raise ValueError("no points")
+    normals = _columns(vertex, ("nx", "ny", "nz"))
+    return Ply(points, _colors(vertex), None if normals is None else normals.float(), _faces(elements, len(points)))
+
+
+def _columns(values: Mapping[str, Array], names: tuple[str, ...] | str) -> Tensor | None:
+    """[N, k]: float32 if all of them are, else float64; None if one is missing."""
+    if any(name not in values or values[name].dtype == object for name in names):
+        return None
+    narrow = all((values[name].dtype.kind, values[name].dtype.itemsize) == ("f", 4) for name in names)
+    stacked = np.stack([values[name].astype(np.float32 if narrow else np.float64) for name in names], axis=1)
+    return torch.from_numpy(stacked)
+
+
+def _colors(vertex: Mapping[str, Array]) -> Tensor | None:
+    names = ("red", "green", "blue")
+    colors = _columns(vertex, names)
+    if colors is None:
+        return None
+    kinds = {vertex[name].dtype for name in names}
+    (kind,) = kinds if len(kinds) == 1 else (np.dtype(np.uint8),)
+    white = 1 if kind.kind == "f" else np.iinfo(kind).max
+    return (colors.double() / white).float()
+
+
+def _faces(elements: Mapping[str, Mapping[str, Array]], num_points: int) -> Tensor | None:
+    face = elements.get("face", {})
+    lists = next((face[name] for name in _FACE_LISTS if name in face), None)
+    if lists is None or not len(lists):
+        return None
+    if lists.dtype != object:  # all of one length
+        corners = lists.astype(np.int64).reshape(len(lists), -1)
+        triangles = [corners[:, [0, k, k + 1]] for k in range(1, corners.shape[1] - 1)]
+        stacked = np.stack(triangles, axis=1).reshape(-1, 3) if triangles else np.empty((0, 3), np.int64)
+    else:
+        cut = [[one[0], one[k], one[k + 1]] for one in lists for k in range(1, len(one) - 1)]
+        stacked = np.array(cut, dtype=np.int64).reshape(-1, 3)
+    if not len(stacked):
+        return None
+    if not 0 <= stacked.min() <= stacked.max() < num_points:
+        raise ValueError(
+            f"element face: expected vertices in [0, {num_points}), got {stacked.min()} to {stacked.max()}"
+        )
+    return torch.from_numpy(stacked)

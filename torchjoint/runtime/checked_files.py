@@ -1,0 +1,38 @@
+"""Files with a checksum, so that a damaged one is noticed: a flipped bit of a number looks like a number."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from torchjoint.runtime.files import atomic_write
+
+_MARK = b"torchjoint checked file 1\n"
+
+
+def write_checked(path: Path, content: bytes) -> None:
+    """Writes a file and the checksum of its content, atomically."""
+    with atomic_write(path) as partial:
+        partial.write_bytes(_MARK + hashlib.sha256(content).hexdigest().encode() + b"\n" + content)
+
+
+def read_checked(path: Path) -> bytes:
+    """Reads what :func:`write_checked` wrote.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: another version of the file, or its content is damaged; the message names it.
+    """
+    data = path.read_bytes()
+    if not data.startswith(_MARK):
+        raise ValueError(f"{path}: of another version of torchjoint, or damaged")
+    checksum, _, content = data[len(_MARK) :].partition(b"\n")
+    if checksum != hashlib.sha256(content).hexdigest().encode():
+        raise ValueError(f"{path}: damaged: its checksum is not that of its content")
+    return content
+
+
+def file_checksum(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

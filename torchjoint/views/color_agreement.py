@@ -1,0 +1,60 @@
+"""Check before step 4: do the colours of the points fit the images better than by chance?
+
+The colours of two sensors differ by their exposure, and noise adds to that. So the residual is compared with the one in
+shifted images: if the poses are right, a shift makes it clearly larger; if they are wrong, it makes no difference.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+#: Shifts in twelve directions, as shares of the image's longer side.
+SHIFTS = [
+    (radius * math.sin(math.pi * step / 6), radius * math.cos(math.pi * step / 6))
+    for step, radius in enumerate((0.05, 0.07, 0.09, 0.11) * 3)
+]
+
+#: Smallest number of points to compare.
+LEAST_POINTS = 30
+
+
+class ColorAgreement(NamedTuple):
+    """Colours of points against those of an image; all NaN if too few points are in view."""
+
+    residual: float = math.nan  #: mean |colour of a point - colour of its pixel|
+    by_chance: float = math.nan  #: the same in shifted images
+    correlation: float = math.nan  #: of both, -1 to 1
+
+
+def color_agreement(colors: Tensor, image: Tensor, row: Tensor, column: Tensor) -> ColorAgreement:
+    """Compares the colours of M visible points with the colours of their pixels.
+
+    Args:
+        colors: [M, 3] RGB in [0, 1].
+        image: [3, H, W] RGB in [0, 1].
+        row: [M] int64.
+        column: [M] int64.
+    """
+    if len(colors) < LEAST_POINTS:
+        return ColorAgreement()
+    height, width = image.shape[1:]
+    seen = image[:, row, column].T
+    shifted = []
+    for down, right in SHIFTS:
+        there = row + round(down * max(height, width)), column + round(right * max(height, width))
+        inside = (there[0] >= 0) & (there[0] < height) & (there[1] >= 0) & (there[1] < width)
+        if int(inside.sum()) >= LEAST_POINTS:
+            pixels = image[:, there[0][inside], there[1][inside]].T
+            shifted.append(float((colors[inside] - pixels).abs().mean()))
+    by_chance = sum(shifted) / len(shifted) if shifted else math.nan
+    return ColorAgreement(float((colors - seen).abs().mean()), by_chance, _correlation(colors.double(), seen.double()))
+
+
+def _correlation(first: Tensor, second: Tensor) -> float:
+    first, second = first - first.mean(0), second - second.mean(0)
+    size = (first.square().sum() * second.square().sum()).sqrt()
+    return float((first * second).sum() / size) if float(size) > torch.finfo(torch.float32).tiny else 0.0
