@@ -262,8 +262,8 @@ class JointSegmenter(nn.Module):
         given = "masks" if frame.masks is not None else "labels" if frame.labels is not None else ""
         if given:
             warnings.warn(
-                f"{given} of frames: method scan segments the points without images, so these {given} have no effect on "
-                "the points; point_segments.method=learned uses them",
+                f"{given} of frames: method scan segments the points without images, so these {given} have no effect "
+                "on the points; point_segments.method=learned uses them",
                 stacklevel=3,
             )
 
