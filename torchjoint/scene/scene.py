@@ -48,7 +48,7 @@ class Scene:
         object.__setattr__(self, "points", points)
         if not (hasattr(self.frames, "__len__") and hasattr(self.frames, "__getitem__")):
             raise TypeError(f"frames: expected a sequence of Frame, got {type(self.frames).__name__}")
-        if isinstance(self.frames, (list, tuple)):  # others are lazy, and not read here
+        if type(self.frames) in (list, tuple):  # others may be lazy, and are not read here
             for index, frame in enumerate(self.frames):
                 if not isinstance(frame, Frame):
                     raise TypeError(f"frames[{index}]: expected a Frame, got {type(frame).__name__}")
