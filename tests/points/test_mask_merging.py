@@ -109,3 +109,17 @@ def test_frames_in_any_order_and_in_parts_give_the_same_labels(scene_of) -> None
     fine, coarse = whole.at(0.8).points, whole.at(0.3).points
     assert len(torch.unique(torch.stack([fine, whole.points]), dim=1).t()) == int(fine.max()) + 1
     assert len(torch.unique(torch.stack([whole.points, coarse]), dim=1).t()) == int(whole.points.max()) + 1
+
+
+def test_a_part_in_its_whole_is_a_finer_level() -> None:
+    points, whole = wall(), torch.ones(1, *SIZE, dtype=torch.bool)
+    pose, image = torch.eye(4, dtype=torch.float64), torch.full((3, *SIZE), 0.5)
+    masks = torch.cat([whole, halves()[:1]])
+    frames = [tj.Frame(image, INTRINSICS, pose, masks=masks, name=str(i)) for i in range(3)]
+    result = tj.JointSegmenter()(tj.Scene(points, frames))
+    assert share_of_one_label(result.points) > 0.97
+    finer = result.at(0.78).points
+    left, right = finer[points[:, 0] < -0.02], finer[points[:, 0] > 0.02]
+    assert share_of_one_label(left) > 0.9
+    assert share_of_one_label(right) > 0.9
+    assert left.mode().values != right.mode().values
