@@ -22,24 +22,17 @@ from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
 from torchjoint.labels.image_labels import label_image
 from torchjoint.labels.joint_ids import separate_private_ids
 from torchjoint.labels.piece_images import PieceImages
-from torchjoint.points.graph import PointGraph, build_edgeless_graph, build_point_graph
+from torchjoint.points.graph import PointGraph
 from torchjoint.points.method import describe, with_method
 from torchjoint.points.orientation import orientation_votes
+from torchjoint.points.prepared_cloud import prepare_cloud
 from torchjoint.points.segments import point_hierarchy, segment_points
-from torchjoint.points.working_cloud import working_cloud
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.ahead import ahead
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
-from torchjoint.scene import Frame, LabelImages, Scene, Segmentation
-from torchjoint.scene.local_cloud import (
-    LocalFrame,
-    composed,
-    merged_points,
-    points_within,
-    warn_of_rounding,
-    without_copies,
-)
+from torchjoint.scene import Frame, Hierarchy, LabelImages, Scene, Segmentation
+from torchjoint.scene.local_cloud import LocalFrame
 from torchjoint.views.observation import Observation
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
 from torchjoint.views.propagation import edge_overlaps
@@ -190,25 +183,8 @@ class JointSegmenter(nn.Module):
         cloud = Scene(points, colors=colors, normals=normals)
         self.stopwatch = Stopwatch()
         with one_thread_per_operation(), self.stopwatch("point graph"):
-            distinct, of_point = without_copies(cloud)
-            self._given, self._definite = distinct.points, with_method(self.config, distinct.points.float())
-            method = self._definite.point_segments.method
-            # A scan's sensor is at the origin, so its coordinates stay.
-            self._local = LocalFrame.of_world() if method == "scan" else LocalFrame.of(distinct.points)
-            local, rounded = without_copies(self._local.cloud(distinct))
-            merged = thinned = None
-            if method != "scan" and self.merge_within > 0:
-                merged = points_within(local.points, self.merge_within)
-                local = merged_points(local, merged, int(merged.max()) + 1)
-            if method == "scan":
-                self._graph = build_edgeless_graph(local)
-            elif method == "learned":
-                local, scales, thinned = working_cloud(local)
-                self._graph = build_point_graph(local, self.config.point_graph, scales)
-            else:
-                self._graph = build_point_graph(local, self.config.point_graph)
-            self._of_point = composed(of_point, rounded, merged, thinned)
-            warn_of_rounding(cloud.points, self._graph.spacing)
+            prepared = prepare_cloud(cloud, self.config, self.merge_within)
+            self._graph, self._local, self._of_point, self._given, self._definite = prepared
             if logger.isEnabledFor(logging.INFO):
                 logger.info(describe(len(cloud.points), self._graph, self._definite))
         self._state = JointState.empty(self._graph.edge_index.shape[1], self._graph.num_points)
@@ -295,19 +271,7 @@ class JointSegmenter(nn.Module):
             raise ValueError(f"frames: none of the {count} images sees a point; wrong poses, axes or units?")
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
-                graph, hierarchy, piece = self._require_graph(), None, None
-                if self._definite.point_segments.method == "learned":
-                    hierarchy = point_hierarchy(graph, state, self._definite)
-                    piece = hierarchy.piece  # of the graph's points
-                    if self._of_point is not None:
-                        hierarchy, number = hierarchy.transferred(self._of_point)
-                        piece = number[piece]
-                    point_labels = hierarchy.segments_of_pieces(hierarchy.default)[piece]
-                    given_points = hierarchy.at()
-                else:
-                    given_points = point_labels = segment_points(graph, state, self._definite)
-                    if self._of_point is not None:
-                        given_points = point_labels[self._of_point]
+                given_points, point_labels, hierarchy, piece = self._segment_points()
             if not images:
                 return Segmentation(given_points, (), seconds=dict(self.stopwatch.seconds), hierarchy=hierarchy)
             sizes = torch.bincount(point_labels)
@@ -333,6 +297,19 @@ class JointSegmenter(nn.Module):
             if hierarchy is None or piece is None
             else PieceImages(labels, state.observations, hierarchy, piece, self.config),
         )
+
+    def _segment_points(self) -> tuple[Tensor, Tensor, Hierarchy | None, Tensor | None]:
+        """Step 6: labels of the given points and of the graph's; if learned, all levels, and pieces of the graph's."""
+        graph, state, of_point = self._require_graph(), self.state, self._of_point
+        if self.method != "learned":
+            labels = segment_points(graph, state, self._definite)
+            return labels if of_point is None else labels[of_point], labels, None, None
+        hierarchy = point_hierarchy(graph, state, self._definite)
+        piece = hierarchy.piece
+        if of_point is not None:
+            hierarchy, number = hierarchy.transferred(of_point)
+            piece = number[piece]
+        return hierarchy.at(), hierarchy.segments_of_pieces(hierarchy.default)[piece], hierarchy, piece
 
     @property
     def state(self) -> JointState:

@@ -1,0 +1,63 @@
+"""Step 3: what a segmenter makes of a given cloud before the first frame: distinct points, centred, and their graph."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+from torchjoint.config import Config
+from torchjoint.points.graph import PointGraph, build_edgeless_graph, build_point_graph
+from torchjoint.points.method import with_method
+from torchjoint.points.working_cloud import working_cloud
+from torchjoint.scene import Scene
+from torchjoint.scene.local_cloud import (
+    LocalFrame,
+    composed,
+    merged_points,
+    points_within,
+    warn_of_rounding,
+    without_copies,
+)
+
+
+class PreparedCloud(NamedTuple):
+    """A cloud that is ready for frames."""
+
+    graph: PointGraph
+    local: LocalFrame  #: of the graph's points
+    of_point: Tensor | None  #: [N] int64, the graph's point of each given point; None = itself
+    given: Tensor  #: [M, 3] the given points without copies
+    definite: Config  #: the config without method auto
+
+
+def prepare_cloud(cloud: Scene, config: Config, merge_within: float) -> PreparedCloud:
+    """Leaves copies out, chooses the method of step 6 if it is auto, centres and thins the cloud, and builds its graph.
+
+    Args:
+        cloud: the given points, with colours and normals if there are any.
+        config: all parameters.
+        merge_within: metres; the points in a cube with this side count as one (not with method scan). 0: only copies.
+
+    Warns:
+        UserWarning: the coordinates are float32 and so large that rounding disturbs the surface.
+    """
+    distinct, of_point = without_copies(cloud)
+    definite = with_method(config, distinct.points.float())
+    method = definite.point_segments.method
+    # A scan's sensor is at the origin, so its coordinates stay.
+    frame = LocalFrame.of_world() if method == "scan" else LocalFrame.of(distinct.points)
+    local, rounded = without_copies(frame.cloud(distinct))
+    merged = thinned = None
+    if method != "scan" and merge_within > 0:
+        merged = points_within(local.points, merge_within)
+        local = merged_points(local, merged, int(merged.max()) + 1)
+    if method == "scan":
+        graph = build_edgeless_graph(local)
+    elif method == "learned":
+        local, scales, thinned = working_cloud(local)
+        graph = build_point_graph(local, config.point_graph, scales)
+    else:
+        graph = build_point_graph(local, config.point_graph)
+    warn_of_rounding(cloud.points, graph.spacing)
+    return PreparedCloud(graph, frame, composed(of_point, rounded, merged, thinned), distinct.points, definite)
