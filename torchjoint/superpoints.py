@@ -84,7 +84,7 @@ def superpoints(
     Example:
         >>> import torch, torchjoint as tj
         >>> floor = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1)) / 10
-        >>> wall = floor[:, [2, 1, 0]] + torch.tensor([-0.1, 0.0, 0.1])
+        >>> wall = floor[:, [2, 1, 0]] + torch.tensor([-0.2, 0.0, 0.1])
         >>> labels = tj.superpoints(torch.cat([floor, wall]), min_size=50)
         >>> labels.unique(return_counts=True)
         (tensor([0, 1]), tensor([400, 400]))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from torchjoint.datasets.bsds import BsdsImage, bsds_images
 from torchjoint.images import forest as forest_file
-from torchjoint.images.forest import NUM_FEATURES, Forest, read_forest, read_text, write_forest
+from torchjoint.images.forest import NUM_FEATURES, Forest, read_forest, write_forest
 from torchjoint.images.structured_forest import padded
 from torchjoint.training import TrainingOptions, TreeOptions, train_boundaries
 from torchjoint.training.channels import image_channels, rgb_to_luv, triangle_filter
@@ -362,7 +362,7 @@ def test_a_file_that_is_too_large_is_not_read_to_its_end(tmp_path, monkeypatch, 
     file = tmp_path / "forest.yml.gz"
     file.write_bytes(gzip.compress(b"%YAML" + bytes(20_000)) if packed else b"%YAML" + bytes(20_000))
     with pytest.raises(ValueError, match=r"forest\.yml\.gz: expected a .* forest, at most 10000 bytes, got more"):
-        read_text(file)
+        read_forest(file)
 
 
 def test_lists_that_are_nested_too_deeply(tmp_path):
