@@ -639,7 +639,7 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
         edges, cost = large_graph(int(100_000 * share))
         return lambda: merge_regions(edges, cost, torch.ones(len(cost), dtype=torch.int64), 0.4, 2)
     if op is mask_merges:
-        edges, cost = large_graph(int(50_000 * share))
+        edges, cost = large_graph(int(10_000 * share))
         rows = torch.stack([torch.arange(len(cost)), torch.arange(len(cost)) % 7, torch.ones(len(cost)).long()])
         weight, frame_of_mask = torch.full((7,), 256), torch.arange(7)
         return lambda: mask_merges(edges, cost, rows[2], rows, rows, weight, frame_of_mask, 0.6, 0.1, 0.5)
@@ -708,7 +708,7 @@ def calls(times):
     gc.collect()
     return resident_memory()
 edges, weight = torch.randint(900, (2, 4000)), torch.rand(4000)
-large = {{op: {{"edge_index": edges, "weight": weight, "num_nodes": 900}} for op in VALID if "weight" in VALID[op]}}
+large = {{op: {{"edge_index": edges, "weight": weight, "num_nodes": 900}} for op in VALID if {{"weight", "num_nodes"}} <= VALID[op].keys()}}
 before = calls(100)
 print(calls({times}) - before)
 """

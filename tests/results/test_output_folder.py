@@ -94,6 +94,7 @@ def test_killed_before_every_step(out, before):
     assert content(out) == NEW
 
 
+@pytest.mark.slow
 def test_killed_again_while_it_finishes(out):
     steps = 0
     while True:
