@@ -274,7 +274,9 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (mask_merges, {"weight": VALUES[:2]}, TypeError, "weight: expected dtype torch.int64, got torch.float32"),
     (mask_merges, {"frame_of_mask": PIXELS}, ValueError, "frame_of_mask: expected shape [M] = [2], got [3]"),
     (mask_merges, {"apart_weight": -1}, ValueError, "apart_weight: expected a number >= 0, got -1"),
-    (mask_merges, {"prior_weight": 0}, ValueError, "prior_weight: expected a number > 0, got 0"),
+    (mask_merges, {"prior_weight": 0}, ValueError, "prior_weight: expected a finite number > 0, got 0"),
+    (mask_merges, {"prior_weight": torch.inf}, ValueError, "prior_weight: expected a finite number > 0, got inf"),
+    (mask_merges, {"apart_weight": torch.inf}, ValueError, "apart_weight: expected a finite number >= 0, got inf"),
     (mask_merges, {"prior_weight": NAN}, ValueError, "prior_weight: expected a number >= 0, got nan"),
     (mask_merges, {"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
     (mask_merges, {"stays": PIXELS}, TypeError, "stays: expected dtype torch.bool, got torch.int64"),
@@ -708,7 +710,8 @@ def calls(times):
     gc.collect()
     return resident_memory()
 edges, weight = torch.randint(900, (2, 4000)), torch.rand(4000)
-large = {{op: {{"edge_index": edges, "weight": weight, "num_nodes": 900}} for op in VALID if {{"weight", "num_nodes"}} <= VALID[op].keys()}}
+graph = {{"edge_index": edges, "weight": weight, "num_nodes": 900}}
+large = {{op: graph for op in VALID if graph.keys() <= VALID[op].keys()}}
 before = calls(100)
 print(calls({times}) - before)
 """

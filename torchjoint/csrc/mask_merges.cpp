@@ -1,5 +1,6 @@
 // Region merging by the agreement of masks: the two regions with the lowest cost merge first. The cost of a boundary
 // is the share of disagreement between masks over all views, with a prior for regions that few views see together.
+#include <cmath>
 #include <functional>
 #include <map>
 #include <queue>
@@ -260,8 +261,8 @@ std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& c
   const Tensor of_masks = checked_array(in_mask, ScalarType::Long, {3, -1}, "in_mask");
   const Tensor of_frames = checked_array(in_frame, ScalarType::Long, {3, -1}, "in_frame");
   check(num_regions <= kMaxCount, "size: expected at most 2^31 - 1 regions, got ", num_regions);
-  check(apart_weight >= 0, "apart_weight: expected a number >= 0, got ", apart_weight);
-  check(prior_weight > 0, "prior_weight: expected a number > 0, got ", prior_weight);
+  check(apart_weight >= 0 && std::isfinite(apart_weight), "apart_weight: expected a finite number >= 0, got ", apart_weight);
+  check(prior_weight > 0 && std::isfinite(prior_weight), "prior_weight: expected a finite number > 0, got ", prior_weight);
   check(threshold >= 0, "threshold: expected a number >= 0, got ", threshold);
   const Tensor staying = checked_array(stays, ScalarType::Bool, {num_regions}, "stays");
   check(min_size >= 0, "min_size: expected a number >= 0, got ", min_size);
