@@ -65,6 +65,8 @@ def changed_tensor(value: torch.Tensor, rng: np.random.Generator, values_only: b
             flat[place] = float(rng.choice(ODD)) if rng.integers(2) else float(rng.normal())
         elif value.dtype == torch.bool:
             flat[place] = not flat[place]
+        elif value.dtype == torch.uint8:
+            flat[place] = int(rng.integers(256))
         else:
             flat[place] = int(rng.integers(-2, 5)) if rng.integers(8) else int(rng.choice([2**31 - 1, -(2**31), 100]))
         return value
