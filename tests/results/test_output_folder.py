@@ -76,6 +76,7 @@ def out(request, tmp_path, monkeypatch):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("before", [{}, OLD])
 def test_killed_before_every_step(out, before):
     """The next run finishes what was begun, and leaves nothing but the result."""
