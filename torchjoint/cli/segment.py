@@ -15,6 +15,7 @@ from torchjoint.datasets import load_scene
 from torchjoint.datasets.files import fingerprint
 from torchjoint.joint import JointSegmenter
 from torchjoint.masks import read_folder
+from torchjoint.masks.folder import check_files
 from torchjoint.results.checkpoint import Checkpoint, run_key
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import STATE, output_folder, own_files
@@ -77,6 +78,9 @@ def segment(
         raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
     if masks is not None and out.resolve() in (masks.resolve(), *masks.resolve().parents):
         raise ValueError(f"-o: {out} is, or holds, the masks; choose another folder")
+    for name, path in (("scene", scene), ("--masks", masks)):
+        if path is not None and not path.exists():
+            raise FileNotFoundError(f"{name}: {path} does not exist")
     source = f"{fingerprint(scene, own_files(out))} {voxel_size}"
     if masks is not None:
         source += f" {fingerprint(masks)} {without_masks}"
@@ -85,6 +89,8 @@ def segment(
         if partial is None:
             print(f"{out}: an earlier run was killed when all was written; its result is in its place now")
             return
+        if masks is not None:
+            check_files(masks)  # first, for fusing a cloud takes long
         loaded = _load(scene, partial, voxel_size)
         if masks is not None:
             loaded = read_folder(masks, loaded, "segment" if without_masks == "segment" else "leave out")
