@@ -6,8 +6,8 @@ For each kind of data and each training seed, a model is trained on all other ki
 that it never saw, at the threshold of .5. Beside it: the model that saw scenes of all kinds, the same without images,
 the presets, and the common methods without learning, each at the best setting that a search finds on other scenes of
 the very kind that it is scored on. Also: the final images beside the initial ones. WORK keeps what is done, so that
-an interrupted run continues. The tables are written to benchmarks/README.md. Without 3D models, the generated scenes
-have built-in shapes only.
+an interrupted run continues. The tables are written to benchmarks/README.md, the short one also to README.md and
+docs/evaluation.md. Without 3D models, the generated scenes have built-in shapes only.
 """
 
 from __future__ import annotations
@@ -56,7 +56,8 @@ LEFT_OUT = {**{kind: (kind,) for kind in (*DOMAINS, "mosd")}, "desk": ("desk", "
 TITLES = {"mosd": "real table-tops (mOSD)", "ycb": "real desk (YCB-Video)"}
 #: As the model in the package was trained, but for fewer folds, which halves the time.
 OPTIONS = BoundaryModelOptions(folds=2)
-README = Path(__file__).parents[1] / "README.md"
+ROOT = Path(__file__).parents[1]
+PAGES = (ROOT / "README.md", ROOT / "docs" / "evaluation.md")
 PRESETS = ("regions", "indoor", "tabletop")
 SIMPLE = ("normals", "distance_normal_color", "ransac_dbscan")
 
@@ -242,7 +243,7 @@ def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> 
 
 
 def write_tables(work: Path, kinds: Sequence[str]) -> None:
-    """Writes the tables of what has been scored so far to benchmarks/README.md."""
+    """Writes the tables of what has been scored so far to benchmarks/README.md and PAGES."""
     packaged = json.loads((work / "packaged.json").read_text())
     short = ["kind of data, scenes", "left out", "default", "preset regions", "best simple method"]
     columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "default"]
@@ -266,7 +267,8 @@ def write_tables(work: Path, kinds: Sequence[str]) -> None:
     report.write_part("domains", report.table(columns, rows))
     chosen = [columns.index(name) for name in ("preset regions", "best simple method")]
     brief = [[row[0], row[1].rpartition(",")[0], row[3], *(row[place] for place in chosen)] for row in rows]
-    report.write_part("domains", report.table(short, brief), README)
+    for page in PAGES:
+        report.write_part("domains", report.table(short, brief), page)
     rows = []
     for kind in kinds:
         if not (work / f"images-{kind}.json").is_file():

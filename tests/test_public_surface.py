@@ -68,6 +68,11 @@ def test_the_command_is_an_entry_point():
     assert command.load() is main
 
 
+def test_the_reference_has_every_public_module():
+    text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    assert set(PUBLIC) - set(re.findall(r"automodule:: (\S+)", text)) == set()
+
+
 def resolved(name):
     """Whether a dotted name is that of a module, or of what can be reached from one by attributes."""
     parts = name.split(".")

@@ -1,4 +1,4 @@
-"""The README says what is true."""
+"""The README, and the documents that it links, say what is true."""
 
 import re
 import subprocess
@@ -14,23 +14,33 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def between(name):
-    return re.search(rf"<!-- {name} -->\n(.*?)<!-- end {name} -->", README, flags=re.DOTALL)[1].strip()
+def between(name, page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    return re.search(rf"<!-- {name} -->\n(.*?)<!-- end {name} -->", text, flags=re.DOTALL)[1].strip()
+
+
+def test_the_readme_is_short():
+    assert len(README.encode()) <= 10_000
+
+
+@pytest.mark.parametrize(("table", "page"), [("domains", "docs/evaluation.md"), ("conventions", "docs/your_data.md")])
+def test_tables_that_stand_twice_are_the_same(table, page):
+    assert between(table, "README.md") == between(table, page)
 
 
 def test_the_table_of_marked_parameters_is_the_code_s():
     """If not: `torchjoint parameters` prints it first."""
-    assert between("marked parameters") == marked_table().strip()
+    assert between("marked parameters", "docs/parameters.md") == marked_table().strip()
 
 
 def test_the_table_of_parameters_is_the_code_s():
     """If not: `torchjoint parameters` prints it."""
-    assert between("parameters") == parameter_table().strip()
+    assert between("parameters", "docs/parameters.md") == parameter_table().strip()
 
 
 def test_the_table_of_superpoint_parameters_is_the_code_s():
     """If not: `torchjoint parameters --superpoints` prints it."""
-    assert between("superpoint parameters") == superpoint_table().strip()
+    assert between("superpoint parameters", "docs/superpoints.md") == superpoint_table().strip()
 
 
 def test_ci_runs_the_test_command():

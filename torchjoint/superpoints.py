@@ -65,7 +65,7 @@ def superpoints(
         viewpoint: optional [3] metres, the position of the sensor; or one per cloud [B, 3], or per point [N, 3].
         preset: "room", "outdoor" or "segmentator", a YAML file, or a config.
         parameters: replace parameters of the preset by name, such as ``scale=2.0``. :class:`SuperpointsConfig` declares
-            them; the README's table and ``torchjoint parameters --superpoints`` give their units and ranges:
+            them; ``torchjoint parameters --superpoints`` gives their units and ranges:
 
             * ``neighbors``, ``reach``: the neighbours of a point in the graph, and how far they must reach.
             * ``normal_neighbors``: the neighbours to which a normal is fitted.

@@ -71,7 +71,11 @@ def test_every_format_has_a_sample():
     assert {samples.format_of(name) for name in samples.FORMATS} == set(tj.datasets.FORMATS)
 
 
-def test_every_format_is_in_the_readme():
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    table = readme.partition("<!-- formats -->")[2].partition("<!-- end formats -->")[0]
-    assert len(table.strip().splitlines()) - 2 == len(tj.datasets.FORMATS)
+def test_every_format_is_in_the_documents():
+    page, readme = (
+        (Path(__file__).parents[2] / name).read_text("utf-8") for name in ("docs/your_data.md", "README.md")
+    )
+    rows = page.partition("<!-- formats -->\n")[2].partition("<!-- end formats -->")[0].strip().splitlines()[2:]
+    assert len(rows) == len(tj.datasets.FORMATS)
+    named = " ".join(readme.partition("## Data")[2].partition("##")[0].split())
+    assert [name for name in (row.split("|")[1].strip() for row in rows) if name not in named] == []

@@ -16,6 +16,7 @@ from torchjoint.benchmark.space import Setting
 from torchjoint.benchmark.vote import vote
 from torchjoint.config import Config, SuperpointsConfig, evidence_config, presets
 from torchjoint.joint import JointSegmenter
+from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.superpoints import superpoints
 
@@ -63,7 +64,8 @@ def initial(case: Case, setting: Setting, images: bool) -> Result:
 
 def scikit_image(case: Case, setting: Setting, images: bool) -> Result:
     """scikit-image's Felzenszwalb-Huttenlocher on each image, voted onto the points."""
-    from skimage.segmentation import felzenszwalb
+    with needed_for("the method of scikit-image", "scikit-image", "torchjoint[benchmark]"):
+        from skimage.segmentation import felzenszwalb
 
     label_images = [
         torch.from_numpy(felzenszwalb(frame.image.permute(1, 2, 0).numpy(), **setting)).long() for frame in case.frames

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.benchmark.vote import fill
+from torchjoint.runtime.extras import needed_for
 
 #: Candidate planes per found plane, and the number of points that vote for the candidates.
 TRIES, SAMPLE = 500, 10_000
@@ -75,7 +76,8 @@ def _largest_plane(points: Tensor, distance: float, random: torch.Generator) -> 
 
 
 def _clusters(points: Tensor, eps: float, min_points: int, first: int) -> Tensor:
-    from sklearn.cluster import DBSCAN
+    with needed_for("clustering by DBSCAN", "scikit-learn", "torchjoint[benchmark]"):
+        from sklearn.cluster import DBSCAN
 
     found = torch.from_numpy(DBSCAN(eps=eps, min_samples=min_points).fit_predict(points.numpy())).long()
     return torch.where(found >= 0, found + first, -1)

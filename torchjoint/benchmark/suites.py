@@ -57,7 +57,7 @@ class Suite:
             ValueError: the suite needs a data folder and `data` is None, or the folder holds no scene for this half.
         """
         if self.needs_data and data is None:
-            raise ValueError(f"--data: suite {self.name} needs the folder of its data; see the README for its layout")
+            raise ValueError(f"--data: suite {self.name} needs the folder of its data; docs/your_data.md has layouts")
         found = (self.tuning if half == "tuning" else self.checking)(data)
         if not found:
             raise ValueError(f"--data: {data} holds too few scenes: none is left for {half}")

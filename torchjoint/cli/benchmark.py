@@ -27,6 +27,7 @@ from torchjoint.evaluation.table import (
     write_csv,
     write_plot,
 )
+from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import write_text
 
 TABLE, SCORES, PICTURE, SETTINGS = "table.md", "scores.csv", "scores.png", "settings.yaml"
@@ -91,7 +92,10 @@ def benchmark(
         return
     kind, chosen = SUITES[suite], _chosen(methods)
     out = out or Path(f"benchmark-{suite}")
-    # Errors in the arguments must be reported before hours of work.
+    # Errors in the arguments, and missing packages, must be reported before hours of work.
+    with needed_for("torchjoint benchmark", "scikit-image and scikit-learn", "torchjoint[benchmark]"):
+        import skimage.segmentation  # noqa: F401
+        import sklearn.cluster  # noqa: F401
     check_output(out, (TABLE, SCORES, PICTURE, SETTINGS), overwrite)
     _check_page(page, suite, len(chosen) == len(METHODS) and half == "checking")
     if tuning is not None and (tuning[0] < 1 or tuning[1] < 0):

@@ -36,7 +36,7 @@ def evaluate(
     Args:
         pred: a folder written by `torchjoint segment`; or point labels, .npy or .txt; or, for a data set, a folder of
             such folders or files, named like the scenes.
-        scene: a scene with ground truth, or a data set of such scenes; the README lists the supported layouts.
+        scene: a scene with ground truth, or a data set of such scenes; docs/your_data.md lists the layouts.
         out: folder for scores.csv and scores.png, and for levels.csv if there are levels.
         voxel_size: metres, for fusing a cloud from depth; used only if PRED does not hold the cloud.
         overwrite: replace files in OUT.

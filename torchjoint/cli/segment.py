@@ -46,7 +46,7 @@ def segment(
     An interrupted run continues when it is started again with the same arguments.
 
     Args:
-        scene: folder of frames; the README lists the supported layouts.
+        scene: folder of frames; docs/your_data.md lists the layouts.
         out: folder for the result: points.ply, points.npz, images/, overview.png, run.yaml; with method learned also
             hierarchy.npz and pieces/.
         parameters: parameters of the method.

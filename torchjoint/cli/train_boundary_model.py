@@ -46,7 +46,7 @@ def train_boundary_model(
     The evidence of each scene is saved in OUT.partial until the model is complete.
 
     Args:
-        scenes: labelled scenes of your own, or data sets of them; the README lists the formats.
+        scenes: labelled scenes of your own, or data sets of them; docs/your_data.md lists the formats.
         out: file for the model, NAME.npz.
         domains: also train on generated scenes of these domains: table, shelf, bin, desk, kitchen, room, workshop.
         seeds: first seed of the generated scenes, and the seed after the last one.

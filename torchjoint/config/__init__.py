@@ -1,6 +1,6 @@
 """Parameters of all steps (1-8): one frozen dataclass per stage, presets in YAML, and tables of all parameters.
 
-Each parameter is declared once (:mod:`torchjoint.config.parameter`). The checks and the README's tables read this
+Each parameter is declared once (:mod:`torchjoint.config.parameter`). The checks and the documents' tables read this
 declaration. An unknown name or a bad value raises an error that names the parameter.
 """
 

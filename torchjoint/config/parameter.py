@@ -39,7 +39,7 @@ def parameter(
         choices: the allowed texts; empty: any text.
         renamed: old names of choices -> new names, for an error message that gives the new name.
         too_low, too_high: what a result looks like where the value is too low or too high. Given for the few parameters
-            that a user turns; the README shows these in a table of their own.
+            that a user turns; the documents show these in a table of their own.
     """
     return field(
         default=default,

@@ -1,4 +1,4 @@
-"""The parameters (all steps) as Markdown tables, as the README shows them."""
+"""The parameters (all steps) as Markdown tables, as the documents show them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def marked_parameters() -> list[str]:
 
 
 def marked_table() -> str:
-    """The parameters that a user turns, and what a bad value looks like, as one Markdown table for the README."""
+    """The parameters that a user turns, and what a bad value looks like, as one Markdown table."""
     lines = [
         "| parameter | default | unit | sensible | too low looks like | too high looks like |",
         "|---|---:|---|---|---|---|",
@@ -34,7 +34,7 @@ def marked_table() -> str:
 
 
 def parameter_table(stage: str | None = None) -> str:
-    """All parameters as Markdown tables, one per stage, as the README shows them; or those of one stage.
+    """All parameters as Markdown tables, one per stage; or those of one stage.
 
     Raises:
         ValueError: an unknown stage, or one that is gone. An old name of a stage is understood.
@@ -59,7 +59,7 @@ def parameter_table(stage: str | None = None) -> str:
 
 
 def superpoint_table() -> str:
-    """All parameters of superpoints and their values in each preset as one Markdown table, as the README shows it."""
+    """All parameters of superpoints and their values in each preset as one Markdown table."""
     configs = {name: SuperpointsConfig.from_preset(name) for name in superpoint_presets()}
     lines = [
         f"| parameter | {' | '.join(f'`{name}`' for name in configs)} | unit | sensible | what it does |",

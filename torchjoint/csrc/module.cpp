@@ -1,6 +1,13 @@
 // An empty Python module: importing torchjoint._C loads the library, whose static initialisers register the operators.
 #include <Python.h>
 
+// libstdc++ reads this variable of glibc >= 2.32 to leave out atomic operations in programs of one thread. With a copy of
+// our own, which says that there are several, the binary loads with older glibc, too (manylinux_2_28, as torch).
+#ifdef __linux__
+extern "C" __attribute__((visibility("hidden"))) char __libc_single_threaded;
+char __libc_single_threaded = 0;
+#endif
+
 extern "C" PyMODINIT_FUNC PyInit__C(void) {
   static struct PyModuleDef module = {
       PyModuleDef_HEAD_INIT, "_C", nullptr, -1, nullptr, nullptr, nullptr, nullptr, nullptr};

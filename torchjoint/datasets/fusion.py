@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from torchjoint.runtime.extras import needed_for
 from torchjoint.scene import Frame
 from torchjoint.scene.camera import camera_center
 
@@ -46,11 +47,13 @@ def fuse_cloud(
         to a file and read back.
 
     Raises:
+        ModuleNotFoundError: Open3D is not installed.
         ValueError: no frame has depth, or the depth gives no surface.
     """
     if not 1e-4 <= voxel_size <= 10:
         raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
-    from open3d import camera, geometry, pipelines
+    with needed_for("fusing a cloud from depth images", "Open3D", "torchjoint[open3d]"):
+        from open3d import camera, geometry, pipelines
 
     origin = _origin(frames, voxel_size)
     volume = pipelines.integration.ScalableTSDFVolume(

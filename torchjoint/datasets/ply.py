@@ -40,13 +40,34 @@ def read_ply(path: Path) -> Ply:
         FileNotFoundError, ValueError: naming the file and its error; sizes in the header are compared with the file's
             size before memory is allocated.
     """
+    elements = _read_elements(path)
+    try:
+        return _assembled(elements)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
+    """An integer property of the vertices, [N]; None if there is none of this name.
+
+    Raises:
+        FileNotFoundError, ValueError: as :func:`read_ply`; or the property is a list, or not of integers.
+    """
+    values = _read_elements(path).get("vertex", {}).get(name)
+    if values is None:
+        return None
+    if values.dtype.kind not in "iu":
+        raise ValueError(f"{path}: property {name}: expected integers, got {values.dtype}")
+    return values.astype(np.int64)
+
+
+def _read_elements(path: Path) -> dict[str, Mapping[str, Array]]:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud, .ply")
     data = path.read_bytes()
     try:
         header = parse_header(data)
-        elements = _read_ascii(data, header) if header.encoding == "ascii" else _read_binary(data, header)
-        return _assembled(header, elements)
+        return _read_ascii(data, header) if header.encoding == "ascii" else _read_binary(data, header)
     except (ValueError, OverflowError) as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -248,7 +269,7 @@ def _converted(values: npt.NDArray[np.float64], kind: str, name: str) -> Array:
     raise ValueError(f"property {name}: expected integers of {dtype.itemsize * 8} bits")
 
 
-def _assembled(header: PlyHeader, elements: Mapping[str, Mapping[str, Array]]) -> Ply:
+def _assembled(elements: Mapping[str, Mapping[str, Array]]) -> Ply:
     vertex = elements.get("vertex", {})
     missing = [name for name in "xyz" if name not in vertex or vertex[name].dtype == object]
     if missing:

@@ -56,9 +56,8 @@ def label_masks(
     of_atom, num_private = _labels_of_atoms(seen, masks, point_labels, num_segments)
     of_pixel = of_atom.to(torch.int32)[masks.atom]
     markers = nearest_labels(seen.visible, point_labels, masks.size)
-    whole = torch.where(
-        of_pixel < num_segments, of_pixel, -1
-    )  # what is named elsewhere spreads; what is alone does not
+    # What is known elsewhere spreads. What is alone in this image does not.
+    whole = torch.where(of_pixel < num_segments, of_pixel, -1)
     colors, outlines, color_weight, _ = path_costs(seen, config)
     markers = torch.where(whole >= 0, whole, markers)
     labels = ops.propagate_labels(markers, colors, outlines, color_weight, OUTLINE_WEIGHT, SPECK)
@@ -103,13 +102,12 @@ def _is_sparse(masks: Masks, mask: Tensor, depth: Tensor) -> Tensor:
     Returns:
         [M] bool; True for masks without points.
     """
-    area = torch.bincount(masks.atom.reshape(-1), minlength=masks.num_atoms)
-    size = torch.zeros(len(masks), dtype=torch.int64).index_add_(0, masks.pairs[1], area[masks.pairs[0]])
+    area = masks.areas().clamp(min=1)
     sparse = torch.ones(len(masks), dtype=torch.bool)
     if not len(mask):
         return sparse
     for weight in (torch.ones(len(mask), dtype=torch.float64), depth.double() ** -2):
-        density = torch.zeros(len(masks), dtype=torch.float64).index_add_(0, mask, weight) / size.clamp(min=1)
+        density = torch.zeros(len(masks), dtype=torch.float64).index_add_(0, mask, weight) / area
         sparse &= density < SPARSE * density[mask].median()  # the density around half of the points is lower
     return sparse
 

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.masks.arrays import as_binary
+from torchjoint.masks.polygon import filled_polygon
 from torchjoint.masks.rle import decode_rle
 
 
@@ -41,8 +42,6 @@ def mask_of(segmentation: Any, size: tuple[int, int] | None, name: str) -> Tenso
 
 def _filled(polygons: Sequence[Any], size: tuple[int, int], name: str) -> Tensor:
     """The pixels whose centres lie in one of the polygons; COCO's coordinates of a pixel's centre end with .5."""
-    from skimage.draw import polygon2mask
-
     mask = np.zeros(size, dtype=bool)
     for polygon in polygons:
         try:
@@ -53,7 +52,7 @@ def _filled(polygons: Sequence[Any], size: tuple[int, int], name: str) -> Tensor
             raise ValueError(
                 f"{name}: expected polygons x, y, x, y, ... of at least 3 finite corners, got {corners.shape} numbers"
             )
-        mask |= polygon2mask(size, corners.reshape(-1, 2)[:, ::-1] - 0.5)
+        mask |= filled_polygon(corners.reshape(-1, 2) - 0.5, size)
     return torch.from_numpy(mask)
 
 

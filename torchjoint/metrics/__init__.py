@@ -33,6 +33,7 @@ from torchjoint.metrics.superpoints import (
     boundary_recall,
     undersegmentation_error,
 )
+from torchjoint.runtime.extras import needed_for
 
 if TYPE_CHECKING:
     from torchjoint.metrics.modules import (
@@ -74,7 +75,8 @@ __all__ = [
 
 def __getattr__(name: str) -> type:
     if name in __all__:  # a class; the functions are already imported
-        from torchjoint.metrics import modules
+        with needed_for(f"tj.metrics.{name}", "torchmetrics", "torchjoint[benchmark]"):
+            from torchjoint.metrics import modules
 
         metric: type = getattr(modules, name)
         return metric

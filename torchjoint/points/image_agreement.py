@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchjoint.points.group_summaries import sum_by
 from torchjoint.points.image_evidence import ImageEvidence
+from torchjoint.runtime.sorted_groups import find, members_of_groups
 from torchjoint.views.propagation import OVERLAP_RESOLUTION
 
 #: An image counts for a region only if it sees at least this many points of the region.
@@ -53,8 +54,8 @@ def image_agreement(images: ImageEvidence, of_piece: Tensor, num_regions: int, p
     fewer = num_rows[pairs[0]] > num_rows[pairs[1]]
     one, other = torch.where(fewer, pairs[1], pairs[0]), torch.where(fewer, pairs[0], pairs[1])
 
-    pair, first = _members(num_rows, one)
-    second, found = _find(row, other[pair] * num_segments + segment[first])
+    pair, first = members_of_groups(num_rows, one)
+    second, found = find(row, other[pair] * num_segments + segment[first])
     pair, first, second = pair[found], first[found], second[found]
     enough = (seen[first] >= MIN_POINTS) & (seen[second] >= MIN_POINTS)
     pair, first, second = pair[enough], first[enough], second[enough]
@@ -63,8 +64,8 @@ def image_agreement(images: ImageEvidence, of_piece: Tensor, num_regions: int, p
     union = both.double() / (seen[first] + seen[second] + size[first] - both)
     best_union = torch.zeros(num_pairs, dtype=torch.float64).scatter_reduce_(0, pair, union, "amax")
 
-    view_pair, view_first = _members(torch.bincount(view // num_frames, minlength=num_regions), one)
-    view_second, found = _find(view, other[view_pair] * num_frames + view[view_first] % num_frames)
+    view_pair, view_first = members_of_groups(torch.bincount(view // num_frames, minlength=num_regions), one)
+    view_second, found = find(view, other[view_pair] * num_frames + view[view_first] % num_frames)
     found = found & (seen_in_view[view_first] >= MIN_POINTS)
     found = torch.nonzero(found).squeeze(1)
     found = found[seen_in_view[view_second[found]] >= MIN_POINTS]
@@ -72,7 +73,7 @@ def image_agreement(images: ImageEvidence, of_piece: Tensor, num_regions: int, p
     product = seen_in_view[view_first] * seen_in_view[view_second]
     # Sorted by pair and frame, because the views of each region are.
     key = view_pair * num_frames + view[view_first] % num_frames
-    in_view, _ = _find(key, pair * num_frames + frame[first])
+    in_view, _ = find(key, pair * num_frames + frame[first])
     common_in_view = sum_by(in_view, common, len(key))
 
     agreement = common_in_view.double() / product
@@ -101,27 +102,3 @@ def image_agreement(images: ImageEvidence, of_piece: Tensor, num_regions: int, p
         ],
         dim=1,
     )
-
-
-def _members(size: Tensor, groups: Tensor) -> tuple[Tensor, Tensor]:
-    """Lists the members of groups, where the members of all groups are numbered consecutively, group by group.
-
-    Args:
-        size: [G] int64, number of members of each group.
-        groups: [B] int64, the groups to list; a group may occur several times.
-
-    Returns:
-        [M] int64, index into `groups`, ascending; and [M] int64, number of the member.
-    """
-    count = size[groups]
-    index = torch.repeat_interleave(torch.arange(len(groups)), count)
-    shift = (size.cumsum(0) - size)[groups] - (count.cumsum(0) - count)
-    return index, torch.arange(len(index)) + shift[index]
-
-
-def _find(ascending: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
-    """Looks up numbers [M] in an ascending list [n]: their places [M] int64, and whether they are in it, [M] bool."""
-    if not len(ascending):
-        return torch.zeros_like(wanted), torch.zeros_like(wanted, dtype=torch.bool)
-    place = torch.searchsorted(ascending, wanted).clamp_(max=len(ascending) - 1)
-    return place, ascending[place] == wanted

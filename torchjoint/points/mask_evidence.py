@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops.mask_merges import WEIGHT_UNIT
+from torchjoint.runtime.sorted_groups import members_of_groups
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Masks
 from torchjoint.views.observation import Observation
@@ -28,7 +29,8 @@ class MaskEvidence(NamedTuple):
 
     def of_regions(self, of_piece: Tensor) -> tuple[Tensor, Tensor]:
         """`in_mask` and `in_frame` of regions instead of pieces; `of_piece` is the region of each piece, [P] int64."""
-        return _added(self.in_mask, of_piece), _added(self.in_frame, of_piece)
+        (piece, mask, in_mask), (seen_piece, frame, in_frame) = self.in_mask, self.in_frame
+        return _added(of_piece[piece], mask, in_mask), _added(of_piece[seen_piece], frame, in_frame)
 
 
 def masks_of_pieces(piece: Tensor, observations: Sequence[Observation]) -> MaskEvidence | None:
@@ -70,19 +72,13 @@ def _count(piece: Tensor, seen: Observation, masks: Masks) -> tuple[Tensor, Tens
     key, count = torch.unique(there * masks.num_atoms + atom, return_counts=True)
     # Each atom counts for all masks in which it lies.
     atoms, mask = masks.pairs[:, torch.argsort(masks.pairs[0], stable=True)]
-    num_masks = torch.bincount(atoms, minlength=masks.num_atoms)
-    times = num_masks[key % masks.num_atoms]
-    row = torch.repeat_interleave(torch.arange(len(key)), times)
-    start = (num_masks.cumsum(0) - num_masks)[key % masks.num_atoms] - (times.cumsum(0) - times)
-    mask = mask[torch.arange(len(row)) + start[row]]
-    rows = torch.stack([key[row] // masks.num_atoms, mask, count[row]])
-    return _added(rows, torch.arange(int(piece.max()) + 1)), in_frame
+    row, member = members_of_groups(torch.bincount(atoms, minlength=masks.num_atoms), key % masks.num_atoms)
+    return _added(key[row] // masks.num_atoms, mask[member], count[row]), in_frame
 
 
-def _added(rows: Tensor, of_piece: Tensor) -> Tensor:
-    """Rows [3, K] of (piece, key, count) with regions instead of pieces; rows of equal region and key are added."""
-    piece, key, count = rows
+def _added(region: Tensor, key: Tensor, count: Tensor) -> Tensor:
+    """The sorted rows [3, K] of (region, key, count), where the counts of equal region and key are added."""
     num_keys = int(key.max()) + 1 if key.numel() else 1
-    pair, inverse = torch.unique(of_piece[piece] * num_keys + key, return_inverse=True)
+    pair, inverse = torch.unique(region * num_keys + key, return_inverse=True)
     total = torch.zeros_like(pair).index_add_(0, inverse, count)
     return torch.stack([pair // num_keys, pair % num_keys, total])

@@ -17,6 +17,7 @@ from torchjoint import ops
 from torchjoint.points.evidence import Evidence
 from torchjoint.points.group_summaries import sum_by
 from torchjoint.points.mask_evidence import MaskEvidence
+from torchjoint.runtime.sorted_groups import find, members_of_groups
 
 # These numbers were chosen on generated rooms, table-tops, shelves and kitchens with perfect, SAM-like and hard masks.
 # None of these scenes serves for scores.
@@ -73,11 +74,9 @@ class MaskLinkage:
         region, mask = region[count >= MIN_POINTS], mask[count >= MIN_POINTS]
         order = torch.argsort(mask, stable=True)
         region, mask = region[order], mask[order]
-        size = torch.bincount(mask, minlength=len(self.masks.weight))
-        times = size[mask]  # each row meets all rows of its mask
-        first = torch.repeat_interleave(torch.arange(len(mask)), times)
-        start = (size.cumsum(0) - size)[mask] - (times.cumsum(0) - times)
-        one, other = region[first], region[torch.arange(len(first)) + start[first]]
+        # Each row meets all rows of its mask.
+        first, second = members_of_groups(torch.bincount(mask, minlength=len(self.masks.weight)), mask)
+        one, other = region[first], region[second]
         key = torch.unique((one * num_regions + other)[one < other])
         return torch.stack([key // num_regions, key % num_regions])
 
@@ -106,11 +105,8 @@ def _share_against(masks: MaskEvidence, in_mask: Tensor, in_frame: Tensor, size:
     """The share of the votes within regions that are against them, mean over the regions with votes, by points."""
     region, mask, count = in_mask
     weight = masks.weight[mask]  # whole numbers: sums in any order are the same
-    num_frames = int(masks.frame_of_mask.max()) + 1 if len(masks.frame_of_mask) else 1
-    view, number = torch.unique(region * num_frames + masks.frame_of_mask[mask], return_inverse=True)
-    seen = _seen_in_view(in_frame, view, num_frames)[number]
     together = sum_by(region, weight * count * count, len(size))
-    total = sum_by(region, weight * count * seen, len(size))
+    total = sum_by(region, weight * count * _seen_with(masks, in_mask, in_frame), len(size))
     has_votes = total > 0
     if not has_votes.any():
         return 0.0
@@ -121,16 +117,15 @@ def _share_against(masks: MaskEvidence, in_mask: Tensor, in_frame: Tensor, size:
 def _best_overlaps(masks: MaskEvidence, in_mask: Tensor, in_frame: Tensor, num_regions: int) -> Tensor:
     """The best overlap (intersection over union) of each region with a mask: [R] float64, 0 without masks."""
     region, mask, count = in_mask
-    num_frames = int(masks.frame_of_mask.max()) + 1 if len(masks.frame_of_mask) else 1
-    view, number = torch.unique(region * num_frames + masks.frame_of_mask[mask], return_inverse=True)
-    seen = _seen_in_view(in_frame, view, num_frames)[number]
     in_whole_mask = sum_by(mask, count, len(masks.weight))[mask]
-    overlap = count.double() / (seen + in_whole_mask - count)
+    overlap = count.double() / (_seen_with(masks, in_mask, in_frame) + in_whole_mask - count)
     return torch.zeros(num_regions, dtype=torch.float64).scatter_reduce_(0, region, overlap, "amax")
 
 
-def _seen_in_view(in_frame: Tensor, view: Tensor, num_frames: int) -> Tensor:
-    """The number of points seen in views, numbers region x num_frames + frame that occur in `in_frame`."""
-    key = in_frame[0] * num_frames + in_frame[1]
-    key, order = key.sort()
-    return in_frame[2][order][torch.searchsorted(key, view)]
+def _seen_with(masks: MaskEvidence, in_mask: Tensor, in_frame: Tensor) -> Tensor:
+    """For each row (region, mask, points): how many points of the region the mask's frame sees."""
+    region, mask, _ = in_mask
+    num_frames = int(masks.frame_of_mask.max()) + 1 if len(masks.frame_of_mask) else 1
+    view, order = (in_frame[0] * num_frames + in_frame[1]).sort()
+    place, _ = find(view, region * num_frames + masks.frame_of_mask[mask])
+    return in_frame[2][order][place]

@@ -20,6 +20,7 @@ from torchjoint.results.oriented_box import level_axes
 from torchjoint.results.overlays import overlay
 from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction, view_from_above
+from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import write_text
 from torchjoint.scene.subset import evenly_spaced_indices
 
@@ -58,7 +59,8 @@ def write_page(path: Path, result: Result, up: Tensor | None = None) -> int:
 
 
 def _figure(result: Result, keep: Tensor, up: npt.NDArray[np.float64]) -> Any:
-    import plotly.graph_objects as go
+    with needed_for("a page to send around", "plotly", "torchjoint[viewer]"):
+        import plotly.graph_objects as go
 
     scene = result.scene
     center, eye = view_from_above(scene, up)

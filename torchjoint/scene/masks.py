@@ -142,12 +142,15 @@ class Masks:
         """[H, W] int64, the mask of each pixel, -1 = none; where masks overlap the smallest counts, then the first."""
         return self.smallest(torch.ones(len(self), dtype=torch.bool))[self.atom]
 
+    def areas(self) -> Tensor:
+        """[M] int64, number of pixels of each mask."""
+        of_atom = torch.bincount(self.atom.reshape(-1), minlength=self.num_atoms)
+        return torch.zeros(len(self), dtype=torch.int64).index_add_(0, self.pairs[1], of_atom[self.pairs[0]])
+
     def smallest(self, wanted: Tensor) -> Tensor:
         """The smallest wanted mask, of [M] bool, around each atom, of equal ones the first: [K] int64, -1 = none."""
-        area = torch.bincount(self.atom.reshape(-1), minlength=self.num_atoms)
+        order = torch.argsort(self.areas(), stable=True)
         atom, mask = self.pairs
-        size = torch.zeros(len(self), dtype=torch.int64).index_add_(0, mask, area[atom])
-        order = torch.argsort(size, stable=True)
         rank = torch.empty_like(order)
         rank[order] = torch.arange(len(order))
         atom, mask = atom[wanted[mask]], mask[wanted[mask]]

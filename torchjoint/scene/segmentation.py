@@ -91,7 +91,7 @@ class Segmentation:
         """
         if self.hierarchy is None:
             raise ValueError(
-                "hierarchy: there is none, because only point_segments.method learned makes one (preset learned); "
+                "hierarchy: there is none, because only point_segments.method learned, the default, makes one; "
                 "other methods have one level"
             )
         of_piece = self.hierarchy.segments_of_pieces(self.hierarchy.height_of(granularity))

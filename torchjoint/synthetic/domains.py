@@ -74,7 +74,7 @@ def make_domain_scene(
 
     Raises:
         ValueError: naming the argument.
-        ImportError: if Open3D, which casts the rays, is not installed.
+        ModuleNotFoundError: embreex, which casts the rays, is not installed.
     """
     settings = _resolved(domain_settings(domain, seed), num_views, num_points)
     base = np.random.SeedSequence([DOMAINS.index(domain), int(seed)], spawn_key=(1,))

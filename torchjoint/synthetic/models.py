@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from torchjoint.runtime.extras import needed_for
 from torchjoint.synthetic.arrays import Array
 from torchjoint.synthetic.materials import Material
 from torchjoint.synthetic.mesh import Part
@@ -29,7 +30,8 @@ def load_parts(
     Returns:
         Parts whose foot is at z = 0, their middle at the origin; None for a file without triangles, or with too many.
     """
-    import open3d as o3d
+    with needed_for("reading models of things", "Open3D", "torchjoint[open3d]"):
+        import open3d as o3d
 
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         model = o3d.io.read_triangle_model(str(path))

@@ -28,7 +28,7 @@ class QuickRenderer(Renderer):
 
     def cast(self, rays: Array) -> tuple[Array, Array, Array, Array]:
         """What [R, 6] rays (origin, direction) hit: instances [R] (-1 nothing), distances, cosines, absorption."""
-        triangle, distance, _ = self._cast(rays)
+        triangle, distance, _ = self._rays.cast(rays)
         seen = np.isfinite(distance)
         normal = np.take(self._face_normals, triangle, axis=0)
         ray = rays[:, 3:]
@@ -36,9 +36,9 @@ class QuickRenderer(Renderer):
         absorbs = self._absorbs[self._world.material_ids[triangle]]
         return np.where(seen, self._world.labels[triangle], -1), distance, facing, absorbs
 
-    def clearance(self, places: Array) -> Array:
-        """Distance of [K, 3] places to the nearest surface, metres."""
-        return np.asarray(self._scene.compute_distance(self._tensor(places.astype(np.float32))).numpy())
+    def clearance(self, place: Array) -> float:
+        """Distance of a place [3] to the nearest surface, metres."""
+        return self._rays.clearance(place)
 
     def view(self, camera_from_world: Array, intrinsics: Array, height: int, width: int) -> View:
         """As that of :class:`~torchjoint.synthetic.render.Renderer`, a little coarser."""
@@ -46,7 +46,7 @@ class QuickRenderer(Renderer):
         eye = (-camera_from_world[:3, :3].T @ camera_from_world[:3, 3]).astype(np.float32)
         grids = [_directions(turn, intrinsics, height, width, shift) for shift in (0.0, -0.5)]
         ray = np.concatenate([grid.reshape(-1, 3) for grid in grids])
-        triangle, depth, place = self._cast(np.concatenate([np.broadcast_to(eye, ray.shape), ray], axis=1))
+        triangle, depth, place = self._rays.cast(np.concatenate([np.broadcast_to(eye, ray.shape), ray], axis=1))
         seen = np.isfinite(depth)
         corners = np.take(self._world.corners, triangle, axis=0)
         u, v = place[:, :1], place[:, 1:]

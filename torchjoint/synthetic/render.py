@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchjoint.synthetic.arrays import Array
+from torchjoint.synthetic.rays import RayCaster
 from torchjoint.synthetic.world import Light, World
 
 #: Offset of shadow rays from the surface, metres: less than the thinnest sheet (1 mm), more than float32 noise (1 um).
@@ -47,15 +48,9 @@ class Renderer:
     """
 
     def __init__(self, world: World, shadows: bool = True) -> None:
-        import open3d as o3d
-
-        self._tensor = o3d.core.Tensor
         self._world = world
         self._shadows = shadows
-        self._scene = o3d.t.geometry.RaycastingScene()
-        vertices = np.ascontiguousarray(world.triangles.reshape(-1, 3))
-        faces = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
-        self._scene.add_triangles(self._tensor(vertices), self._tensor(faces))
+        self._rays = RayCaster(world.triangles)
         edges = world.triangles[:, 1:] - world.triangles[:, :1]
         cross = np.cross(edges[:, 0], edges[:, 1])
         self._face_normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-20)
@@ -90,7 +85,7 @@ class Renderer:
         direction = np.stack([x * turn[0, i] + y * turn[1, i] + turn[2, i] for i in range(3)], axis=-1)
         size = direction.shape[:2]
         direction = direction.reshape(-1, 3)
-        hit = self._cast(np.concatenate([np.broadcast_to(eye, direction.shape), direction], axis=1))
+        hit = self._rays.cast(np.concatenate([np.broadcast_to(eye, direction.shape), direction], axis=1))
         triangle, depth, barycentric = hit
         seen = np.flatnonzero(np.isfinite(depth))
         parity = (np.arange(size[0])[:, None] % 2 * 2 + np.arange(size[1])[None] % 2).reshape(-1)
@@ -112,12 +107,6 @@ class Renderer:
             facing=np.where(valid, facing, np.float32(0)),
             absorbs=np.where(valid, self._absorbs[self._world.material_ids[at]], np.float32(0)),
         )
-
-    def _cast(self, rays: Array) -> tuple[Array, Array, Array]:
-        hit = self._scene.cast_rays(self._tensor(rays))
-        triangle = hit["primitive_ids"].numpy().astype(np.int64)
-        depth, barycentric = hit["t_hit"].numpy(), hit["primitive_uvs"].numpy()
-        return np.where(np.isfinite(depth), triangle, 0), depth, barycentric
 
     def _shade(
         self, eye: Array, direction: Array, depth: Array, triangle: Array, barycentric: Array, parity: Array
@@ -165,7 +154,7 @@ class Renderer:
             lit = np.flatnonzero((strength > 0) & (_dot(flat, unit) > 0))
             free = np.zeros(len(start), dtype=np.float32)
             rays = np.concatenate([start[lit], to_lamp[lit]], axis=1)
-            free[lit] = ~self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=1.0).numpy()
+            free[lit] = ~self._rays.blocked(rays)
             strength = strength * free
         bisector = unit + gaze
         cosine = _dot(bisector, normal) / np.maximum(np.sqrt(_dot(bisector, bisector)), 1e-6)
@@ -180,9 +169,7 @@ class Renderer:
         ray = np.take(four, parity, axis=0) + flat
         side = _dot(ray, flat)
         ray = np.where((side > 0.05)[:, None], ray, flat) * np.float32(_AMBIENT_REACH)
-        blocked = self._scene.test_occlusions(
-            self._tensor(np.concatenate([start, ray], axis=1)), tnear=0.0, tfar=1.0
-        ).numpy()
+        blocked = self._rays.blocked(np.concatenate([start, ray], axis=1))
         return np.asarray(1 - np.float32(0.6) * blocked)
 
     def _albedo(self, material: Array, uv: Array) -> Array:

@@ -85,7 +85,7 @@ class Rig(NamedTuple):
                 out = np.array([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)])
                 target = np.asarray(self.target) + rng.normal(0, 1, 3) * self.spread
                 eye = np.clip(np.asarray(self.target) + out * away, self.low, self.high)
-                if float(renderer.clearance(eye[None])[0]) > _CLEAR:
+                if renderer.clearance(eye) > _CLEAR:
                     break
             poses.append(look_at(eye, target, float(rng.normal(0, 0.04))))
         return poses

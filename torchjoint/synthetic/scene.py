@@ -122,7 +122,7 @@ def make_scene(
 
     Raises:
         ValueError: an argument out of its range (named), or more points than the depth images have.
-        ImportError: Open3D, which casts the rays, is not installed.
+        ModuleNotFoundError: embreex, which casts the rays, is not installed.
     """
     resolved = _resolve(size, num_views, height, width, num_points)
     _check_ranges(seed, pose_error, depth_noise, depth_ripple, depth_holes, image_noise, motion_blur, exposure)

@@ -22,6 +22,7 @@ from torchjoint.points.agglomeration import merge_by_probability, merging_steps
 from torchjoint.points.boundary_features import FEATURE_NAMES, boundary_features
 from torchjoint.points.boundary_model import BoostedTrees, BoundaryModel, calibrated, no_calibration
 from torchjoint.points.evidence import Evidence
+from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Scene
 from torchjoint.training.boundary_examples import (
@@ -74,8 +75,10 @@ def train_boundary_model(
         progress: show progress bars.
 
     Raises:
+        ModuleNotFoundError: scikit-learn is not installed.
         ValueError: fewer than two scenes, or one without true instances.
     """
+    _check_packages()
     options = options or BoundaryModelOptions()
     prepared = [
         labelled_evidence(scene, config) for scene in tqdm(scenes, desc="evidence", unit="scene", disable=not progress)
@@ -99,6 +102,7 @@ def fit_boundary_model(
         report: called after each round.
         progress: show progress bars.
     """
+    _check_packages()
     options = options or BoundaryModelOptions()
     if len(scenes) < 2:
         raise ValueError(f"scenes: expected at least two, got {len(scenes)}")
@@ -143,6 +147,12 @@ def fit_boundary_model(
         if report is not None:
             report(_scores(threshold, probability[known], is_border[known], weight[known]))
     return BoundaryModel(options.thresholds, FEATURE_NAMES, tuple(rounds), tuple(calibrations))
+
+
+def _check_packages() -> None:
+    with needed_for("training a model of boundaries", "scikit-learn", "torchjoint[training]"):
+        import sklearn.ensemble  # noqa: F401
+        import threadpoolctl  # noqa: F401
 
 
 def _merged(

@@ -16,6 +16,7 @@ from torchjoint.results.folder import read_granularity
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction
+from torchjoint.runtime.extras import needed_for
 from torchjoint.viewer.cameras import add_frustum, add_frustums, start, viewpoint
 from torchjoint.viewer.cloud import CloudView
 from torchjoint.viewer.html import HIDE_FIELD, PREFIX, image_html, panel_html, table_html
@@ -54,10 +55,8 @@ class Viewer:
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
-        try:
+        with needed_for("the viewer", "viser", "torchjoint[viewer]"):
             import viser
-        except ModuleNotFoundError as error:
-            raise ModuleNotFoundError("the viewer needs viser: pip install 'torchjoint[viewer]'") from error
         upward = (
             up_direction(result.scene) if up is None else torch.nn.functional.normalize(up.double(), dim=0)
         ).numpy()

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from torchjoint.datasets.clouds import read_cloud_file
+from torchjoint.datasets.ply import read_vertex_property
 from torchjoint.results.result import Result
 from torchjoint.scene import Scene, Segmentation
 
@@ -28,11 +30,8 @@ def read_labelled_cloud(path: Path) -> Result:
     return Result.of(Segmentation(torch.from_numpy(numbered.astype(np.int64)), ()), scene)
 
 
-def _labels(path: Path) -> np.ndarray[tuple[int], np.dtype[np.int64]] | None:
+def _labels(path: Path) -> npt.NDArray[np.int64] | None:
     if path.suffix == ".npz":
         with np.load(path, allow_pickle=False) as arrays:
             return arrays["labels"].astype(np.int64) if "labels" in arrays.files else None
-    from open3d import t
-
-    cloud = t.io.read_point_cloud(str(path))
-    return cloud.point.label.numpy().ravel().astype(np.int64) if "label" in cloud.point else None
+    return read_vertex_property(path, "label") if path.suffix == ".ply" else None

@@ -8,6 +8,7 @@ import numpy as np
 
 from torchjoint.datasets.ply import write_cloud
 from torchjoint.results.result import Result
+from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import atomic_write
 
 
@@ -27,10 +28,8 @@ def export_las(path: Path, result: Result) -> None:
     Raises:
         ModuleNotFoundError: laspy is not installed.
     """
-    try:
+    with needed_for("--format las", "laspy", "torchjoint[export]"):
         import laspy
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("--format las needs laspy: pip install 'torchjoint[export]'") from error
     points = result.scene.points.double().numpy()
     header = laspy.LasHeader(point_format=7 if result.scene.colors is not None else 6, version="1.4")
     header.offsets, header.scales = np.floor(points.min(0)), np.full(3, 1e-4)

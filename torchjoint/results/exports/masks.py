@@ -9,6 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from torchjoint.results.objects import image_views
+from torchjoint.runtime.extras import needed_for
 
 
 class Mask(NamedTuple):
@@ -26,10 +27,8 @@ def masks_of(labels: Tensor) -> Iterator[Mask]:
     Raises:
         ModuleNotFoundError: pycocotools is not installed.
     """
-    try:
+    with needed_for("--format coco or sam", "pycocotools", "torchjoint[export]"):
         from pycocotools import mask as coder
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("--format coco and sam need pycocotools: pip install 'torchjoint[export]'") from error
     ids, place = labels.unique(return_inverse=True)  # few numbers, where ids may be large
     for index, area, box in image_views(place, len(ids)):
         if int(ids[index]) >= 0:

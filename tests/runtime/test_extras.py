@@ -1,0 +1,51 @@
+"""A plain installation: what it lacks is told in one way, and nothing else needs it."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import pytest
+import torch
+
+import torchjoint as tj
+from torchjoint.benchmark.planes import planes_and_clusters
+from torchjoint.datasets.fusion import fuse_cloud
+from torchjoint.results.exports.clouds import export_las
+from torchjoint.results.page import write_page
+from torchjoint.runtime.extras import needed_for
+from torchjoint.synthetic.models import load_parts
+from torchjoint.training.boundary_model import train_boundary_model
+
+#: What each missing module stops, and the extra that brings it.
+MISSING = {
+    "open3d": (lambda path, result: fuse_cloud([]), "Open3D", "open3d"),
+    "open3d.io": (lambda path, result: load_parts(path, None, None), "Open3D", "open3d"),
+    "torchmetrics": (lambda path, result: tj.metrics.ObjectsAndPartsMetric, "torchmetrics", "benchmark"),
+    "sklearn.ensemble": (lambda path, result: train_boundary_model([]), "scikit-learn", "training"),
+    "sklearn.cluster": (lambda path, result: planes_and_clusters(torch.rand(90, 3)), "scikit-learn", "benchmark"),
+    "plotly": (lambda path, result: write_page(path, result), "plotly", "viewer"),
+    "laspy": (lambda path, result: export_las(path, result), "laspy", "export"),
+}
+
+
+@pytest.mark.parametrize("module", MISSING)
+def test_what_is_missing_is_told(module, tmp_path, monkeypatch):
+    use, package, extra = MISSING[module]
+    for name in [name for name in sys.modules if name.startswith((module.split(".")[0], "torchjoint.metrics.modules"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delattr(tj.metrics, "modules", raising=False)
+    monkeypatch.setitem(sys.modules, module.split(".")[0], None)
+    scene = tj.Scene(torch.rand(5, 3))
+    result = tj.Result.of(tj.Segmentation(torch.zeros(5, dtype=torch.int64), ()), scene)
+    message = re.escape(f"needs {package}: pip install 'torchjoint[{extra}]'")
+    with pytest.raises(ModuleNotFoundError, match=message):
+        use(tmp_path / "file", result)
+
+
+def test_a_package_that_does_not_load_is_not_called_missing():
+    with (
+        pytest.raises(ModuleNotFoundError, match=r"fusing needs Open3D, which is installed, but .*: libusb-1.0.so.0"),
+        needed_for("fusing", "Open3D", "torchjoint[open3d]"),
+    ):
+        raise ImportError("libusb-1.0.so.0: cannot open shared object file")
