@@ -12,10 +12,13 @@ from torch import Tensor
 
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.clouds import read_cloud_file
+from torchjoint.datasets.las import SUFFIXES
 from torchjoint.datasets.ply import write_cloud
 from torchjoint.runtime.files import atomic_write
 from torchjoint.scene import Scene
 from torchjoint.superpoints import superpoints as segment
+from torchjoint.tiles import superpoints_of_files
+from torchjoint.tiles.run import is_las
 
 
 def superpoints(
@@ -27,22 +30,42 @@ def superpoints(
     columns: int | None = None,
     picture: bool = True,
     overwrite: bool = False,
+    tile: float | None = None,
+    buffer: float | None = None,
+    workers: int | None = None,
 ) -> None:
-    """Segments a cloud into superpoints.
+    """Segments a cloud into superpoints. LAS and LAZ files may be of any size; docs/tiles.md tells more.
 
     Args:
-        cloud: .ply, .pcd, .npy, .npz, .bin (KITTI), .pcd.bin (nuScenes) or .xyz file. Preset segmentator uses the
-            triangles of a .ply mesh.
+        cloud: .ply, .pcd, .npy, .npz, .bin (KITTI), .pcd.bin (nuScenes), .xyz, .las, .laz or .e57 file, or a folder of
+            .las and .laz files. Preset segmentator uses the triangles of a .ply mesh.
         out: file for the result; default: CLOUD-superpoints.ply in the current folder. A .ply holds the points, a
             colour per superpoint, and a property `label`; a .npy the labels, int64; a .npz the arrays points, labels
-            and colors.
+            and colors. A .las or .laz (only of .las and .laz files; their default) holds all that the cloud's
+            file holds, and a dimension `superpoint`; of a folder, OUT is the folder.
         preset: room, outdoor or segmentator, or a YAML file of your own.
         set: single parameters: --set scale=2 color_weight=0.5; `torchjoint parameters --superpoints` lists them.
         viewpoint: x y z of the sensor, metres; orients the normals outward, so that convex and concave edges differ.
         columns: numbers in a row of a .bin file; default: 4, or 5 for .pcd.bin.
-        picture: write a picture of the cloud and its superpoints next to OUT.
+        picture: write a picture of the cloud and its superpoints next to OUT (not if OUT is .las or .laz).
         overwrite: replace existing files.
+        tile: metres, side of a tile of a .las or .laz; default: as large as 2 million points allow.
+        buffer: metres, rim that a tile shares with its neighbours; default: 40 typical distances of points.
+        workers: processes that segment tiles; default: one for each core.
     """
+    if is_las(cloud) and (out is None or cloud.is_dir() or out.suffix.lower() in SUFFIXES):
+        if viewpoint is not None or columns is not None:
+            raise ValueError(f"{cloud}: --viewpoint and --columns are not for .las and .laz in tiles; write a .ply")
+        out = out or Path(f"{cloud.stem}-superpoints{'' if cloud.is_dir() else '.laz'}")
+        config = SuperpointsConfig.from_preset(preset).set(set)
+        made = superpoints_of_files(
+            cloud, out, tile=tile, buffer=buffer, preset=config, workers=workers, overwrite=overwrite, progress=True
+        )
+        print(f"{made.num_points} points in {made.num_superpoints} superpoints, {made.num_tiles} tiles: {out}")
+        return
+    for name, value in (("--tile", tile), ("--buffer", buffer), ("--workers", workers)):
+        if value is not None:
+            raise ValueError(f"{name}: expected a .las or .laz cloud and result, got {cloud} and {out}")
     out = out or Path(f"{cloud.stem}-superpoints.ply")
     png = out.with_suffix(".png")
     _check_output(out, png if picture else None, overwrite)

@@ -93,10 +93,10 @@ def load_scene(
     """Loads a scene; detects its format. Frames are read from disk on access.
 
     Args:
-        path: a folder or a file; docs/your_data.md lists the formats. A `cloud.ply` in a folder of posed frames is
-            used as the cloud, and depth is then optional; otherwise the format's own cloud is used, or a cloud is fused
-            from the depth images.
-        cloud: a PLY file to use as the cloud; if it does not exist yet, a fused cloud is written there.
+        path: a folder or a file; docs/your_data.md lists the formats. A `cloud.ply` (or .pcd, .las, .laz, .e57) in a
+            folder of posed frames is used as the cloud, and depth is then optional; otherwise the format's own cloud is
+            used, or a cloud is fused from the depth images.
+        cloud: a file to use as the cloud; if it does not exist yet, a fused cloud is written there, as PLY.
         voxel_size: of the fusion, metres; about the distance between fused points.
         progress: show a progress bar while fusing; None: if there is a terminal. A fused cloud is kept in the user's
             cache for the next time (environment variable TORCHJOINT_CACHE: another folder, or empty: nowhere).

@@ -1,4 +1,4 @@
-"""Reads a point cloud alone, without images: .ply, .pcd, .npy, .npz, .xyz, and .bin as of KITTI.
+"""Reads a point cloud alone, without images: .ply, .pcd, .npy, .npz, .xyz, .las, .laz, .e57, and .bin as of KITTI.
 
 The scene has no frames: segmenting it is plain 3D segmentation. `torchjoint.datasets.clouds` says what the files hold.
 """
@@ -11,8 +11,8 @@ from torchjoint.datasets.clouds import read_cloud_file
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
 
-WHAT = "a point cloud alone: .ply, .pcd, .npy, .npz, .xyz, .bin"
-SUFFIXES = (".ply", ".pcd", ".npy", ".npz", ".xyz", ".bin")
+WHAT = "a point cloud alone: .ply, .pcd, .npy, .npz, .xyz, .las, .laz, .e57, .bin"
+SUFFIXES = (".ply", ".pcd", ".npy", ".npz", ".xyz", ".las", ".laz", ".e57", ".bin")
 
 
 def recognizes(path: Path) -> bool:

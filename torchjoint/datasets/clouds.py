@@ -1,4 +1,4 @@
-"""Reads a single point cloud from a file: .ply, .pcd, .npy, .npz, .bin (KITTI), .xyz."""
+"""Reads a single point cloud from a file: .ply, .pcd, .npy, .npz, .bin (KITTI), .xyz, .las, .laz, .e57."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ MOST_COLUMNS = 16
 #: Another number of columns is likelier if the median step between points falls below this share.
 MUCH = 0.25
 
-SUFFIXES = (".ply", ".pcd", ".npy", ".npz", ".bin", ".xyz", ".txt")
+#: What :func:`read_mesh` reads.
+MESHES = (".ply", ".pcd", ".las", ".laz", ".e57")
+SUFFIXES = (*MESHES, ".npy", ".npz", ".bin", ".xyz", ".txt")
 
 
 class CloudFile(NamedTuple):
@@ -38,6 +40,7 @@ def read_cloud_file(path: Path, columns: int | None = None) -> CloudFile:
     """Reads a cloud; the suffix of the file gives its format.
 
     * .ply, .pcd: positions; colours and normals, if any; the triangles of a .ply mesh;
+    * .las, .laz (also COPC), .e57: positions, float64; colours, if any; all scans of an .e57, in its world frame;
     * .npz: array `points` and, if any, arrays `colors`, `normals`, `faces`;
     * .npy, .xyz, .txt: one row per point, x y z first; six columns are x y z and colours (0-255, or 0-1);
     * .pcd.bin: nuScenes' LiDAR scans, rows of 5 float32: x y z intensity ring;
@@ -55,7 +58,7 @@ def read_cloud_file(path: Path, columns: int | None = None) -> CloudFile:
         raise ValueError(f"{path}: expected a file that ends in {', '.join(SUFFIXES)}")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud")
-    if suffix in (".ply", ".pcd"):
+    if suffix in MESHES:
         return CloudFile(*read_mesh(path))
     if columns is not None and (suffix != ".bin" or columns < 3):
         raise ValueError(f"{path}: expected at least 3 columns, and a file that ends in .bin, got {columns} columns")

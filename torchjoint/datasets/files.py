@@ -19,11 +19,15 @@ import torch
 from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
+from torchjoint.datasets import las
+from torchjoint.datasets.e57 import read_e57
 from torchjoint.datasets.pcd import read_pcd
 from torchjoint.datasets.ply import Ply, read_ply
 
 #: Larger images are rejected before they are decoded.
 MAX_PIXELS = 64_000_000
+#: Suffixes of clouds that stand alone: no other file belongs to them.
+ALONE = (".ply", ".npy", ".npz", ".xyz", *las.SUFFIXES, ".e57")
 
 
 def read_image(path: Path) -> Tensor:
@@ -76,7 +80,7 @@ def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
 
 
 def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
-    """Reads a PLY or PCD file.
+    """Reads a PLY, PCD, LAS, LAZ or E57 file.
 
     Returns:
         points [N, 3] float32 or float64, as in the file; colours [N, 3] in [0, 1] or None; normals [N, 3] or None (also
@@ -89,10 +93,15 @@ def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
 
 
 def read_mesh(path: Path) -> Ply:
-    """Reads a PLY or PCD file, with the triangles of a PLY mesh; otherwise as :func:`read_cloud`."""
+    """Reads a file as :func:`read_cloud`, with the triangles of a PLY mesh."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud")
-    if path.suffix.lower() == ".pcd":
+    suffix = path.suffix.lower()
+    if suffix in las.SUFFIXES:
+        mesh = Ply(*las.read_las(path), None, None)
+    elif suffix == ".e57":
+        mesh = Ply(*read_e57(path), None, None)
+    elif suffix == ".pcd":
         pcd = read_pcd(path)
         colors = pcd.colors()
         mesh = Ply(pcd.points(), None if colors is None else colors.float() / 255, pcd.normals(), None)
@@ -137,7 +146,7 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     """
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist")
-    if path.is_file() and path.suffix.lower() in (".ply", ".npy", ".npz", ".xyz"):
+    if path.is_file() and path.suffix.lower() in ALONE:
         status = path.stat()
         return hashlib.sha256(repr((str(path.resolve()), status.st_size, status.st_mtime_ns)).encode()).hexdigest()
     folder = path if path.is_dir() else path.parent

@@ -6,7 +6,7 @@ frame-NNNNNN.pose.txt          4x4, camera-to-world, OpenCV axes
 frame-NNNNNN.depth.png         16-bit, millimetres, registered to colour; 0 and 65535 = unknown (optional)
 frame-NNNNNN.labels.png        8- or 16-bit initial segmentation; 0 = none (optional)
 frame-NNNNNN.truth.png         8- or 16-bit ground-truth instances; 0 = void (optional; all frames or none)
-cloud.ply                      the point cloud (optional: fused from depth if absent)
+cloud.ply                      the point cloud, also .pcd, .las, .laz or .e57 (optional: fused from depth if absent)
 cloud.truth.npy                ground-truth instances of the points, integers [N]; -1 = void (optional)
 """
 

@@ -15,6 +15,9 @@ from torchjoint.datasets.ply import write_cloud
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.camera import camera_center
 
+#: Of a file `cloud` in a recording's folder, the first that exists.
+CLOUD_SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".copc.laz", ".e57")
+
 
 @dataclass(frozen=True)
 class Options:
@@ -42,8 +45,8 @@ def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, cloud
 
 
 def find_cloud(path: Path, options: Options, clouds: Sequence[Path] = ()) -> Path | None:
-    """Returns the first cloud that exists: `options.cloud`, `cloud.ply` in the folder, the format's own `clouds`."""
-    candidates = (options.cloud, path / "cloud.ply", *clouds)
+    """Returns the first cloud that exists: `options.cloud`, `cloud.*` in the folder, the format's own `clouds`."""
+    candidates = (options.cloud, *(path / f"cloud{suffix}" for suffix in CLOUD_SUFFIXES), *clouds)
     return next((file for file in candidates if file is not None and file.is_file()), None)
 
 

@@ -1,0 +1,196 @@
+"""Superpoints of LAS files in tiles: the same as in one piece, as far as can be; files, restarts, errors."""
+
+import laspy
+import numpy as np
+import pytest
+import torch
+
+import torchjoint as tj
+from torchjoint.metrics import segmentation_covering
+from torchjoint.tiles import run as tiles
+from torchjoint.tiles import superpoints_of_files
+from torchjoint.tiles.plan import NARROWEST, plan_tiles
+from torchjoint.tiles.stitching import matching_superpoints, stitched_labels
+from torchjoint.tiles.survey import Survey
+from torchjoint.tiles.tile import TileLabels
+
+#: UTM: float32 keeps half a metre of the northing.
+ORIGIN = np.array([691_000.0, 5_334_000.0, 500.0])
+
+
+def town(num_points, side, seed=0):
+    """A floor with boxes on it, some of which the edges of tiles cross; points in random order."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0, side, (2, num_points))
+    z = np.zeros(num_points)
+    for column in range(int(side // 5)):
+        for row in range(int(side // 5)):
+            inside = (abs(x - 5 * column - 2) < 1.2) & (abs(y - 5 * row - 3) < 1.5)
+            z[inside] = 0.6 + 0.2 * ((column + row) % 3)
+            edge = inside & (rng.random(num_points) < 0.4)  # some of these points stand on the sides
+            x[edge] = 5 * column + 2 + 1.2 * np.where(x[edge] < 5 * column + 2, -1, 1)
+            z[edge] *= rng.random(edge.sum())
+    return np.stack([x, y, z], 1) + rng.normal(0, 0.002, (num_points, 3))
+
+
+def write(path, points, seed=0):
+    """A file with colours, another program's dimension, times, and a coordinate system."""
+    header = laspy.LasHeader(point_format=7, version="1.4")
+    header.offsets, header.scales = ORIGIN, [0.001] * 3
+    header.add_extra_dim(laspy.ExtraBytesParams("quality", np.int16))
+    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr('PROJCS["WGS 84 / UTM zone 32N"]'))
+    cloud, rng = laspy.LasData(header), np.random.default_rng(seed)
+    cloud.xyz = points + ORIGIN
+    cloud.red = cloud.green = cloud.blue = np.full(len(points), 30000, np.uint16)
+    cloud.gps_time, cloud["quality"] = rng.random(len(points)), rng.integers(-9, 9, len(points))
+    cloud.classification = rng.integers(0, 32, len(points))
+    cloud.write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def cloud(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("town") / "town.laz", town(8_000, 12))
+
+
+def labels_of(path):
+    return torch.from_numpy(laspy.read(path)["superpoint"].astype(np.int64))
+
+
+def test_one_tile_is_the_cloud_in_one_piece_and_all_else_stays(cloud, tmp_path):
+    made = superpoints_of_files(cloud, tmp_path / "out.laz")
+    before, after = laspy.read(cloud), laspy.read(tmp_path / "out.laz")
+    expected = tj.superpoints(torch.from_numpy(before.xyz.copy()), torch.full((8_000, 3), 30000 / 65535))
+    assert made == (8_000, int(expected.max()) + 1, 1)
+    assert torch.equal(labels_of(tmp_path / "out.laz"), expected)
+    for name in before.points.array.dtype.names:
+        assert (before.points.array[name] == after.points.array[name]).all(), name
+    assert before.vlrs.get("WktCoordinateSystemVlr")[0].string == after.vlrs.get("WktCoordinateSystemVlr")[0].string
+    assert (after.header.scales == before.header.scales).all()
+    assert (after.header.offsets == before.header.offsets).all()
+    assert [file.name for file in tmp_path.iterdir()] == ["out.laz"]
+
+
+def test_tiles_give_nearly_the_labels_of_one_piece(cloud, tmp_path):
+    made = superpoints_of_files(cloud, tmp_path / "out.las", tile=7, buffer=1, workers=1)
+    assert made.num_tiles >= 4
+    whole = tj.superpoints(torch.from_numpy(laspy.read(cloud).xyz.copy()))
+    labels = labels_of(tmp_path / "out.las")
+    assert segmentation_covering(labels, whole).symmetric > 0.98
+    assert labels.unique().tolist() == list(range(made.num_superpoints))
+    firsts = [int((labels == label).nonzero()[0]) for label in range(made.num_superpoints)]
+    assert firsts == sorted(firsts)  # numbered by their first points
+
+
+def test_a_run_that_dies_goes_on_tile_by_tile(cloud, tmp_path, monkeypatch):
+    made = superpoints_of_files(cloud, tmp_path / "whole.las", tile=7, buffer=1, workers=1)
+    done, segment = [], tiles.segment_tile
+
+    def dies(task):
+        if len(done) == 2:
+            raise KeyboardInterrupt
+        done.append(task.labels.name)
+        return segment(task)
+
+    monkeypatch.setattr(tiles, "segment_tile", dies)
+    with pytest.raises(KeyboardInterrupt):
+        superpoints_of_files(cloud, tmp_path / "out.las", tile=7, buffer=1, workers=1)
+    assert not (tmp_path / "out.las").exists()
+    again = []
+    monkeypatch.setattr(tiles, "segment_tile", lambda task: (again.append(task.labels.name), segment(task)))
+    monkeypatch.setattr(tiles, "survey", None)  # the cloud is not read and cut again
+    superpoints_of_files(cloud, tmp_path / "out.las", tile=7, buffer=1, workers=1)
+    assert sorted(done + again) == sorted({*done, *again})
+    assert len(again) == made.num_tiles - 2
+    assert (tmp_path / "out.las").read_bytes() == (tmp_path / "whole.las").read_bytes()
+
+
+def test_a_folder_of_files_is_one_cloud(tmp_path):
+    points = town(6_000, 10)
+    (tmp_path / "parts").mkdir()
+    write(tmp_path / "parts" / "a.laz", points[:2500])
+    write(tmp_path / "parts" / "b.las", points[2500:])
+    write(tmp_path / "all.las", points)
+    for name, out in (("parts", "out"), ("all.las", "out.las")):
+        superpoints_of_files(tmp_path / name, tmp_path / out, tile=5, buffer=1, workers=1)
+    parts = [labels_of(tmp_path / "out" / name) for name in ("a.laz", "b.las")]
+    assert torch.equal(torch.cat(parts), labels_of(tmp_path / "out.las"))
+
+
+def test_the_command(cloud, tmp_path, run, capsys):
+    run("superpoints", cloud, "-o", tmp_path / "out.laz", "--tile", 7, "--workers", 1, "--set", "scale=2")
+    assert "8000 points in" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match=r"out\.laz: exists already"):
+        run("superpoints", cloud, "-o", tmp_path / "out.laz")
+    with pytest.raises(SystemExit, match="tile: expected at least 4 buffers"):
+        run("superpoints", cloud, "-o", tmp_path / "other.laz", "--tile", 3, "--buffer", 1)
+    with pytest.raises(SystemExit, match="COPC is read, not written"):
+        run("superpoints", cloud, "-o", tmp_path / "other.copc.laz")
+    with pytest.raises(SystemExit, match=r"out\.laz: has a dimension superpoint already"):
+        run("superpoints", tmp_path / "out.laz", "-o", tmp_path / "other.laz")
+    with pytest.raises(SystemExit, match=r"--tile: expected a \.las or \.laz cloud and result"):
+        run("superpoints", cloud, "-o", tmp_path / "out.npy", "--tile", 8)
+    assert {file.name for file in tmp_path.iterdir()} == {"out.laz"}
+
+
+def tile_labels(shared, own=None):
+    """Labels of a tile, from dictionaries of points and their superpoints."""
+    arrays = []
+    for labels in (shared if own is None else own, shared):
+        arrays += [np.array(sorted(labels), np.int64), np.array([labels[point] for point in sorted(labels)], np.int32)]
+    return TileLabels(*arrays)
+
+
+def test_superpoints_match_by_the_majority_of_both():
+    one = tile_labels({0: 0, 1: 0, 2: 0, 3: 1, 4: 1, 5: 1, 6: 2})
+    other = tile_labels({0: 5, 1: 5, 2: 6, 3: 6, 4: 6, 5: 7, 9: 8})
+    # 0 and 5 share 2 of 3 and 2 points; 1 and 6 share 2 of 3 and 3; 2 and 8 have no common point; 7 is less than half
+    assert matching_superpoints(one, other).tolist() == [[0, 5], [1, 6]]
+    # A large superpoint is not united with each of many small ones, nor by one point in a hundred.
+    large, small = tile_labels(dict.fromkeys(range(100), 0)), tile_labels({point: point // 20 for point in range(100)})
+    assert len(matching_superpoints(large, small)) == 0
+    assert len(matching_superpoints(tile_labels({0: 0}), tile_labels({1: 0}))) == 0
+
+
+def test_what_a_tile_sees_in_its_buffer_alone_unites_nothing():
+    """Tile 1 sees points of tile 0 and of tile 2 as one superpoint: that counts only if it has points of its own."""
+    first, middle, last = (dict.fromkeys(points, 0) for points in (range(10), range(5, 15), range(10, 20)))
+    for own, expected in (({}, [[0], [-1], [1]]), ({20: 0}, [[0], [0], [0]])):
+        tiles_labels = [
+            tile_labels(dict.fromkeys(range(5, 10), 0), first),
+            tile_labels(middle, own),
+            tile_labels(dict.fromkeys(range(10, 15), 0), last),
+        ]
+        found = stitched_labels(3, [(0, 1), (1, 2)], tiles_labels.__getitem__)
+        assert [labels.tolist() for labels in found] == expected
+
+
+@pytest.mark.parametrize("size", [None, 20.0])
+def test_tiles_partition_the_plane_and_fit_the_memory(size):
+    counts = np.random.default_rng(0).integers(0, 50, (60, 40)) ** 2 // 20
+    counts[:, 20:25] = 0
+    survey = Survey(int(counts.sum()), np.zeros(3), 1.0, counts, None)
+    plan = plan_tiles(survey, size, 1.0, 3_000)
+    held = np.zeros_like(counts)
+    for number, tile in enumerate(plan.tiles):
+        (x0, y0), (x1, y1) = tile
+        held[x0:x1, y0:y1] += 1
+        assert (plan.of_cell[x0:x1, y0:y1] == number).all()
+        rim = counts[max(x0 - 1, 0) : x1 + 1, max(y0 - 1, 0) : y1 + 1].sum()
+        assert rim <= 3_000 or min(x1 - x0, y1 - y0) < 2 * NARROWEST
+        assert counts[x0:x1, y0:y1].sum() > 0
+    assert ((held == 1) | (counts == 0)).all()
+    for one, other in plan.neighbors(survey):
+        assert one < other
+
+
+@pytest.mark.slow
+def test_processes_and_many_tiles(tmp_path):
+    """25 tiles in one and in two processes: the same bytes, and nearly the labels of one piece."""
+    points = town(120_000, 50)
+    cloud = write(tmp_path / "town.laz", points)
+    superpoints_of_files(cloud, tmp_path / "one.las", tile=10, buffer=1.5, workers=1)
+    superpoints_of_files(cloud, tmp_path / "two.las", tile=10, buffer=1.5, workers=2)
+    assert (tmp_path / "one.las").read_bytes() == (tmp_path / "two.las").read_bytes()
+    whole, labels = tj.superpoints(torch.from_numpy(laspy.read(cloud).xyz.copy())), labels_of(tmp_path / "one.las")
+    assert segmentation_covering(labels, whole).symmetric > 0.98

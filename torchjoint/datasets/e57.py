@@ -1,0 +1,83 @@
+"""Reads E57 files (ASTM E2807) with pye57 and libE57Format: the points of all scans, in the file's world frame.
+
+Scans are moved by their poses. Points that the scanner marks as invalid are left out. Colours are scaled by the limits
+that the file gives, and are there only if every scan has them. The library checks the checksum of each page.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from torchjoint.runtime.archives import FREE, RATIO
+
+_XYZ = ("cartesianX", "cartesianY", "cartesianZ")
+_RGB = ("colorRed", "colorGreen", "colorBlue")
+#: Bytes of a point in memory: six numbers.
+_POINT_SIZE = 48
+
+Array = npt.NDArray[Any]
+
+
+def read_e57(path: Path) -> tuple[Tensor, Tensor | None]:
+    """Reads a whole file.
+
+    Returns:
+        points [N, 3] float64 metres, colours [N, 3] float32 in [0, 1] or None.
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and its error.
+        ModuleNotFoundError: pye57 is not installed.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a point cloud, .e57")
+    try:
+        import pye57
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(".e57 needs pye57: pip install 'torchjoint[e57]'") from error
+    try:
+        # The library takes the file's name as UTF-8.
+        with pye57.E57(str(path)) as file:
+            _check_counts(path, [file.get_header(index).point_count for index in range(file.scan_count)])
+            scans = [_scan(file, index) for index in range(file.scan_count)]
+    except Exception as error:  # the library has errors of its own, of several kinds
+        raise ValueError(f"{path}: not a whole E57 file: {str(error).strip() or type(error).__name__}") from error
+    points = torch.from_numpy(np.concatenate([xyz for xyz, _ in scans]))
+    colors = [rgb for _, rgb in scans if rgb is not None]
+    return points, torch.from_numpy(np.concatenate(colors)) if len(colors) == len(scans) else None
+
+
+def _check_counts(path: Path, counts: list[int]) -> None:
+    if sum(counts) == 0 or min(counts) < 0:
+        raise ValueError(f"expected scans with points, got {counts} points")
+    if sum(counts) * _POINT_SIZE > RATIO * path.stat().st_size + FREE:
+        raise ValueError(f"{sum(counts)} points do not fit into a file of {path.stat().st_size} bytes")
+
+
+def _scan(file: Any, index: int) -> tuple[Array, Array | None]:
+    """Points and colours of a scan; without those that are invalid."""
+    data = file.read_scan(index, colors=True, ignore_missing_fields=True)
+    xyz = np.stack([np.asarray(data[name], np.float64) for name in _XYZ], axis=1)
+    if any(name not in data for name in _RGB):
+        return xyz, None
+    header = file.get_header(index)
+    low, high = (np.array([_limit(header, name, end) for name in _RGB]) for end in ("Minimum", "Maximum"))
+    rgb = np.stack([np.asarray(data[name], np.float64) for name in _RGB], axis=1)
+    if not (high > low).all():
+        low, high = np.zeros(3), np.full(3, 255.0 if rgb.max(initial=0) <= 255 else 65535.0)
+    return xyz, ((rgb - low) / (high - low)).clip(0, 1).astype(np.float32)
+
+
+def _limit(header: Any, name: str, end: str) -> float:
+    """A limit of a colour; 0 if the file has none."""
+    try:
+        value = float(header.node["colorLimits"][f"{name}{end}"].value())
+    except Exception:  # the library's own error: there is no such node
+        return 0.0
+    return value if math.isfinite(value) else 0.0

@@ -1,0 +1,115 @@
+"""Checks the header of a LAS or LAZ file before a library reads it: no size in it may be more than the file holds.
+
+Format: ASPRS LAS 1.4 R15; for LAZ the table of chunks of laszip. laspy and lazrs trust these sizes, and would allocate
+as much memory as a damaged file asks for.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+#: Sizes of the header's fixed part, of the header of a variable length record, and of an extended one, bytes.
+HEADER, RECORD, EXTENDED_RECORD = 227, 54, 60
+#: Set in the point format's number if the points are compressed.
+COMPRESSED = 0x80
+
+
+class LasHeader(NamedTuple):
+    """What the checks need of a header."""
+
+    points_at: int  #: byte of the first point
+    num_records: int  #: variable length records, between header and points
+    record_size: int  #: bytes of a point, not compressed
+    num_points: int
+    is_compressed: bool
+    extended_at: int  #: byte of the first extended record
+    num_extended: int
+
+
+def check_header(path: Path) -> LasHeader:
+    """Reads and checks the header of a file.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: no LAS file, or sizes that do not fit the file; the message names the file.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a point cloud, .las or .laz")
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        try:
+            header = _parse(stream.read(375))
+            _check_records(stream, header, size)
+            if header.is_compressed:
+                _check_chunks(stream, header, size)
+            elif header.num_points * header.record_size > size - header.points_at:
+                raise ValueError(
+                    f"truncated: {header.num_points} points take {header.num_points * header.record_size} bytes, got "
+                    f"{size - header.points_at}"
+                )
+        except (ValueError, struct.error) as error:
+            raise ValueError(f"{path}: not a whole LAS file: {error}") from error
+    return header
+
+
+def _parse(head: bytes) -> LasHeader:
+    if len(head) < HEADER or head[:4] != b"LASF":
+        raise ValueError(f"expected a header of {HEADER} bytes that starts with LASF, got {head[:4]!r}")
+    version = head[24:26]
+    if version[0] != 1 or version[1] > 5:
+        raise ValueError(f"expected version 1.0 to 1.5, got {version[0]}.{version[1]}")
+    header_size, points_at, num_records, kind, record_size, num_points = struct.unpack_from("<HIIBHI", head, 94)
+    extended_at = num_extended = 0
+    if version[1] >= 4:
+        extended_at, num_extended, wide = struct.unpack_from("<QIQ", head, 235)
+        num_points = wide or num_points
+    if header_size < HEADER or points_at < header_size + RECORD * num_records:
+        raise ValueError(f"the points begin at byte {points_at}, inside a header with {num_records} records")
+    if record_size < 20:
+        raise ValueError(f"expected points of at least 20 bytes, got {record_size}")
+    if num_points == 0:
+        raise ValueError("no points")
+    places = struct.unpack_from("<6d", head, 131)
+    if not all(map(math.isfinite, places)) or 0 in places[:3]:
+        raise ValueError(f"expected finite scales other than 0 and finite offsets, got {places}")
+    compressed = bool(kind & COMPRESSED)
+    return LasHeader(points_at, num_records, record_size, num_points, compressed, extended_at, num_extended)
+
+
+def _check_records(stream: BinaryIO, header: LasHeader, size: int) -> None:
+    """Walks over the records before and behind the points."""
+    if header.points_at > size:
+        raise ValueError(f"truncated: the points begin at byte {header.points_at}, got {size} bytes")
+    stream.seek(94)
+    (place,) = struct.unpack("<H", stream.read(2))
+    for _ in range(header.num_records):
+        stream.seek(place + 20)
+        place += RECORD + struct.unpack("<H", stream.read(2))[0]
+        if place > header.points_at:
+            raise ValueError(f"a variable length record ends at byte {place}, behind the first point")
+    place = header.extended_at
+    if header.num_extended * EXTENDED_RECORD > size - place:
+        raise ValueError(f"truncated: {header.num_extended} extended records do not fit behind byte {place}")
+    for _ in range(header.num_extended):
+        stream.seek(place + 20)
+        place += EXTENDED_RECORD + struct.unpack("<Q", stream.read(8))[0]
+        if place > size:
+            raise ValueError(f"truncated: an extended record ends at byte {place}, got {size} bytes")
+
+
+def _check_chunks(stream: BinaryIO, header: LasHeader, size: int) -> None:
+    """The number of chunks: each starts with a point that is not compressed."""
+    stream.seek(header.points_at)
+    (table_at,) = struct.unpack("<q", stream.read(8))
+    if table_at == -1:  # written to a pipe: the place stands at the end
+        stream.seek(size - 8)
+        (table_at,) = struct.unpack("<q", stream.read(8))
+    if not header.points_at < table_at <= size - 8:
+        raise ValueError(f"truncated: expected the table of chunks at byte {table_at}, got {size} bytes")
+    stream.seek(table_at)
+    _, num_chunks = struct.unpack("<II", stream.read(8))
+    if num_chunks * header.record_size > table_at - header.points_at:
+        raise ValueError(f"{num_chunks} chunks do not fit into {table_at - header.points_at} bytes")

@@ -1,0 +1,272 @@
+"""Superpoints of a cloud of any size, in LAS or LAZ files: cut, segment, stitch, write; resumable tile by tile.
+
+All that is not the result is in OUT.tiles beside it: `source.txt` says of which cloud and settings, `points/` has a
+file for each tile that waits, `cut.npz` says that all of these are written, `labels/` has a file for each tile that is
+done. The folder goes when the result is in its place.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from tqdm import tqdm
+
+from torchjoint.config import SuperpointsConfig
+from torchjoint.datasets.files import fingerprint
+from torchjoint.datasets.las import SUFFIXES
+from torchjoint.runtime.archives import read_archive
+from torchjoint.runtime.files import atomic_write, write_text
+from torchjoint.runtime.locks import exclusive_lock
+from torchjoint.tiles.labelled_las import check_dimension, write_labelled
+from torchjoint.tiles.plan import NARROWEST, plan_tiles
+from torchjoint.tiles.spill import point_type, spill_points, tile_file
+from torchjoint.tiles.stitching import stitched_labels
+from torchjoint.tiles.survey import survey
+from torchjoint.tiles.tile import TileTask, read_labels, segment_tile
+
+#: Points of a tile with its buffer: they take about 0.7 GB while they are segmented.
+MOST_POINTS = 2_000_000
+#: The default buffer, in typical distances of neighbouring points.
+BUFFER_SPACINGS = 40
+
+
+class TiledCloud(NamedTuple):
+    """What became of a cloud."""
+
+    num_points: int
+    num_superpoints: int
+    num_tiles: int
+
+
+class _Cut(NamedTuple):
+    """The tiles of a cloud, all of whose points are written."""
+
+    num_points: int
+    num_tiles: int
+    white: int | None
+    neighbors: list[tuple[int, int]]
+
+
+def superpoints_of_files(
+    cloud: str | Path,
+    out: str | Path,
+    *,
+    tile: float | None = None,
+    buffer: float | None = None,
+    preset: str | SuperpointsConfig = "room",
+    workers: int | None = None,
+    overwrite: bool = False,
+    progress: bool | None = None,
+) -> TiledCloud:
+    """Writes LAS or LAZ files with the superpoint of each point, in bounded memory.
+
+    The result has all dimensions, records and the order of the points of the cloud, and a dimension `superpoint`. A
+    cloud that fits in one tile gets the labels of :func:`torchjoint.superpoints`. A larger one gets nearly these: the
+    same wherever a superpoint lies in one tile, and stitched where superpoints cross the edges of tiles. Labels do not
+    depend on the number of workers, the order in which tiles are done, or interruptions.
+
+    Args:
+        cloud: a .las, .laz or .copc.laz file, or a folder of them, which are one cloud.
+        out: the file to write, .las or .laz; for a folder, the folder.
+        tile: metres, the side of a tile; default: as large as 2 million points allow. Tiles with more points than that
+            are halved in any case.
+        buffer: metres, the rim that a tile shares with its neighbours; default: 40 typical distances of points.
+        preset: as of :func:`torchjoint.superpoints`.
+        workers: processes; default: one for each core. Each takes about 0.4 GB, and 0.7 GB for its tile.
+        overwrite: replace an earlier result.
+        progress: show progress bars; None: if there is a terminal.
+
+    Returns:
+        the numbers of points, superpoints and tiles.
+
+    Raises:
+        FileNotFoundError, FileExistsError, ValueError, TypeError: naming the file or argument and what is wrong.
+        ModuleNotFoundError: laspy or lazrs is not installed.
+    """
+    cloud, out = Path(cloud), Path(os.path.abspath(out))
+    config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
+    files = _files(cloud)
+    _check_sizes(tile, buffer)
+    _check_output(cloud, files, out, overwrite)
+    for file in files:
+        check_dimension(file)
+    work = out.with_name(f"{out.name}.tiles")
+    busy = f"{out}: another run is writing this result; wait for it, or choose another output"
+    with exclusive_lock(out.with_name(f".{out.name}.lock"), busy):
+        stats = [fingerprint(file) for file in files]
+        _prepare(work, repr((stats, tile, buffer, config, MOST_POINTS, version("torchjoint"))))
+        cut = _cut(files, work, tile, buffer, progress)
+        _segment(cut, work, config, workers, progress)
+        num_superpoints, labels = _stitch(cut, work)
+        _write(cloud, files, out, work, labels, progress)
+        shutil.rmtree(work)
+    return TiledCloud(cut.num_points, num_superpoints, cut.num_tiles)
+
+
+def is_las(path: Path) -> bool:
+    """Whether a path is a LAS or LAZ file by its name, or a folder that has one."""
+    return path.suffix.lower() in SUFFIXES or (path.is_dir() and bool(_in_folder(path)))
+
+
+def _in_folder(path: Path) -> list[Path]:
+    return sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+
+
+def _files(cloud: Path) -> list[Path]:
+    if not cloud.exists():
+        raise FileNotFoundError(f"{cloud}: missing; expected a .las or .laz file, or a folder of them")
+    if not is_las(cloud):
+        raise ValueError(f"{cloud}: expected a .las or .laz file, or a folder of them")
+    return _in_folder(cloud) if cloud.is_dir() else [cloud]
+
+
+def _check_sizes(tile: float | None, buffer: float | None) -> None:
+    for name, value in (("tile", tile), ("buffer", buffer)):
+        if value is not None and not 0 < value < float("inf"):
+            raise ValueError(f"{name}: expected more than 0 metres, got {value}")
+    if tile is not None and buffer is not None and tile < NARROWEST * buffer:
+        raise ValueError(f"tile: expected at least {NARROWEST} buffers of {buffer} m, got {tile} m")
+
+
+def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool) -> None:
+    if not cloud.is_dir() and out.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"out: expected a file that ends in .las or .laz, got {out}")
+    if out.name.lower().endswith(".copc.laz"):
+        raise ValueError(f"out: COPC is read, not written; expected a name that ends in .laz, got {out}")
+    if not out.parent.is_dir():
+        raise FileNotFoundError(f"out: {out.parent} is no folder")
+    if out.exists() and out.samefile(cloud):
+        raise ValueError(f"out: {out} is the cloud itself; choose another name")
+    if out.is_symlink() or (out.exists() and out.is_dir() != cloud.is_dir()):
+        raise FileExistsError(f"{out}: is in the way; choose another name")
+    if out.exists() and not overwrite:
+        raise FileExistsError(f"{out}: exists already; choose another name, or --overwrite")
+    if out.is_dir() and (others := {path.name for path in out.iterdir()} - {file.name for file in files}):
+        raise FileExistsError(f"{out}: is no earlier result, and will not be replaced: it has {min(others)}")
+
+
+def _prepare(work: Path, source: str) -> None:
+    """Makes the working folder, or takes that of an earlier run with the same source."""
+    file = work / "source.txt"
+    if work.exists() and (not work.is_dir() or (any(work.iterdir()) and not file.is_file())):
+        raise FileExistsError(f"{work}: is in the way and not of an earlier run; move it, or choose another output")
+    if file.is_file() and file.read_text(encoding="utf-8") != source:
+        shutil.rmtree(work)
+    work.mkdir(exist_ok=True)
+    write_text(file, source)
+
+
+def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | None, progress: bool | None) -> _Cut:
+    """Writes the points of all tiles, unless an earlier run has."""
+    marker, folder = work / "cut.npz", work / "points"
+    if not marker.is_file():
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        found = survey(files, tile)
+        width = BUFFER_SPACINGS * found.spacing() if buffer is None else buffer
+        if tile is not None and buffer is None:
+            width = min(width, tile / NARROWEST)
+        plan = plan_tiles(found, tile, width, MOST_POINTS)
+        _check_disk(work, found.num_points, found.white is not None)
+        with tqdm(total=found.num_points, desc="cut", unit="points", unit_scale=True, disable=_hidden(progress)) as bar:
+            spill_points(files, found, plan, folder, bar.update)
+        with atomic_write(marker) as partial:
+            np.savez(
+                partial,
+                sizes=np.array([found.num_points, len(plan.tiles), found.white or 0]),
+                neighbors=np.array(plan.neighbors(found), np.int64).reshape(-1, 2),
+            )
+    arrays = read_archive(marker)
+    num_points, num_tiles, white = arrays["sizes"].tolist()
+    return _Cut(num_points, num_tiles, white or None, [(one, other) for one, other in arrays["neighbors"].tolist()])
+
+
+def _check_disk(work: Path, num_points: int, colored: bool) -> None:
+    """The copies of the points and their labels; buffers add a third at most, unless tiles are very narrow."""
+    needed, free = int(num_points * (point_type(colored).itemsize * 1.3 + 16)), shutil.disk_usage(work).free
+    if needed > free:
+        raise ValueError(f"out: expected about {needed / 1e9:.1f} GB free in {work.parent}, got {free / 1e9:.1f} GB")
+
+
+def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, workers: int | None, progress: bool | None) -> None:
+    """Segments the tiles that no earlier run has done, several at a time."""
+    import joblib
+
+    folder = work / "labels"
+    folder.mkdir(exist_ok=True)
+    tasks = [
+        TileTask(tile_file(work / "points", number), _labels_file(work, number), cut.white, config)
+        for number in range(cut.num_tiles)
+        if not _labels_file(work, number).is_file()
+    ]
+    count = min(joblib.cpu_count() if workers is None else workers, len(tasks))
+    with tqdm(total=cut.num_tiles, desc="segment", unit="tile", disable=_hidden(progress)) as bar:
+        bar.update(cut.num_tiles - len(tasks))
+        if count <= 1:
+            for task in tasks:
+                segment_tile(task)
+                bar.update()
+            return
+        with joblib.parallel_config(backend="loky", n_jobs=count, inner_max_num_threads=1):
+            done = joblib.Parallel(return_as="generator_unordered", batch_size=1)(
+                joblib.delayed(segment_tile)(task) for task in tasks
+            )
+            for _ in done:
+                bar.update()
+
+
+def _stitch(cut: _Cut, work: Path) -> tuple[int, npt.NDArray[np.unsignedinteger]]:
+    """The number of superpoints, and the label of each point, mapped from disk."""
+    try:
+        of_tiles = stitched_labels(cut.num_tiles, cut.neighbors, lambda tile: read_labels(_labels_file(work, tile)))
+        count = 1 + max(int(labels.max(initial=-1)) for labels in of_tiles)
+        path, dtype = work / "labels.npy", np.dtype(np.uint32 if count <= 1 << 32 else np.uint64)
+        labels = np.lib.format.open_memmap(path, "w+", dtype, (cut.num_points,))
+        for number, table in enumerate(of_tiles):
+            one = read_labels(_labels_file(work, number))
+            labels[one.own] = table[one.own_label]
+    except ValueError as error:
+        raise ValueError(f"{error}; remove {work} and start again") from error
+    del labels
+    return count, np.load(path, mmap_mode="r")
+
+
+def _write(
+    cloud: Path,
+    files: Sequence[Path],
+    out: Path,
+    work: Path,
+    labels: npt.NDArray[np.unsignedinteger],
+    progress: bool | None,
+) -> None:
+    """Writes the files anew with their labels, and puts them in their place at once."""
+    made = work / "result"
+    shutil.rmtree(made, ignore_errors=True)
+    made.mkdir()
+    first = 0
+    with tqdm(total=len(labels), desc="write", unit="points", unit_scale=True, disable=_hidden(progress)) as bar:
+        for file in files:
+            name = file.name if cloud.is_dir() else out.name
+            first += write_labelled(file, made / name, labels[first:], bar.update)
+    if not cloud.is_dir():
+        os.replace(made / out.name, out)
+        return
+    if out.exists():
+        shutil.rmtree(out)
+    os.replace(made, out)
+
+
+def _labels_file(work: Path, number: int) -> Path:
+    return work / "labels" / f"{number:06d}.npz"
+
+
+def _hidden(progress: bool | None) -> bool | None:
+    """Tqdm's `disable`: None hides the bar if there is no terminal."""
+    return None if progress is None else not progress

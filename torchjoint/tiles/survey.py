@@ -1,0 +1,117 @@
+"""First look at a cloud: where its points are, counted in cells of a grid, and which colours it has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from torchjoint.datasets.las import LasPoints, las_points, open_las, white_of
+
+#: Mean number of points in a cell, and most cells: fine enough to cut tiles along cells, and small in memory.
+POINTS, MOST_CELLS = 100, 4_000_000
+
+
+class Survey(NamedTuple):
+    """What is known of a cloud before it is cut."""
+
+    num_points: int
+    origin: npt.NDArray[np.float64]  #: [3] metres, the lower corner of the grid, and the lowest height
+    side: float  #: of a cell, metres
+    counts: npt.NDArray[np.int64]  #: [columns, rows] points in each cell
+    white: int | None  #: the colour's value of full brightness; None: there are no colours
+
+    def cells(self, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+        """The column and row [n, 2] of the cell of each place [n, 2]; of the nearest cell if it is outside."""
+        cell = np.floor((xy - self.origin[:2]) / self.side)
+        return cell.clip(0, np.array(self.counts.shape) - 1).astype(np.int64)
+
+    def spacing(self) -> float:
+        """The typical distance of neighbouring points, metres: from the density of half of the occupied cells."""
+        return self.side / float(np.median(self.counts[self.counts > 0])) ** 0.5
+
+
+def read_points(files: Sequence[Path]) -> Iterator[tuple[int, LasPoints]]:
+    """The points of all files in their order, in parts, with the number of the first point of each part.
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and its error.
+    """
+    first = 0
+    for path in files:
+        with open_las(path) as reader:
+            for points in las_points(reader, path):
+                if not np.isfinite(points.xyz).all():
+                    raise ValueError(f"{path}: coordinates that are NaN or infinite")
+                yield first, points
+                first += len(points.xyz)
+
+
+def survey(files: Sequence[Path], align: float | None = None) -> Survey:
+    """Counts the points of a cloud by cells.
+
+    The headers say where the points are. If they were wrong by much, the points are counted once more.
+
+    Args:
+        files: of the cloud.
+        align: metres; the grid starts at a multiple of it, and it is a multiple of the cells' side.
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and its error.
+    """
+    num_points, low, high = _bounds(files)
+    for _ in range(2):
+        grid = _grid(num_points, low, high, align)
+        counted, true_low, true_high = _count(files, grid)
+        if np.prod(true_high[:2] - true_low[:2] + grid.side) > 0.25 * np.prod(grid.counts.shape) * grid.side**2:
+            break
+        low, high = true_low, true_high
+    return counted._replace(origin=np.array([*counted.origin[:2], math.floor(true_low[2])]))
+
+
+def _bounds(files: Sequence[Path]) -> tuple[int, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """The number of points, and the box [3], [3] in which they are according to the headers."""
+    lows, highs, num_points = [], [], 0
+    for path in files:
+        with open_las(path) as reader:
+            lows.append(reader.header.mins)
+            highs.append(reader.header.maxs)
+            num_points += reader.header.point_count
+    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+    if not (np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()):
+        low, high = np.zeros(3), np.zeros(3)  # counted in one cell, and then again
+    return num_points, low, high
+
+
+def _grid(num_points: int, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64], align: float | None) -> Survey:
+    """An empty grid."""
+    extent = np.maximum(high - low, 1e-3)[:2]
+    cells = min(max(num_points / POINTS, 1), MOST_CELLS)
+    side = max(float(extent.prod() / cells) ** 0.5, float(extent.max()) / cells, 1e-3)
+    step = side
+    if align is not None:
+        side = align / max(1, math.floor(align / side))
+        step = align
+    origin = np.floor(low[:2] / step) * step
+    shape = np.floor((high[:2] - origin) / side).astype(np.int64) + 1
+    return Survey(0, np.array([*origin, low[2]]), side, np.zeros(tuple(shape), np.int64), None)
+
+
+def _count(files: Sequence[Path], grid: Survey) -> tuple[Survey, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """The grid with the number of points in each cell, and the box in which they really are."""
+    counts, num_points, largest = np.zeros(grid.counts.size, np.int64), 0, 0
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    colored = True
+    for _, (xyz, rgb) in read_points(files):
+        cell = grid.cells(xyz[:, :2])
+        counts += np.bincount(cell[:, 0] * grid.counts.shape[1] + cell[:, 1], minlength=len(counts))
+        low, high = np.minimum(low, xyz.min(0)), np.maximum(high, xyz.max(0))
+        num_points += len(xyz)
+        colored &= rgb is not None
+        largest = max(largest, 0 if rgb is None else int(rgb.max()))
+    white = white_of(largest) if colored else None
+    return grid._replace(num_points=num_points, counts=counts.reshape(grid.counts.shape), white=white), low, high
