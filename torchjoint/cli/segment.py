@@ -21,6 +21,7 @@ from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import STATE, output_folder, own_files
 from torchjoint.runtime.checked_files import file_checksum
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.memory import as_bytes
 from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
 from torchjoint.scene.thinning import voxel_subsample
@@ -40,6 +41,7 @@ def segment(
     granularity: float | None = None,
     masks: Path | None = None,
     without_masks: Literal["segment", "leave-out"] = "segment",
+    memory: str | None = None,
     show: bool = False,
 ) -> None:
     """Segments a recording: a folder of posed frames, with or without a point cloud.
@@ -62,10 +64,13 @@ def segment(
         masks: masks of a network: a folder with NAME.png (labels, 0 = none), NAME.npz, NAME.json (SAM) or a folder NAME
             of binary PNGs for each frame NAME; or a COCO file. docs/masks.md shows how to make them.
         without_masks: what becomes of frames without masks: they are segmented without masks, or left out.
+        memory: how much of the frames stays in memory, such as 2GB; the rest goes to the disk of OUT. It does not
+            change the labels. Default: a quarter of the memory of the machine or container.
         show: show the result in the browser, as `torchjoint show` does.
     """
     config = parameters.config()
     check_max_frames(max_frames)
+    as_bytes(memory, "--memory")
     if thin is not None and not thin > 0:
         raise ValueError(f"--thin: expected more than 0 metres, got {thin}")
     if granularity is not None:
@@ -102,7 +107,7 @@ def segment(
             loaded = loaded.select_points(voxel_subsample(loaded.points, thin))
         checkpoint = Checkpoint(partial / STATE / "frames", key)
         with printed_log():
-            segmenter = JointSegmenter(config, merge_within=merge_within)
+            segmenter = JointSegmenter(config, merge_within=merge_within, memory=memory, spill=partial / STATE)
             result = segmenter(loaded, progress=True, checkpoint=checkpoint)
         if granularity is not None:
             result = result.at(granularity)
