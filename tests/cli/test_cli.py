@@ -196,7 +196,7 @@ def test_show_of_something_else(run, tmp_path):
 
 def test_demo(monkeypatch, tmp_path, capsys, run):
     small = tj.synthetic.make_scene
-    monkeypatch.setattr("torchjoint.synthetic.make_scene", lambda seed, size: small(seed=seed, size="small"))
+    monkeypatch.setattr("torchjoint.synthetic.make_scene", lambda seed, **_: small(seed=seed, size="small"))
     run("demo", "-o", tmp_path / "demo", *SMALL)
     assert (tmp_path / "demo" / "overview.png").is_file()
     assert "against the truth, in 3D: covering 0." in capsys.readouterr().out
