@@ -9,7 +9,6 @@ the contents of OUT are moved one by one.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 from collections.abc import Iterator
@@ -18,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.locks import lock
 
 #: Files in a partial folder: the source of its content; that it is complete; that also the old result has moved.
 SOURCE, COMPLETE, PLACING = "source.txt", "complete.txt", "placing.txt"
@@ -96,7 +96,7 @@ def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = Fa
         raise FileExistsError(f"{out}: exists and is not a folder; choose another name for the output")
     out.parent.mkdir(parents=True, exist_ok=True)
     places = _Places.of(out)
-    with _locked(places):
+    with lock(places.lock, f"{out}: another run is writing this result; wait for it, or choose another output"):
         finished = _finish_earlier(places, overwrite)
         if key and finished == key:
             yield None
@@ -124,32 +124,6 @@ def _prepare(partial: Path, source: str) -> None:
         _remove(partial, SOURCE)
     partial.mkdir(parents=True, exist_ok=True)
     write_text(source_file, source)
-
-
-@contextmanager
-def _locked(places: _Places) -> Iterator[None]:
-    """Holds the lock of a result; the system releases it when a process ends, however it ends."""
-    while True:
-        descriptor = os.open(places.lock, os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            os.close(descriptor)
-            raise FileExistsError(
-                f"{places.out}: another run is writing this result; wait for it, or choose another output"
-            ) from error
-        try:
-            current = os.stat(places.lock).st_ino
-        except FileNotFoundError:
-            current = None
-        if current == os.fstat(descriptor).st_ino:
-            break
-        os.close(descriptor)  # the run that held the lock has removed its file meanwhile
-    try:
-        yield
-    finally:
-        places.lock.unlink(missing_ok=True)
-        os.close(descriptor)
 
 
 def _finish_earlier(places: _Places, overwrite: bool) -> str | None:
