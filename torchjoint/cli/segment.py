@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Literal
 
@@ -11,6 +12,7 @@ from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
 from torchjoint.cli.show import show_result
+from torchjoint.engine import open_engine
 from torchjoint.recordings import RecordingOptions, segment_recording
 
 
@@ -27,6 +29,8 @@ def segment(
     granularity: float | None = None,
     masks: Path | None = None,
     without_masks: Literal["segment", "leave-out"] = "segment",
+    engine: str | None = None,
+    threads: int = 1,
     show: bool = False,
 ) -> None:
     """Segments a recording: a folder of posed frames, with or without a point cloud.
@@ -49,13 +53,24 @@ def segment(
         masks: masks of a network: a folder with NAME.png (labels, 0 = none), NAME.npz, NAME.json (SAM) or a folder NAME
             of binary PNGs for each frame NAME; or a COCO file. docs/masks.md shows how to make them.
         without_masks: what becomes of frames without masks: they are segmented without masks, or left out.
+        engine: workers for the frames of a long recording: loky, dask or ray on this machine (loky:4: with 4 workers),
+            dask://HOST:PORT or ray://HOST:PORT for a cluster; the labels are those without it.
+        threads: threads of each of these workers.
         show: show the result in the browser, as `torchjoint show` does.
     """
     config = parameters.config()
     options = RecordingOptions(voxel_size, max_frames, in_view, thin, merge_within, granularity)
-    with printed_log():
+    with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:
         segmented = segment_recording(
-            scene, out, config, options, masks=masks, without_masks=without_masks, overwrite=overwrite, progress=True
+            scene,
+            out,
+            config,
+            options,
+            masks=masks,
+            without_masks=without_masks,
+            overwrite=overwrite,
+            engine=workers,
+            progress=True,
         )
     if segmented is None:
         print(f"{out}: an earlier run was killed when all was written; its result is in its place now")

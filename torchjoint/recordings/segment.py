@@ -8,8 +8,10 @@ from typing import Literal, NamedTuple
 from torchjoint.config import Config
 from torchjoint.datasets import load_scene
 from torchjoint.datasets.files import fingerprint
+from torchjoint.engine import Engine
 from torchjoint.joint import JointSegmenter
 from torchjoint.masks import read_folder
+from torchjoint.recordings.frame_chunks import segment_over
 from torchjoint.recordings.options import RecordingOptions
 from torchjoint.results.checkpoint import Checkpoint, run_key
 from torchjoint.results.folder import write_result
@@ -36,6 +38,7 @@ def segment_recording(
     masks: Path | None = None,
     without_masks: Literal["segment", "leave-out"] = "segment",
     overwrite: bool = False,
+    engine: Engine | None = None,
     progress: bool = False,
 ) -> Segmented | None:
     """Segments a recording and writes its result folder, as a whole or not at all.
@@ -48,6 +51,7 @@ def segment_recording(
         masks: masks of a network, see :func:`torchjoint.masks.read_folder`.
         without_masks: what becomes of frames without masks.
         overwrite: replace an earlier result.
+        engine: workers for the frames; None: this process. The labels are the same.
         progress: show progress bars.
 
     Returns:
@@ -75,7 +79,10 @@ def segment_recording(
         scene = options.cut_down(scene)
         checkpoint = Checkpoint(partial / STATE / "frames", key)
         segmenter = JointSegmenter(config, merge_within=options.merge_within)
-        result = segmenter(scene, progress=progress, checkpoint=checkpoint)
+        if engine is None:
+            result = segmenter(scene, progress=progress, checkpoint=checkpoint)
+        else:
+            result = segment_over(engine, segmenter, scene, progress=progress, checkpoint=checkpoint)
         if level is not None:
             result = result.at(level)
         write_result(partial, scene, result, config, str(path), 0.5 if level is None else level)
