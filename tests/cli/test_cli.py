@@ -217,10 +217,10 @@ def test_an_error_that_is_no_one_s_fault_is_one_line(recording, run, tmp_path, m
         def fail(*_, error=error, **__):
             raise error
 
-        monkeypatch.setattr("torchjoint.cli.segment.load_scene", fail)
+        monkeypatch.setattr("torchjoint.recordings.segment.load_scene", fail)
         with pytest.raises(SystemExit, match=message):
             run("segment", recording, "-o", tmp_path / "out", *SMALL)
-    monkeypatch.setattr("torchjoint.cli.segment.load_scene", lambda *_, **__: torch.zeros(2) @ torch.zeros(3))
+    monkeypatch.setattr("torchjoint.recordings.segment.load_scene", lambda *_, **__: torch.zeros(2) @ torch.zeros(3))
     with pytest.raises(RuntimeError, match="inconsistent tensor size"):
         run("segment", recording, "-o", tmp_path / "out", *SMALL)
     assert list(tmp_path.iterdir()) == []
@@ -233,7 +233,7 @@ def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("torchjoint.cli.segment.write_result", full)
+    monkeypatch.setattr("torchjoint.recordings.segment.write_result", full)
     with pytest.raises(SystemExit, match="error: the disk is full; make room and start again"):
         run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
     monkeypatch.undo()
