@@ -238,7 +238,7 @@ def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
         run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
     monkeypatch.undo()
     added = []
-    monkeypatch.setattr(tj.JointSegmenter, "_add", lambda self, frames: added.append(frames))
+    monkeypatch.setattr(tj.JointSegmenter, "add", lambda self, frames: added.append(frames))
     run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
     assert added == []
     for file in ("points.npz", "hierarchy.npz", "points.ply", "overview.png"):
