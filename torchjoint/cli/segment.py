@@ -32,6 +32,8 @@ def segment(
     parameters: Flat = DEFAULTS,
     overwrite: bool = False,
     voxel_size: float = 0.02,
+    topics: tuple[str, ...] = (),
+    time_limit: float = 0.02,
     max_frames: int | None = None,
     in_view: bool = False,
     thin: float | None = None,
@@ -52,6 +54,9 @@ def segment(
         parameters: parameters of the method.
         overwrite: replace OUT if it is an earlier result.
         voxel_size: metres, for fusing a cloud from depth if the recording has no cloud.
+        topics: of a ROS recording, where several would do: --topics color=/front/image_raw; also info, depth, points,
+            odometry.
+        time_limit: of a ROS recording: seconds between an image and its depth, and its pose, at most.
         max_frames: number of frames to use, evenly spread over the recording.
         thin: keep one point per voxel of this size, metres; for clouds that are denser than their noise, or too large.
         merge_within: metres; the points in a cube with this side count as one point, and all get its label.
