@@ -5,8 +5,8 @@
     python benchmarks/install_matrix.py dist/*.whl --state matrix.json --page docs/installation.md \
         --python python3.11 --python "chroot /srv/sid python3.14" --torch 2.10.0 --torch 2.15.0
 
-A Python may be a command that runs it elsewhere: what stands before its last word is put before all commands. There, the
-temporary folder, this checkout and uv must be at the same place. Environments are made by uv, which unpacks a package
+A Python may be a command that runs it elsewhere: what stands before its last word is put before all commands. The
+temporary folder, this checkout and uv must be at the same place there. uv makes the environments, and unpacks a package
 once for all of them. With --state an interrupted run goes on where it was, and cells of earlier runs stay in the table.
 """
 

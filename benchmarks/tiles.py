@@ -179,7 +179,7 @@ def in_one_piece(path: Path, out: Path) -> None:
 def in_tiles(path: Path, out: Path, tile: float | None, buffer: float | None) -> None:
     from torchjoint.tiles import superpoints_of_files
 
-    print(" ", superpoints_of_files(path, out, tile=tile, buffer=buffer, overwrite=True, workers=2))
+    print(" ", superpoints_of_files(path, out, tile=tile, buffer=buffer, overwrite=True, engine="loky:2"))
 
 
 def likeness(path: Path, labelled: Path, one: Path, tile: float, buffer: float) -> None:

@@ -86,6 +86,32 @@ class TestSameLabels:
             segmenter.compute()  # at any time, and without consequence
         assert_same(result, segmenter.compute())
 
+    def test_from_frames_beyond_the_memory(self, synthetic, plain, tmp_path):
+        """The second and later frames are in a file: of a run at once, frame by frame, resumed, and at finer levels."""
+        scene, memory = synthetic.scene, {"memory": "400kB", "spill": tmp_path}
+        checkpoint = Checkpoint(tmp_path / "state", "key")
+        segmenter = tj.JointSegmenter(CONFIG, **memory)
+        spilled = segmenter(scene, checkpoint=checkpoint)
+        assert 0 < segmenter.state.observations._in_memory < 400_000
+        assert_same(plain, spilled)
+        assert_same(plain.at(0.9), spilled.at(0.9))
+        assert all(map(torch.equal, plain.initial_images, spilled.initial_images))
+        again = tj.JointSegmenter(CONFIG, **memory)
+        assert_same(plain, again(scene, checkpoint=checkpoint))
+        assert_same(plain, again.with_config(CONFIG).compute())
+
+    def test_from_a_full_disk_with_room_made(self, synthetic, plain, tmp_path):
+        """The frame that could not be written can be given again."""
+        scene = synthetic.scene
+        segmenter = tj.JointSegmenter(CONFIG, memory=0, spill=tmp_path / "gone")
+        segmenter.reset(scene.points, scene.colors)
+        with pytest.raises(OSError, match="memory: what is beyond it goes to a temporary file"):
+            segmenter.update(scene.frames)
+        assert int(segmenter.state.views.sum()) == len(segmenter.state.observations) == 0
+        (tmp_path / "gone").mkdir()
+        segmenter.update(scene.frames)
+        assert torch.equal(plain.points, segmenter.compute(images=False).points)
+
     def test_from_two_segmenters_merged(self, synthetic, config, result):
         scene = synthetic.scene
         first, second = tj.JointSegmenter(config), tj.JointSegmenter(config)

@@ -11,6 +11,7 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from itertools import groupby
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
@@ -18,9 +19,10 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from torchjoint.config import Config, evidence_differences
+from torchjoint.datasets.lazy import LazySequence
 from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
 from torchjoint.labels.image_labels import label_image
-from torchjoint.labels.joint_ids import separate_private_ids
+from torchjoint.labels.joint_ids import private_id_offsets
 from torchjoint.labels.piece_images import PieceImages
 from torchjoint.points.graph import PointGraph
 from torchjoint.points.method import describe, with_method
@@ -29,11 +31,14 @@ from torchjoint.points.prepared_cloud import prepare_cloud
 from torchjoint.points.segments import point_hierarchy, segment_points
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.ahead import ahead
+from torchjoint.runtime.memory import as_bytes
+from torchjoint.runtime.packing import Packed, pack
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Frame, Hierarchy, LabelImages, Scene, Segmentation
 from torchjoint.scene.local_cloud import LocalFrame
 from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observations
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
 from torchjoint.views.propagation import edge_overlaps
 from torchjoint.views.state import JointState
@@ -62,6 +67,10 @@ class JointSegmenter(nn.Module):
         merge_within: metres; the points in a cube with this side count as one point, their mean, and all get its label
             (not with method scan). For scans that overlap with small errors. Copies, which are equal to the last bit,
             always count as one.
+        memory: how much of the frames stays in memory for steps 6-8: "2GB", "500 MiB", or bytes; what is beyond goes
+            packed to a temporary file. It does not change the labels. Default: a quarter of the memory of the machine
+            or container.
+        spill: folder for that file, which has no name and vanishes with the process; default: TMPDIR, or /var/tmp.
 
     Example:
         >>> import torchjoint as tj
@@ -78,6 +87,8 @@ class JointSegmenter(nn.Module):
         boundary: nn.Module | None = None,
         image_segmenter: nn.Module | None = None,
         merge_within: float = 0.0,
+        memory: int | str | None = None,
+        spill: str | Path | None = None,
     ) -> None:
         super().__init__()
         if config is not None and not isinstance(config, Config):
@@ -87,6 +98,8 @@ class JointSegmenter(nn.Module):
         if not (math.isfinite(merge_within) and merge_within >= 0):
             raise ValueError(f"merge_within: expected metres >= 0, got {merge_within}")
         self.merge_within = merge_within
+        self._memory = as_bytes(memory)
+        self._spill = None if spill is None else Path(spill)
         self.config = config or Config()
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
@@ -146,7 +159,7 @@ class JointSegmenter(nn.Module):
         check.warn()
         num_frames = len(scene.frames)
         if checkpoint is not None:
-            self.state = checkpoint.load() or self.state
+            self.state = checkpoint.load(Observations(budget=self._memory, folder=self._spill)) or self.state
         done = len(self.state.observations)
         with tqdm(total=num_frames, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
             batches = [range(num_frames)[start : start + batch_size] for start in range(done, num_frames, batch_size)]
@@ -187,7 +200,8 @@ class JointSegmenter(nn.Module):
             self._graph, self._local, self._of_point, self._given, self._definite = prepared
             if logger.isEnabledFor(logging.INFO):
                 logger.info(describe(len(cloud.points), self._graph, self._definite))
-        self._state = JointState.empty(self._graph.edge_index.shape[1], self._graph.num_points)
+        observations = Observations(budget=self._memory, folder=self._spill)
+        self._state = JointState.empty(self._graph.edge_index.shape[1], self._graph.num_points, observations)
         self._check = self._new_check()
 
     def _new_check(self, name: str = "") -> PoseCheck:
@@ -205,6 +219,8 @@ class JointSegmenter(nn.Module):
         Raises:
             RuntimeError: :meth:`reset` was not called before.
             ValueError: a boundary detector or an image segmenter returns a wrong shape or bad values.
+            OSError: what goes beyond the memory cannot be written. The segmenter is as it was before these frames, or
+                before those of the last size.
 
         Warns:
             PoseWarning: the poses or intrinsics look wrong, once that some frames came (or at :meth:`compute`).
@@ -223,12 +239,12 @@ class JointSegmenter(nn.Module):
         with one_thread_per_operation():
             for batch in _batches_of_one_size(frames):
                 segments = self.image_segmenter(batch, self.stopwatch)
-                observations = parallel_map(lambda item: self._observe(*item), zip(batch, segments, strict=True))
-                for observation, facing, edges, overlaps in observations:
+                seen = parallel_map(lambda item: self._observe(*item), zip(batch, segments, strict=True))
+                state.observations.extend([observation for observation, *_ in seen])  # first: the disk may be full
+                for observation, facing, edges, overlaps in seen:
                     state.views.index_add_(0, edges, torch.ones_like(edges))
                     state.overlap_sum.index_add_(0, edges, overlaps)
                     state.facing[observation.visible.point] += facing
-                    state.observations.append(observation)
 
     def _tell_unused(self, frame: Frame) -> None:
         """Says so if images have no say in the segments of the points."""
@@ -266,8 +282,8 @@ class JointSegmenter(nn.Module):
         state = self.state
         if self._check is not None:
             self._check.warn()
-        count = len(state.observations)
-        if count and not any(observation.visible.point.numel() for observation in state.observations):
+        seen, count = state.observations[:], len(state.observations)  # results keep them; more frames may follow
+        if count and not seen.see_points:
             raise ValueError(f"frames: none of the {count} images sees a point; wrong poses, axes or units?")
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
@@ -275,27 +291,29 @@ class JointSegmenter(nn.Module):
             if not images:
                 return Segmentation(given_points, (), seconds=dict(self.stopwatch.seconds), hierarchy=hierarchy)
             sizes = torch.bincount(point_labels)
-            bar = tqdm(total=len(state.observations), desc="images", unit="frame", disable=not progress)
+            bar = tqdm(total=count, desc="images", unit="frame", disable=not progress)
 
-            def refine(observation: Observation) -> tuple[Tensor, int]:
+            def refine(observation: Observation) -> tuple[Packed, int]:
                 with self.stopwatch("image labels"):
-                    refined = label_image(observation, point_labels, sizes, self.config)
+                    refined, next_free = label_image(observation, point_labels, sizes, self.config)
                 bar.update()
-                return refined
+                return pack(refined), next_free
 
             with bar:
-                refined = parallel_map(refine, state.observations)
-        labels = LabelImages(separate_private_ids(refined, state.observations, sizes.shape[0]))
+                refined = parallel_map(refine, seen)
+        num_segments = len(sizes)
+        offsets = private_id_offsets([next_free for _, next_free in refined], seen, num_segments)
+        labels = LabelImages([image for image, _ in refined], num_segments, offsets)
         return Segmentation(
             points=given_points,
             images=labels,
-            initial_images=LabelImages([o.initial_labels() for o in state.observations]),
-            names=tuple(o.name for o in state.observations),
+            initial_images=LazySequence(count, lambda index: seen[index].initial_labels().long()),
+            names=tuple(seen.names),
             seconds=dict(self.stopwatch.seconds),
             hierarchy=hierarchy,
             piece_images=()
             if hierarchy is None or piece is None
-            else PieceImages(labels, state.observations, hierarchy, piece, self.config),
+            else PieceImages(labels, seen, hierarchy, piece, self.config),
         )
 
     def _segment_points(self) -> tuple[Tensor, Tensor, Hierarchy | None, Tensor | None]:
@@ -350,7 +368,7 @@ class JointSegmenter(nn.Module):
         is_same = self._graph is not None and other._graph is not None and self._graph.is_same(other._graph)
         if not (is_same and self._local.is_same(other._local)):
             raise ValueError("other: expected a segmenter that was reset with the same points")
-        both = {o.name for o in self.state.observations if o.name} & {o.name for o in other.state.observations}
+        both = set(filter(None, self.state.observations.names)) & set(other.state.observations.names)
         if other is self or both:
             raise ValueError(f"other: expected a segmenter that saw other frames, both saw {sorted(both)[:3]}")
         self.state = self.state + other.state
@@ -371,7 +389,12 @@ class JointSegmenter(nn.Module):
             raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
         modules = self.image_segmenter
         other = JointSegmenter(
-            config, boundary=modules.boundary, image_segmenter=modules.segmenter, merge_within=self.merge_within
+            config,
+            boundary=modules.boundary,
+            image_segmenter=modules.segmenter,
+            merge_within=self.merge_within,
+            memory=self._memory,
+            spill=self._spill,
         )
         other._graph, other._definite, other._of_point = graph, definite, self._of_point
         other._local, other._given = self._local, self._given

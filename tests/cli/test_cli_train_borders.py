@@ -28,15 +28,15 @@ def small_scenes(scene_of, monkeypatch):
 @pytest.mark.slow
 def test_an_interrupted_run_goes_on(small_scenes, tmp_path, run, capsys, monkeypatch):
     out = tmp_path / "model.npz"
-    arguments = ["train-borders", "--domains", "room", "--seeds", 0, 2, "--trees", 2, "-o", out]
+    arguments = ["train-borders", "--domains", "room", "--seeds", 0, 1, 4, 5, "--trees", 2, "-o", out]
     fit = training.fit_boundary_model
     monkeypatch.setattr(training, "fit_boundary_model", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run(*arguments)
-    assert small_scenes == [0, 1]
+    assert small_scenes == [0, 4]
     monkeypatch.setattr(training, "fit_boundary_model", fit)
     run(*arguments)
-    assert small_scenes == [0, 1]  # the evidence was on disk
+    assert small_scenes == [0, 4]  # the evidence was on disk
     printed = capsys.readouterr().out
     assert "merging up to 0.15: " in printed
     assert "4 rounds from 2 scenes in " in printed
@@ -64,7 +64,8 @@ def test_evidence_of_other_scenes_is_deleted(tmp_path):
         ([], "scenes: expected at least two, in SCENES or by --domains, got 0"),
         (["nowhere"], "scenes: nowhere does not exist"),
         (["--domains", "street"], "--domains: expected some of table, .*, got 'street'"),
-        (["--domains", "table", "--seeds", "3", "3"], "--seeds: expected 0 <= first < end, got 3 3"),
+        (["--domains", "table", "--seeds", "3", "3"], "--seeds: expected ascending pairs 0 <= first < end, got 3 3"),
+        (["--domains", "table", "--seeds", "0", "2", "5"], "--seeds: expected ascending pairs"),
         (["--domains", "table", "--folds", "1"], "folds: expected a whole number >= 2, got 1"),
         (["--domains", "table", "--thin", "0"], "--thin: expected more than 0 metres, got 0"),
         (["--domains", "table", "-o", "model.zip"], r"-o: expected a name that ends in \.npz, got model\.zip"),

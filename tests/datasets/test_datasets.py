@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -326,3 +327,8 @@ class TestFingerprint:
             assert fingerprint(tmp_path, own_files(out)) == before
         assert fingerprint(tmp_path, own_files(out)) == before
         assert fingerprint(tmp_path) != before
+
+    def test_what_is_not_there_is_not_looked_for_elsewhere(self):
+        """Of a file that stands alone its folder counts, which is the whole disk for a missing one right below /."""
+        with pytest.raises(FileNotFoundError, match="/nowhere does not exist"):
+            fingerprint(Path("/nowhere"))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import samples
 import torch
-from samples import ros, ros_points
+from samples import ros
 from samples._parts import wall
 
 import torchjoint as tj
@@ -20,12 +20,14 @@ def test_images_with_depth(name, tmp_path):
         assert frame.intrinsics[0].tolist() == [12, 0, 7.5]
     # 4 ms after the first transform of two that are 100 ms and 1 m apart; the second is the last, and is kept.
     centers = [-(frame.world_to_camera[:3, :3].T @ frame.world_to_camera[:3, 3]) for frame in scene.frames]
-    torch.testing.assert_close(torch.stack(centers), torch.tensor([[0.04, 0, 0.5], [1, 0, 0.5]]).double(), atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        torch.stack(centers), torch.tensor([[0.04, 0, 0.5], [1, 0, 0.5]]).double(), atol=1e-5, rtol=0
+    )
 
 
 def test_scans_and_odometry(tmp_path):
     scene = tj.load_scene(samples.write("ros_points", tmp_path / "bag"), voxel_size=1e-4)
-    expected = np.concatenate([wall(), wall() + [1, 0, 0]])
+    expected = np.concatenate([wall(), wall() + np.array([1, 0, 0])])
     assert len(scene.points) == len(expected)
     assert torch.cdist(scene.points.double(), torch.from_numpy(expected)).amin(0).max() < 1e-5
     torch.testing.assert_close(scene.colors[0], torch.tensor([1, 128 / 255, 0]))
@@ -36,7 +38,9 @@ def test_ambiguous_topics_are_chosen(tmp_path):
     messages = list(ros.messages())
     other = [("/rear/image_raw", time, message) for topic, time, message in messages if topic == "/camera/image_raw"]
     bag = ros.record(tmp_path / "two", [*messages, *other])
-    with pytest.raises(ValueError, match=r"2 topics could be color; choose: --topics color=/camera/image_raw, or /rear"):
+    with pytest.raises(
+        ValueError, match=r"2 topics could be color; choose: --topics color=/camera/image_raw, or /rear"
+    ):
         tj.load_scene(bag)
     with pytest.raises(ValueError, match=r"topics: color: .* has no messages of /front; it has /camera"):
         tj.load_scene(bag, topics={"color": "/front"})

@@ -146,5 +146,16 @@ class TestCommand:
         assert sorted(file.stem for file in (out / "images").glob("*.png")) == names[1:]
         with pytest.raises(SystemExit, match=r"-o: .* is, or holds, the masks; choose another folder"):
             run("segment", recording, "-o", tmp_path / "masks", "--masks", tmp_path / "masks")
-        with pytest.raises(SystemExit, match=r"torchjoint: error: .*nothing: missing; expected a folder of masks"):
+        with pytest.raises(SystemExit, match=r"torchjoint: error: --masks: .*nothing does not exist"):
             run("segment", recording, "-o", tmp_path / "other", "--masks", tmp_path / "nothing")
+
+    def test_damaged_masks_are_found_before_a_cloud_is_fused(self, tmp_path, run, monkeypatch):
+        monkeypatch.setattr("torchjoint.cli.segment.load_scene", lambda *_, **__: pytest.fail("fuses for an hour"))
+        (tmp_path / "recording").mkdir()
+        for name, content in (("0.png", b"no image"), ("0.png", b"\x89PNG\r\n\x1a\n and no more"), ("0.npz", b"PK")):
+            (tmp_path / "masks").mkdir(exist_ok=True)
+            path = tmp_path / "masks" / name
+            path.write_bytes(content)
+            with pytest.raises(SystemExit, match=rf"torchjoint: error: {path}: n[^<]*$"):  # no <_io.BytesIO object>
+                run("segment", tmp_path / "recording", "-o", tmp_path / "out", "--masks", tmp_path / "masks")
+            path.unlink()

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import torchjoint as tj
+from torchjoint.points import image_agreement as agreement_module
 from torchjoint.points.boundary_features import FEATURE_NAMES, BoundaryFeatures, boundary_features
 from torchjoint.points.evidence import Evidence, gather_evidence
 from torchjoint.points.graph import build_point_graph
@@ -174,6 +175,17 @@ class TestImages:
         result = self.agreement(seen([], []), seen([0, 5], [-1, -1]))
         assert result[:, [0, 1, 2, 7]].isnan().all()
         assert (result[:, 3:7] == 0).all()
+
+    @pytest.mark.parametrize(("frames", "rows"), [(1, 100), (2, 100), (3, 1), (3, 7)])
+    def test_frames_by_blocks(self, seen, monkeypatch, frames, rows):
+        generator = torch.Generator().manual_seed(0)
+        views = [seen(range(13), torch.randint(-1, 4, (13,), generator=generator).tolist()) for _ in range(5)]
+        views += [seen([], []), seen(range(5), [0] * 5)]
+        whole = self.agreement(*views)
+        assert whole[:, 7].min() > 0
+        monkeypatch.setattr(agreement_module, "FRAMES", frames)
+        monkeypatch.setattr(agreement_module, "ROWS", rows)
+        assert torch.equal(self.agreement(*views), whole)
 
     def test_contours_by_hand(self, seen):
         view = seen([0, 2, 3], [0, 0, 0])  # in columns 0, 1, 2

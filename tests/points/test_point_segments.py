@@ -17,6 +17,7 @@ from torchjoint.points.lidar.scan_segments import segment_scan
 from torchjoint.points.orientation import orient_normals
 from torchjoint.points.regions import SmoothRegions
 from torchjoint.points.segments import segment_points
+from torchjoint.views.observations import Observations
 from torchjoint.views.propagation import disagreement
 from torchjoint.views.state import JointState
 
@@ -108,7 +109,7 @@ def row_of_points(r, *observations, normals=None):
     edges = [[i, i + 1] for i in range(count - 1)]
     overlaps = 1 - torch.tensor(r, dtype=torch.float64)  # of the one image that saw both ends
     facing = torch.zeros(count, dtype=torch.int64)
-    state = JointState(torch.ones(count - 1, dtype=torch.int64), overlaps, facing, list(observations))
+    state = JointState(torch.ones(count - 1, dtype=torch.int64), overlaps, facing, Observations(observations))
     return graph_of(points, edges, normals), state
 
 
@@ -199,7 +200,7 @@ class TestStagesByHand:
         edges = [[int(i), int(j)] for i, j in pairwise(order) if part[i] == part[j]]
         graph = graph_of(planes.mean, edges, planes.normal)
         state = JointState.empty(len(edges), len(part))
-        state.observations = observations
+        state.observations = Observations(observations)
         apart = segment_points(graph, state, BARE)
         monkeypatch.setattr(occlusion_bridging, "CELL", 1)
         together = segment_points(graph, state, BARE.set(["occlusion_bridging.min_votes=3"]))
@@ -320,6 +321,6 @@ class TestThingsOnATable:
             dataclasses.replace(o, labels=torch.where(o.labels == 2, 2 + stripe, o.labels).int())
             for o in state.observations
         ]
-        without = segment_points(graph, dataclasses.replace(state, observations=torn), self.CONFIG)
+        without = segment_points(graph, dataclasses.replace(state, observations=Observations(torn)), self.CONFIG)
         assert torch.equal(without, torch.where(labels == labels[truth == 2].mode().values, 0, labels))
         assert self.best_iou(without, truth, 1) > 0.9  # large enough to need no image

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from torchjoint.training import (
     save_boundary_model,
 )
 from torchjoint.training.evidence_files import EvidenceFiles, load_evidence, save_evidence
+from torchjoint.training.scene_merging import SceneMerging
 
 QUICK = BoundaryModelOptions(thresholds=(0.2, 0.5), trees=3, leaves=4, folds=2)
 
@@ -143,6 +145,8 @@ def test_errors():
         ({"trees": 0.5}, "trees: expected a whole number >= 1, got 0.5"),
         ({"learning_rate": 0}, "learning_rate: expected a number in"),
         ({"drop_images_share": 2}, "drop_images_share: expected a number in"),
+        ({"variants": 0}, "variants: expected a whole number >= 1, got 0"),
+        ({"noise": math.inf}, "noise: expected a number >= 0, got inf"),
         ({"thresholds": ()}, "thresholds: expected numbers in"),
         ({"thresholds": (0.5, 0.2)}, "thresholds: expected ascending numbers"),
     ],
@@ -150,3 +154,21 @@ def test_errors():
 def test_bad_options(change, message):
     with pytest.raises(ValueError, match=message):
         BoundaryModelOptions(**change)
+
+
+def test_variants_of_a_merging_differ_by_noise_only(prepared):
+    scene = prepared[0]
+    model = load_boundary_model()
+
+    def regions(variant, noise):
+        merging = SceneMerging(0, variant)
+        merging.start(scene)
+        merging.advance(scene, 1, model.rounds[0], model.calibrations[0], BoundaryModelOptions(noise=noise))
+        assert (merging.examples.pairs < int(merging.region.max()) + 1).all()
+        return merging.region
+
+    undisturbed = regions(0, 2.0)
+    assert torch.equal(regions(1, 0.0), undisturbed)
+    assert torch.equal(regions(1, 2.0), regions(1, 2.0))
+    assert not torch.equal(regions(1, 2.0), undisturbed)
+    assert not torch.equal(regions(1, 2.0), regions(2, 2.0))

@@ -32,7 +32,7 @@ def train_boundary_model(
     scenes: tyro.conf.Positional[tuple[Path, ...]] = (),
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("boundaries.npz"),
     domains: tuple[str, ...] = (),
-    seeds: tuple[int, int] = (0, 14),
+    seeds: tuple[int, ...] = (0, 14),
     models: Path | None = None,
     thin: float | None = None,
     max_frames: int | None = None,
@@ -49,7 +49,7 @@ def train_boundary_model(
         scenes: labelled scenes of your own, or data sets of them; docs/your_data.md lists the formats.
         out: file for the model, NAME.npz.
         domains: also train on generated scenes of these domains: table, shelf, bin, desk, kitchen, room, workshop.
-        seeds: first seed of the generated scenes, and the seed after the last one.
+        seeds: first seed of the generated scenes, and the seed after the last one; `0 10 14 37`: also a second range.
         models: folder of 3D models for the generated scenes, as for `tj.synthetic.make_domain_scene`.
         thin: keep one point of your own scenes in each voxel of this size, metres.
         max_frames: use at most so many frames of each of your own scenes, evenly spread.
@@ -106,16 +106,15 @@ def _own(paths: Sequence[Path], thin: float | None, max_frames: int | None) -> l
     ]
 
 
-def _generated(domains: Sequence[str], seeds: tuple[int, int], models: Path | None) -> list[_Source]:
+def _generated(domains: Sequence[str], seeds: Sequence[int], models: Path | None) -> list[_Source]:
     from torchjoint.synthetic import DOMAINS, make_domain_scene
 
     known = [domain for domain in DOMAINS if domain != "street"]  # method scan segments streets
     for domain in domains:
         if domain not in known:
             raise ValueError(f"--domains: expected some of {', '.join(known)}, got {domain!r}")
-    first, end = seeds
-    if not 0 <= first < end:
-        raise ValueError(f"--seeds: expected 0 <= first < end, got {first} {end}")
+    if len(seeds) % 2 or list(seeds) != sorted(set(seeds)) or min(seeds, default=0) < 0:
+        raise ValueError(f"--seeds: expected ascending pairs 0 <= first < end, got {' '.join(map(str, seeds))}")
     return [
         _Source(
             f"{domain} {seed}",
@@ -123,6 +122,7 @@ def _generated(domains: Sequence[str], seeds: tuple[int, int], models: Path | No
             lambda domain=domain, seed=seed: make_domain_scene(domain, seed, models=models).scene,  # type: ignore[misc]
         )
         for domain in dict.fromkeys(domains)
+        for first, end in zip(seeds[::2], seeds[1::2], strict=True)
         for seed in range(first, end)
     ]
 

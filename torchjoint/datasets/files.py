@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
 from torchjoint.datasets import las
@@ -140,7 +140,12 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     Args:
         path: of a recording.
         without: files and folders that do not count, such as the result of a run if it is inside the recording.
+
+    Raises:
+        FileNotFoundError: there is no such file or folder.
     """
+    if not path.exists():
+        raise FileNotFoundError(f"{path} does not exist")
     if path.is_file() and path.suffix.lower() in ALONE:
         status = path.stat()
         return hashlib.sha256(repr((str(path.resolve()), status.st_size, status.st_mtime_ns)).encode()).hexdigest()
@@ -198,5 +203,7 @@ def decode_image(data: bytes, name: str, *, header_only: bool = False) -> Image.
                 image.load()
     except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
             Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
-        raise ValueError(f"{name}: not a whole image: {error}") from error
+        # Pillow's own message names the buffer in memory.
+        reason = "no known format" if isinstance(error, UnidentifiedImageError) else error
+        raise ValueError(f"{name}: not a whole image: {reason}") from error
     return image

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchjoint.labels._tables import by_first_appearance, look_up
 from torchjoint.runtime.sorted_groups import starts_group
-from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observations
 from torchjoint.views.visibility import Visible
 
 
@@ -55,35 +55,28 @@ def _most_votes(segment: Tensor, point_labels: Tensor, segment_sizes: Tensor) ->
     return segment[best], winner[best]
 
 
-def separate_private_ids(
-    refined: Sequence[tuple[Tensor, int]], observations: Sequence[Observation], num_segments: int
-) -> list[Tensor]:
-    """Makes ids >= num_segments unique over all images, in the order of the frames' names.
+def private_id_offsets(next_free: Sequence[int], observations: Observations, num_segments: int) -> list[int]:
+    """What makes ids >= num_segments unique over all images, in the order of the frames' names, if it is added to them.
 
     Frames of equal names are ordered by a hash of their content. The order in which frames were added is not used, so
     it does not change the labels.
 
     Args:
-        refined: per frame, labels [H, W] int32 and the next free id of this frame.
+        next_free: the next free id of each frame, after its own.
         observations: the frames.
         num_segments: number of 3D segments.
-
-    Returns:
-        labels [H, W] int32 per frame.
     """
-    times_named = Counter(seen.name for seen in observations)
+    names = observations.names
+    times_named = Counter(names)
 
     def key(index: int) -> tuple[str, bytes]:
+        if times_named[names[index]] == 1:
+            return names[index], b""
         seen = observations[index]
-        if times_named[seen.name] == 1:
-            return seen.name, b""
         return seen.name, hashlib.sha256(seen.labels.numpy().tobytes() + seen.image.numpy().tobytes()).digest()
 
-    images = [labels for labels, _ in refined]
-    offset = 0
-    for index in sorted(range(len(refined)), key=key):
-        labels, next_free = refined[index]
-        if offset and next_free > num_segments:
-            images[index] = torch.where(labels >= num_segments, labels + offset, labels)
-        offset += next_free - num_segments
-    return images
+    offsets, offset = [0] * len(names), 0
+    for index in sorted(range(len(names)), key=key):
+        offsets[index] = offset
+        offset += next_free[index] - num_segments
+    return offsets

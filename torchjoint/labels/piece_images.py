@@ -11,13 +11,15 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.config import Config
 from torchjoint.labels.geodesic import nearest_labels, path_costs
+from torchjoint.runtime.packing import Packed, pack
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Hierarchy
 from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observations
 
 
 class PieceImages(Sequence[Tensor]):
-    """The pieces of a hierarchy in images: a sequence of [H, W] int64, computed when first used, then kept.
+    """The pieces of a hierarchy in images: a sequence of [H, W] int64, computed when first used, then kept packed.
 
     Args:
         images: final labels [H, W] int64 per frame, of the default level.
@@ -30,17 +32,17 @@ class PieceImages(Sequence[Tensor]):
     def __init__(
         self,
         images: Sequence[Tensor],
-        observations: Sequence[Observation],
+        observations: Observations,
         hierarchy: Hierarchy,
         piece: Tensor,
         config: Config,
     ) -> None:
         self._images = images
-        self._observations = tuple(observations)
+        self._observations = observations[:]  # more may be added
         self._piece = piece
         self._of_piece = hierarchy.segments_of_pieces(hierarchy.default)
         self._config = config
-        self._known: dict[int, Tensor] = {}  # int32, half the memory
+        self._known: dict[int, Packed] = {}
 
     def __len__(self) -> int:
         return len(self._images)
@@ -59,8 +61,9 @@ class PieceImages(Sequence[Tensor]):
             seen, labels = self._observations[index], self._images[index]
             with torch.no_grad(), one_thread_per_operation():
                 pieces = piece_image(seen, labels, self._piece, self._of_piece, self._config)
-            self._known[index] = pieces.to(torch.int32)
-        return self._known[index].to(torch.int64)
+            self._known[index] = pack(pieces)
+            return pieces
+        return self._known[index].unpack()
 
 
 def piece_image(seen: Observation, labels: Tensor, piece: Tensor, of_piece: Tensor, config: Config) -> Tensor:

@@ -14,6 +14,7 @@ from torch.utils.data import Subset
 from torchjoint.datasets.lazy import LazySequence
 from torchjoint.masks.coco import CocoFile
 from torchjoint.masks.files import SUFFIXES, read_masks
+from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.masks import Masks
 
@@ -62,6 +63,22 @@ def read_folder(folder: Path | str, scene: Scene, without: Literal["segment", "l
     if without == "segment" or not missing:
         return masked
     return masked.select_frames([index for index, reader in enumerate(of_frame) if reader is not None])
+
+
+def check_files(folder: Path | str) -> None:
+    """Reads all masks once, so that damage is found before hours of work.
+
+    Args:
+        folder: as of :func:`read_folder`.
+
+    Raises:
+        FileNotFoundError, ValueError: as of :func:`read_folder`, and for the first file that is damaged.
+    """
+
+    def check(reader: Callable[[], Masks]) -> None:
+        reader()  # and forget them
+
+    parallel_map(check, _readers(Path(folder)).values())
 
 
 def frame_names(frames: Sequence[Frame]) -> list[str]:

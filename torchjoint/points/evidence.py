@@ -29,6 +29,7 @@ from torchjoint.points.region_statistics import RegionStatistics, statistics_of_
 from torchjoint.points.regions import SMOOTH_REGIONS, Planes, one_sided_planes, small_regions
 from torchjoint.points.scales import Scales
 from torchjoint.runtime.threads import parallel_map
+from torchjoint.views.observations import Observations
 from torchjoint.views.propagation import disagreement
 from torchjoint.views.state import JointState
 
@@ -112,9 +113,9 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
     """
     normals, oriented = orient_normals(graph, state.facing)
     planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
-    seen = state.observations if config.propagation.weight > 0 else []
+    seen = state.observations if config.propagation.weight > 0 else Observations()
     # Masks are told apart from other segments: what two masks say weighs far more (see mask_merges).
-    observations = [one for one in seen if one.masks is None]
+    observations = seen.without_masks()
     r = disagreement(state.views, state.overlap_sum, len(seen), config.propagation) if seen else None
     lab = None if graph.colors is None else _to_lab(graph.colors)
     color_step = median = None

@@ -7,18 +7,52 @@ intersection).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from torchjoint.points.group_summaries import sum_by
 from torchjoint.points.image_evidence import ImageEvidence
 from torchjoint.runtime.sorted_groups import find, members_of_groups
+from torchjoint.runtime.threads import num_threads, parallel_map
 from torchjoint.views.propagation import OVERLAP_RESOLUTION
 
 #: An image counts for a region only if it sees at least this many points of the region.
 MIN_POINTS = 3
 #: Number of values of :func:`image_agreement`.
 NUM_VALUES = 8
+
+
+#: The most frames, and pairs (piece, image segment), that are worked on at a time, so that memory does not grow with
+#: the number of frames.
+FRAMES, ROWS = 32, 1 << 18
+
+
+class _Sums(NamedTuple):
+    """What some frames say of R regions and B pairs of regions.
+
+    Sums are of whole numbers, the others are extremes. So frames can be added in any order.
+    """
+
+    best: Tensor  #: [R] float64, best overlap with an image segment
+    best_union: Tensor  #: [B] float64, best overlap of the union
+    common: Tensor  #: [B] int64, agreement times the product below
+    product: Tensor  #: [B] int64, product of the numbers of visible points
+    rounded: Tensor  #: [B] int64, agreement in units of the resolution
+    squares: Tensor  #: [B] int64
+    views: Tensor  #: [B] int64, number of images that see both
+    low: Tensor  #: [B] float64, smallest agreement
+    high: Tensor  #: [B] float64
+
+    def plus(self, other: _Sums) -> _Sums:
+        """What both say."""
+        added = {name: getattr(self, name) + getattr(other, name) for name in _ADDED}
+        larger = {name: torch.maximum(getattr(self, name), getattr(other, name)) for name in _LARGEST}
+        return _Sums(low=torch.minimum(self.low, other.low), **added, **larger)
+
+
+_ADDED, _LARGEST = ("common", "product", "rounded", "squares", "views"), ("best", "best_union", "high")
 
 
 def image_agreement(images: ImageEvidence, of_piece: Tensor, num_regions: int, pairs: Tensor) -> Tensor:
@@ -36,10 +70,62 @@ def image_agreement(images: ImageEvidence, of_piece: Tensor, num_regions: int, p
         overlap (intersection over union) with an image segment, over the better region; best overlap of the better
         region, and of the other; range of the agreement. NaN where no image sees both regions.
     """
+    blocks = _blocks(images)
+    parallel = num_threads()  # as many blocks as threads are in memory
+    sums = None
+    for start in range(0, len(blocks), parallel):
+        found = parallel_map(lambda block: _sums(block, of_piece, num_regions, pairs), blocks[start : start + parallel])
+        for one in found:
+            sums = one if sums is None else sums.plus(one)
+    assert sums is not None  # there is at least one frame
+    views = sums.views.double()
+    mean = sums.rounded.double() * OVERLAP_RESOLUTION / views
+    mean_square = sums.squares.double() * OVERLAP_RESOLUTION**2 / views
+    better, worse = torch.maximum(*sums.best[pairs]), torch.minimum(*sums.best[pairs])
+    return torch.stack(
+        [
+            sums.common.double() / sums.product,
+            mean,
+            (mean_square - mean.square()).clamp(min=0).sqrt(),
+            torch.log1p(views),
+            sums.best_union - better,
+            better,
+            worse,
+            torch.where(sums.views > 0, sums.high - sums.low, torch.nan),
+        ],
+        dim=1,
+    )
+
+
+def _blocks(images: ImageEvidence) -> list[ImageEvidence]:
+    """The evidence of some consecutive frames each."""
+    frame_of_row = images.frame_of_segment[images.segment.long()]  # ascending
+    frames = torch.arange(images.num_frames + 1)
+    first_row, first_segment = (torch.searchsorted(of, frames) for of in (frame_of_row, images.frame_of_segment))
+    blocks, start = [], 0
+    while start < images.num_frames:
+        end = int(torch.searchsorted(first_row, first_row[start] + ROWS, right=True)) - 1
+        end = max(start + 1, min(end, start + FRAMES, images.num_frames))
+        rows, segments = (slice(int(first[start]), int(first[end])) for first in (first_row, first_segment))
+        blocks.append(
+            ImageEvidence(
+                images.piece[rows],
+                images.segment[rows] - first_segment[start],
+                images.num_points[rows],
+                images.segment_size[segments],
+                images.frame_of_segment[segments] - start,
+                end - start,
+            )
+        )
+        start = end
+    return blocks
+
+
+def _sums(images: ImageEvidence, of_piece: Tensor, num_regions: int, pairs: Tensor) -> _Sums:
     num_segments, num_frames, num_pairs = len(images.segment_size), images.num_frames, pairs.shape[1]
     # Rows (region, segment) and views (region, frame), both sorted. All counts are whole numbers, so sums are exact.
-    row, inverse = torch.unique(of_piece[images.piece] * num_segments + images.segment, return_inverse=True)
-    count = sum_by(inverse, images.num_points, len(row))
+    row, inverse = torch.unique(of_piece[images.piece.long()] * num_segments + images.segment, return_inverse=True)
+    count = sum_by(inverse, images.num_points.long(), len(row))
     of_region, segment = row // max(num_segments, 1), row % max(num_segments, 1)
     frame = images.frame_of_segment[segment]
     view, of_view = torch.unique(of_region * num_frames + frame, return_inverse=True)
@@ -77,28 +163,20 @@ def image_agreement(images: ImageEvidence, of_piece: Tensor, num_regions: int, p
     common_in_view = sum_by(in_view, common, len(key))
 
     agreement = common_in_view.double() / product
-    views = torch.bincount(view_pair, minlength=num_pairs).double()
-    # Whole multiples of the resolution, so that the sums are exact in any order of the frames.
     rounded = (agreement / OVERLAP_RESOLUTION).round().long()
-    mean, mean_square = (
-        sum_by(view_pair, rounded**power, num_pairs).double() * OVERLAP_RESOLUTION**power / views for power in (1, 2)
-    )
-    total = sum_by(view_pair, common_in_view, num_pairs).double() / sum_by(view_pair, product, num_pairs)
-    nothing = torch.full((num_pairs,), torch.nan, dtype=torch.float64)
     low, high = (
-        nothing.scatter_reduce(0, view_pair, agreement, reduce, include_self=False) for reduce in ("amin", "amax")
+        torch.full((num_pairs,), start, dtype=torch.float64).scatter_reduce_(0, view_pair, agreement, reduce)
+        for start, reduce in ((torch.inf, "amin"), (-torch.inf, "amax"))
     )
-    better, worse = torch.maximum(*best[pairs]), torch.minimum(*best[pairs])
-    return torch.stack(
-        [
-            total,
-            mean,
-            (mean_square - mean.square()).clamp(min=0).sqrt(),
-            torch.log1p(views),
-            best_union - better,
-            better,
-            worse,
-            high - low,
-        ],
-        dim=1,
+    return _Sums(
+        best,
+        best_union,
+        sum_by(view_pair, common_in_view, num_pairs),
+        sum_by(view_pair, product, num_pairs),
+        # Whole multiples of the resolution, so that the sums are exact in any order of the frames.
+        sum_by(view_pair, rounded, num_pairs),
+        sum_by(view_pair, rounded.square(), num_pairs),
+        torch.bincount(view_pair, minlength=num_pairs),
+        low,
+        high,
     )

@@ -26,9 +26,9 @@ class ImageEvidence(NamedTuple):
     The segments of all images have different numbers, 0 ... L - 1, those of one image consecutive ones.
     """
 
-    piece: Tensor  #: [I] int64
-    segment: Tensor  #: [I] int64
-    num_points: Tensor  #: [I] int64, visible points of the piece in the segment
+    piece: Tensor  #: [I] int32
+    segment: Tensor  #: [I] int32, those of one frame after those of the frame before
+    num_points: Tensor  #: [I] int32, visible points of the piece in the segment
     segment_size: Tensor  #: [L] int64, visible points in the segment
     frame_of_segment: Tensor  #: [L] int64
     num_frames: int
@@ -46,14 +46,15 @@ def segments_of_pieces(piece: Tensor, observations: Sequence[Observation]) -> Im
         point, label = seen.labelled_points()
         num_labels = int(label.max()) + 1 if label.numel() else 0
         pair, count = torch.unique(piece[point] * num_labels + label, return_counts=True)
-        return pair // max(num_labels, 1), pair % max(num_labels, 1), count, torch.bincount(label, minlength=num_labels)
+        of_pair = (pair // max(num_labels, 1), pair % max(num_labels, 1), count)
+        return *(values.int() for values in of_pair), torch.bincount(label, minlength=num_labels)
 
     pieces, labels, counts, sizes = zip(*parallel_map(count_points, observations), strict=True)
     num_labels = torch.tensor([len(size) for size in sizes])
     first = num_labels.cumsum(0) - num_labels
     return ImageEvidence(
         torch.cat(pieces),
-        torch.cat([label + start for label, start in zip(labels, first, strict=True)]),
+        torch.cat([label + start for label, start in zip(labels, first.tolist(), strict=True)]),
         torch.cat(counts),
         torch.cat(sizes),
         torch.repeat_interleave(torch.arange(len(sizes)), num_labels),

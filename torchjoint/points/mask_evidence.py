@@ -15,7 +15,6 @@ from torch import Tensor
 from torchjoint.ops.mask_merges import WEIGHT_UNIT
 from torchjoint.runtime.sorted_groups import members_of_groups
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.scene import Masks
 from torchjoint.views.observation import Observation
 
 
@@ -43,28 +42,29 @@ def masks_of_pieces(piece: Tensor, observations: Sequence[Observation]) -> MaskE
     Returns:
         None if no frame has masks.
     """
-    seen = [(one, one.masks) for one in observations if one.masks is not None]
-    if not seen:
+    tables = [one for one in parallel_map(lambda seen: _count(piece, seen), observations) if one is not None]
+    if not tables:
         return None
-    tables = parallel_map(lambda pair: _count(piece, *pair), seen)
-    num_masks = torch.tensor([len(masks) for _, masks in seen])
+    num_masks = torch.tensor([len(scores) for _, _, scores in tables])
     first = num_masks.cumsum(0) - num_masks
     in_mask = [
-        rows + torch.tensor([[0], [start], [0]]) for (rows, _), start in zip(tables, first.tolist(), strict=True)
+        rows + torch.tensor([[0], [start], [0]]) for (rows, _, _), start in zip(tables, first.tolist(), strict=True)
     ]
-    in_frame = [rows + torch.tensor([[0], [frame], [0]]) for frame, (_, rows) in enumerate(tables)]
-    scores = torch.cat([masks.scores for _, masks in seen])
+    in_frame = [rows + torch.tensor([[0], [frame], [0]]) for frame, (_, rows, _) in enumerate(tables)]
+    scores = torch.cat([scores for _, _, scores in tables])
     return MaskEvidence(
         torch.cat(in_mask, 1),
         torch.cat(in_frame, 1),
         (scores.double() * WEIGHT_UNIT).round().long(),
-        torch.repeat_interleave(torch.arange(len(seen)), num_masks),
+        torch.repeat_interleave(torch.arange(len(tables)), num_masks),
     )
 
 
-def _count(piece: Tensor, seen: Observation, masks: Masks) -> tuple[Tensor, Tensor]:
-    """One frame's rows (piece, mask, points), and (piece, 0, points that it sees)."""
-    visible = seen.visible
+def _count(piece: Tensor, seen: Observation) -> tuple[Tensor, Tensor, Tensor] | None:
+    """One frame's rows (piece, mask, points), (piece, 0, points that it sees), and the scores of its masks, if any."""
+    if seen.masks is None:
+        return None
+    visible, masks = seen.visible, seen.masks
     there = piece[visible.point]
     of_piece, num_seen = torch.unique(there, return_counts=True)
     in_frame = torch.stack([of_piece, torch.zeros_like(of_piece), num_seen])
@@ -73,7 +73,7 @@ def _count(piece: Tensor, seen: Observation, masks: Masks) -> tuple[Tensor, Tens
     # Each atom counts for all masks in which it lies.
     atoms, mask = masks.pairs[:, torch.argsort(masks.pairs[0], stable=True)]
     row, member = members_of_groups(torch.bincount(atoms, minlength=masks.num_atoms), key % masks.num_atoms)
-    return _added(key[row] // masks.num_atoms, mask[member], count[row]), in_frame
+    return _added(key[row] // masks.num_atoms, mask[member], count[row]), in_frame, masks.scores
 
 
 def _added(region: Tensor, key: Tensor, count: Tensor) -> Tensor:

@@ -18,7 +18,8 @@ import yaml
 from torchjoint.config import Config
 from torchjoint.runtime.checked_files import read_checked, write_checked
 from torchjoint.runtime.files import write_text
-from torchjoint.views.observation import Observation
+from torchjoint.views.observation import PackedObservation
+from torchjoint.views.observations import Observations
 from torchjoint.views.state import JointState
 
 #: Longest time between two saves, seconds.
@@ -28,7 +29,7 @@ INTERVAL = 20.0
 SHARE = 0.05
 
 #: Version of the files.
-FORMAT = 2
+FORMAT = 3
 
 
 class Checkpoint:
@@ -52,14 +53,20 @@ class Checkpoint:
         self._saved = 0
         self._next_save = 0.0
 
-    def load(self) -> JointState | None:
-        """The last saved state; None if there is none, or (with a warning) if its files are damaged."""
+    def load(self, observations: Observations | None = None) -> JointState | None:
+        """The last saved state; None if there is none, or (with a warning) if its files are damaged.
+
+        Args:
+            observations: an empty one, for the state; default: one without a limit of memory.
+        """
         if not (self.directory / "sums.pt").is_file():
             return None
         try:
             values = _read(self.directory / "sums.pt")
             count = values.pop("count")
-            observations = [Observation.from_dict(_read(self._file(i))) for i in range(count)]
+            observations = Observations() if observations is None else observations
+            for i in range(count):
+                observations.extend([PackedObservation.from_dict(_read(self._file(i)))])
             state = JointState(**values, observations=observations)
         except Exception as error:  # a damaged file can raise anything
             warnings.warn(f"{self.directory}: damaged, starting over ({error})", stacklevel=2)
@@ -77,7 +84,7 @@ class Checkpoint:
         if not now and start < self._next_save:
             return
         for i in range(self._saved, len(state.observations)):
-            _write(self._file(i), state.observations[i].to_dict())
+            _write(self._file(i), state.observations.packed(i).to_dict())
             self._saved = i + 1
         sums = {"views": state.views, "overlap_sum": state.overlap_sum, "facing": state.facing, "count": self._saved}
         _write(self.directory / "sums.pt", sums)

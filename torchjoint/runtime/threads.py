@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -69,20 +69,23 @@ def num_threads() -> int:
 
 
 def parallel_map(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
-    """``[function(item) for item in items]`` on several Python threads, in the order of the items."""
-    items = list(items)
+    """``[function(item) for item in items]`` on several Python threads, in the order of the items.
+
+    Items of a lazy sequence are made on these threads, and are dropped once the function has returned.
+    """
+    items = items if isinstance(items, Sequence) else list(items)
     workers = min(num_threads(), len(items))
     if workers <= 1:
         with one_thread_per_operation():
             return [function(item) for item in items]
 
-    def on_one_thread(item: T) -> R:
+    def on_one_thread(index: int) -> R:
         _workers.set(1)  # nested calls must not start more threads
         with _thread_limit(1), torch.no_grad():  # the gradient mode is a setting per thread, too
-            return function(item)
+            return function(items[index])
 
     with one_thread_per_operation(), ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(on_one_thread, items))
+        return list(pool.map(on_one_thread, range(len(items))))
 
 
 @contextmanager

@@ -9,16 +9,27 @@ from typing import Self, overload
 import torch
 from torch import Tensor
 
-from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.runtime.packing import Packed, pack
+from torchjoint.runtime.threads import on_cpu, one_thread_per_operation
 from torchjoint.scene.hierarchy import Hierarchy
 from torchjoint.scene.level_images import LevelImages
 
 
 class LabelImages(Sequence[Tensor]):
-    """Label images of one segmentation: a sequence of [H, W] int64 tensors, stored as int32 and converted at access."""
+    """Label images of one segmentation: a sequence of [H, W] int64, stored packed, unpacked at each access.
 
-    def __init__(self, images: Sequence[Tensor]) -> None:
-        self._images = [image.to(torch.int32) for image in images]
+    Args:
+        images: [H, W] integers, as tensors or packed.
+        first_private: ids from here on occur in one image only.
+        offsets: optional, what is added to such ids in each image.
+    """
+
+    def __init__(
+        self, images: Sequence[Tensor | Packed], first_private: int = 0, offsets: Sequence[int] | None = None
+    ) -> None:
+        self._images = [pack(image.to(torch.int64)) if isinstance(image, Tensor) else image for image in images]
+        self._first_private = first_private
+        self._offsets = [0] * len(self._images) if offsets is None else list(offsets)
 
     def __len__(self) -> int:
         return len(self._images)
@@ -29,8 +40,12 @@ class LabelImages(Sequence[Tensor]):
     def __getitem__(self, index: slice) -> LabelImages: ...
     def __getitem__(self, index: int | slice) -> Tensor | LabelImages:
         if isinstance(index, slice):
-            return LabelImages(self._images[index])
-        return self._images[index].to(torch.int64)
+            return LabelImages(self._images[index], self._first_private, self._offsets[index])
+        with on_cpu():
+            labels = self._images[index].unpack().to(torch.int64)
+        if offset := self._offsets[index]:
+            labels[labels >= self._first_private] += offset
+        return labels
 
 
 @dataclass(frozen=True)

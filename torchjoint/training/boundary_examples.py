@@ -52,6 +52,9 @@ class BoundaryModelOptions:
         drop_images_share: share of the boundaries that the trees see a second time without features of images, so that
             they can judge clouds without images.
         drop_colors_share: the same without features of colours.
+        variants: how often each scene is merged. All merges of a scene but the first have noise in the probabilities:
+            the later rounds have few boundaries to learn from, and meet errors that no training scene has.
+        noise: standard deviation of this noise, in log odds.
         seed: of all random choices.
     """
 
@@ -63,16 +66,27 @@ class BoundaryModelOptions:
     max_boundaries: int = 700
     drop_images_share: float = 0.25
     drop_colors_share: float = 0.15
+    variants: int = 2
+    noise: float = 0.3
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in (("folds", 2), ("trees", 1), ("leaves", 2), ("max_boundaries", 1), ("seed", 0)):
+        for name, least in (
+            ("folds", 2),
+            ("trees", 1),
+            ("leaves", 2),
+            ("max_boundaries", 1),
+            ("variants", 1),
+            ("seed", 0),
+        ):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise ValueError(f"{name}: expected a whole number >= {least}, got {value!r}")
         for name in ("drop_images_share", "drop_colors_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name}: expected a number in [0, 1], got {getattr(self, name)}")
+        if not (math.isfinite(self.noise) and self.noise >= 0):
+            raise ValueError(f"noise: expected a number >= 0, got {self.noise}")
         if not 0 < self.learning_rate <= 1:
             raise ValueError(f"learning_rate: expected a number in (0, 1], got {self.learning_rate}")
         if not self.thresholds or not all(0 < threshold <= 1 for threshold in self.thresholds):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,23 +18,20 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchjoint.config import Config
-from torchjoint.points.agglomeration import merge_by_probability, merging_steps
-from torchjoint.points.boundary_features import FEATURE_NAMES, boundary_features
-from torchjoint.points.boundary_model import BoostedTrees, BoundaryModel, calibrated, no_calibration
-from torchjoint.points.evidence import Evidence
+from torchjoint.points.boundary_features import FEATURE_NAMES
+from torchjoint.points.boundary_model import BoostedTrees, BoundaryModel, no_calibration
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Scene
 from torchjoint.training.boundary_examples import (
-    BoundaryExamples,
     BoundaryModelOptions,
     LabelledEvidence,
     Sample,
-    boundary_examples,
     draw_sample,
     join_samples,
     labelled_evidence,
 )
+from torchjoint.training.scene_merging import SceneMerging
 
 #: Largest number of knots of a calibration.
 KNOTS = 64
@@ -108,36 +105,32 @@ def fit_boundary_model(
         raise ValueError(f"scenes: expected at least two, got {len(scenes)}")
     rng = np.random.default_rng(options.seed)
     fold = rng.permutation(len(scenes)) % options.folds
-    regions: list[Tensor] = []
+    parts = sorted(set(fold.tolist()))
+    runs = [SceneMerging(scene, variant) for scene in range(len(scenes)) for variant in range(options.variants)]
+    of_run = fold[[run.scene for run in runs]]
     rounds: list[BoostedTrees] = []
     calibrations: list[Tensor] = []
-    boundaries: list[BoundaryExamples] = []
-    parts = sorted(set(fold.tolist()))
-    steps = merging_steps(options.thresholds)
-
-    def judge(i: int, number: int, values: Tensor) -> Tensor:
-        """The probability [B] of a scene's boundaries, by trees of this round that were not trained on the scene."""
-        trees = of_parts[parts.index(int(fold[i]))]
-        return calibrated(torch.sigmoid(trees.score(values)), calibrations[number])
-
+    of_parts: list[BoostedTrees] = []
     for number, threshold in enumerate(options.thresholds):
-        before, boundaries = boundaries, []
         name = f"round {number + 1} of {len(options.thresholds)}"
-        for i in tqdm(range(len(scenes)), desc=f"{name}: features", unit="scene", disable=not progress):
-            evidence, instance = scenes[i]
+        bar = tqdm(runs, desc=f"{name}: features", unit="scene", disable=not progress)
+        for i, of_scene in groupby(bar, key=lambda run: run.scene):
+            scene = scenes[i]  # read once for all its merges
             with one_thread_per_operation():
-                if number == 0:
-                    regions.append(evidence.piece)
-                else:
-                    up_to = [merge_up_to for index, merge_up_to in steps if index == number - 1]
-                    regions[i] = _merged(evidence, regions[i], before[i], up_to, partial(judge, i, number - 1))
-                boundaries.append(boundary_examples(evidence, regions[i], instance))
+                for run in of_scene:
+                    if not of_parts:
+                        run.start(scene)
+                    else:
+                        trees = of_parts[parts.index(int(fold[i]))]
+                        run.advance(scene, number, trees, calibrations[-1], options)
+        new = [place for place, run in enumerate(runs) if number > 0 or run.variant == 0]
+        boundaries = [runs[place].examples for place in new]
         samples = [draw_sample(one, rng, options) for one in boundaries]
-        *of_parts, final = _fit_all(samples, fold, parts, options, f"{name}: trees" if progress else None)
+        *of_parts, final = _fit_all(samples, of_run[new], parts, options, f"{name}: trees" if progress else None)
         rounds.append(final)
         scores = [
             torch.sigmoid(of_parts[parts.index(part)].score(one.values))
-            for one, part in zip(boundaries, fold.tolist(), strict=True)
+            for one, part in zip(boundaries, of_run[new].tolist(), strict=True)
         ]
         is_border = np.concatenate([one.is_border for one in boundaries])
         weight = np.concatenate([one.weight for one in boundaries])
@@ -153,24 +146,6 @@ def _check_packages() -> None:
     with needed_for("training a model of boundaries", "scikit-learn", "torchjoint[training]"):
         import sklearn.ensemble  # noqa: F401
         import threadpoolctl  # noqa: F401
-
-
-def _merged(
-    evidence: Evidence,
-    region: Tensor,
-    boundaries: BoundaryExamples,
-    thresholds: Sequence[float],
-    judge: Callable[[Tensor], Tensor],
-) -> Tensor:
-    """Merges regions [N] up to one threshold after the other; the boundaries are those before the first."""
-    pairs, values = boundaries.pairs, boundaries.values
-    for number, threshold in enumerate(thresholds):
-        if number > 0:
-            pairs, values = boundary_features(evidence, region)
-        if pairs.shape[1] == 0:
-            break
-        region = merge_by_probability(evidence, region, pairs, judge(values), threshold)
-    return region
 
 
 def trees_of_classifier(classifier: Any) -> BoostedTrees:

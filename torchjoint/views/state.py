@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observations
 
 
 @dataclass
@@ -28,15 +28,16 @@ class JointState:
     views: Tensor
     overlap_sum: Tensor
     facing: Tensor
-    observations: list[Observation] = field(default_factory=list)
+    observations: Observations = field(default_factory=Observations)
 
     @classmethod
-    def empty(cls, num_edges: int, num_points: int) -> JointState:
-        """The state before the first frame, for E = `num_edges` and N = `num_points`."""
+    def empty(cls, num_edges: int, num_points: int, observations: Observations | None = None) -> JointState:
+        """The state before the first frame, for E = `num_edges` and N = `num_points`; default: no limit of memory."""
         return cls(
             torch.zeros(num_edges, dtype=torch.int64),
             torch.zeros(num_edges, dtype=torch.float64),
             torch.zeros(num_points, dtype=torch.int64),
+            Observations() if observations is None else observations,
         )
 
     def __add__(self, other: JointState) -> JointState:

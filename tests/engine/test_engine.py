@@ -1,0 +1,182 @@
+"""Tasks on workers: every task has one outcome, whatever happens to workers, and no process is left."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import joblib
+import psutil
+import pytest
+import torch
+
+from torchjoint.engine import WorkerDied, open_engine
+
+# Two workers each, whatever the number of cores: a warning is all.
+ENGINES = ["loky:2", "dask:2", "ray:2"]
+
+#: Third parties on their own way: sockets that are closed late, versions of protocols.
+QUIET = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning", "ignore::FutureWarning")
+
+
+def task(folder, number):
+    """Every fifth ends its worker each time, every seventh once, every third has an error."""
+    marks = Path(folder)
+    (marks / f"worker-{os.getpid()}").touch()
+    if number and number % 5 == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if number and number % 7 == 0 and not (marks / f"once-{number}").exists():
+        (marks / f"once-{number}").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    if number and number % 3 == 0:
+        raise ValueError(f"task {number}")
+    return number**2, torch.get_num_threads()
+
+
+def processes_below(process):
+    """All that descend from a process, without Python's that removes semaphores: it ends with its head."""
+    found = psutil.Process(process).children(recursive=True)
+    return {one.pid for one in found if "resource_tracker" not in " ".join(one.cmdline())}
+
+
+def still_running(processes, seconds=20.0):
+    """Those of the processes that still run some seconds later."""
+    end = time.monotonic() + seconds
+    while processes and time.monotonic() < end:
+        processes = {one for one in processes if psutil.pid_exists(one) and not is_zombie(one)}
+        time.sleep(0.1)
+    return processes
+
+
+def is_zombie(process):
+    try:
+        return psutil.Process(process).status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
+
+
+@QUIET
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ENGINES)
+def test_every_task_has_one_outcome(name, tmp_path):
+    with open_engine(name) as engine:
+        outcomes = {outcome.index: outcome for outcome in engine.run(task, range(9), str(tmp_path))}
+        started = processes_below(os.getpid())
+    assert sorted(outcomes) == list(range(9))
+    for number in (0, 1, 2, 4, 7, 8):
+        assert outcomes[number].error is None
+        assert outcomes[number].value == (number**2, 1)
+    for number in (3, 6):
+        assert isinstance(outcomes[number].error, ValueError)
+        assert str(outcomes[number].error) == f"task {number}"
+    assert isinstance(outcomes[5].error, WorkerDied)
+    assert "died 2 times" in str(outcomes[5].error)
+    workers = {int(file.name.removeprefix("worker-")) for file in tmp_path.glob("worker-*")}
+    assert os.getpid() not in workers
+    assert still_running(workers | started) == set()
+
+
+class Counted:
+    """Leaves a mark each time that it is unpickled."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def __reduce__(self):
+        return _unpickled, (self.folder,)
+
+
+def _unpickled(folder):
+    (Path(folder) / str(time.monotonic_ns())).touch()
+    return folder
+
+
+class OddError(Exception):
+    """Cannot be unpickled."""
+
+    def __init__(self, one, two):
+        super().__init__(one)
+
+
+def test_what_travels(tmp_path):
+    """Shared values travel once; what cannot travel is told, and stops nothing."""
+
+    def local(shared, number):
+        if number == 1:
+            raise OddError("this", "that")
+        return (part for part in "ab") if number == 2 else number
+
+    with open_engine("loky:1") as engine:
+        outcomes = list(engine.run(local, range(5), Counted(str(tmp_path))))
+    assert [outcome.value for outcome in outcomes] == [0, None, None, 3, 4]
+    assert str(outcomes[1].error) == "OddError: this"
+    assert "pickle" in str(outcomes[2].error)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "threads", "message"),
+    [
+        ("slurm", 1, "expected loky, dask or ray for this machine .*, got 'slurm'"),
+        ("loky:0", 1, "got 'loky:0'"),
+        ("dask://", 1, "got 'dask://'"),
+        ("loky", 0, f"threads: expected 1 to {joblib.cpu_count()}, the number of cores, got 0"),
+        ("loky", 10_000, "the number of cores, got 10000"),
+    ],
+)
+def test_bad_engines(name, threads, message):
+    with pytest.raises(ValueError, match=message), open_engine(name, threads):
+        pass
+
+
+def test_never_more_threads_than_cores(caplog):
+    cores = joblib.cpu_count()
+    with open_engine("loky:999") as engine:
+        assert engine.slots() == cores
+    assert "too many" in caplog.text
+    with open_engine("loky", threads=cores) as engine:
+        assert engine.slots() == 1
+
+
+HEAD = """
+import sys, time
+from torchjoint.engine import open_engine
+
+def wait(folder, number):
+    import os, pathlib, time
+    pathlib.Path(folder, f"worker-{os.getpid()}").touch()
+    time.sleep(600)
+
+if __name__ == "__main__":
+    with open_engine(sys.argv[1]) as engine:
+        list(engine.run(wait, range(4), sys.argv[2]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ENGINES)
+def test_no_orphans_of_a_killed_head(name, tmp_path):
+    script = tmp_path / "head.py"
+    script.write_text(HEAD)
+    head = subprocess.Popen([sys.executable, str(script), name, str(tmp_path)], stdout=-3, stderr=-3)
+    while not list(tmp_path.glob("worker-*")):
+        assert head.poll() is None
+        time.sleep(0.1)
+    processes = processes_below(head.pid)
+    assert processes
+    head.kill()
+    head.wait()
+    assert still_running(processes) == set()
+
+
+@QUIET
+@pytest.mark.slow
+def test_dask_without_a_scheduler(monkeypatch):
+    from torchjoint.engine import dask
+
+    monkeypatch.setattr(dask, "PATIENCE", 1.0)
+    message = "engine dask://127.0.0.1:1: no scheduler answers at tcp://127.0.0.1:1"
+    with pytest.raises(ConnectionError, match=message), open_engine("dask://127.0.0.1:1"):
+        pass

@@ -1,0 +1,64 @@
+"""Bytes on disk that leave nothing behind, and are not lost when the disk is full or the folder is deleted."""
+
+import errno
+import gc
+import os
+import pickle
+
+import pytest
+
+from torchjoint.runtime import spill
+from torchjoint.runtime.spill import SpillFile
+
+
+def test_what_is_written_is_read(tmp_path):
+    file = SpillFile(tmp_path)
+    first, empty, second = [*file.write([b"one", b""]), *file.write([b"two two"])]
+    assert (first.read(), empty.read(), second.read()) == (b"one", b"", b"two two")
+    assert pickle.loads(pickle.dumps(second)) == b"two two"
+
+
+def test_nothing_is_left_in_the_folder_and_the_file_is_closed_with_its_last_span(tmp_path):
+    file = SpillFile(tmp_path)
+    (span,) = file.write([b"bytes"])
+    assert list(tmp_path.iterdir()) == []
+    tmp_path.rmdir()
+    number, file = file._file.fileno(), None
+    assert span.read() == b"bytes"
+    del span
+    gc.collect()
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(number)
+
+
+def test_a_full_disk_is_told_and_nothing_is_lost(tmp_path, monkeypatch):
+    file = SpillFile(tmp_path)
+    (before,) = file.write([b"before"])
+    pwrite = os.pwrite
+
+    def full(number, data, start):
+        if start >= 12:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return pwrite(number, data[: 12 - start], start)
+
+    monkeypatch.setattr(spill.os, "pwrite", full)
+    with pytest.raises(OSError, match=r"memory: .*cannot be written \(No space left on device\); make room") as raised:
+        file.write([b"abc", b"defghi"])
+    assert (raised.value.errno, raised.value.filename) == (errno.ENOSPC, str(tmp_path))
+    assert os.fstat(file._file.fileno()).st_size == 6
+    monkeypatch.undo()
+    (after,) = file.write([b"after"])
+    assert (before.read(), after.read()) == (b"before", b"after")
+
+
+def test_a_missing_folder_is_told(tmp_path):
+    with pytest.raises(OSError, match=r"memory: .*\(No such file or directory\).*: '.*/gone'"):
+        SpillFile(tmp_path / "gone")
+
+
+def test_the_default_folder(tmp_path, monkeypatch):
+    monkeypatch.delenv("TMPDIR", raising=False)
+    assert str(SpillFile().folder) == "/var/tmp"
+    monkeypatch.setattr(spill.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    assert SpillFile().folder == tmp_path

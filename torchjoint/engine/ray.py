@@ -1,0 +1,81 @@
+"""Workers of ray: a cluster's, or on this machine."""
+
+from __future__ import annotations
+
+import logging
+import uuid
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+from torchjoint.engine.engine import Engine
+from torchjoint.engine.worker import Answer, Shared
+
+try:
+    import ray
+    from ray.exceptions import NodeDiedError, OutOfMemoryError, WorkerCrashedError
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError("engine ray needs ray: pip install 'torchjoint[ray]'") from error
+
+
+class SharedObject(Shared):
+    """A value in ray's object store: ray would unpack an argument again for each task.
+
+    Args:
+        value: that all tasks use.
+    """
+
+    def __init__(self, value: Any) -> None:
+        self.key = uuid.uuid4().hex
+        self._reference = ray.put(value)
+
+    def load(self) -> Any:
+        """The value."""
+        return ray.get(self._reference)
+
+    def close(self) -> None:
+        """Lets ray forget the value."""
+        del self._reference
+
+
+class RayEngine(Engine):
+    """Workers of ray; a task takes as many of ray's CPUs as it has threads.
+
+    Args:
+        name: as the user gave it.
+        threads: of each task.
+        workers: number of processes on this machine, if there is no address.
+        address: HOST:PORT of a cluster's client server, or None.
+    """
+
+    def __init__(self, name: str, threads: int, workers: int | None, address: str | None) -> None:
+        super().__init__(name, threads)
+        quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
+        if address is not None:
+            ray.init(f"ray://{address}", **quiet)
+        else:
+            assert workers is not None
+            ray.init("local", num_cpus=workers * threads, include_dashboard=False, **quiet)
+        # Engine.run tries again, not ray.
+        self._options = {"num_cpus": threads, "max_retries": 0}
+
+    def slots(self) -> int:
+        """As many as the cluster has CPUs at this moment, by threads of a task."""
+        return max(1, int(ray.cluster_resources().get("CPU", 0)) // self.threads)
+
+    def _share(self, value: Any) -> SharedObject:
+        return SharedObject(value)
+
+    def _submit(self, call: Callable[..., Answer], *arguments: Any) -> Future[Answer]:
+        future: Future[Answer] = ray.remote(call).options(**self._options).remote(*arguments).future()
+        return future
+
+    def _death(self, error: BaseException) -> str | None:
+        if isinstance(error, OutOfMemoryError):
+            return "ray ended it because the machine's memory was nearly full"
+        is_death = isinstance(error, WorkerCrashedError | NodeDiedError)
+        return "killed, out of memory, or a crash" if is_death else None
+
+    def close(self) -> None:
+        """Ends the workers, if they are this engine's own, or leaves the cluster."""
+        ray.shutdown()

@@ -1,0 +1,59 @@
+"""How much memory the package may keep: what a user says, or a share of what this machine or container has."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+#: Share of the memory that is kept if the user says nothing.
+SHARE = 0.25
+
+_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
+_SIZE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([kmgt]i?)?b?\s*", re.IGNORECASE)
+
+
+def as_bytes(memory: int | str | None, name: str = "memory") -> int:
+    """Bytes of "2GB" (10^9), "500 MiB" (2^20) or a number; None: SHARE of what there is.
+
+    Raises:
+        ValueError: not a size; the message names it.
+
+    Example:
+        >>> as_bytes("2GB"), as_bytes("1.5 KiB"), as_bytes(0)
+        (2000000000, 1536, 0)
+    """
+    if memory is None:
+        return int(SHARE * available_memory())
+    match = _SIZE.fullmatch(memory) if isinstance(memory, str) else None
+    if match is not None:
+        return int(float(match[1]) * _UNITS[(match[2] or "").lower()])
+    if isinstance(memory, int) and not isinstance(memory, bool) and memory >= 0:
+        return memory
+    raise ValueError(f"{name}: expected a size such as '2GB' or '500MB', or bytes >= 0, got {memory!r}")
+
+
+def available_memory(root: Path = Path("/")) -> int:
+    """The memory of this machine in bytes, or the limit of the container (control group) that the process runs in.
+
+    Args:
+        root: where /proc and /sys are.
+    """
+    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    own = root / "proc/self/cgroup"
+    lines = own.read_text(encoding="utf-8", errors="replace").splitlines() if own.is_file() else []
+    for line in lines:
+        _, controllers, group = line.split(":", 2)
+        if controllers == "":
+            limits += _limits(root / "sys/fs/cgroup", group, "memory.max")
+        elif "memory" in controllers.split(","):
+            limits += _limits(root / "sys/fs/cgroup/memory", group, "memory.limit_in_bytes")
+    return min(limits)
+
+
+def _limits(base: Path, group: str, name: str) -> list[int]:
+    """The limits of a control group and of all groups around it. Inside a container the group's path may not exist."""
+    inner = base / group.lstrip("/")
+    folders = [folder for folder in (inner, *inner.parents) if folder == base or base in folder.parents]
+    texts = [(folder / name).read_text(encoding="ascii").strip() for folder in folders if (folder / name).is_file()]
+    return [int(text) for text in texts if text.isdecimal()]  # "max" is no limit
