@@ -1,8 +1,9 @@
 """A generated city of any size as LAZ, and superpoints of it in tiles: time, memory, and likeness to one piece.
 
     python benchmarks/tiles.py generate city.laz --points 5000000
-    python benchmarks/tiles.py compare city.laz city.superpoints.laz   # with the cloud in one piece
-    python benchmarks/tiles.py run city.laz out.laz                    # time per point, peak memory of all processes
+    python benchmarks/tiles.py compare city.laz out.laz      # the call in memory and tiles: time per point, peak memory
+    python benchmarks/tiles.py run city.laz out.laz          # tiles alone
+    python benchmarks/tiles.py likeness city.laz out.laz city.npy --tile 25 --buffer 2  # after compare with these
 
 The city is a grid of blocks, made one by one: it takes no memory, and block i, j is the same in a city of any size.
 """
@@ -10,6 +11,10 @@ The city is a grid of blocks, made one by one: it takes no memory, and block i, 
 from __future__ import annotations
 
 import argparse
+import resource
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import laspy
@@ -128,15 +133,107 @@ def generate(path: Path, num_points: int, seed: int = 0) -> None:
             written, index = written + len(points), index + 1
 
 
+def memory(process: int) -> int:
+    """Bytes of a process and all below it; pages that they share count once, those of files that can go do not."""
+    total = 0
+    try:
+        for line in Path(f"/proc/{process}/smaps_rollup").read_text().splitlines():
+            if line.startswith(("Pss_Anon:", "Pss_Shmem:")):
+                total += 1024 * int(line.split()[1])
+        for thread in Path(f"/proc/{process}/task").iterdir():
+            total += sum(memory(int(child)) for child in (thread / "children").read_text().split())
+    except OSError:  # it has ended meanwhile
+        pass
+    return total
+
+
+def measured(arguments: list[str]) -> dict[str, float]:
+    """Runs this file with other arguments; seconds by the clock and of the processors, and peak memory in GB."""
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    process, peak = subprocess.Popen([sys.executable, __file__, *arguments]), 0
+    while process.poll() is None:
+        peak = max(peak, memory(process.pid))
+        time.sleep(0.2)
+    if process.returncode:
+        sys.exit(f"{arguments} failed")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {"seconds": time.perf_counter() - start, "cpu": cpu, "peak_gb": peak / 1e9}
+
+
+def in_one_piece(path: Path, out: Path) -> None:
+    """The call in memory, from file to file: reads the cloud and writes the labels."""
+    import torch
+
+    import torchjoint as tj
+    from torchjoint.datasets.las import read_las
+
+    start = time.perf_counter()
+    points, colors = read_las(path)
+    read = time.perf_counter()
+    labels = tj.superpoints(points, colors)
+    print(f"  read {read - start:.1f} s, superpoints {time.perf_counter() - read:.1f} s")
+    np.save(out, labels.to(torch.int32).numpy())
+
+
+def in_tiles(path: Path, out: Path, tile: float | None, buffer: float | None) -> None:
+    from torchjoint.tiles import superpoints_of_files
+
+    print(" ", superpoints_of_files(path, out, tile=tile, buffer=buffer, overwrite=True, engine="loky:2"))
+
+
+def likeness(path: Path, labelled: Path, one: Path, tile: float, buffer: float) -> None:
+    """Covering of the labels in tiles and in one piece, and how well borders are found near edges and elsewhere."""
+    import torch
+
+    from torchjoint import ops
+    from torchjoint.datasets.las import read_las
+    from torchjoint.metrics import boundary_recall, segmentation_covering
+    from torchjoint.points.neighbors import nearest_neighbors
+
+    points = read_las(path)[0]
+    whole = torch.from_numpy(np.load(one).astype(np.int64))
+    labels = torch.from_numpy(laspy.read(labelled)["superpoint"].astype(np.int64))
+    print(segmentation_covering(labels, whole))
+    points, places = points - points[0], points[:, :2] / tile
+    edges = ops.neighbor_edges(nearest_neighbors((points).float(), 10).indices)
+    at_edge = (((places - places.round()).abs() * tile).amin(1) < buffer / 2)[edges[0]]
+    for name, chosen in (("at the edges of tiles", at_edge), ("elsewhere", ~at_edge)):
+        some = edges[:, chosen]
+        recall = [boundary_recall(*pair, some) for pair in ((labels, whole), (whole, labels))]
+        print(f"{name}: {some.shape[1]} edges, boundary recall {recall[0]:.4f}, precision {recall[1]:.4f}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(dest="command", required=True)
-    one = commands.add_parser("generate")
-    one.add_argument("out", type=Path)
-    one.add_argument("--points", type=int, default=5_000_000)
-    one.add_argument("--seed", type=int, default=0)
+    parser.add_argument("command", choices=("generate", "one", "tiles", "likeness", "compare", "run"))
+    parser.add_argument("files", type=Path, nargs="+")
+    parser.add_argument("--points", type=int, default=5_000_000)
+    parser.add_argument("--tile", type=float)
+    parser.add_argument("--buffer", type=float)
     arguments = parser.parse_args()
-    generate(arguments.out, arguments.points, arguments.seed)
+    files, sizes = arguments.files, (arguments.tile, arguments.buffer)
+    given = [f"--{name}={value}" for name, value in zip(("tile", "buffer"), sizes, strict=True) if value is not None]
+    if arguments.command == "generate":
+        generate(files[0], arguments.points)
+    elif arguments.command == "one":
+        in_one_piece(*files)
+    elif arguments.command == "tiles":
+        in_tiles(*files, *sizes)
+    elif arguments.command == "likeness":
+        likeness(*files, *sizes)
+    else:
+        with laspy.open(files[0]) as reader:
+            count = reader.header.point_count
+        for command in ("one", "tiles") if arguments.command == "compare" else ("tiles",):
+            out = files[0].with_suffix(".npy") if command == "one" else files[1]
+            result = measured([command, str(files[0]), str(out), *(given if command == "tiles" else [])])
+            per_point = {name: 1e6 * result[name] / count for name in ("seconds", "cpu")}
+            print(
+                f"{command}: {count} points, {per_point['seconds']:.2f} us a point, {per_point['cpu']:.2f} us of "
+                f"processors, {result['peak_gb']:.2f} GB",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ PUBLIC = {
     """,
     "torchjoint.datasets": """
         bop cloud_alone colmap folder kitti lidar_image list_scenes load_scene nerfstudio nuscenes organized_pcd
-        posed_images scannet sis3d tum ycb_video
+        posed_images ros scannet sis3d tum ycb_video
     """,
     "torchjoint.synthetic": """
         DOMAINS MASK_LEVELS DomainSettings SyntheticScene domain_settings make_domain_scene make_network_masks

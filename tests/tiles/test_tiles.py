@@ -72,7 +72,7 @@ def test_one_tile_is_the_cloud_in_one_piece_and_all_else_stays(cloud, tmp_path):
 
 
 def test_tiles_give_nearly_the_labels_of_one_piece(cloud, tmp_path):
-    made = superpoints_of_files(cloud, tmp_path / "out.las", tile=7, buffer=1, workers=1)
+    made = superpoints_of_files(cloud, tmp_path / "out.las", tile=7, buffer=1, engine="loky:1")
     assert made.num_tiles >= 4
     whole = tj.superpoints(torch.from_numpy(laspy.read(cloud).xyz.copy()))
     labels = labels_of(tmp_path / "out.las")
@@ -83,23 +83,23 @@ def test_tiles_give_nearly_the_labels_of_one_piece(cloud, tmp_path):
 
 
 def test_a_run_that_dies_goes_on_tile_by_tile(cloud, tmp_path, monkeypatch):
-    made = superpoints_of_files(cloud, tmp_path / "whole.las", tile=7, buffer=1, workers=1)
+    made = superpoints_of_files(cloud, tmp_path / "whole.las", tile=7, buffer=1, engine="loky:1")
     done, segment = [], tiles.segment_tile
 
-    def dies(task):
+    def dies(*arguments):
         if len(done) == 2:
             raise KeyboardInterrupt
-        done.append(task.labels.name)
-        return segment(task)
+        done.append(arguments[-1].labels.name)
+        return segment(*arguments)
 
     monkeypatch.setattr(tiles, "segment_tile", dies)
     with pytest.raises(KeyboardInterrupt):
-        superpoints_of_files(cloud, tmp_path / "out.las", tile=7, buffer=1, workers=1)
+        superpoints_of_files(cloud, tmp_path / "out.las", tile=7, buffer=1, engine="loky:1")
     assert not (tmp_path / "out.las").exists()
     again = []
-    monkeypatch.setattr(tiles, "segment_tile", lambda task: (again.append(task.labels.name), segment(task)))
+    monkeypatch.setattr(tiles, "segment_tile", lambda *given: (again.append(given[-1].labels.name), segment(*given)))
     monkeypatch.setattr(tiles, "survey", None)  # the cloud is not read and cut again
-    superpoints_of_files(cloud, tmp_path / "out.las", tile=7, buffer=1, workers=1)
+    superpoints_of_files(cloud, tmp_path / "out.las", tile=7, buffer=1, engine="loky:1")
     assert sorted(done + again) == sorted({*done, *again})
     assert len(again) == made.num_tiles - 2
     assert (tmp_path / "out.las").read_bytes() == (tmp_path / "whole.las").read_bytes()
@@ -112,13 +112,13 @@ def test_a_folder_of_files_is_one_cloud(tmp_path):
     write(tmp_path / "parts" / "b.las", points[2500:])
     write(tmp_path / "all.las", points)
     for name, out in (("parts", "out"), ("all.las", "out.las")):
-        superpoints_of_files(tmp_path / name, tmp_path / out, tile=5, buffer=1, workers=1)
+        superpoints_of_files(tmp_path / name, tmp_path / out, tile=5, buffer=1, engine="loky:1")
     parts = [labels_of(tmp_path / "out" / name) for name in ("a.laz", "b.las")]
     assert torch.equal(torch.cat(parts), labels_of(tmp_path / "out.las"))
 
 
 def test_the_command(cloud, tmp_path, run, capsys):
-    run("superpoints", cloud, "-o", tmp_path / "out.laz", "--tile", 7, "--workers", 1, "--set", "scale=2")
+    run("superpoints", cloud, "-o", tmp_path / "out.laz", "--tile", 7, "--engine", "loky:1", "--set", "scale=2")
     assert "8000 points in" in capsys.readouterr().out
     with pytest.raises(SystemExit, match=r"out\.laz: exists already"):
         run("superpoints", cloud, "-o", tmp_path / "out.laz")
@@ -189,8 +189,8 @@ def test_processes_and_many_tiles(tmp_path):
     """25 tiles in one and in two processes: the same bytes, and nearly the labels of one piece."""
     points = town(120_000, 50)
     cloud = write(tmp_path / "town.laz", points)
-    superpoints_of_files(cloud, tmp_path / "one.las", tile=10, buffer=1.5, workers=1)
-    superpoints_of_files(cloud, tmp_path / "two.las", tile=10, buffer=1.5, workers=2)
+    superpoints_of_files(cloud, tmp_path / "one.las", tile=10, buffer=1.5, engine="loky:1")
+    superpoints_of_files(cloud, tmp_path / "two.las", tile=10, buffer=1.5, engine="loky:2")
     assert (tmp_path / "one.las").read_bytes() == (tmp_path / "two.las").read_bytes()
     whole, labels = tj.superpoints(torch.from_numpy(laspy.read(cloud).xyz.copy())), labels_of(tmp_path / "one.las")
     assert segmentation_covering(labels, whole).symmetric > 0.98

@@ -22,6 +22,8 @@ def segment(
     parameters: Flat = DEFAULTS,
     overwrite: bool = False,
     voxel_size: float = 0.02,
+    topics: tuple[str, ...] = (),
+    time_limit: float = 0.02,
     max_frames: int | None = None,
     in_view: bool = False,
     thin: float | None = None,
@@ -45,6 +47,9 @@ def segment(
         parameters: parameters of the method.
         overwrite: replace OUT if it is an earlier result.
         voxel_size: metres, for fusing a cloud from depth if the recording has no cloud.
+        topics: of a ROS recording, where several would do: --topics color=/front/image_raw; also info, depth, points,
+            odometry.
+        time_limit: of a ROS recording: seconds between an image and its depth, and its pose, at most.
         max_frames: number of frames to use, evenly spread over the recording.
         thin: keep one point per voxel of this size, metres; for clouds that are denser than their noise, or too large.
         merge_within: metres; the points in a cube with this side count as one point, and all get its label.
@@ -62,7 +67,9 @@ def segment(
         show: show the result in the browser, as `torchjoint show` does.
     """
     config = parameters.config()
-    options = RecordingOptions(voxel_size, max_frames, in_view, thin, merge_within, granularity)
+    options = RecordingOptions(
+        voxel_size, max_frames, in_view, thin, merge_within, granularity, tuple(map(read_topic, topics)), time_limit
+    )
     with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:
         segmented = segment_recording(
             scene,
@@ -81,3 +88,15 @@ def segment(
         return
     summarize(segmented.result, out)
     show_result(out, show, segmented.segmenter, segmented.scene)
+
+
+def read_topic(assignment: str) -> tuple[str, str]:
+    """Role and topic of ``role=/topic``.
+
+    Raises:
+        ValueError: it has another form.
+    """
+    role, sign, topic = assignment.partition("=")
+    if not (role and sign and topic):
+        raise ValueError(f"--topics: expected ROLE=TOPIC, such as color=/camera/image_raw, got {assignment!r}")
+    return role, topic

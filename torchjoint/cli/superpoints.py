@@ -32,7 +32,7 @@ def superpoints(
     overwrite: bool = False,
     tile: float | None = None,
     buffer: float | None = None,
-    workers: int | None = None,
+    engine: str | None = None,
 ) -> None:
     """Segments a cloud into superpoints. LAS and LAZ files may be of any size; docs/tiles.md tells more.
 
@@ -51,7 +51,8 @@ def superpoints(
         overwrite: replace existing files.
         tile: metres, side of a tile of a .las or .laz; default: as large as 2 million points allow.
         buffer: metres, rim that a tile shares with its neighbours; default: 40 typical distances of points.
-        workers: processes that segment tiles; default: one for each core.
+        engine: where tiles are segmented: loky (this machine, the default; loky:2: two workers), dask, dask://HOST:PORT,
+            ray, ray://HOST:PORT. The workers must see the folder of OUT.
     """
     if is_las(cloud) and (out is None or cloud.is_dir() or out.suffix.lower() in SUFFIXES):
         if viewpoint is not None or columns is not None:
@@ -59,11 +60,18 @@ def superpoints(
         out = out or Path(f"{cloud.stem}-superpoints{'' if cloud.is_dir() else '.laz'}")
         config = SuperpointsConfig.from_preset(preset).set(set)
         made = superpoints_of_files(
-            cloud, out, tile=tile, buffer=buffer, preset=config, workers=workers, overwrite=overwrite, progress=True
+            cloud,
+            out,
+            tile=tile,
+            buffer=buffer,
+            preset=config,
+            engine=engine or "loky",
+            overwrite=overwrite,
+            progress=True,
         )
         print(f"{made.num_points} points in {made.num_superpoints} superpoints, {made.num_tiles} tiles: {out}")
         return
-    for name, value in (("--tile", tile), ("--buffer", buffer), ("--workers", workers)):
+    for name, value in (("--tile", tile), ("--buffer", buffer), ("--engine", engine)):
         if value is not None:
             raise ValueError(f"{name}: expected a .las or .laz cloud and result, got {cloud} and {out}")
     out = out or Path(f"{cloud.stem}-superpoints.ply")

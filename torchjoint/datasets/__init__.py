@@ -12,6 +12,7 @@ data set of this format.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol, cast
 
@@ -26,6 +27,7 @@ from torchjoint.datasets import (
     nuscenes,
     organized_pcd,
     posed_images,
+    ros,
     scannet,
     sis3d,
     tum,
@@ -48,6 +50,7 @@ __all__ = [
     "nuscenes",
     "organized_pcd",
     "posed_images",
+    "ros",
     "scannet",
     "sis3d",
     "tum",
@@ -82,13 +85,20 @@ FORMATS: dict[str, Format] = {
     "bop": cast(Format, bop),
     "ycb_video": cast(Format, ycb_video),
     "posed_images": cast(Format, posed_images),
+    "ros": cast(Format, ros),
     "cloud_alone": cast(Format, cloud_alone),  # last: other formats have clouds with images
 }
 
 
 @on_cpu()
 def load_scene(
-    path: str | Path, *, cloud: str | Path | None = None, voxel_size: float = 0.02, progress: bool | None = None
+    path: str | Path,
+    *,
+    cloud: str | Path | None = None,
+    voxel_size: float = 0.02,
+    progress: bool | None = None,
+    topics: Mapping[str, str] | None = None,
+    time_limit: float = 0.02,
 ) -> Scene:
     """Loads a scene; detects its format. Frames are read from disk on access.
 
@@ -100,6 +110,9 @@ def load_scene(
         voxel_size: of the fusion, metres; about the distance between fused points.
         progress: show a progress bar while fusing; None: if there is a terminal. A fused cloud is kept in the user's
             cache for the next time (environment variable TORCHJOINT_CACHE: another folder, or empty: nowhere).
+        topics: of a ROS recording, where several topics would do: {"color": "/camera/color/image_raw"}; also info,
+            depth, points, odometry.
+        time_limit: of a ROS recording: seconds between an image and its depth, and its pose, at most.
 
     Returns:
         The scene; `scene.truth` holds the ground-truth instances, if the data set has any.
@@ -110,7 +123,9 @@ def load_scene(
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"scene: {path} does not exist")
-    options = Options(None if cloud is None else Path(cloud), voxel_size, progress)
+    if not 0 < time_limit < float("inf"):
+        raise ValueError(f"time_limit: expected more than 0 seconds, got {time_limit}")
+    options = Options(None if cloud is None else Path(cloud), voxel_size, progress, dict(topics or {}), time_limit)
     for module in FORMATS.values():
         if module.recognizes(path):
             return module.load(path, options)

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime.archives import FREE, RATIO
+from torchjoint.runtime.extras import needed_for
 
 _XYZ = ("cartesianX", "cartesianY", "cartesianZ")
 _RGB = ("colorRed", "colorGreen", "colorBlue")
@@ -37,12 +38,9 @@ def read_e57(path: Path) -> tuple[Tensor, Tensor | None]:
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud, .e57")
-    try:
+    with needed_for("reading .e57", "pye57", "torchjoint[e57]"):
         import pye57
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(".e57 needs pye57: pip install 'torchjoint[e57]'") from error
     try:
-        # The library takes the file's name as UTF-8.
         with pye57.E57(str(path)) as file:
             _check_counts(path, [file.get_header(index).point_count for index in range(file.scan_count)])
             scans = [_scan(file, index) for index in range(file.scan_count)]

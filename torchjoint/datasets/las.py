@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.las_header import check_header
+from torchjoint.runtime.extras import needed_for
 
 SUFFIXES = (".las", ".laz")
 #: Points that are read at a time; those of one chunk of LAZ are 50,000.
@@ -116,11 +117,9 @@ def las_library() -> Any:
     Raises:
         ModuleNotFoundError: what to install.
     """
-    try:
+    with needed_for("reading .las and .laz", "laspy and lazrs", "torchjoint[las]"):
         import laspy
         import lazrs  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(".las and .laz need laspy and lazrs: pip install 'torchjoint[las]'") from error
     return laspy
 
 

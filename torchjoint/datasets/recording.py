@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
@@ -26,6 +26,8 @@ class Options:
     cloud: Path | None = None  #: a cloud file to use; if it does not exist, a fused cloud is written there
     voxel_size: float = 0.02  #: of the fusion, metres
     progress: bool | None = False  #: show a progress bar while fusing; None: if there is a terminal
+    topics: Mapping[str, str] = field(default_factory=dict)  #: of a ROS recording, by their roles
+    time_limit: float = 0.02  #: of a ROS recording: seconds between an image and its depth, and its pose, at most
 
 
 def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:

@@ -25,14 +25,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-import torch
 from torch import Tensor
 
-from torchjoint.datasets.cameras import Camera, pinhole_matrix, rotations_from_quaternions
+from torchjoint.datasets.cameras import Camera, pinhole_matrix
 from torchjoint.datasets.files import read_depth, read_image, read_matrix
 from torchjoint.datasets.lazy import LazySequence
 from torchjoint.datasets.paths import frame_names, path_inside
+from torchjoint.datasets.pose_interpolation import interpolate_poses
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
 from torchjoint.datasets.text import parse_numbers, read_lines
 from torchjoint.scene import Frame, Scene
@@ -155,23 +154,8 @@ def _read_poses(path: Path, wanted: Sequence[float]) -> list[Tensor | None]:
         rows.setdefault(values[0], values)
     if not rows:
         raise ValueError(f"{path}: expected lines of timestamp tx ty tz qx qy qz qw, got none")
-    return _interpolate(np.array([rows[time] for time in sorted(rows)]), np.array(wanted), str(path))
-
-
-def _interpolate(rows: npt.NDArray[np.float64], wanted: npt.NDArray[np.float64], name: str) -> list[Tensor | None]:
-    from scipy.spatial.transform import Slerp
-
-    rotations = rotations_from_quaternions(rows[:, 4:], name)
-    if len(rows) == 1:  # duplicates a single pose, so that Slerp has two
-        rows, rotations = np.concatenate([rows, rows + np.eye(8)[:1]]), rotations[[0, 0]]
-    times = rows[:, 0]
-    within = wanted.clip(times[0], times[-1])
-    after = np.searchsorted(times, within).clip(1, len(times) - 1)
-    nearest = np.minimum(abs(wanted - times[after - 1]), abs(wanted - times[after]))
-    poses = np.tile(np.eye(4), (len(wanted), 1, 1))
-    poses[:, :3, :3] = Slerp(times, rotations)(within).as_matrix()
-    poses[:, :3, 3] = np.stack([np.interp(within, times, rows[:, axis]) for axis in (1, 2, 3)], axis=1)
-    return [torch.from_numpy(pose) if gap <= TOLERANCE else None for pose, gap in zip(poses, nearest, strict=True)]
+    in_order = np.array([rows[time] for time in sorted(rows)])
+    return interpolate_poses(in_order, np.array(wanted), TOLERANCE, str(path))
 
 
 def _camera(path: Path) -> Camera:

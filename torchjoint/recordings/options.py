@@ -22,6 +22,8 @@ class RecordingOptions:
         thin: keep one point per voxel of this size, metres; None: all points.
         merge_within: metres; the points in a cube with this side count as one point, and all get its label.
         granularity: level of the labels, 0 (coarse) to 1 (fine); None: the default, 0.5.
+        topics: of a ROS recording: pairs of a role and its topic, where several topics would do.
+        time_limit: of a ROS recording: seconds between an image and its depth, and its pose, at most.
     """
 
     voxel_size: float = 0.02
@@ -30,6 +32,8 @@ class RecordingOptions:
     thin: float | None = None
     merge_within: float = 0.0
     granularity: float | None = None
+    topics: tuple[tuple[str, str], ...] = ()
+    time_limit: float = 0.02
 
     def check(self, config: Config) -> None:
         """Raises ValueError if an option is out of its range, or does not go with the parameters."""
@@ -43,6 +47,10 @@ class RecordingOptions:
         method = config.point_segments.method
         if method not in ("learned", "auto"):
             raise ValueError(f"--granularity: method {method} has one level only; --preset default has all")
+
+    def source(self) -> str:
+        """The options on which a fused cloud depends, as text."""
+        return f"{self.voxel_size} {sorted(self.topics)} {self.time_limit}"
 
     def key(self) -> str:
         """The options on which the state of a run depends, as text."""

@@ -74,7 +74,7 @@ def segment_recording(
     for name, needed in (("scene", path), ("--masks", masks)):
         if needed is not None and not needed.exists():
             raise FileNotFoundError(f"{name}: {needed} does not exist")
-    source = f"{fingerprint(path, own_files(out))} {options.voxel_size}"
+    source = f"{fingerprint(path, own_files(out))} {options.source()}"
     if masks is not None:
         source += f" {fingerprint(masks)} {without_masks}"
     key = run_key(f"{source} {options.key()}", config)
@@ -84,7 +84,7 @@ def segment_recording(
             return None
         if masks is not None:
             check_files(masks)  # first, for fusing a cloud takes long
-        scene = _load(path, partial, options.voxel_size, progress)
+        scene = _load(path, partial, options, progress)
         if masks is not None:
             scene = read_folder(masks, scene, "segment" if without_masks == "segment" else "leave out")
         scene = options.cut_down(scene)
@@ -100,13 +100,20 @@ def segment_recording(
     return Segmented(result, segmenter, scene)
 
 
-def _load(path: Path, partial: Path, voxel_size: float, progress: bool) -> Scene:
+def _load(path: Path, partial: Path, options: RecordingOptions, progress: bool) -> Scene:
     """The recording; a fused cloud is kept in the partial result, and stays in the result."""
-    fused, checksum = partial / f"cloud-{voxel_size * 1000:g}mm.ply", partial / STATE / "cloud.sha256"
+    fused, checksum = partial / f"cloud-{options.voxel_size * 1000:g}mm.ply", partial / STATE / "cloud.sha256"
     is_whole = fused.is_file() and checksum.is_file() and checksum.read_bytes().decode() == file_checksum(fused)
     if not is_whole:
         fused.unlink(missing_ok=True)
-    scene = load_scene(path, cloud=fused, voxel_size=voxel_size, progress=progress)
+    scene = load_scene(
+        path,
+        cloud=fused,
+        voxel_size=options.voxel_size,
+        progress=progress,
+        topics=dict(options.topics),
+        time_limit=options.time_limit,
+    )
     if fused.is_file() and not is_whole:
         checksum.parent.mkdir(exist_ok=True)
         write_text(checksum, file_checksum(fused))

@@ -21,6 +21,7 @@ from tqdm import tqdm
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files import fingerprint
 from torchjoint.datasets.las import SUFFIXES
+from torchjoint.engine import Engine, open_engine
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write, write_text
 from torchjoint.runtime.locks import lock
@@ -33,6 +34,8 @@ from torchjoint.tiles.tile import TileTask, read_labels, segment_tile
 
 #: Points of a tile with its buffer: they take about 0.7 GB while they are segmented.
 MOST_POINTS = 2_000_000
+#: The engine that starts no worker.
+HERE = "loky:1"
 #: The default buffer, in typical distances of neighbouring points.
 BUFFER_SPACINGS = 40
 
@@ -61,7 +64,7 @@ def superpoints_of_files(
     tile: float | None = None,
     buffer: float | None = None,
     preset: str | SuperpointsConfig = "room",
-    workers: int | None = None,
+    engine: str | Engine = "loky",
     overwrite: bool = False,
     progress: bool | None = None,
 ) -> TiledCloud:
@@ -70,7 +73,7 @@ def superpoints_of_files(
     The result has all dimensions, records and the order of the points of the cloud, and a dimension `superpoint`. A
     cloud that fits in one tile gets the labels of :func:`torchjoint.superpoints`. A larger one gets nearly these: the
     same wherever a superpoint lies in one tile, and stitched where superpoints cross the edges of tiles. Labels do not
-    depend on the number of workers, the order in which tiles are done, or interruptions.
+    depend on the engine, the order in which tiles are done, or interruptions.
 
     Args:
         cloud: a .las, .laz or .copc.laz file, or a folder of them, which are one cloud.
@@ -79,7 +82,8 @@ def superpoints_of_files(
             are halved in any case.
         buffer: metres, the rim that a tile shares with its neighbours; default: 40 typical distances of points.
         preset: as of :func:`torchjoint.superpoints`.
-        workers: processes; default: one for each core. Each takes about 0.4 GB, and 0.7 GB for its tile.
+        engine: as of :func:`torchjoint.engine.open_engine`: where the tiles are segmented. The workers must see the
+            folder of `out`. With "loky:1" it is this process.
         overwrite: replace an earlier result.
         progress: show progress bars; None: if there is a terminal.
 
@@ -88,7 +92,8 @@ def superpoints_of_files(
 
     Raises:
         FileNotFoundError, FileExistsError, ValueError, TypeError: naming the file or argument and what is wrong.
-        ModuleNotFoundError: laspy or lazrs is not installed.
+        ModuleNotFoundError: laspy or lazrs, or the engine, is not installed.
+        ConnectionError, WorkerDied: of the engine. What is done stays done: the same call goes on.
     """
     cloud, out = Path(cloud), Path(os.path.abspath(out))
     config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
@@ -103,7 +108,7 @@ def superpoints_of_files(
         stats = [fingerprint(file) for file in files]
         _prepare(work, repr((stats, tile, buffer, config, MOST_POINTS, version("torchjoint"))))
         cut = _cut(files, work, tile, buffer, progress)
-        _segment(cut, work, config, workers, progress)
+        _segment(cut, work, config, engine, progress)
         num_superpoints, labels = _stitch(cut, work)
         _write(cloud, files, out, work, labels, progress)
         shutil.rmtree(work)
@@ -195,31 +200,30 @@ def _check_disk(work: Path, num_points: int, colored: bool) -> None:
         raise ValueError(f"out: expected about {needed / 1e9:.1f} GB free in {work.parent}, got {free / 1e9:.1f} GB")
 
 
-def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, workers: int | None, progress: bool | None) -> None:
-    """Segments the tiles that no earlier run has done, several at a time."""
-    import joblib
-
-    folder = work / "labels"
-    folder.mkdir(exist_ok=True)
+def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: str | Engine, progress: bool | None) -> None:
+    """Segments the tiles that no earlier run has done, several at a time; a single one in this process."""
+    (work / "labels").mkdir(exist_ok=True)
     tasks = [
-        TileTask(tile_file(work / "points", number), _labels_file(work, number), cut.white, config)
+        TileTask(tile_file(work / "points", number), _labels_file(work, number))
         for number in range(cut.num_tiles)
         if not _labels_file(work, number).is_file()
     ]
-    count = min(joblib.cpu_count() if workers is None else workers, len(tasks))
     with tqdm(total=cut.num_tiles, desc="segment", unit="tile", disable=_hidden(progress)) as bar:
         bar.update(cut.num_tiles - len(tasks))
-        if count <= 1:
+        if len(tasks) <= 1 or engine == HERE:
             for task in tasks:
-                segment_tile(task)
+                segment_tile(cut.white, config, task)
                 bar.update()
             return
-        with joblib.parallel_config(backend="loky", n_jobs=count, inner_max_num_threads=1):
-            done = joblib.Parallel(return_as="generator_unordered", batch_size=1)(
-                joblib.delayed(segment_tile)(task) for task in tasks
-            )
-            for _ in done:
+        with open_engine(engine) as opened:
+            for outcome in opened.run(_segment_shared, tasks, (cut.white, config)):
+                if outcome.error is not None:
+                    raise outcome.error
                 bar.update()
+
+
+def _segment_shared(shared: tuple[int | None, SuperpointsConfig], task: TileTask) -> None:
+    segment_tile(*shared, task)
 
 
 def _stitch(cut: _Cut, work: Path) -> tuple[int, npt.NDArray[np.unsignedinteger]]:

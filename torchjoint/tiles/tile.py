@@ -21,8 +21,6 @@ class TileTask(NamedTuple):
 
     points: Path  #: the file of the tile's points
     labels: Path  #: the file to write
-    white: int | None  #: as of a survey
-    config: SuperpointsConfig
 
 
 class TileLabels(NamedTuple):
@@ -34,24 +32,30 @@ class TileLabels(NamedTuple):
     shared_label: npt.NDArray[np.int32]  #: [m]
 
 
-def segment_tile(task: TileTask) -> int:
+def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -> None:
     """Segments the points of a tile and its buffer, writes the labels, and removes the file of the points.
 
-    Returns:
-        the number of points.
+    A worker may die between these steps, and the tile may be given to another: what is done is not done again.
+
+    Args:
+        white: as of a survey.
+        config: of the superpoints.
+        task: the files.
     """
-    records = np.fromfile(task.points, point_type(task.white is not None))
+    if task.labels.is_file():
+        task.points.unlink(missing_ok=True)
+        return
+    records = np.fromfile(task.points, point_type(white is not None))
     points = torch.from_numpy(np.ascontiguousarray(records["xyz"]))
-    colors = None if task.white is None else torch.from_numpy(records["rgb"].astype(np.float32) / task.white)
+    colors = None if white is None else torch.from_numpy(records["rgb"].astype(np.float32) / white)
     number, kind = records["number"].copy(), records["kind"].copy()
     del records
-    label = superpoints(points, colors, preset=task.config).numpy().astype(np.int32)
+    label = superpoints(points, colors, preset=config).numpy().astype(np.int32)
     own, shared = (kind & OWN) > 0, (kind & SHARED) > 0
     arrays: dict[str, npt.NDArray[Any]] = TileLabels(number[own], label[own], number[shared], label[shared])._asdict()
     with atomic_write(task.labels) as partial:
         np.savez(partial, **arrays)  # type: ignore[arg-type]
     task.points.unlink()
-    return len(number)
 
 
 def read_labels(path: Path) -> TileLabels:

@@ -1,0 +1,81 @@
+"""Where the sensors of a ROS recording are: the tree of tf, or odometry with the fixed part of the tree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.pose_interpolation import interpolate_poses
+from torchjoint.datasets.ros_bag import Bag
+
+TF, ODOMETRY = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), ("nav_msgs/msg/Odometry",)
+#: Frames deeper than this in the tree are a circle.
+_DEEPEST = 64
+
+
+class Poses:
+    """Transforms between frames over time; the world is the frame at the root of their tree.
+
+    Args:
+        bag: the recording; all messages of tf are read.
+        limit: seconds between a wanted time and the nearest transform, at most.
+    """
+
+    def __init__(self, bag: Bag, limit: float) -> None:
+        self.bag, self.limit = bag, limit
+        self._parents: dict[str, str] = {}
+        self._rows: dict[str, dict[float, list[float]]] = {}
+        self._fixed: dict[str, bool] = {}
+        for topic in bag.topics(*TF):
+            for message in bag.messages(topic):
+                for one in message.transforms:
+                    self._add(one.header, one.child_frame_id, one.transform, topic.endswith("static"))
+
+    def moves(self, frame: str) -> bool:
+        """Whether a frame moves in the world: its transform, or one above it, is not fixed."""
+        return any(not self._fixed[one] for one in self._chain(frame))
+
+    def world_from(self, frame: str, times: Sequence[float]) -> list[Tensor | None]:
+        """The poses [4, 4] float64 of a frame in the world, the root of its tree; None: none is near enough in time."""
+        wanted = np.array(times, np.float64)
+        poses: list[Tensor | None] = [torch.eye(4, dtype=torch.float64) for _ in times]
+        for one in self._chain(frame):
+            rows = np.array([self._rows[one][time] for time in sorted(self._rows[one])])
+            limit = np.inf if self._fixed[one] else self.limit
+            step = interpolate_poses(rows, wanted, limit, f"{self.bag.path}: transform of {one}")
+            poses = [None if a is None or b is None else a @ b for a, b in zip(step, poses, strict=True)]
+        return poses
+
+    def add_odometry(self, topic: str) -> None:
+        """Takes the poses of a frame from odometry, instead of what tf says of it."""
+        messages = list(self.bag.messages(topic))
+        for child in {message.child_frame_id.lstrip("/") for message in messages}:
+            self._rows.pop(child, None)
+        for message in messages:
+            self._add(message.header, message.child_frame_id, message.pose.pose, False)
+
+    def _chain(self, frame: str) -> list[str]:
+        """A frame and those above it, without the root."""
+        chain, frame = [], frame.lstrip("/")
+        while frame in self._parents:
+            chain.append(frame)
+            frame = self._parents[frame]
+            if len(chain) > _DEEPEST:
+                raise ValueError(f"{self.bag.path}: the frames of tf are a circle: {', '.join(chain[:5])} ...")
+        return chain
+
+    def _add(self, header: Any, child: str, transform: Any, fixed: bool) -> None:
+        child = child.lstrip("/")
+        moved = transform.translation if hasattr(transform, "translation") else transform.position
+        turned = transform.rotation if hasattr(transform, "rotation") else transform.orientation
+        time = header.stamp.sec + header.stamp.nanosec * 1e-9
+        row = [time, moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w]
+        if not np.isfinite(row).all():
+            raise ValueError(f"{self.bag.path}: expected finite transforms of frame {child}, got {row}")
+        self._parents[child] = header.frame_id.lstrip("/")
+        self._fixed[child] = fixed
+        self._rows.setdefault(child, {}).setdefault(time, row)
