@@ -1,55 +1,117 @@
-"""Draws results on real data for the README: `python benchmarks/gallery.py OUT.png TITLE=RESULT ...`.
+"""Draws results for the documents: `python benchmarks/gallery.py DATA [PICTURE ...]` (some minutes for all).
 
-Each RESULT is a folder that `torchjoint segment` wrote. The figure shows only computed results, no photographs: the
-final label images and the cloud; one colour is one object.
+DATA has kitchen/ (7-Scenes' style), mosd/ and kitti/. Writes docs/gallery.jpg, docs/kitchen.jpg and
+docs/superpoints.jpg. All segmentations are by the default. The pictures of street LiDAR show no photograph, because its
+terms do not allow it: in its place stand the boundaries that the detector finds in it.
 """
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
-import torch
-import yaml
 from matplotlib.figure import Figure
+from torch import Tensor
 
 import torchjoint as tj
-from torchjoint.datasets.files import read_label_image
-from torchjoint.results.folder import read_points
+from torchjoint.results.figures import cloud_figure
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.render import render_cloud
+from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.views.projection import in_any_view
 
-MOST_IMAGES = 6
+DOCS = Path(__file__).parents[1] / "docs"
+JPEG = {"dpi": 100, "pil_kwargs": {"quality": 88, "subsampling": 0}}
+CLOUD = (330, 440)
+
+
+def kitchen(data: Path) -> tj.Scene:
+    return tj.load_scene(data / "kitchen").sample_frames(60)
+
+
+def table_top(data: Path) -> tj.Scene:
+    scene = tj.load_scene(data / "mosd" / "learn44.pcd")
+    return scene.select_points(voxel_subsample(scene.points, 0.005))
+
+
+def shelf(_: Path) -> tj.Scene:
+    return tj.synthetic.make_domain_scene("shelf", seed=41, num_views=10, num_points=30_000).scene
+
+
+def street(data: Path) -> tj.Scene:
+    scene = tj.load_scene(data / "kitti" / "training" / "velodyne" / "000008.bin")
+    return scene.select_points(in_any_view(scene.points, scene.frames))
+
+
+#: Title -> scene, frame, whether its photograph may be shown.
+ROWS: dict[str, tuple[Callable[[Path], tj.Scene], int, bool]] = {
+    "a real kitchen": (kitchen, 0, True),
+    "table-top, one view": (table_top, 0, True),
+    "generated shelf": (shelf, 3, True),
+    "street LiDAR, one camera": (street, 0, False),
+}
+
+
+def draw_gallery(data: Path) -> Figure:
+    heights = [2.9 if may_show else 1.9 for _, _, may_show in ROWS.values()]  # the street's image is wide
+    figure = Figure(figsize=(14, sum(heights)), layout="constrained")
+    rows = figure.subplots(len(ROWS), 4, height_ratios=heights)
+    for axes, (title, (make, index, may_show)) in zip(rows, ROWS.items(), strict=True):
+        scene = make(data)
+        segmenter = tj.JointSegmenter()
+        result = segmenter(scene)
+        photo = scene.frames[index].image.permute(1, 2, 0)
+        if not may_show:
+            strength = segmenter.state.observations[index].boundary[..., None].float() / 255
+            photo = 1 - strength.sqrt().repeat(1, 1, 3)
+        count = f"{len(scene.frames)} image{'s' * (len(scene.frames) > 1)}"
+        pictures = {
+            f"{title}: {count}" if may_show else f"{title}: boundaries": photo,
+            "image alone": label_colors(result.initial_images[index]),
+            "joint": label_colors(result.images[index], result.num_point_segments),
+            f"{len(scene.points):,} points, {result.num_point_segments} segments": _cloud(scene, result.points),
+        }
+        for axis, (name, picture) in zip(axes, pictures.items(), strict=True):
+            axis.imshow(picture.numpy())
+            axis.set(xticks=[], yticks=[])
+            axis.set_title(name, fontsize=10)
+    return figure
+
+
+def draw_kitchen(data: Path) -> Figure:
+    scene = kitchen(data)
+    result = tj.JointSegmenter()(scene)
+    figure = Figure(figsize=(13, 9), layout="constrained")
+    top, bottom = figure.subfigures(2, 1, height_ratios=[5, 4.4])
+    for column, index in zip(top.subplots(2, 4).T, (0, 15, 24, 59), strict=True):
+        photo, labels = scene.frames[index].image.permute(1, 2, 0), result.images[index]
+        for axis, picture in zip(column, (photo, label_colors(labels, result.num_point_segments)), strict=True):
+            axis.imshow(picture.numpy())
+            axis.set(xticks=[], yticks=[])
+    for axis, colors in zip(bottom.subplots(1, 2), (scene.colors, label_colors(result.points)), strict=True):
+        axis.imshow(render_cloud(scene, colors).numpy())
+        axis.set(xticks=[], yticks=[])
+    return figure
+
+
+def draw_superpoints(data: Path) -> Figure:
+    scene = tj.load_scene(data / "kitchen")
+    return cloud_figure(scene, tj.superpoints(scene.points, scene.colors, scene.normals))
+
+
+def _cloud(scene: tj.Scene, labels: Tensor) -> Tensor:
+    return render_cloud(scene, label_colors(labels), CLOUD)
+
+
+PICTURES = {"gallery": draw_gallery, "kitchen": draw_kitchen, "superpoints": draw_superpoints}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("results", nargs="+", help="TITLE=FOLDER")
+    parser.add_argument("data", type=Path)
+    parser.add_argument("pictures", nargs="*", default=[*PICTURES], choices=[*PICTURES])
     arguments = parser.parse_args()
-    results = [result.rpartition("=")[::2] for result in arguments.results]
-    figure = Figure(figsize=(12, 3.1 * len(results)), layout="constrained")
-    for part, (title, folder) in zip(figure.subfigures(len(results), 1, squeeze=False)[:, 0], results, strict=True):
-        draw(part, title, Path(folder))
-    figure.savefig(arguments.out, dpi=100)
-
-
-def draw(part: Figure, title: str, folder: Path) -> None:
-    points = read_points(folder)
-    count = yaml.safe_load((folder / "run.yaml").read_text())["counts"]["point_segments"]
-    images = [read_label_image(file) - 1 for file in sorted((folder / "images").glob("*.png"))]
-    chosen = torch.linspace(0, len(images) - 1, min(len(images), MOST_IMAGES)).round().long().tolist()
-    left, right = part.subfigures(1, 2, width_ratios=[2, 1])
-    columns = min(3, len(chosen))
-    rows = -(-len(chosen) // columns)
-    for axis, index in zip(left.subplots(rows, columns, squeeze=False).flat, chosen, strict=False):
-        axis.imshow(label_colors(images[index], count).numpy())
-        axis.set(xticks=[], yticks=[])
-    images_of = f"{len(images)} image{'s' * (len(images) > 1)}"
-    left.suptitle(f"{title}: {images_of}, {len(points.points):,} points, {count} segments", fontsize=10)
-    axis = right.subplots()
-    source = yaml.safe_load((folder / "run.yaml").read_text())["scene"]
-    scene = tj.Scene(points.points, tj.load_scene(source).frames)
-    axis.imshow(render_cloud(scene, label_colors(points.labels)).numpy())
-    axis.set(xticks=[], yticks=[])
+    for name in arguments.pictures:
+        PICTURES[name](arguments.data).savefig(DOCS / f"{name}.jpg", **JPEG)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The README, and the documents that it links, say what is true."""
 
+import importlib
 import re
 import subprocess
 import sys
@@ -41,6 +42,17 @@ def test_the_table_of_parameters_is_the_code_s():
 def test_the_table_of_superpoint_parameters_is_the_code_s():
     """If not: `torchjoint parameters --superpoints` prints it."""
     assert between("superpoint parameters", "docs/superpoints.md") == superpoint_table().strip()
+
+
+@pytest.mark.slow
+def test_the_warnings_about_poses_are_the_code_s(monkeypatch):
+    """If not: `python benchmarks/pictures.py` writes them. Numbers may differ a little from machine to machine."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    pictures = importlib.import_module("pictures")
+    said, written = (
+        re.sub(r"[\d.]+", "N", text) for text in (pictures.messages(), between("mistakes", "docs/your_data.md"))
+    )
+    assert said == written
 
 
 def test_ci_runs_the_test_command():
