@@ -3,8 +3,8 @@
     python benchmarks/callers.py --cases 2000 --threads 4
 
 The inputs are those of benchmarks/fuzz.py, right ones and wrong ones. `.ci/sanitize PYTHON thread` runs it under the
-thread sanitizer, which finds unguarded shared memory even where nothing goes wrong. Each operation has one thread of
-its own there: the sanitizer does not see how OpenMP, which is not compiled with it, makes threads wait for each other.
+thread sanitizer, which finds unguarded shared memory even where nothing goes wrong. Each operation runs in one thread:
+the sanitizer does not see how OpenMP, which is not compiled with it, makes threads wait for each other.
 """
 
 from __future__ import annotations

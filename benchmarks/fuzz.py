@@ -6,8 +6,7 @@
   wrappers and through ``torch.ops``. An error must be a clear one; a result must be that of the slow twin, if there is
   one.
 * Files are the samples of tests/samples, clouds, and the state and result of a run; bytes are cut, flipped and
-  replaced. A reader must raise a clear error, or read numbers; whether it read as many points and frames as the intact
-  file has is counted. Files with checksums must not be read at all.
+  replaced. A reader must raise a clear error, or read what can be right (benchmarks/fuzz_files.py).
 
 Case i depends on the seed and on i alone. The work is done in a process of its own; if it dies, the case is a finding,
 and the work goes on behind it. With --state an interrupted campaign goes on where it was. .ci/sanitize runs it, too.
@@ -23,7 +22,6 @@ import multiprocessing
 import shutil
 import sys
 import tempfile
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -31,8 +29,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from fuzz_files import FindingError, file_case, make_samples
 
-import torchjoint as tj
 from torchjoint.ops import reference
 from torchjoint.runtime.files import write_text
 
@@ -47,10 +45,6 @@ DTYPES = (torch.float32, torch.float64, torch.int32, torch.int64, torch.uint8, t
 #: Operators whose result is not unique for odd inputs (the normal of points on a line); tests/ops judges them.
 AMBIGUOUS = ("fit_normals", "region_planes")
 ODD = (math.nan, math.inf, -math.inf, -0.0, 0.0, 1e30, -1e30, 1e-40, 1.0)
-
-
-class FindingError(Exception):
-    """A case that should not be."""
 
 
 def changed_tensor(value: torch.Tensor, rng: np.random.Generator, values_only: bool) -> torch.Tensor:
@@ -138,110 +132,6 @@ def compare(operator: Callable[..., Any], result: Any, expected: Any) -> None:
             compare(operator, tuple(one), tuple(other))
         elif not math.isclose(one, other, rel_tol=1e-6, abs_tol=1e-9):
             raise FindingError(f"{operator.__name__}: {one} instead of {other}")
-
-
-class Sample:
-    """A file or folder that is read as a whole."""
-
-    def restore(self) -> None:
-        """Writes what is missing or damaged again."""
-        for path, content in self.files.items():
-            if not path.is_file() or path.read_bytes() != content:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_bytes(content)
-
-    def __init__(self, name: str, root: Path, read: Callable[[], Any], checksums: bool = False) -> None:
-        self.name, self.read, self.checksums = name, read, checksums
-        self.files = {path: path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
-        self.intact = read()
-
-
-def scene_summary(path: Path) -> tuple[int, tuple[Any, ...]]:
-    scene = tj.load_scene(path)
-    frames = [(tuple(frame.image.shape), frame.depth is None) for frame in scene.frames]
-    truth = [] if scene.truth is None else [tuple(labels.shape) for labels in scene.truth.images]
-    if not torch.isfinite(scene.points).all():
-        raise FindingError("points that are not finite")
-    return len(scene.points), (frames, truth)
-
-
-def make_samples(folder: Path) -> list[Sample]:
-    """Writes all samples; tests/samples has the data sets."""
-    import samples
-
-    from torchjoint.datasets.clouds import read_cloud_file
-    from torchjoint.datasets.ply import write_cloud
-    from torchjoint.results.checkpoint import Checkpoint
-    from torchjoint.results.folder import read_result, write_result
-
-    made = []
-    for name in samples.FORMATS:
-        path = samples.write(name, folder / name)
-        made.append(Sample(name, folder / name, lambda path=path: scene_summary(path)))
-    points = torch.rand(60, 3, generator=torch.Generator().manual_seed(0))
-    for suffix in ("ply", "npz", "npy", "xyz"):
-        path = folder / suffix / f"cloud.{suffix}"
-        path.parent.mkdir()
-        if suffix == "ply":
-            write_cloud(path, points, points, torch.arange(60))
-        elif suffix == "npz":
-            np.savez_compressed(path, points=points.numpy(), colors=points.numpy())
-        else:
-            np.save(path, points.numpy()) if suffix == "npy" else np.savetxt(path, points.numpy())
-        made.append(Sample(f".{suffix}", path.parent, lambda path=path: len(read_cloud_file(path).points)))
-    scene = tj.synthetic.make_scene(seed=3, num_points=400, num_views=2, height=48, width=64).scene
-    segmenter = tj.JointSegmenter(tj.Config().set(["boundary.detector=gradient"]))
-    result = segmenter(scene)
-    Checkpoint(folder / "state", "key").save(segmenter.state, now=True)
-
-    def state() -> bool:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            loaded = Checkpoint(folder / "state", "key").load()
-        if loaded is None:
-            raise ValueError("damaged, starting over")
-        return torch.equal(loaded.overlap_sum, segmenter.state.overlap_sum)
-
-    made.append(Sample("state of a run", folder / "state", state, checksums=True))
-    (folder / "result").mkdir()
-    write_result(folder / "result", scene, result, segmenter.config, "fuzz")
-    (folder / "result" / "overview.png").unlink()
-
-    def whole() -> tuple[Any, ...]:
-        read = read_result(folder / "result")
-        pieces = [tuple(read.piece_images[index].shape) for index in range(len(read.piece_images))]
-        return len(read.points), [tuple(image.shape) for image in read.images], pieces
-
-    made.append(Sample("result", folder / "result", whole))
-    return made
-
-
-def file_case(index: int, seed: int, samples: list[Sample]) -> str:
-    """One damaged file; returns how reading it ended."""
-    from damage import damage
-
-    rng = np.random.default_rng([seed, 1, index])
-    sample = samples[rng.integers(len(samples))]
-    file, intact = list(sample.files.items())[rng.integers(len(sample.files))]
-    spoiled = damage(intact, rng)
-    if spoiled == intact:
-        return "files: not damaged"
-    file.write_bytes(spoiled)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            read = sample.read()
-    except (*CLEAR, FileNotFoundError) as error:
-        if len(str(error)) < 10:
-            raise FindingError(f"{sample.name}: an error without words: {error!r}") from error
-        return "files: error"
-    finally:
-        sample.restore()
-    if sample.checksums and file.suffix == ".pt":
-        raise FindingError(f"{sample.name}: {file.name} was read in spite of its damage")
-    if read != sample.intact:
-        return f"files: other sizes, {sample.name}/{file.name}"
-    return "files: sizes of the intact file"
 
 
 def worker(begin: int, end: int, seed: int, kind: str, place: Any, connection: Any) -> None:

@@ -47,7 +47,7 @@ def cell(python: str, torch: str, wheel: Path, uv: str) -> tuple[str, str, str]:
         env = f"{folder}/env"
         try:
             run([*prefix, uv, "venv", "-q", "--seed", "--python", interpreter, env])
-            wanted = [str(wheel), f"torch=={torch}", "pytest", "hypothesis"]
+            wanted = [str(wheel), f"torch=={torch}"]
             run([*prefix, uv, "pip", "install", "-q", "--python", f"{env}/bin/python", *wanted])
         except FailedError as error:
             return version, "no installation: " + str(error).splitlines()[-1][:80], str(error)

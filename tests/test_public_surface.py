@@ -14,8 +14,8 @@ DOCUMENTS = ["README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs"
 
 PUBLIC = {
     "torchjoint": """
-        Config Frame JointSegmenter Result Scene Segmentation Superpoints SuperpointsConfig datasets load_result
-        load_scene masks metrics ops superpoints synthetic transforms
+        BatchReport Config Frame JointSegmenter RecordingOptions Result Scene Segmentation Superpoints SuperpointsConfig
+        batch datasets load_result load_scene masks metrics ops superpoints synthetic transforms
     """,
     "torchjoint.config": """
         DETECTORS STAGES BoundaryConfig Config ContoursConfig ImageGraphConfig ImageSegmentsConfig
@@ -24,6 +24,8 @@ PUBLIC = {
         VisibilityConfig evidence_config evidence_differences marked_parameters marked_table parameter_table presets
         read_assignment read_preset read_yaml superpoint_presets superpoint_table
     """,
+    "torchjoint.engine": "Engine Outcome WorkerDied open_engine",
+    "torchjoint.recordings": "BatchReport RecordingOptions batch find_recordings segment_recording",
     "torchjoint.scene": "Frame Hierarchy LabelImages Masks Scene Segmentation Truth",
     "torchjoint.masks": """
         Masks from_coco from_instances from_labels from_module from_panoptic from_sam from_stack read_folder read_masks

@@ -13,6 +13,7 @@ from torchjoint import datasets, masks, metrics, ops, synthetic, transforms
 from torchjoint.config import Config, SuperpointsConfig
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
+from torchjoint.recordings import BatchReport, RecordingOptions, batch
 from torchjoint.results.loading import load_result
 from torchjoint.results.result import Result
 from torchjoint.scene import Frame, Scene, Segmentation
@@ -21,14 +22,17 @@ from torchjoint.superpoints import Superpoints, superpoints
 __version__ = version("torchjoint")
 
 __all__ = [
+    "BatchReport",
     "Config",
     "Frame",
     "JointSegmenter",
+    "RecordingOptions",
     "Result",
     "Scene",
     "Segmentation",
     "Superpoints",
     "SuperpointsConfig",
+    "batch",
     "datasets",
     "load_result",
     "load_scene",

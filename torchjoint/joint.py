@@ -10,6 +10,7 @@ import logging
 import math
 import warnings
 from collections.abc import Iterator, Sequence
+from copy import copy
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -150,6 +151,33 @@ class JointSegmenter(nn.Module):
         Warns:
             PoseWarning: the poses or intrinsics look wrong.
         """
+        checked = self.begin(scene, checkpoint)
+        num_frames, done = len(scene.frames), len(self.state.observations)
+        with tqdm(total=num_frames, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
+            batches = [range(num_frames)[start : start + batch_size] for start in range(done, num_frames, batch_size)]
+            for batch in ahead(lambda indices: self._load_frames(scene.frames, indices, checked), batches):
+                self.add(batch)
+                bar.update(len(batch))
+                if checkpoint is not None:
+                    checkpoint.save(self.state)
+        if checkpoint is not None:
+            checkpoint.save(self.state, now=True)
+        return self.compute(progress=progress)
+
+    @torch.no_grad()
+    @on_cpu()
+    def begin(self, scene: Scene, checkpoint: Checkpoint | None = None) -> dict[int, Frame]:
+        """What comes before the frames of a scene: :meth:`reset`, the check of poses, and the state of a checkpoint.
+
+        Returns:
+            the frames that the check has read, by index.
+
+        Raises:
+            TypeError: not a scene.
+
+        Warns:
+            PoseWarning: the poses or intrinsics look wrong.
+        """
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; of points: Scene(points, frames)")
         self.reset(scene.points, scene.colors, scene.normals)
@@ -157,20 +185,9 @@ class JointSegmenter(nn.Module):
         check = self._new_check(scene.name)
         check.look_at(checked.values())
         check.warn()
-        num_frames = len(scene.frames)
         if checkpoint is not None:
             self.state = checkpoint.load(Observations(budget=self._memory, folder=self._spill)) or self.state
-        done = len(self.state.observations)
-        with tqdm(total=num_frames, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
-            batches = [range(num_frames)[start : start + batch_size] for start in range(done, num_frames, batch_size)]
-            for batch in ahead(lambda indices: self._load_frames(scene.frames, indices, checked), batches):
-                self._add(batch)
-                bar.update(len(batch))
-                if checkpoint is not None:
-                    checkpoint.save(self.state)
-        if checkpoint is not None:
-            checkpoint.save(self.state, now=True)
-        return self.compute(progress=progress)
+        return checked
 
     def _load_frames(self, frames: Sequence[Frame], indices: range, loaded: dict[int, Frame]) -> list[Frame]:
         """The frames at `indices`. Frames that are already in `loaded` are moved out of it instead of read again."""
@@ -229,10 +246,12 @@ class JointSegmenter(nn.Module):
         if self._check is None:
             raise RuntimeError(_NO_CLOUD)
         self._check.look_as_they_come(frames)
-        self._add(frames)
+        self.add(frames)
 
-    def _add(self, frames: Sequence[Frame]) -> None:
-        """Adds the evidence of frames whose poses have been checked."""
+    @torch.no_grad()
+    @on_cpu()
+    def add(self, frames: Sequence[Frame]) -> None:
+        """As :meth:`update`, for frames whose poses have been checked, by :meth:`begin` for example."""
         state = self.state
         if not state.observations and frames:
             self._tell_unused(frames[0])
@@ -372,6 +391,18 @@ class JointSegmenter(nn.Module):
         if other is self or both:
             raise ValueError(f"other: expected a segmenter that saw other frames, both saw {sorted(both)[:3]}")
         self.state = self.state + other.state
+
+    @on_cpu()
+    def without_evidence(self) -> JointSegmenter:
+        """A segmenter of the same cloud that has seen no frame; it shares the cloud's graph, and can be pickled.
+
+        Raises:
+            RuntimeError: :meth:`reset` was not called before.
+        """
+        graph, other = self._require_graph(), copy(self)
+        other._state = JointState.empty(graph.edge_index.shape[1], graph.num_points)
+        other._check, other.stopwatch = None, Stopwatch()
+        return other
 
     @on_cpu()
     def with_config(self, config: Config) -> JointSegmenter:

@@ -196,7 +196,7 @@ def test_show_of_something_else(run, tmp_path):
 
 def test_demo(monkeypatch, tmp_path, capsys, run):
     small = tj.synthetic.make_scene
-    monkeypatch.setattr("torchjoint.synthetic.make_scene", lambda seed, size: small(seed=seed, size="small"))
+    monkeypatch.setattr("torchjoint.synthetic.make_scene", lambda seed, **_: small(seed=seed, size="small"))
     run("demo", "-o", tmp_path / "demo", *SMALL)
     assert (tmp_path / "demo" / "overview.png").is_file()
     assert "against the truth, in 3D: covering 0." in capsys.readouterr().out
@@ -217,10 +217,10 @@ def test_an_error_that_is_no_one_s_fault_is_one_line(recording, run, tmp_path, m
         def fail(*_, error=error, **__):
             raise error
 
-        monkeypatch.setattr("torchjoint.cli.segment.load_scene", fail)
+        monkeypatch.setattr("torchjoint.recordings.segment.load_scene", fail)
         with pytest.raises(SystemExit, match=message):
             run("segment", recording, "-o", tmp_path / "out", *SMALL)
-    monkeypatch.setattr("torchjoint.cli.segment.load_scene", lambda *_, **__: torch.zeros(2) @ torch.zeros(3))
+    monkeypatch.setattr("torchjoint.recordings.segment.load_scene", lambda *_, **__: torch.zeros(2) @ torch.zeros(3))
     with pytest.raises(RuntimeError, match="inconsistent tensor size"):
         run("segment", recording, "-o", tmp_path / "out", *SMALL)
     assert list(tmp_path.iterdir()) == []
@@ -233,12 +233,12 @@ def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("torchjoint.cli.segment.write_result", full)
+    monkeypatch.setattr("torchjoint.recordings.segment.write_result", full)
     with pytest.raises(SystemExit, match="error: the disk is full; make room and start again"):
         run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
     monkeypatch.undo()
     added = []
-    monkeypatch.setattr(tj.JointSegmenter, "_add", lambda self, frames: added.append(frames))
+    monkeypatch.setattr(tj.JointSegmenter, "add", lambda self, frames: added.append(frames))
     run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
     assert added == []
     for file in ("points.npz", "hierarchy.npz", "points.ply", "overview.png"):

@@ -60,6 +60,30 @@ def test_large_segments_without_a_point_keep_ids_of_their_own(monkeypatch) -> No
     assert next_free == 4
 
 
+def test_stray_points_do_not_label_the_sky(monkeypatch) -> None:
+    """A segment with points in one place keeps its own id only if these are few, and most of it is far from any."""
+    monkeypatch.setattr(geodesic, "UNSEEN", 20)
+    initial = torch.zeros(20, 60, dtype=torch.int32)
+    initial[:, 20:] = 1
+    image = torch.zeros(3, 20, 60, dtype=torch.uint8)
+    dense = [(row, column) for row in range(20) for column in range(20)]
+
+    def labels_with(stray: list[tuple[int, int]]) -> Tensor:
+        seen = seen_at(dense + stray, image, initial)
+        return propagate(seen, torch.tensor([0] * len(dense) + [1] * len(stray)), 2, PLAIN)[0]
+
+    few = [(row, 20 + column) for row in range(4) for column in range(4)]
+    sky = labels_with(few)
+    assert sky[0, 0] == 0
+    assert (sky[:, 20:] == 2).all()
+    many = [(row, 20 + column) for row in range(20) for column in range(3)]  # a tree below the sky of its own segment
+    assert not (labels_with(many) == 2).any()
+    scattered = [
+        (row, column) for row in range(1, 20, 6) for column in range(22, 60, 6)
+    ]  # a surface with sparse points
+    assert not (labels_with(scattered) == 2).any()
+
+
 def test_specks_of_a_single_point_are_left_to_their_neighbours(monkeypatch) -> None:
     initial = torch.zeros(5, 6, dtype=torch.int32)
     seen = seen_at([(2, 0), (2, 2), (2, 4), (1, 1)], torch.zeros(3, 5, 6, dtype=torch.uint8), initial)

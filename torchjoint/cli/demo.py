@@ -28,8 +28,8 @@ def demo(
     from torchjoint.synthetic import make_scene
 
     print("making a synthetic scene ...")
-    synthetic = make_scene(seed=0, size="medium")
-    config, source = parameters.config(), "synthetic, seed 0, medium"
+    synthetic = make_scene(seed=0, size="medium", height=360, width=480, num_points=150_000)
+    config, source = parameters.config(), "synthetic, seed 0"
     with output_folder(out, source, overwrite=overwrite) as partial:
         assert partial is not None  # without a key there is always something to do
         with printed_log():

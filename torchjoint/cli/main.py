@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import sys
 import warnings
@@ -13,6 +12,7 @@ from typing import Any
 
 import tyro
 
+from torchjoint.cli.batch import batch
 from torchjoint.cli.benchmark import benchmark
 from torchjoint.cli.demo import demo
 from torchjoint.cli.evaluate import evaluate
@@ -26,13 +26,11 @@ from torchjoint.cli.superpoints import superpoints
 from torchjoint.cli.train_boundaries import train_boundaries
 from torchjoint.cli.train_boundary_model import train_boundary_model
 from torchjoint.config import presets, superpoint_presets
-
-#: Part of torch's message.
-_OUT_OF_MEMORY = "not enough memory"
+from torchjoint.runtime.messages import in_one_line, is_out_of_memory
 
 INTERRUPTED = (
-    "torchjoint: interrupted; `segment`, `benchmark --tuning`, `train-boundaries` and `train-borders` go on where they "
-    "were when started again"
+    "torchjoint: interrupted; `segment`, `batch`, `benchmark --tuning`, `train-boundaries` and `train-borders` go on "
+    "where they were when started again"
 )
 
 
@@ -50,6 +48,7 @@ def main() -> None:
         commands: dict[str, Callable[..., Any]] = {
             "demo": demo,
             "segment": segment,
+            "batch": batch,
             "superpoints": superpoints,
             "evaluate": evaluate,
             "benchmark": benchmark,
@@ -69,7 +68,7 @@ def main() -> None:
     except KeyboardInterrupt as stop:
         sys.exit(f"{INTERRUPTED}{f'; {stop}' if str(stop) else ''}")
     except (ValueError, TypeError, OSError, ModuleNotFoundError, MemoryError, RecursionError, RuntimeError) as error:
-        sys.exit(f"torchjoint: error: {_in_one_line(error)}")
+        sys.exit(f"torchjoint: error: {_message(error)}")
 
 
 def _description() -> str:
@@ -80,14 +79,9 @@ def _description() -> str:
     )
 
 
-def _in_one_line(error: Exception) -> str:
+def _message(error: Exception) -> str:
     """What went wrong, for a user; an error of the package itself is raised again, with its traceback."""
-    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return f"the disk is full{f' ({error.filename})' if error.filename else ''}; make room and start again"
-    if isinstance(error, MemoryError) or _OUT_OF_MEMORY in str(error):
-        return "out of memory; see --thin, --max-frames and --voxel-size for less to compute"
-    if isinstance(error, RecursionError):
-        return f"nested too deeply: {error}"
-    if isinstance(error, RuntimeError) and not isinstance(error, BrokenExecutor):
+    is_users = isinstance(error, BrokenExecutor | RecursionError) or is_out_of_memory(error)
+    if isinstance(error, RuntimeError) and not is_users:
         raise error
-    return str(error)
+    return in_one_line(error)

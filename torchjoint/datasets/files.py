@@ -200,6 +200,8 @@ def decode_image(data: bytes, name: str, *, header_only: bool = False) -> Image.
             if image.width * image.height > MAX_PIXELS:
                 raise ValueError(f"{image.width} x {image.height} pixels are too many (at most {MAX_PIXELS})")
             if not header_only:
+                if image.format == "PNG":  # Pillow compares the checksums of pixels only if it is asked to
+                    Image.open(io.BytesIO(data)).verify()
                 image.load()
     except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
             Image.DecompressionBombError, zlib.error) as error:  # fmt: skip

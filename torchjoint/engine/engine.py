@@ -10,7 +10,7 @@ from __future__ import annotations
 import abc
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from dataclasses import dataclass
 from typing import Any, Generic, Self, TypeVar
 
@@ -27,7 +27,7 @@ MOST_DEATHS = 2
 MOST_CUTS = 3
 
 
-class WorkerDied(RuntimeError):  # noqa: N818 - it says what happened
+class WorkerDied(BrokenExecutor):
     """The workers that ran a task died: they were killed, had too little memory, or crashed."""
 
 

@@ -67,6 +67,6 @@ class LokyEngine(Engine):
 
     def close(self) -> None:
         """Ends the workers, at once."""
-        executors, self._all, self._idle = self._all, set(), []
+        executors, idle, self._all, self._idle = self._all, self._idle, set(), []
         for executor in executors:
-            executor.shutdown(kill_workers=True)
+            executor.shutdown(kill_workers=executor not in idle)

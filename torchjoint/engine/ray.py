@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import logging
+import os
+import sys
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from typing import Any
 
 from torchjoint.engine.engine import Engine
@@ -55,7 +58,8 @@ class RayEngine(Engine):
             ray.init(f"ray://{address}", **quiet)
         else:
             assert workers is not None
-            ray.init("local", num_cpus=workers * threads, include_dashboard=False, **quiet)
+            with _paths_for_workers():
+                ray.init("local", num_cpus=workers * threads, include_dashboard=False, **quiet)
         # Engine.run tries again, not ray.
         self._options = {"num_cpus": threads, "max_retries": 0}
 
@@ -79,3 +83,17 @@ class RayEngine(Engine):
     def close(self) -> None:
         """Ends the workers, if they are this engine's own, or leaves the cluster."""
         ray.shutdown()
+
+
+@contextmanager
+def _paths_for_workers() -> Iterator[None]:
+    """Inside the block new processes find the modules that this process finds: ray's workers import tasks by name."""
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join(os.path.abspath(path) for path in sys.path)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONPATH"]
+        else:
+            os.environ["PYTHONPATH"] = before

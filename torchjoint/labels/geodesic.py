@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -25,12 +27,18 @@ MIN_POINTS = 2
 #: density. Much less splits objects with few points; much more gives sky and glass the labels of their neighbours.
 UNSEEN = 30.0
 
+#: So does a segment with few points, at most this share of those that its area would hold, if more than half of it is
+#: far from all points: sky, into which poles and the outlines of trees bring some points. Without this, their labels
+#: flood it. Tree tops above the highest beam of a LiDAR have more points below, and stay one with them.
+SPARSE = 0.1
+
 
 def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config: Config) -> tuple[Tensor, int]:
     """Geodesic label propagation, steps 7 and 8 in one: each pixel gets the label of the point with the cheapest path.
 
     Paths are cheap within a region and expensive across image edges (:func:`torchjoint.ops.propagate_labels`), so
-    labels meet at edges. A large initial segment without any point keeps its own id, numbered from `num_segments` on.
+    labels meet at edges. A large initial segment without points, or nearly so, keeps its own id, numbered from
+    `num_segments` on.
 
     Args:
         seen: the frame.
@@ -76,9 +84,11 @@ def nearest_labels(visible: Visible, point_labels: Tensor, size: tuple[int, int]
 
 
 def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) -> tuple[Tensor, int]:
-    """Gives an initial segment without points its own id if its area would hold UNSEEN points at the mean density.
+    """Gives an initial segment that the cloud does not have an id of its own.
 
-    In an image without any points all initial segments keep their own ids.
+    It has no points, though its area would hold UNSEEN at the mean density; or it has few, see SPARSE, and more than
+    half of it is far from all points: a square around the pixel, that would hold UNSEEN points, has none. In an image
+    without any points all initial segments keep their own ids.
 
     Args:
         labels: [H, W] int32.
@@ -94,7 +104,13 @@ def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) 
     area = torch.bincount(segment, minlength=num_initial + 1)[1:]
     num_hit = torch.bincount(segment[hit.view(-1)], minlength=num_initial + 1)[1:]
     num_points = int(hit.sum())  # points in the same pixel count as one
-    unseen = (num_hit == 0) & ((area * num_points >= UNSEEN * hit.numel()) | (num_points == 0))
+    expected = area * (num_points / hit.numel())
+    unseen = (num_hit == 0) & ((expected >= UNSEEN) | (num_points == 0))
+    sparse = (num_hit > 0) & (expected >= UNSEEN) & (num_hit <= SPARSE * expected)
+    if sparse.any():
+        far = _no_hit_within(hit, math.floor(math.sqrt(UNSEEN * hit.numel() / num_points) / 2))
+        num_far = torch.bincount(segment[far.view(-1)], minlength=num_initial + 1)[1:]
+        unseen |= sparse & (2 * num_far > area)
     if not unseen.any():
         return torch.where(initial < 0, initial.to(torch.int32), labels), first_free
     kept = by_first_appearance(initial, unseen)
@@ -102,3 +118,10 @@ def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) 
     names[kept] = first_free + torch.arange(len(kept), dtype=torch.int32)
     own = look_up(names, initial, -1)
     return torch.where((own >= 0) | (initial < 0), own, labels), first_free + len(kept)
+
+
+def _no_hit_within(hit: Tensor, reach: int) -> Tensor:
+    """Whether the square of 2 `reach` + 1 pixels around each pixel, cut at the border, is free of hits; [H, W] bool."""
+    total = torch.nn.functional.pad(hit.int(), (reach + 1, reach, reach + 1, reach)).cumsum(0).cumsum(1)
+    rows = total[2 * reach + 1 :] - total[: -2 * reach - 1]
+    return rows[:, 2 * reach + 1 :] == rows[:, : -2 * reach - 1]

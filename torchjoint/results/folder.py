@@ -146,6 +146,16 @@ def read_granularity(folder: Path) -> float | None:
     return read_yaml(_run_file(folder), level, "a record of a run")
 
 
+def read_record(folder: Path) -> tuple[dict[str, int], dict[str, float]]:
+    """The counts of a result (points, frames, point_segments), and the seconds by stage. Raises as `read_source`."""
+
+    def numbers(record: Any) -> tuple[dict[str, int], dict[str, float]]:
+        counts = {name: int(record["counts"][name]) for name in ("points", "frames", "point_segments")}
+        return counts, {str(stage): float(value) for stage, value in record["seconds"].items()}
+
+    return read_yaml(_run_file(folder), numbers, "a record of a run")
+
+
 def _run_file(folder: Path) -> Path:
     file = folder / "run.yaml"
     if not file.is_file():

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.locks import exclusive_lock
+from torchjoint.runtime.locks import lock
 
 #: Files in a partial folder: the source of its content; that it is complete; that also the old result has moved.
 SOURCE, COMPLETE, PLACING = "source.txt", "complete.txt", "placing.txt"
@@ -96,8 +96,7 @@ def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = Fa
         raise FileExistsError(f"{out}: exists and is not a folder; choose another name for the output")
     out.parent.mkdir(parents=True, exist_ok=True)
     places = _Places.of(out)
-    busy = f"{out}: another run is writing this result; wait for it, or choose another output"
-    with exclusive_lock(places.lock, busy):
+    with lock(places.lock, f"{out}: another run is writing this result; wait for it, or choose another output"):
         finished = _finish_earlier(places, overwrite)
         if key and finished == key:
             yield None

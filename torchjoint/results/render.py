@@ -7,15 +7,19 @@ from torch import Tensor
 
 from torchjoint.config import VisibilityConfig
 from torchjoint.points.neighbors import nearest_neighbors
+from torchjoint.results.upright import up_direction
 from torchjoint.scene import Scene
+from torchjoint.scene.subset import evenly_spaced_indices
 from torchjoint.views.visibility import visible_points
 
 #: Field of view of the pictures: focal length in image widths.
 FOCAL = 1.15
+#: A point is drawn as a square of at most 2 LARGEST + 1 pixels.
+LARGEST = 6
 
 
 def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640)) -> Tensor:
-    """Renders the cloud from behind and above the cameras (without cameras: from a corner).
+    """Renders the cloud, upright, from behind and above the cameras (without cameras: from a corner).
 
     Args:
         scene: the points; the frames determine the view.
@@ -33,12 +37,12 @@ def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640
     seen = visible_points(scene.points, spacing, intrinsics, _bird_view(scene), size, config)
     # Draw each point as a square of its own spacing, near points over far points.
     far_first = torch.argsort(seen.z, descending=True, stable=True)
-    radius = (0.6 * spacing[seen.point] * focal / seen.z).round().clamp(0, 4).long()[far_first]
+    radius = (0.6 * spacing[seen.point] * focal / seen.z).round().clamp(0, LARGEST).long()[far_first]
     row, column, paint = seen.row[far_first], seen.column[far_first], colors[seen.point[far_first]]
     picture, depth = torch.ones(height * width, 3, dtype=torch.float32), torch.full((height * width,), -1)
     order = torch.arange(len(far_first))
-    for down in range(-4, 5):
-        for right in range(-4, 5):
+    for down in range(-LARGEST, LARGEST + 1):
+        for right in range(-LARGEST, LARGEST + 1):
             here = (radius >= max(abs(down), abs(right))) & _inside(row + down, column + right, size)
             depth.scatter_reduce_(0, ((row + down) * width + column + right)[here], order[here], "amax")
     drawn = depth >= 0
@@ -65,16 +69,13 @@ def _bird_view(scene: Scene) -> Tensor:
 
 
 def _up_and_forward(scene: Scene) -> tuple[Tensor, Tensor]:
-    """Up and viewing direction, [3] each: means of the cameras' -y and z axes, as most cameras are held upright."""
-    count = min(16, len(scene.frames))
-    chosen = torch.linspace(0, max(len(scene.frames) - 1, 0), count, dtype=torch.float32).long().tolist()
-    rotations = [scene.frames[i].world_to_camera[:3, :3] for i in chosen]
-    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    """Up, and the level direction in which the cameras look on average, [3] each."""
+    up = up_direction(scene)
     forward = torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)
-    if rotations:
-        mean = torch.stack(rotations).mean(0)
-        up = torch.nn.functional.normalize(-mean[1], dim=0)
-        forward = mean[2] - up * (up @ mean[2])
+    if len(scene.frames):
+        chosen = evenly_spaced_indices(len(scene.frames), 16)
+        forward = torch.stack([scene.frames[i].world_to_camera[2, :3] for i in chosen]).double().mean(0)
+    forward = forward - up * (up @ forward)
     if float(forward.norm()) < 1e-3:  # cameras that look straight down, or in all directions
         forward = torch.linalg.cross(up, up.roll(1))
     return up, torch.nn.functional.normalize(forward, dim=0)

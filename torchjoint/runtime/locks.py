@@ -1,4 +1,4 @@
-"""A lock that one process holds at a time, by a file that is there only while it is held."""
+"""A lock that one process holds; the system releases it when the process ends, however it ends."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from contextlib import contextmanager
 from pathlib import Path
 
 
-@contextmanager
-def exclusive_lock(path: Path, busy: str) -> Iterator[None]:
-    """Holds a lock; the system releases it when a process ends, however it ends.
+class BusyError(FileExistsError):
+    """Another run holds the lock."""
 
-    Args:
-        path: of the lock's file; it is removed in the end.
-        busy: what to say if another process holds it.
+
+@contextmanager
+def lock(path: Path, busy: str) -> Iterator[None]:
+    """Holds the lock of a file, which is removed afterwards.
 
     Raises:
-        FileExistsError: `busy`.
+        BusyError: another process holds it; `busy` is the message.
     """
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
@@ -26,14 +26,14 @@ def exclusive_lock(path: Path, busy: str) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(descriptor)
-            raise FileExistsError(busy) from error
+            raise BusyError(busy) from error
         try:
             current = os.stat(path).st_ino
         except FileNotFoundError:
             current = None
         if current == os.fstat(descriptor).st_ino:
             break
-        os.close(descriptor)  # the process that held the lock has removed its file meanwhile
+        os.close(descriptor)  # the run that held the lock has removed its file meanwhile
     try:
         yield
     finally:

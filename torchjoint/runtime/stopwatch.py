@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from threading import Lock
 
@@ -21,6 +21,18 @@ class Stopwatch:
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self._lock = Lock()
+
+    def __getstate__(self) -> dict[str, dict[str, float]]:
+        return {"seconds": dict(self.seconds)}
+
+    def __setstate__(self, state: dict[str, dict[str, float]]) -> None:
+        self.seconds, self._lock = state["seconds"], Lock()
+
+    def add(self, seconds: Mapping[str, float]) -> None:
+        """Adds the seconds by name of another stopwatch."""
+        with self._lock:
+            for name, value in seconds.items():
+                self.seconds[name] = self.seconds.get(name, 0.0) + value
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:

@@ -24,7 +24,7 @@ from torchjoint.datasets.las import SUFFIXES
 from torchjoint.engine import Engine, open_engine
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write, write_text
-from torchjoint.runtime.locks import exclusive_lock
+from torchjoint.runtime.locks import lock
 from torchjoint.tiles.labelled_las import check_dimension, write_labelled
 from torchjoint.tiles.plan import NARROWEST, plan_tiles
 from torchjoint.tiles.spill import point_type, spill_points, tile_file
@@ -104,7 +104,7 @@ def superpoints_of_files(
         check_dimension(file)
     work = out.with_name(f"{out.name}.tiles")
     busy = f"{out}: another run is writing this result; wait for it, or choose another output"
-    with exclusive_lock(out.with_name(f".{out.name}.lock"), busy):
+    with lock(out.with_name(f".{out.name}.lock"), busy):
         stats = [fingerprint(file) for file in files]
         _prepare(work, repr((stats, tile, buffer, config, MOST_POINTS, version("torchjoint"))))
         cut = _cut(files, work, tile, buffer, progress)

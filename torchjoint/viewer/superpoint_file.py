@@ -11,6 +11,7 @@ import torch
 from torchjoint.datasets.clouds import read_cloud_file
 from torchjoint.datasets.ply import read_vertex_property
 from torchjoint.results.result import Result
+from torchjoint.runtime.archives import read_archive
 from torchjoint.scene import Scene, Segmentation
 
 
@@ -32,6 +33,6 @@ def read_labelled_cloud(path: Path) -> Result:
 
 def _labels(path: Path) -> npt.NDArray[np.int64] | None:
     if path.suffix == ".npz":
-        with np.load(path, allow_pickle=False) as arrays:
-            return arrays["labels"].astype(np.int64) if "labels" in arrays.files else None
+        labels = read_archive(path).get("labels")
+        return None if labels is None else labels.astype(np.int64)
     return read_vertex_property(path, "label") if path.suffix == ".ply" else None

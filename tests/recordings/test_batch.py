@@ -1,0 +1,143 @@
+"""Many recordings: each has its result, or the reason why not; what is done is skipped."""
+
+import csv
+from concurrent.futures import Future
+
+import pytest
+import torch
+from folder_files import write_folder
+
+import torchjoint as tj
+from torchjoint.engine import Engine
+from torchjoint.engine.worker import Shared
+from torchjoint.recordings import find_recordings
+from torchjoint.runtime.locks import lock
+
+
+class Given(Shared):
+    def __init__(self, value):
+        self.key, self.value = str(id(value)), value
+
+    def load(self):
+        return self.value
+
+    def close(self):
+        pass
+
+
+class HereEngine(Engine):
+    """Runs its tasks at once, in this process."""
+
+    def __init__(self):
+        super().__init__("here", 1)
+        self.started = 0
+
+    def slots(self):
+        return 1
+
+    def _share(self, value):
+        return Given(value)
+
+    def _submit(self, call, *arguments):
+        self.started += 1
+        future, threads = Future(), torch.get_num_threads()
+        future.set_result(call(*arguments))
+        torch.set_num_threads(threads)
+        return future
+
+    def _death(self, error):
+        return None
+
+    def close(self):
+        pass
+
+
+@pytest.fixture(scope="module")
+def scans(scene_of, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scans") / "scans"
+    folder.mkdir()
+    for name in ("a", "b", "c"):
+        write_folder(folder / name, scene_of(2), depth=False)
+    (folder / "b" / "cloud.ply").write_text("no cloud")
+    return folder
+
+
+def table(file):
+    with file.open() as stream:
+        return {row["scene"]: row for row in csv.DictReader(stream)}
+
+
+QUICK = tj.Config().set(["boundary.detector=gradient"])
+
+
+@pytest.fixture(scope="module")
+def done(scans, tmp_path_factory):
+    out = tmp_path_factory.mktemp("batch") / "out"
+    report = tj.batch(
+        scans, out, engine=HereEngine(), config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2)
+    )
+    return out, report
+
+
+def test_a_failure_stops_no_other(done, scans):
+    out, report = done
+    assert list(report.failures) == ["b"]
+    assert "cloud.ply: not a PLY file" in report.failures["b"]
+    assert table(out / "failures.csv")["b"]["reason"] == report.failures["b"]
+    assert sorted(path.name for path in out.iterdir()) == ["a", "batch.yaml", "c", "failures.csv", "summary.csv"]
+    rows = table(out / "summary.csv")
+    assert list(rows) == ["a", "c"]
+    result = tj.load_result(out / "a")
+    assert int(rows["a"]["points"]) == len(result.points) == report.reports["a"].points
+    assert (rows["a"]["frames"], int(rows["a"]["segments"])) == ("1", int(result.points.max()) + 1)
+    assert float(rows["a"]["seconds: point segments"]) > 0
+    assert float(rows["a"]["peak_memory_mb"]) > 10
+
+
+def test_what_is_done_is_skipped(done, scans):
+    out, _ = done
+    before, engine = (out / "summary.csv").read_text(), HereEngine()
+    again = tj.batch(scans, out, engine=engine, config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2))
+    assert engine.started == 1  # b, once more
+    assert again.skipped == ("a", "c")
+    assert list(again.failures) == ["b"]
+    assert (out / "summary.csv").read_text() == before
+
+
+def test_other_parameters_are_not_mixed(done, scans):
+    with pytest.raises(ValueError, match=r"out: has results of other parameters \(.*batch.yaml\)"):
+        tj.batch(scans, done[0], engine=HereEngine(), config=QUICK)
+    with pytest.raises(FileExistsError, match="a is the result of one recording"):
+        tj.batch(scans, done[0] / "a", engine=HereEngine())
+    with lock(done[0] / ".batch.lock", ""), pytest.raises(FileExistsError, match="another batch is writing"):
+        tj.batch(scans, done[0], engine=HereEngine())
+
+
+def test_the_command(done, scans, run, capsys):
+    options = ["-o", done[0], "--max-frames", 1, "--thin", 0.2, "--set", "boundary.detector=gradient"]
+    run("batch", scans / "a", scans / "c", *options)  # nothing to do: no worker starts
+    text = capsys.readouterr().out
+    assert "0 segmented, 2 were done before, 0 failed" in text
+    assert not (done[0] / "failures.csv").exists()
+    with pytest.raises(SystemExit, match=r"engine: expected loky, dask or ray .*, got 'slurm'"):
+        run("batch", scans / "b", *options, "--engine", "slurm")
+
+
+class TestScenes:
+    def test_patterns_data_sets_and_lists(self, scans, tmp_path):
+        assert find_recordings(scans / "a") == {"a": scans / "a"}
+        assert list(find_recordings(scans)) == ["a", "b", "c"]
+        (scans / "notes.txt").write_text(f"# two of them\na\n\n{scans}/[c]\n")
+        assert list(find_recordings(scans / "notes.txt")) == ["a", "c"]
+        assert list(find_recordings(f"{scans}/*")) == ["a", "b", "c"]  # not notes.txt
+        assert list(find_recordings([f"{scans}/*", scans / "a"])) == ["a", "b", "c"]
+
+    def test_names(self, scans, tmp_path):
+        (tmp_path / "more").mkdir()
+        (tmp_path / "more" / "a").symlink_to(scans / "a")
+        assert list(find_recordings([scans / "a", tmp_path / "more" / "a"])) == ["scans-a", "more-a"]
+        assert find_recordings(tmp_path / "gone") == {"gone": tmp_path / "gone"}
+        with pytest.raises(ValueError, match=r"scenes: .*/x\* matches no recording"):
+            find_recordings(str(tmp_path / "x*"))
+        with pytest.raises(ValueError, match="at least one recording"):
+            find_recordings([])

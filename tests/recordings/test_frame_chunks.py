@@ -1,0 +1,71 @@
+"""One recording over many workers: the same labels as in one process."""
+
+import pytest
+import torch
+from test_batch import HereEngine
+
+import torchjoint as tj
+from torchjoint.engine import open_engine
+from torchjoint.recordings.frame_chunks import segment_over
+from torchjoint.results.checkpoint import Checkpoint
+
+QUICK = tj.Config().set(["boundary.detector=gradient"])
+
+
+def assert_same(one, other):
+    assert torch.equal(one.points, other.points)
+    assert one.names == other.names
+    for labels, others in zip(one.images, other.images, strict=True):
+        assert torch.equal(labels, others)
+
+
+class BackwardEngine(HereEngine):
+    """Its tasks end in the reverse order; with a limit, it breaks after some."""
+
+    def __init__(self, limit=None):
+        super().__init__()
+        self.limit = limit
+
+    def run(self, function, tasks, shared):
+        outcomes = list(super().run(function, tasks, shared))
+        assert len(outcomes) > 2
+        yield from outcomes[: self.limit] if self.limit else reversed(outcomes)
+        if self.limit:
+            raise ConnectionError("cut")
+
+
+@pytest.fixture(scope="module")
+def whole(scene_of):
+    return tj.JointSegmenter(QUICK)(scene_of(2).scene)
+
+
+def test_any_order(whole, scene_of, tmp_path):
+    scene, segmenter = scene_of(2).scene, tj.JointSegmenter(QUICK)
+    checkpoint = Checkpoint(tmp_path / "state", "key")
+    with pytest.raises(ConnectionError):
+        segment_over(BackwardEngine(limit=2), segmenter, scene, checkpoint=checkpoint)
+    again = Checkpoint(tmp_path / "state", "key")
+    segmenter = tj.JointSegmenter(QUICK)
+    assert_same(segment_over(BackwardEngine(), segmenter, scene, checkpoint=again), whole)
+    assert segmenter.stopwatch.seconds["boundaries"] > 0
+
+
+def test_an_error_of_a_frame_is_raised(scene_of):
+    scene = scene_of(2).scene
+
+    class Damaged(tuple):
+        def __getitem__(self, index):
+            raise OSError("frame.png: damaged")
+
+    segmenter = tj.JointSegmenter(QUICK)
+    segmenter.begin(scene)
+    with pytest.raises(OSError, match=r"frame.png: damaged"):
+        list(tj.recordings.frame_chunks._in_order(HereEngine(), segmenter, Damaged(scene.frames), 0))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning", "ignore::FutureWarning")
+@pytest.mark.parametrize("name", ["loky:2", "dask:2", "ray:2"])
+def test_real_workers(name, whole, scene_of):
+    with open_engine(name) as engine:
+        assert_same(segment_over(engine, tj.JointSegmenter(QUICK), scene_of(2).scene), whole)

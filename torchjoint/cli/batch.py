@@ -1,0 +1,81 @@
+"""torchjoint batch: segments any number of recordings over many workers."""
+
+from __future__ import annotations
+
+import sys
+
+import tyro
+
+from torchjoint.cli._log import printed_log
+from torchjoint.cli.arguments import DEFAULTS, Flat, Out
+from torchjoint.recordings import BatchReport, RecordingOptions
+from torchjoint.recordings import batch as run_batch
+from torchjoint.recordings.summary import FAILURES, SUMMARY
+
+#: So many failures are printed, and so much of each; failures.csv has all.
+MOST_PRINTED, MOST_CHARACTERS = 20, 160
+
+
+def batch(
+    scenes: tyro.conf.Positional[tuple[str, ...]],
+    out: Out,
+    parameters: Flat = DEFAULTS,
+    engine: str = "loky",
+    threads: int = 1,
+    overwrite: bool = False,
+    voxel_size: float = 0.02,
+    max_frames: int | None = None,
+    in_view: bool = False,
+    thin: float | None = None,
+    merge_within: float = 0.0,
+    granularity: float | None = None,
+) -> None:
+    """Segments any number of recordings over many workers; each gets a result folder OUT/NAME.
+
+    Started again, it skips what is done. A recording that fails does not stop the others; the exit status is then 1.
+
+    Args:
+        scenes: recordings, patterns ('scans/*'), the folder of a data set, or a .txt file that lists any of these.
+        out: folder for the results, summary.csv and failures.csv.
+        parameters: parameters of the method.
+        engine: loky, dask or ray for this machine (loky:4: with 4 workers), dask://HOST:PORT or ray://HOST:PORT for a
+            cluster. dask and ray need `pip install 'torchjoint[dask]'` or `[ray]`.
+        threads: threads of one recording; workers on this machine never have more threads than there are cores.
+        overwrite: replace earlier results.
+        voxel_size: metres, for fusing a cloud from depth if a recording has no cloud.
+        max_frames: number of frames to use, evenly spread over a recording.
+        in_view: leave out the points that no frame has in its view.
+        thin: keep one point per voxel of this size, metres.
+        merge_within: metres; the points in a cube with this side count as one point, and all get its label.
+        granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5.
+    """
+    options = RecordingOptions(voxel_size, max_frames, in_view, thin, merge_within, granularity)
+    with printed_log():
+        report = run_batch(
+            scenes,
+            out,
+            engine=engine,
+            threads=threads,
+            config=parameters.config(),
+            options=options,
+            overwrite=overwrite,
+            progress=True,
+        )
+    _print(report)
+    if report.failures:
+        sys.exit(1)
+
+
+def _print(report: BatchReport) -> None:
+    new = len(report.reports) - len(report.skipped)
+    print(f"{new} segmented, {len(report.skipped)} were done before, {len(report.failures)} failed")
+    warned = sum(bool(one.warnings) for one in report.reports.values())
+    if warned:
+        print(f"{warned} with warnings: see {report.out / SUMMARY}")
+    width = max((len(name) for name in report.failures), default=0)
+    for name, reason in list(report.failures.items())[:MOST_PRINTED]:
+        print(f"  {name:{width}}  {reason if len(reason) <= MOST_CHARACTERS else reason[:MOST_CHARACTERS] + '...'}")
+    if len(report.failures) > MOST_PRINTED:
+        print(f"  and {len(report.failures) - MOST_PRINTED} more in {report.out / FAILURES}")
+    tables = f"{SUMMARY}, {FAILURES}" if report.failures else SUMMARY
+    print(f"written to {report.out}: a folder for each recording, {tables}")

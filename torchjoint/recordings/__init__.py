@@ -1,0 +1,8 @@
+"""Recordings from disk to result folders: one, or any number of them over many workers."""
+
+from torchjoint.recordings.batch import BatchReport, batch
+from torchjoint.recordings.options import RecordingOptions
+from torchjoint.recordings.scene_list import find_recordings
+from torchjoint.recordings.segment import segment_recording
+
+__all__ = ["BatchReport", "RecordingOptions", "batch", "find_recordings", "segment_recording"]

@@ -1,0 +1,154 @@
+"""Many recordings over many workers: each gets its result folder, whatever becomes of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import yaml
+from tqdm import tqdm
+
+from torchjoint.config import Config
+from torchjoint.engine import Engine, Outcome, WorkerDied, open_engine
+from torchjoint.recordings.one_scene import Job, SceneReport, is_done, report_of, run_scene
+from torchjoint.recordings.options import RecordingOptions
+from torchjoint.recordings.scene_list import find_recordings
+from torchjoint.recordings.summary import Tables
+from torchjoint.runtime.files import write_text
+from torchjoint.runtime.locks import lock
+from torchjoint.runtime.messages import in_one_line, is_out_of_memory
+
+_RECORD, _LOCK = "batch.yaml", ".batch.lock"
+
+
+@dataclass(frozen=True)
+class BatchReport:
+    """What became of the recordings of a batch.
+
+    Attributes:
+        out: folder of the batch; the result of scene NAME is in OUT/NAME, see :func:`torchjoint.load_result`.
+        reports: of all results, by scene.
+        skipped: scenes whose results were there before.
+        failures: why there is no result, by scene.
+    """
+
+    out: Path
+    reports: dict[str, SceneReport]
+    skipped: tuple[str, ...]
+    failures: dict[str, str]
+
+
+def batch(
+    scenes: str | Path | Iterable[str | Path],
+    out: str | Path,
+    *,
+    engine: str | Engine = "loky",
+    threads: int = 1,
+    config: Config | None = None,
+    options: RecordingOptions | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> BatchReport:
+    """Segments any number of recordings, each into a result folder OUT/NAME that is there as a whole or not at all.
+
+    What is done is skipped when the batch is run again; what was begun goes on where it was. A recording that fails
+    does not stop the others. OUT/summary.csv has a row for each result, OUT/failures.csv the reasons of failures.
+
+    Args:
+        scenes: recordings, folders of data sets, patterns, and files that list them; see
+            :func:`torchjoint.recordings.find_recordings`.
+        out: folder for the results; workers on other machines must see it, and the recordings, at the same path.
+        engine: where to work; see :func:`torchjoint.engine.open_engine`. A script that uses dask on this machine must
+            call this below ``if __name__ == "__main__":``.
+        threads: threads of one recording. Workers on this machine never have more threads than there are cores.
+        config: parameters of the method; default ``Config()``.
+        options: how recordings are read; default ``RecordingOptions()``.
+        overwrite: replace earlier results.
+        progress: show a progress bar.
+
+    Returns:
+        reports and failures by scene.
+
+    Raises:
+        ValueError, TypeError: a bad argument, or OUT holds results of other parameters.
+        FileExistsError: another batch is writing to OUT, or OUT is in use for something else.
+        ConnectionError: the engine cannot be reached (any more); start again, and what is done is skipped.
+    """
+    config, options = config or Config(), options or RecordingOptions()
+    options.check(config)
+    found = find_recordings(scenes)
+    job = Job(_prepared(Path(out).absolute()), config, options, overwrite)
+    with lock(job.out / _LOCK, f"{out}: another batch is writing its results here; wait for it, or choose another"):
+        _check_record(job)
+        tables = Tables(job.out, list(found))
+        todo, skipped = _sorted_out(job, tables, found)
+        try:
+            _run(job, todo, tables, engine, threads, progress)
+        finally:
+            tables.save(now=True)
+    return BatchReport(job.out, tables.reports, skipped, tables.failures)
+
+
+def _run(job: Job, todo: dict[str, Path], tables: Tables, engine: str | Engine, threads: int, progress: bool) -> None:
+    """Segments what is to be done. The bar counts all, and its time is that of what is left."""
+    if not todo:
+        return
+    names, done = list(todo), len(tables.reports)
+    with (
+        tqdm(total=done + len(todo), initial=done, desc="recordings", unit="scene", disable=not progress) as bar,
+        open_engine(engine, threads) as workers,
+    ):
+        for outcome in workers.run(run_scene, [(name, path.absolute()) for name, path in todo.items()], job):
+            _note(names[outcome.index], outcome, tables)
+            bar.update()
+            if tables.failures:
+                bar.set_postfix(failed=len(tables.failures))
+            tables.save()
+
+
+def _note(name: str, outcome: Outcome[SceneReport], tables: Tables) -> None:
+    if outcome.value is not None:
+        tables.reports[name] = outcome.value
+    else:
+        assert outcome.error is not None
+        tables.failures[name] = _reason(outcome.error)
+
+
+def _reason(error: Exception) -> str:
+    """Why a recording failed; of an error of the package itself also its kind."""
+    is_own = isinstance(error, RuntimeError) and not isinstance(error, WorkerDied) and not is_out_of_memory(error)
+    return f"{type(error).__name__}: {in_one_line(error)}" if is_own else in_one_line(error)
+
+
+def _prepared(out: Path) -> Path:
+    if out.exists() and not out.is_dir():
+        raise FileExistsError(f"-o: {out} exists and is not a folder")
+    if (out / "run.yaml").is_file():
+        raise FileExistsError(f"-o: {out} is the result of one recording; choose another folder")
+    out.mkdir(parents=True, exist_ok=True)
+    return out
+
+
+def _check_record(job: Job) -> None:
+    """Writes down the parameters of a new batch; those of one that goes on must be the same."""
+    file = job.out / _RECORD
+    record = {"torchjoint": version("torchjoint"), "options": {**vars(job.options)}, "config": job.config.to_dict()}
+    text = yaml.safe_dump(record, sort_keys=False)
+    if file.is_file() and file.read_text(encoding="utf-8", errors="replace") != text and not job.overwrite:
+        raise ValueError(f"{job.out}: has results of other parameters ({file}); choose another folder, or --overwrite")
+    write_text(file, text)
+
+
+def _sorted_out(job: Job, tables: Tables, found: dict[str, Path]) -> tuple[dict[str, Path], tuple[str, ...]]:
+    """What is to be done, and the names of what is there; a damaged result is a failure."""
+    skipped = [name for name in found if not job.overwrite and is_done(job.folder(name))]
+    memory = tables.earlier_memory()
+    for name in skipped:
+        try:
+            tables.reports[name] = report_of(job.folder(name), memory.get(name))
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            tables.failures[name] = in_one_line(error)
+    todo = {name: path for name, path in found.items() if name not in skipped}
+    return todo, tuple(name for name in skipped if name in tables.reports)

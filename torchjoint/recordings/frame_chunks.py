@@ -1,0 +1,89 @@
+"""One long recording over many workers: each sees chunks of the frames on the same cloud, and the evidence adds up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from tqdm import tqdm
+
+from torchjoint.engine import Engine
+from torchjoint.joint import JointSegmenter
+from torchjoint.results.checkpoint import Checkpoint
+from torchjoint.scene import Frame, Scene, Segmentation
+from torchjoint.views.state import JointState
+
+#: Chunks for each worker, so that all end at about the same time; and the largest chunk, frames.
+CHUNKS, LARGEST = 4, 64
+
+#: Frames that a worker holds at a time.
+BATCH = 8
+
+
+def segment_over(
+    engine: Engine,
+    segmenter: JointSegmenter,
+    scene: Scene,
+    *,
+    progress: bool = False,
+    checkpoint: Checkpoint | None = None,
+) -> Segmentation:
+    """Segments a scene as ``segmenter(scene)`` does, with the same labels; workers see the frames (steps 1, 2, 4, 5).
+
+    The cloud and its graph travel once to each worker. Frames that are read from disk are read by the workers.
+
+    Args:
+        engine: its workers.
+        segmenter: with the parameters; it has all the evidence afterwards.
+        scene: the cloud and its frames.
+        progress: show progress bars.
+        checkpoint: saves the state from time to time; an interrupted run resumes from it.
+
+    Raises:
+        WorkerDied: two workers died with the same chunk.
+        ConnectionError: the engine cannot be reached any more.
+        ValueError, TypeError, OSError: as of the segmenter, and of reading frames.
+    """
+    segmenter.begin(scene, checkpoint)
+    count, done = len(scene.frames), len(segmenter.state.observations)
+    with tqdm(total=count, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
+        for evidence, seconds in _in_order(engine, segmenter, scene.frames, done):
+            segmenter.state = segmenter.state + evidence
+            segmenter.stopwatch.add(seconds)
+            bar.update(len(evidence.observations))
+            if checkpoint is not None:
+                checkpoint.save(segmenter.state)
+    if checkpoint is not None:
+        checkpoint.save(segmenter.state, now=True)
+    return segmenter.compute(progress=progress)
+
+
+def _in_order(
+    engine: Engine, segmenter: JointSegmenter, frames: Sequence[Frame], done: int
+) -> Iterator[tuple[JointState, dict[str, float]]]:
+    """The evidence of the chunks of the frames from number `done` on, in the order of the frames."""
+    if done == len(frames):
+        return
+    size = min(LARGEST, math.ceil((len(frames) - done) / (CHUNKS * max(1, engine.slots()))))
+    chunks = [range(len(frames))[start : start + size] for start in range(done, len(frames), size)]
+    ready: dict[int, tuple[JointState, dict[str, float]]] = {}
+    following = 0
+    for outcome in engine.run(_evidence, chunks, (segmenter.without_evidence(), frames)):
+        if outcome.error is not None:
+            raise outcome.error
+        assert outcome.value is not None
+        ready[outcome.index] = outcome.value
+        while following in ready:
+            yield ready.pop(following)
+            following += 1
+
+
+def _evidence(shared: tuple[JointSegmenter, Sequence[Frame]], chunk: range) -> tuple[JointState, dict[str, float]]:
+    """What a worker does: the evidence of a chunk, and the seconds that it took."""
+    segmenter, frames = shared
+    own = segmenter.without_evidence()  # other tasks of this worker use the shared one
+    for start in range(0, len(chunk), BATCH):
+        with own.stopwatch("load frames"):
+            batch = [frames[index] for index in chunk[start : start + BATCH]]
+        own.add(batch)
+    return own.state, own.stopwatch.seconds

@@ -1,0 +1,73 @@
+"""How a recording is read and cut down before it is segmented."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torchjoint.config import Config
+from torchjoint.scene import Scene
+from torchjoint.scene.hierarchy import check_granularity
+from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.views.projection import in_any_view
+
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """Options of a recording; those of `torchjoint segment` and `torchjoint batch`.
+
+    Attributes:
+        voxel_size: metres, for fusing a cloud from depth if the recording has no cloud.
+        max_frames: number of frames to use, evenly spread over the recording; None: all.
+        in_view: leave out the points that no frame has in its view.
+        thin: keep one point per voxel of this size, metres; None: all points.
+        merge_within: metres; the points in a cube with this side count as one point, and all get its label.
+        granularity: level of the labels, 0 (coarse) to 1 (fine); None: the default, 0.5.
+        topics: of a ROS recording, where several would do, such as ``color=/front/image_raw``.
+        time_limit: of a ROS recording: seconds between an image and its depth, and its pose, at most.
+    """
+
+    voxel_size: float = 0.02
+    max_frames: int | None = None
+    in_view: bool = False
+    thin: float | None = None
+    merge_within: float = 0.0
+    granularity: float | None = None
+    topics: tuple[str, ...] = ()
+    time_limit: float = 0.02
+
+    def check(self, config: Config) -> None:
+        """Raises ValueError if an option is out of its range, or does not go with the parameters."""
+        if self.max_frames is not None and self.max_frames < 0:
+            raise ValueError(f"--max-frames: expected >= 0, got {self.max_frames}")
+        if self.thin is not None and not self.thin > 0:
+            raise ValueError(f"--thin: expected more than 0 metres, got {self.thin}")
+        self.topic_of_role()
+        if self.granularity is None:
+            return
+        check_granularity(self.granularity, "--granularity")
+        method = config.point_segments.method
+        if method not in ("learned", "auto"):
+            raise ValueError(f"--granularity: method {method} has one level only; --preset default has all")
+
+    def topic_of_role(self) -> dict[str, str]:
+        """The chosen topics.
+
+        Raises:
+            ValueError: one is not of the form ``role=/topic``.
+        """
+        for one in self.topics:
+            if not all(one.partition("=")):
+                raise ValueError(f"--topics: expected ROLE=TOPIC, such as color=/camera/image_raw, got {one!r}")
+        return dict(one.split("=", 1) for one in self.topics)
+
+    def key(self) -> str:
+        """The options on which the state of a run depends, as text."""
+        return f"{self.max_frames} {self.in_view} {self.thin} {self.merge_within}"
+
+    def cut_down(self, scene: Scene) -> Scene:
+        """The frames and points of a recording that are used."""
+        if self.max_frames is not None:
+            scene = scene.sample_frames(self.max_frames)
+        if self.in_view:
+            scene = scene.select_points(in_any_view(scene.points, scene.frames))
+        return scene if self.thin is None else scene.select_points(voxel_subsample(scene.points, self.thin))

@@ -1,0 +1,120 @@
+"""One recording, from its files to its result folder; an interrupted run continues where it stopped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from torchjoint.config import Config
+from torchjoint.datasets import load_scene
+from torchjoint.datasets.files import fingerprint
+from torchjoint.engine import Engine
+from torchjoint.joint import JointSegmenter
+from torchjoint.masks import read_folder
+from torchjoint.masks.folder import check_files
+from torchjoint.recordings.frame_chunks import segment_over
+from torchjoint.recordings.options import RecordingOptions
+from torchjoint.results.checkpoint import Checkpoint, run_key
+from torchjoint.results.folder import write_result
+from torchjoint.results.output_folder import STATE, output_folder, own_files
+from torchjoint.runtime.checked_files import file_checksum
+from torchjoint.runtime.files import write_text
+from torchjoint.runtime.memory import as_bytes
+from torchjoint.scene import Scene, Segmentation
+
+
+class Segmented(NamedTuple):
+    """What a run has made."""
+
+    result: Segmentation
+    segmenter: JointSegmenter
+    scene: Scene
+
+
+def segment_recording(
+    path: Path,
+    out: Path,
+    config: Config,
+    options: RecordingOptions,
+    *,
+    masks: Path | None = None,
+    without_masks: Literal["segment", "leave-out"] = "segment",
+    overwrite: bool = False,
+    memory: str | None = None,
+    engine: Engine | None = None,
+    progress: bool = False,
+) -> Segmented | None:
+    """Segments a recording and writes its result folder, as a whole or not at all.
+
+    Args:
+        path: of the recording.
+        out: folder for the result.
+        config: parameters of the method.
+        options: how the recording is read.
+        masks: masks of a network, see :func:`torchjoint.masks.read_folder`.
+        without_masks: what becomes of frames without masks.
+        overwrite: replace an earlier result.
+        memory: how much of the frames stays in memory, see :class:`~torchjoint.JointSegmenter`; the rest goes to the
+            disk of `out`.
+        engine: workers for the frames; None: this process. The labels are the same.
+        progress: show progress bars.
+
+    Returns:
+        the result; None if an earlier run was killed when all was written: its result is then in its place.
+
+    Raises:
+        ValueError, TypeError, OSError: a bad option or file, named in the message; `out` exists, or is in use.
+    """
+    options.check(config)
+    as_bytes(memory, "--memory")
+    if out.resolve() in (path.resolve(), *path.resolve().parents):
+        raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
+    if masks is not None and out.resolve() in (masks.resolve(), *masks.resolve().parents):
+        raise ValueError(f"-o: {out} is, or holds, the masks; choose another folder")
+    for name, needed in (("scene", path), ("--masks", masks)):
+        if needed is not None and not needed.exists():
+            raise FileNotFoundError(f"{name}: {needed} does not exist")
+    source = f"{fingerprint(path, own_files(out))} {options.voxel_size} {sorted(options.topics)} {options.time_limit}"
+    if masks is not None:
+        source += f" {fingerprint(masks)} {without_masks}"
+    key = run_key(f"{source} {options.key()}", config)
+    level = options.granularity
+    with output_folder(out, source, key=f"{key} {level}", overwrite=overwrite) as partial:
+        if partial is None:
+            return None
+        if masks is not None:
+            check_files(masks)  # first, for fusing a cloud takes long
+        scene = _load(path, partial, options, progress)
+        if masks is not None:
+            scene = read_folder(masks, scene, "segment" if without_masks == "segment" else "leave out")
+        scene = options.cut_down(scene)
+        checkpoint = Checkpoint(partial / STATE / "frames", key)
+        segmenter = JointSegmenter(config, merge_within=options.merge_within, memory=memory, spill=partial / STATE)
+        if engine is None:
+            result = segmenter(scene, progress=progress, checkpoint=checkpoint)
+        else:
+            result = segment_over(engine, segmenter, scene, progress=progress, checkpoint=checkpoint)
+        if level is not None:
+            result = result.at(level)
+        write_result(partial, scene, result, config, str(path), 0.5 if level is None else level)
+    return Segmented(result, segmenter, scene)
+
+
+def _load(path: Path, partial: Path, options: RecordingOptions, progress: bool) -> Scene:
+    """The recording; a fused cloud is kept in the partial result, and stays in the result."""
+    fused, checksum = partial / f"cloud-{options.voxel_size * 1000:g}mm.ply", partial / STATE / "cloud.sha256"
+    is_whole = fused.is_file() and checksum.is_file() and checksum.read_bytes().decode() == file_checksum(fused)
+    if not is_whole:
+        fused.unlink(missing_ok=True)
+    scene = load_scene(
+        path,
+        cloud=fused,
+        voxel_size=options.voxel_size,
+        progress=progress,
+        topics=options.topic_of_role(),
+        time_limit=options.time_limit,
+    )
+    if fused.is_file() and not is_whole:
+        checksum.parent.mkdir(exist_ok=True)
+        write_text(checksum, file_checksum(fused))
+    return scene

@@ -1,0 +1,24 @@
+"""Errors in words for a user."""
+
+from __future__ import annotations
+
+import errno
+
+#: Part of torch's message.
+_OUT_OF_MEMORY = "not enough memory"
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether Python or torch had too little memory."""
+    return isinstance(error, MemoryError) or _OUT_OF_MEMORY in str(error)
+
+
+def in_one_line(error: BaseException) -> str:
+    """What went wrong, and what to do about it."""
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"the disk is full{f' ({error.filename})' if error.filename else ''}; make room and start again"
+    if is_out_of_memory(error):
+        return "out of memory; see --thin, --max-frames and --voxel-size for less to compute"
+    if isinstance(error, RecursionError):
+        return f"nested too deeply: {error}"
+    return " ".join(str(error).split())
