@@ -75,7 +75,9 @@ def test_stray_points_do_not_label_the_sky(monkeypatch) -> None:
     few = [(row, 20 + column) for row in range(4) for column in range(4)]
     sky = labels_with(few)
     assert sky[0, 0] == 0
-    assert (sky[:, 20:] == 2).all()
+    assert (sky[:5, 21:25] == 1).all()  # within the mean spacing of points, 1.7 pixels
+    assert (sky[5:, 21:] == 2).all()
+    assert (sky[:, 25:] == 2).all()
     many = [(row, 20 + column) for row in range(20) for column in range(3)]  # a tree below the sky of its own segment
     assert not (labels_with(many) == 2).any()
     scattered = [

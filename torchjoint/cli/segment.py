@@ -67,7 +67,9 @@ def segment(
         show: show the result in the browser, as `torchjoint show` does.
     """
     config = parameters.config()
-    options = RecordingOptions(voxel_size, max_frames, in_view, thin, merge_within, granularity, topics, time_limit)
+    options = RecordingOptions(
+        voxel_size, max_frames, in_view, thin, merge_within, granularity, tuple(map(read_topic, topics)), time_limit
+    )
     with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:
         segmented = segment_recording(
             scene,
@@ -86,3 +88,15 @@ def segment(
         return
     summarize(segmented.result, out)
     show_result(out, show, segmented.segmenter, segmented.scene)
+
+
+def read_topic(assignment: str) -> tuple[str, str]:
+    """Role and topic of ``role=/topic``.
+
+    Raises:
+        ValueError: it has another form.
+    """
+    role, sign, topic = assignment.partition("=")
+    if not (role and sign and topic):
+        raise ValueError(f"--topics: expected ROLE=TOPIC, such as color=/camera/image_raw, got {assignment!r}")
+    return role, topic

@@ -204,7 +204,7 @@ def _lines(text: bytes) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     is_space = (characters == 32) | ((characters >= 9) & (characters <= 13))
     begins = ~is_space & np.concatenate([[True], is_space[:-1]])
     ends = np.flatnonzero(characters == 10) + 1
-    counted = np.cumsum(begins)[ends - 1]
+    counted = np.searchsorted(np.flatnonzero(begins), ends)
     return ends, np.diff(counted, prepend=0)
 
 

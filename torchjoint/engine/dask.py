@@ -132,20 +132,22 @@ class DaskEngine(Engine):
 
     def slots(self) -> int:
         """As many as the workers have threads at this moment, by threads of a task; waits for the first worker."""
-        self._slots = self._slots_of_workers()
+        try:
+            self._slots = self._slots_of_workers()
+        except OSError:
+            if self._placed:
+                self._end_all()  # Engine.run notices, and connects again
+                return 0
+            self._reconnect()
+            self._slots = self._slots_of_workers()
         if not self._slots and not self._placed:
             self._wait_for_workers(self._client)
             self._slots = self._slots_of_workers()
         return sum(self._slots.values())
 
     def _slots_of_workers(self) -> dict[str, int]:
-        try:
-            threads = self._client.nthreads()
-        except OSError:
-            self._reconnect()
-            threads = self._client.nthreads()
         each = 1 if self._cluster is not None else self.threads
-        return {address: max(1, count // each) for address, count in threads.items()}
+        return {address: max(1, count // each) for address, count in self._client.nthreads().items()}
 
     def _share(self, value: Any) -> SharedFile | SharedTask:
         return SharedTask(value) if self._cluster is None else SharedFile(value)
@@ -173,12 +175,16 @@ class DaskEngine(Engine):
         return "killed, out of memory, or a crash" if isinstance(error, KilledWorker) else None
 
     def _reconnect(self) -> None:
-        for answer in list(self._placed):  # a client that is closed forgets its futures
-            _end(answer, error=CancelledError())
+        self._end_all()
         logger.warning("engine %s: the connection was cut; connecting again", self.name)
         with suppress(Exception):  # whatever a half-dead client raises
             self._client.close(timeout=1)
         self._client = self._connect()
+
+    def _end_all(self) -> None:
+        """Ends the futures that wait for a client: one that is closed forgets them."""
+        for answer in list(self._placed):
+            _end(answer, error=CancelledError())
 
     def close(self) -> None:
         """Ends the workers, if they are this engine's own; a cluster's workers end what they have begun."""

@@ -83,7 +83,7 @@ class Engine(abc.ABC):
         """Why a worker died; None if the error is of another kind."""
 
     def _reconnect(self) -> None:
-        """Called if futures were cancelled that nobody has cancelled here: the connection was cut.
+        """Called if futures were cancelled that nobody has cancelled here: the connection was cut. Ends all futures.
 
         Raises:
             ConnectionError: there is no connection any more.
@@ -125,9 +125,10 @@ class Engine(abc.ABC):
                     return
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
                 ended = [(running.pop(future), future) for future in done]
-                cut = any(_is_cut(future) for _, future in ended)
-                if cut:
+                if any(_is_cut(future) for _, future in ended):
                     self._reconnect()
+                    ended += [(task, future) for future, task in running.items()]
+                    running.clear()
                     handle.close()
                     handle = self._share(shared)
                 for task, future in sorted(ended, key=lambda pair: pair[0].index):

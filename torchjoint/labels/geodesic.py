@@ -29,7 +29,8 @@ UNSEEN = 30.0
 
 #: So does a segment with few points, at most this share of those that its area would hold, if more than half of it is
 #: far from all points: sky, into which poles and the outlines of trees bring some points. Without this, their labels
-#: flood it. Tree tops above the highest beam of a LiDAR have more points below, and stay one with them.
+#: flood it; they keep the pixels within the points' mean spacing. Tree tops above the highest beam of a LiDAR have more
+#: points below, and stay one with them.
 SPARSE = 0.1
 
 
@@ -87,8 +88,9 @@ def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) 
     """Gives an initial segment that the cloud does not have an id of its own.
 
     It has no points, though its area would hold UNSEEN at the mean density; or it has few, see SPARSE, and more than
-    half of it is far from all points: a square around the pixel, that would hold UNSEEN points, has none. In an image
-    without any points all initial segments keep their own ids.
+    half of it is far from all points: a square around the pixel, that would hold UNSEEN points, has none. Then pixels
+    near its points, within the mean spacing, keep their labels. In an image without any points all initial segments
+    keep their own ids.
 
     Args:
         labels: [H, W] int32.
@@ -107,16 +109,19 @@ def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) 
     expected = area * (num_points / hit.numel())
     unseen = (num_hit == 0) & ((expected >= UNSEEN) | (num_points == 0))
     sparse = (num_hit > 0) & (expected >= UNSEEN) & (num_hit <= SPARSE * expected)
+    own_place = torch.ones_like(hit)
     if sparse.any():
-        far = _no_hit_within(hit, math.floor(math.sqrt(UNSEEN * hit.numel() / num_points) / 2))
+        spacing = math.sqrt(hit.numel() / num_points)
+        far = _no_hit_within(hit, math.floor(math.sqrt(UNSEEN) * spacing / 2))
         num_far = torch.bincount(segment[far.view(-1)], minlength=num_initial + 1)[1:]
         unseen |= sparse & (2 * num_far > area)
+        own_place = _no_hit_within(hit, math.floor(spacing)) | look_up(num_hit == 0, initial, False)
     if not unseen.any():
         return torch.where(initial < 0, initial.to(torch.int32), labels), first_free
     kept = by_first_appearance(initial, unseen)
     names = torch.full((num_initial,), -1, dtype=torch.int32)
     names[kept] = first_free + torch.arange(len(kept), dtype=torch.int32)
-    own = look_up(names, initial, -1)
+    own = torch.where(own_place, look_up(names, initial, -1), -1)
     return torch.where((own >= 0) | (initial < 0), own, labels), first_free + len(kept)
 
 

@@ -22,7 +22,7 @@ class RecordingOptions:
         thin: keep one point per voxel of this size, metres; None: all points.
         merge_within: metres; the points in a cube with this side count as one point, and all get its label.
         granularity: level of the labels, 0 (coarse) to 1 (fine); None: the default, 0.5.
-        topics: of a ROS recording, where several would do, such as ``color=/front/image_raw``.
+        topics: of a ROS recording: pairs of a role and its topic, where several topics would do.
         time_limit: of a ROS recording: seconds between an image and its depth, and its pose, at most.
     """
 
@@ -32,7 +32,7 @@ class RecordingOptions:
     thin: float | None = None
     merge_within: float = 0.0
     granularity: float | None = None
-    topics: tuple[str, ...] = ()
+    topics: tuple[tuple[str, str], ...] = ()
     time_limit: float = 0.02
 
     def check(self, config: Config) -> None:
@@ -41,7 +41,6 @@ class RecordingOptions:
             raise ValueError(f"--max-frames: expected >= 0, got {self.max_frames}")
         if self.thin is not None and not self.thin > 0:
             raise ValueError(f"--thin: expected more than 0 metres, got {self.thin}")
-        self.topic_of_role()
         if self.granularity is None:
             return
         check_granularity(self.granularity, "--granularity")
@@ -49,16 +48,9 @@ class RecordingOptions:
         if method not in ("learned", "auto"):
             raise ValueError(f"--granularity: method {method} has one level only; --preset default has all")
 
-    def topic_of_role(self) -> dict[str, str]:
-        """The chosen topics.
-
-        Raises:
-            ValueError: one is not of the form ``role=/topic``.
-        """
-        for one in self.topics:
-            if not all(one.partition("=")):
-                raise ValueError(f"--topics: expected ROLE=TOPIC, such as color=/camera/image_raw, got {one!r}")
-        return dict(one.split("=", 1) for one in self.topics)
+    def source(self) -> str:
+        """The options on which a fused cloud depends, as text."""
+        return f"{self.voxel_size} {sorted(self.topics)} {self.time_limit}"
 
     def key(self) -> str:
         """The options on which the state of a run depends, as text."""

@@ -74,7 +74,7 @@ def segment_recording(
     for name, needed in (("scene", path), ("--masks", masks)):
         if needed is not None and not needed.exists():
             raise FileNotFoundError(f"{name}: {needed} does not exist")
-    source = f"{fingerprint(path, own_files(out))} {options.voxel_size} {sorted(options.topics)} {options.time_limit}"
+    source = f"{fingerprint(path, own_files(out))} {options.source()}"
     if masks is not None:
         source += f" {fingerprint(masks)} {without_masks}"
     key = run_key(f"{source} {options.key()}", config)
@@ -111,7 +111,7 @@ def _load(path: Path, partial: Path, options: RecordingOptions, progress: bool) 
         cloud=fused,
         voxel_size=options.voxel_size,
         progress=progress,
-        topics=options.topic_of_role(),
+        topics=dict(options.topics),
         time_limit=options.time_limit,
     )
     if fused.is_file() and not is_whole:

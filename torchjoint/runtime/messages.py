@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import errno
 
-#: Part of torch's message.
-_OUT_OF_MEMORY = "not enough memory"
+#: Parts of torch's messages.
+_OUT_OF_MEMORY = ("not enough memory", "can't allocate memory", "bad_alloc")
 
 
 def is_out_of_memory(error: BaseException) -> bool:
     """Whether Python or torch had too little memory."""
-    return isinstance(error, MemoryError) or _OUT_OF_MEMORY in str(error)
+    return isinstance(error, MemoryError) or any(part in str(error) for part in _OUT_OF_MEMORY)
 
 
 def in_one_line(error: BaseException) -> str:

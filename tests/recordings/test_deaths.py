@@ -1,0 +1,208 @@
+"""Workers, heads, connections, memory and disks fail; each time the files end up those of an undisturbed run."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+import pytest
+import yaml
+from folder_files import write_folder
+
+import torchjoint as tj
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning", "ignore::FutureWarning"),
+]
+
+TESTS = Path(__file__).parents[1]
+CONFIG = tj.Config().set(["boundary.detector=deadly_boundary:DeadlyBoundary"])
+OPTIONS = tj.RecordingOptions(max_frames=4)
+ENGINES = ["loky:2", "dask:2", "ray:2"]
+
+
+@pytest.fixture(scope="module")
+def scans(scene_of, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scans") / "scans"
+    folder.mkdir()
+    for name in ("a", "b", "c", "d"):
+        write_folder(folder / name, scene_of(2), depth=False)
+    return folder
+
+
+@pytest.fixture
+def deaths(tmp_path, monkeypatch):
+    """The folder of the deaths to come; workers know it, and find the detector."""
+    folder = tmp_path / "deaths"
+    folder.mkdir()
+    monkeypatch.setenv("TORCHJOINT_TEST_DEATHS", str(folder))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")]))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def expected(scans, tmp_path_factory):
+    """The files of each scene after a run that nothing disturbs."""
+    out = tmp_path_factory.mktemp("expected")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TORCHJOINT_TEST_DEATHS", str(out))
+        for scan in scans.iterdir():
+            tj.recordings.segment_recording(scan, out / scan.name, CONFIG, OPTIONS)
+    return {scan.name: contents(out / scan.name) for scan in scans.iterdir()}
+
+
+def contents(folder):
+    """All files of a result; run.yaml without the seconds and the path of the recording."""
+    files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    record = yaml.safe_load(files.pop("run.yaml"))
+    return files, record["counts"], record["config"]
+
+
+def assert_complete(out, expected):
+    """Exactly the expected results, the tables, and nothing half-written."""
+    assert {path.name for path in out.iterdir()} == {*expected, "batch.yaml", "summary.csv"}
+    for name, files in expected.items():
+        assert contents(out / name) == files
+
+
+def wait_for(condition, seconds=120.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it took too long"
+        time.sleep(0.02)
+
+
+def is_running(process):
+    try:
+        return psutil.Process(process).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_worker_is_killed_and_one_has_too_little_memory(engine, scans, deaths, expected, tmp_path):
+    out = tmp_path / "out"
+    (deaths / "kill").touch()
+    (deaths / "memory").touch()
+    first = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS)
+    assert list(deaths.iterdir()) == []  # both have come
+    (failed,) = first.failures  # the scene of the killed worker went on where it was
+    assert "out of memory" in first.failures[failed]
+    again = tj.batch(scans, out, engine="loky:2", config=CONFIG, options=OPTIONS)
+    assert sorted(again.skipped) == sorted(set(expected) - {failed})
+    assert_complete(out, expected)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_head_is_killed(engine, scans, deaths, expected, tmp_path):
+    """No process is left, and the same command ends with the same files."""
+    out = tmp_path / "out"
+    arguments = [str(scans), "-o", str(out), "--set", "boundary.detector=deadly_boundary:DeadlyBoundary"]
+    script = tmp_path / "command.py"  # as pip installs it: dask imports it again in its workers
+    script.write_text("from torchjoint.cli import main\n\nif __name__ == '__main__':\n    main()\n")
+    command = [sys.executable, str(script), "batch", *arguments, "--max-frames", "4", "--engine"]
+    (deaths / "wait").touch()
+    with (tmp_path / "log.txt").open("w") as log:
+        head = subprocess.Popen([*command, engine], stdout=log, stderr=log)
+        wait_for(lambda: list(out.glob("*.partial/source.txt")) or head.poll() is not None)
+        assert head.poll() is None, (tmp_path / "log.txt").read_text()
+        processes = {process.pid for process in psutil.Process(head.pid).children(recursive=True)}
+        assert processes
+        head.send_signal(signal.SIGKILL)
+        head.wait()
+    assert not (out / "a").exists()
+    (deaths / "wait").unlink()
+    again = subprocess.run([*command, "loky:2"], capture_output=True, text=True, check=False)
+    assert again.returncode == 0, again.stderr
+    assert "4 segmented, 0 were done before, 0 failed" in again.stdout
+    assert_complete(out, expected)
+    # Two of ray's own watchers wait a minute for the head, by a constant of theirs, before they end.
+    wait_for(lambda: not any(is_running(process) for process in processes), 90.0 if engine == "ray:2" else 30.0)
+
+
+def test_a_full_disk(scans, deaths, expected, tmp_path):
+    """Scenes fail with a clear reason; after making room the command goes on."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", disk], capture_output=True, check=False)
+    if mounted.returncode:
+        pytest.skip(f"needs the right to mount a small tmpfs: {mounted.stderr.decode().strip()}")
+    try:
+        out = disk / "out"
+        first = tj.batch(scans, out, engine="loky:2", config=CONFIG, options=OPTIONS)
+        assert first.failures
+        assert all("the disk is full" in reason for reason in first.failures.values())
+        subprocess.run(["mount", "-o", "remount,size=200m", disk], check=True)
+        again = tj.batch(scans, out, engine="loky:2", config=CONFIG, options=OPTIONS)
+        assert again.failures == {}
+        assert_complete(out, expected)
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+class Wire:
+    """A TCP connection between a client and a scheduler that can be cut; listens on `port`."""
+
+    def __init__(self, target):
+        self._target, self._sockets = target, []
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port = self._server.getsockname()[1]
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self):
+        while True:
+            try:
+                here, _ = self._server.accept()
+            except OSError:
+                return
+            there = socket.create_connection(self._target)
+            self._sockets += [here, there]
+            for one, other in ((here, there), (there, here)):
+                threading.Thread(target=self._pass_on, args=(one, other), daemon=True).start()
+
+    @staticmethod
+    def _pass_on(one, other):
+        with suppress(OSError):
+            while data := one.recv(65536):
+                other.sendall(data)
+
+    def cut(self):
+        for one in self._sockets:
+            with suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+            one.close()
+        self._sockets.clear()
+
+    def close(self):
+        self._server.close()
+        self.cut()
+
+
+def test_the_connection_to_the_scheduler_is_cut(scans, deaths, expected, tmp_path):
+    from distributed import LocalCluster
+
+    out = tmp_path / "out"
+    (deaths / "wait").touch()
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
+        host, port = cluster.scheduler_address.removeprefix("tcp://").split(":")
+        wire, cuts = Wire((host, int(port))), []
+
+        def cut():
+            wait_for(lambda: list(out.glob("*.partial/source.txt")))
+            wire.cut()
+            cuts.append(True)
+            (deaths / "wait").unlink()
+
+        threading.Thread(target=cut, daemon=True).start()
+        report = tj.batch(scans, out, engine=f"dask://127.0.0.1:{wire.port}", config=CONFIG, options=OPTIONS)
+        wire.close()
+    assert cuts
+    assert report.failures == {}
+    assert_complete(out, expected)
