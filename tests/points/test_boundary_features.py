@@ -13,7 +13,7 @@ from torchjoint.points.evidence import Evidence, gather_evidence
 from torchjoint.points.graph import build_point_graph
 from torchjoint.points.group_summaries import Measure, summarize
 from torchjoint.points.image_agreement import image_agreement
-from torchjoint.points.image_evidence import contours_across, segments_of_pieces
+from torchjoint.points.image_evidence import segments_of_pieces
 from torchjoint.points.region_statistics import axes, covariance_of_unions, pooled, statistics_of_points
 from torchjoint.points.scales import measure_scales
 from torchjoint.scene import Scene
@@ -186,15 +186,6 @@ class TestImages:
         monkeypatch.setattr(agreement_module, "FRAMES", frames)
         monkeypatch.setattr(agreement_module, "ROWS", rows)
         assert torch.equal(self.agreement(*views), whole)
-
-    def test_contours_by_hand(self, seen):
-        view = seen([0, 2, 3], [0, 0, 0])  # in columns 0, 1, 2
-        view.boundary[0, 1] = 51
-        edges = torch.tensor([[0, 0, 2, 0], [2, 3, 3, 1]])
-        strength, views = contours_across(edges, 4, [view, view])
-        assert views.tolist() == [2, 2, 2, 0]
-        assert strength[:3].tolist() == pytest.approx([0.2] * 3)
-        assert strength[3].isnan()
 
 
 @pytest.fixture(scope="module")
