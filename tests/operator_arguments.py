@@ -14,6 +14,7 @@ from torchjoint.ops import (
     felzenszwalb,
     felzenszwalb_image,
     fit_normals,
+    group_summaries,
     mask_merges,
     match_pixels,
     merge_regions,
@@ -74,6 +75,10 @@ PROPAGATE_LABELS = {
 MERGE_REGIONS = {
     "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
 }  # fmt: skip
+GROUP_SUMMARIES = {
+    "values": POSITIONS, "rank": PIXELS, "ascending": POSITIONS, "group": torch.tensor([0, -1, 1]), "num_groups": 2,
+    "quantiles": torch.tensor([0.5, 1.0]),
+}  # fmt: skip
 REGION_MERGES = {"edge_index": EDGES, "cost": VALUES, "num_regions": 4, "threshold": 0.5}
 MASK_MERGES = {
     "edge_index": EDGES, "cost": VALUES.clamp(max=1), "size": torch.tensor([9, 1, 2, 3]),
@@ -115,6 +120,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     match_pixels: MATCH_PIXELS,
     propagate_labels: PROPAGATE_LABELS,
     merge_regions: MERGE_REGIONS,
+    group_summaries: GROUP_SUMMARIES,
     region_merges: REGION_MERGES,
     mask_merges: MASK_MERGES,
     region_planes: REGION_PLANES,

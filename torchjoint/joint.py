@@ -41,7 +41,7 @@ from torchjoint.scene.local_cloud import LocalFrame
 from torchjoint.views.observation import Observation
 from torchjoint.views.observations import Observations
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
-from torchjoint.views.propagation import edge_overlaps
+from torchjoint.views.propagation import edge_contours, edge_overlaps
 from torchjoint.views.state import JointState
 from torchjoint.views.visibility import visible_points
 
@@ -260,10 +260,13 @@ class JointSegmenter(nn.Module):
                 segments = self.image_segmenter(batch, self.stopwatch)
                 seen = parallel_map(lambda item: self._observe(*item), zip(batch, segments, strict=True))
                 state.observations.extend([observation for observation, *_ in seen])  # first: the disk may be full
-                for observation, facing, edges, overlaps in seen:
+                for observation, facing, (edges, overlaps), contours in seen:
                     state.views.index_add_(0, edges, torch.ones_like(edges))
                     state.overlap_sum.index_add_(0, edges, overlaps)
                     state.facing[observation.visible.point] += facing
+                    if contours is not None:
+                        state.contour_sum[contours[0]] += contours[1]
+                        state.contour_views[contours[0]] += 1
 
     def _tell_unused(self, frame: Frame) -> None:
         """Says so if images have no say in the segments of the points."""
@@ -433,20 +436,27 @@ class JointSegmenter(nn.Module):
         other._check = other._new_check()
         return other
 
-    def _observe(self, frame: Frame, segments: ImageSegments) -> tuple[Observation, Tensor, Tensor, Tensor]:
-        """Steps 4 and 5 for one frame: the observation, votes for the normals' signs, edges and their overlaps."""
+    def _observe(
+        self, frame: Frame, segments: ImageSegments
+    ) -> tuple[Observation, Tensor, tuple[Tensor, Tensor], tuple[Tensor, Tensor] | None]:
+        """Steps 4 and 5 for one frame: the observation; votes for the normals' signs; edges and their overlaps.
+
+        For method learned also edges and the contours across them, if the frame has no masks.
+        """
         graph = self._require_graph()
         with self.stopwatch("visibility"):
             pose = self._local.pose(frame.world_to_camera)
             camera = (frame.intrinsics, pose, frame.size)
             visible = visible_points(graph.points, graph.spacing, *camera, self.config.visibility)
             facing = orientation_votes(graph, visible.point, pose)
+        image, boundary = _to_8_bits(frame.image), _to_8_bits(segments.boundary)
         with self.stopwatch("propagation"):
             labels = segments.labels.to(torch.int32) if segments.masks is None else segments.masks.atom
-            edges, overlaps = edge_overlaps(graph.adjacency, visible, labels, self.config.propagation.window)
-        image, boundary = _to_8_bits(frame.image), _to_8_bits(segments.boundary)
-        observation = Observation(frame.name, labels, visible, image, boundary, segments.masks)
-        return observation, facing, edges, overlaps
+            overlaps = edge_overlaps(graph.adjacency, visible, labels, self.config.propagation.window)
+            contours = None
+            if self.method == "learned" and segments.masks is None:
+                contours = edge_contours(graph.adjacency, graph.edge_index, visible, boundary)
+        return Observation(frame.name, labels, visible, image, boundary, segments.masks), facing, overlaps, contours
 
 
 def _batches_of_one_size(frames: Sequence[Frame]) -> Iterator[list[Frame]]:

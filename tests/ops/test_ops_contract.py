@@ -44,6 +44,7 @@ from torchjoint.ops import (
     felzenszwalb,
     felzenszwalb_image,
     fit_normals,
+    group_summaries,
     mask_merges,
     match_pixels,
     merge_regions,
@@ -292,6 +293,14 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (region_merges, {"num_regions": 2**31}, ValueError, "num_regions: expected 0 to 2^31 - 1, got 2147483648"),
     (region_merges, {"threshold": -0.1}, ValueError, "threshold: expected a number >= 0, got -0.1"),
     (region_merges, {"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
+    (group_summaries, {"values": POSITIONS.double()}, TypeError, "values: expected dtype torch.float32, got"),
+    (group_summaries, {"rank": PIXELS[:2]}, ValueError, "rank: expected shape [C] = [3], got [2]"),
+    (group_summaries, {"rank": PIXELS + 1}, ValueError, "rank: expected numbers in [0, 3), got 3 at 2"),
+    (group_summaries, {"group": PIXELS - 2}, ValueError, "group: expected numbers in [0, 2), got -2 at 0"),
+    (group_summaries, {"group": PIXELS + 1}, ValueError, "group: expected numbers in [0, 2), got 2 at 1"),
+    (group_summaries, {"num_groups": -1}, ValueError, "num_groups: expected a number >= 0, got -1"),
+    (group_summaries, {"quantiles": POSITIONS}, ValueError, "quantiles: expected numbers in [0, 1], got 2 at 2"),
+    (group_summaries, {"quantiles": POSITIONS * NAN}, ValueError, "quantiles: expected numbers in [0, 1], got nan"),
     (region_planes, {"points": EYE[:, :3]}, TypeError, "points: expected dtype torch.float32, got torch.float64"),
     (region_planes, {"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [4, 2]"),
     (region_planes, {"neighbors": NEIGHBORS.short()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
@@ -438,6 +447,10 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (region_merges, {"cost": VALUES.double()}),
         (region_merges, {"num_regions": -1}),
         (region_merges, {"threshold": NAN}),
+        (group_summaries, {"values": EDGES}),
+        (group_summaries, {"ascending": POSITIONS[:2]}),
+        (group_summaries, {"num_groups": -1}),
+        (group_summaries, {"quantiles": EYE}),
         (region_planes, {"points": POINTS[:, :2]}),
         (region_planes, {"neighbors": NEIGHBORS[:3]}),
         (region_planes, {"neighbors": NEIGHBORS.float()}),
@@ -594,6 +607,7 @@ LONG_OPERATORS = (
     min_cut,
     neighbor_edges,
     fit_normals,
+    group_summaries,
     mask_merges,
     merge_regions,
     region_merges,
@@ -645,6 +659,11 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
         rows = torch.stack([torch.arange(len(cost)), torch.arange(len(cost)) % 7, torch.ones(len(cost)).long()])
         weight, frame_of_mask = torch.full((7,), 256), torch.arange(7)
         return lambda: mask_merges(edges, cost, rows[2], rows, rows, weight, frame_of_mask, 0.6, 0.1, 0.5)
+    if op is group_summaries:
+        values = torch.rand(int(3_000_000 * share), generator=torch.Generator().manual_seed(0))
+        ascending, order = values.sort()
+        group = torch.arange(len(values)) % 1000
+        return lambda: group_summaries(values, order, ascending, group, 1000, torch.tensor([0.5]))
     if op is region_merges:
         edges, cost = large_graph(int(100_000 * share))
         return lambda: region_merges(edges, cost, len(cost), 0.4)

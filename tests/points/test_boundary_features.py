@@ -13,7 +13,7 @@ from torchjoint.points.evidence import Evidence, gather_evidence
 from torchjoint.points.graph import build_point_graph
 from torchjoint.points.group_summaries import Measure, summarize
 from torchjoint.points.image_agreement import image_agreement
-from torchjoint.points.image_evidence import contours_across, segments_of_pieces
+from torchjoint.points.image_evidence import segments_of_pieces
 from torchjoint.points.region_statistics import axes, covariance_of_unions, pooled, statistics_of_points
 from torchjoint.points.scales import measure_scales
 from torchjoint.scene import Scene
@@ -114,9 +114,8 @@ class TestCorner:
 class TestSummaries:
     def test_mean_and_quantiles_by_hand(self):
         values = torch.tensor([5.0, 1, 3, torch.nan, 2, 4, 7, torch.nan])
-        edges = torch.tensor([0, 1, 2, 3, 4, 5, 7])
-        group = torch.tensor([0, 0, 0, 0, 0, 2, 1])
-        result = summarize(Measure.of(values), edges, group, 3)
+        group = torch.tensor([0, 0, 0, 0, 0, 2, -1, 1])
+        result = summarize(Measure.of(values), group, 3)
         # 1 2 3 5: places 0.3, 1.5 and 2.7 are rounded to 0, 2 and 3.
         assert result[0].tolist() == [11 / 4, 1, 3, 5]
         assert result[1].isnan().all()
@@ -186,15 +185,6 @@ class TestImages:
         monkeypatch.setattr(agreement_module, "FRAMES", frames)
         monkeypatch.setattr(agreement_module, "ROWS", rows)
         assert torch.equal(self.agreement(*views), whole)
-
-    def test_contours_by_hand(self, seen):
-        view = seen([0, 2, 3], [0, 0, 0])  # in columns 0, 1, 2
-        view.boundary[0, 1] = 51
-        edges = torch.tensor([[0, 0, 2, 0], [2, 3, 3, 1]])
-        strength, views = contours_across(edges, 4, [view, view])
-        assert views.tolist() == [2, 2, 2, 0]
-        assert strength[:3].tolist() == pytest.approx([0.2] * 3)
-        assert strength[3].isnan()
 
 
 @pytest.fixture(scope="module")

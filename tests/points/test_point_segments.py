@@ -109,7 +109,9 @@ def row_of_points(r, *observations, normals=None):
     edges = [[i, i + 1] for i in range(count - 1)]
     overlaps = 1 - torch.tensor(r, dtype=torch.float64)  # of the one image that saw both ends
     facing = torch.zeros(count, dtype=torch.int64)
-    state = JointState(torch.ones(count - 1, dtype=torch.int64), overlaps, facing, Observations(observations))
+    contours = torch.zeros(2, count - 1, dtype=torch.int32)
+    views = torch.ones(count - 1, dtype=torch.int64)
+    state = JointState(views, overlaps, facing, *contours, Observations(observations))
     return graph_of(points, edges, normals), state
 
 

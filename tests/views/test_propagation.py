@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from torchjoint.config import PropagationConfig
 from torchjoint.views.csr_adjacency import CsrAdjacency
-from torchjoint.views.propagation import OVERLAP_RESOLUTION, disagreement, edge_overlaps
+from torchjoint.views.propagation import OVERLAP_RESOLUTION, disagreement, edge_contours, edge_overlaps
 from torchjoint.views.visibility import Visible
 
 
@@ -38,6 +38,18 @@ def test_eq_5_by_hand():
         [0, 1, 2],
         rounded([5 / 9, 4 / 4, 3 / 4]),
     )
+
+
+def test_contours_by_hand():
+    """The points 0, 2 and 3 are in the columns 0, 1 and 4; the image does not see point 1."""
+    boundary = torch.tensor([[0, 51, 0, 9, 0], [0, 70, 70, 70, 0]], dtype=torch.uint8)
+    edge_index = torch.tensor([[0, 0, 2, 0, 1], [2, 3, 3, 1, 3]])
+    edges = CsrAdjacency.of(edge_index, 4)
+    edge, strength = edge_contours(edges, edge_index, visible_at([(0, 0), (0, 1), (0, 4)], [0, 2, 3]), boundary)
+    assert dict(zip(edge.tolist(), strength.tolist(), strict=True)) == {0: 51, 1: 51, 2: 51}
+    edge, strength = edge_contours(edges, edge_index, visible_at([(1, 0), (0, 2), (0, 4)], [0, 2, 3]), boundary)
+    assert dict(zip(edge.tolist(), strength.tolist(), strict=True)) == {0: 51, 1: 70, 2: 9}
+    assert not edge_contours(edges, edge_index, visible_at([(1, 1)], [1]), boundary)[0].numel()
 
 
 def test_window_of_one_pixel():

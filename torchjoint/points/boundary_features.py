@@ -102,10 +102,11 @@ class _Boundaries(NamedTuple):
     pairs: Tensor  #: [2, B] int64
     edges: Tensor  #: [c] int64, the edges of Evidence.edges that cross a boundary
     of_edge: Tensor  #: [c] int64, boundary of each of these edges
+    of_any_edge: Tensor  #: [C] int64, boundary of each edge of Evidence.edges, -1 = inside a region
     num_edges: Tensor  #: [B] float64
 
     def summary(self, measure: Measure) -> Tensor:
-        return summarize(measure, self.edges, self.of_edge, self.pairs.shape[1])
+        return summarize(measure, self.of_any_edge, self.pairs.shape[1])
 
     def mean(self, values: Tensor) -> Tensor:
         """Means [B] float64 over the edges of each boundary of values [C]."""
@@ -165,12 +166,12 @@ def _find_boundaries(evidence: Evidence, region: Tensor) -> _Boundaries:
     key, of_crossing = torch.unique(key[across], return_inverse=True)
     of_pair = torch.full((len(first),), -1, dtype=torch.int64)
     of_pair[across] = of_crossing
-    of_edge = of_pair[evidence.edges.pair]
-    edges = torch.nonzero(of_edge >= 0).squeeze(1)
-    of_edge = of_edge[edges]
+    of_any_edge = of_pair[evidence.edges.pair]
+    edges = torch.nonzero(of_any_edge >= 0).squeeze(1)
+    of_edge = of_any_edge[edges]
     num_edges = torch.bincount(of_edge, minlength=len(key)).double()
     pairs = torch.stack([key // num_regions, key % num_regions])
-    return _Boundaries(of_piece, num_regions, pairs, edges, of_edge, num_edges)
+    return _Boundaries(of_piece, num_regions, pairs, edges, of_edge, of_any_edge, num_edges)
 
 
 def _sizes(regions: RegionStatistics, small: Tensor, large: Tensor, num_edges: Tensor) -> Tensor:

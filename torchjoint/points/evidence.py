@@ -20,7 +20,7 @@ from torchjoint.points.edge_costs import combined_costs, crease_costs
 from torchjoint.points.edge_weights import map_edges
 from torchjoint.points.graph import PointGraph
 from torchjoint.points.group_summaries import Measure
-from torchjoint.points.image_evidence import ImageEvidence, contours_across, segments_of_pieces
+from torchjoint.points.image_evidence import ImageEvidence, segments_of_pieces
 from torchjoint.points.mask_evidence import MaskEvidence, masks_of_pieces
 from torchjoint.points.normals import angle_between, estimate_normals, is_convex
 from torchjoint.points.orientation import orient_normals
@@ -69,7 +69,7 @@ class BoundaryEdges(NamedTuple):
     unoriented: Tensor  #: [C] bool, whether the normal of an end is not oriented
     color_step: Measure | None  #: distance of the colours of the two ends, units of Lab
     disagreement: Measure | None  #: r of eq. 6, missing if no image has evidence
-    contour: Measure | None  #: strength of the images' boundaries across the edge
+    contour: Measure | None  #: strength of the images' boundaries across the edge, mean over those that see both ends
     views: Tensor | None  #: [C] int64, number of images that see both ends
 
 
@@ -133,7 +133,8 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
     geometry = _geometry(graph, ends, normals, oriented, planes, scales)
     contour = views = None
     if r is not None and observations:
-        contour, views = contours_across(ends, graph.num_points, observations)
+        total, views = state.contour_sum[across].long(), state.contour_views[across].long()
+        contour = torch.where(views > 0, total / (255 * views.clamp(min=1)), torch.nan)
         r = torch.where(state.views[across] > 0, r[across], torch.nan)
     else:
         r = None

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchjoint import ops
+
 #: The quantiles of a summary; they follow the mean.
 QUANTILES = (0.1, 0.5, 0.9)
 
@@ -29,34 +31,18 @@ class Measure(NamedTuple):
         return cls(values, rank, values[order])
 
 
-def summarize(measure: Measure, edges: Tensor, group: Tensor, num_groups: int) -> Tensor:
+def summarize(measure: Measure, group: Tensor, num_groups: int) -> Tensor:
     """Mean and QUANTILES of the measure over the edges of each group; missing values do not count.
 
     Args:
         measure: of C edges.
-        edges: [c] int64, the edges that are in a group.
-        group: [c] int64, group of each of these edges, 0 ... G - 1.
+        group: [C] int64, group of each edge, 0 ... G - 1, -1 = none.
         num_groups: G.
 
     Returns:
         [G, 1 + len(QUANTILES)] float64; NaN for a group without a value.
     """
-    values = measure.values[edges]
-    present = torch.isfinite(values)
-    if not present.all():
-        edges, group, values = edges[present], group[present], values[present]
-    count = torch.bincount(group, minlength=num_groups)
-    result = torch.full((num_groups, 1 + len(QUANTILES)), torch.nan, dtype=torch.float64)
-    has_value = count > 0
-    result[has_value, 0] = (sum_by(group, values.double(), num_groups) / count)[has_value]
-    # Sorting whole numbers, group x C + rank, sorts the edges by group, and by value within each group.
-    total = max(len(measure.rank), 1)
-    key = torch.from_numpy(np.sort((group * total + measure.rank[edges]).numpy()))
-    start = count.cumsum(0) - count
-    for column, quantile in enumerate(QUANTILES, start=1):
-        place = start + ((count - 1).clamp(min=0) * quantile).round().long()
-        result[has_value, column] = measure.ascending[key[place[has_value]] % total].double()
-    return result
+    return ops.group_summaries(*measure, group, num_groups, torch.tensor(QUANTILES, dtype=torch.float32))
 
 
 def sum_by(group: Tensor, values: Tensor, num_groups: int) -> Tensor:

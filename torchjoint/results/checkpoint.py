@@ -86,8 +86,8 @@ class Checkpoint:
         for i in range(self._saved, len(state.observations)):
             _write(self._file(i), state.observations.packed(i).to_dict())
             self._saved = i + 1
-        sums = {"views": state.views, "overlap_sum": state.overlap_sum, "facing": state.facing, "count": self._saved}
-        _write(self.directory / "sums.pt", sums)
+        sums = {name: value for name, value in vars(state).items() if name != "observations"}
+        _write(self.directory / "sums.pt", sums | {"count": self._saved})
         end = time.monotonic()
         self._next_save = end + min(INTERVAL, (end - start) / SHARE)
 

@@ -22,12 +22,17 @@ class JointState:
         overlap_sum: [E] float64, sum of the overlaps of eq. 5.
         facing: [N] int64: number of cameras on the side to which the point's normal points, minus the number of
             cameras on the other side.
+        contour_sum: [E] int32, sum of the boundary strengths x 255 between the two ends of an edge, over frames without
+            masks (method learned only).
+        contour_views: [E] int32, number of these frames that see both ends.
         observations: one per frame, in the order in which the frames were added.
     """
 
     views: Tensor
     overlap_sum: Tensor
     facing: Tensor
+    contour_sum: Tensor
+    contour_views: Tensor
     observations: Observations = field(default_factory=Observations)
 
     @classmethod
@@ -37,6 +42,8 @@ class JointState:
             torch.zeros(num_edges, dtype=torch.int64),
             torch.zeros(num_edges, dtype=torch.float64),
             torch.zeros(num_points, dtype=torch.int64),
+            torch.zeros(num_edges, dtype=torch.int32),
+            torch.zeros(num_edges, dtype=torch.int32),
             Observations() if observations is None else observations,
         )
 
@@ -55,5 +62,7 @@ class JointState:
             self.views + other.views,
             self.overlap_sum + other.overlap_sum,
             self.facing + other.facing,
+            self.contour_sum + other.contour_sum,
+            self.contour_views + other.contour_views,
             self.observations + other.observations,
         )

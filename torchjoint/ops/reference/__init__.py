@@ -21,6 +21,7 @@ from torchjoint.ops.reference.points import (
     window_overlaps_reference,
 )
 from torchjoint.ops.reference.regions import (
+    group_summaries_reference,
     mask_merges_reference,
     merge_regions_reference,
     region_merges_reference,
@@ -32,6 +33,7 @@ __all__ = [
     "boosted_trees_reference",
     "felzenszwalb_reference",
     "fit_normals_reference",
+    "group_summaries_reference",
     "mask_merges_reference",
     "match_pixels_reference",
     "merge_regions_reference",

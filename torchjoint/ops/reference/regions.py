@@ -6,6 +6,23 @@ import torch
 from torch import Tensor
 
 
+def group_summaries_reference(
+    values: Tensor, rank: Tensor, ascending: Tensor, group: Tensor, num_groups: int, quantiles: Tensor
+) -> Tensor:
+    """What :func:`torchjoint.ops.group_summaries` computes, by sorting each group; the arguments are not checked."""
+    result = torch.full((num_groups, 1 + len(quantiles)), torch.nan, dtype=torch.float64)
+    for number in range(num_groups):
+        inside = values[(group == number) & values.isfinite()]
+        if len(inside):
+            total = 0.0
+            for value in inside.tolist():
+                total += value
+            places = (quantiles * (len(inside) - 1)).round().long()
+            result[number, 0] = total / len(inside)
+            result[number, 1:] = inside.sort().values[places].double()
+    return result
+
+
 def merge_regions_reference(
     edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int = 0
 ) -> Tensor:

@@ -1,0 +1,27 @@
+"""group_summaries: against its slow twin, to the last bit."""
+
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torchjoint.ops import group_summaries
+from torchjoint.ops.reference import group_summaries_reference
+
+QUANTILES = torch.tensor([0.1, 0.5, 0.9, 0.0, 1.0])
+NUMBERS = st.one_of(st.sampled_from([float("nan"), float("inf"), -float("inf"), 0.0, 0.25]), st.floats(width=32))
+
+
+@given(st.lists(st.tuples(NUMBERS, st.integers(-1, 4)), max_size=60))
+def test_against_the_twin(pairs):
+    values = torch.tensor([value for value, _ in pairs], dtype=torch.float32)
+    group = torch.tensor([number for _, number in pairs], dtype=torch.int64)
+    ascending, order = values.sort()
+    arguments = values, order.argsort(), ascending, group, 5, QUANTILES
+    torch.testing.assert_close(
+        group_summaries(*arguments), group_summaries_reference(*arguments), rtol=0, atol=0, equal_nan=True
+    )
+
+
+def test_ranks_that_repeat_are_no_harm():
+    result = group_summaries(torch.ones(3), torch.zeros(3).long(), torch.ones(3), torch.zeros(3).long(), 1, QUANTILES)
+    assert result[0, 0] == 1

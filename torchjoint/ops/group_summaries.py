@@ -1,0 +1,63 @@
+"""Step 6, method learned: mean and quantiles of a measure over each of many groups."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from torchjoint.ops._checks import check_array, check_number
+
+
+def group_summaries(
+    values: Tensor, rank: Tensor, ascending: Tensor, group: Tensor, num_groups: int, quantiles: Tensor
+) -> Tensor:
+    """Compute the mean and quantiles of the values in each group; values that are not finite do not count.
+
+    The values are ranked beforehand, once for many groupings. The running time is then linear. A quantile q of n values
+    is the value at place (n - 1) q in ascending order, computed in float32 and rounded half to even.
+
+    Args:
+        values: ``[C]`` float32.
+        rank: ``[C]`` int64, a permutation: the place of each value in ``ascending``.
+        ascending: ``[C]`` float32, the values in ascending order, with those that are not finite anywhere.
+        group: ``[C]`` int64, the group of each value, 0 ... G - 1, or -1 = none.
+        num_groups: G.
+        quantiles: ``[Q]`` float32 in [0, 1].
+
+    Returns:
+        ``[G, 1 + Q]`` float64: the mean, summed in the order of the values, and the quantiles; NaN for a group without
+        a finite value. No gradient flows through it.
+
+    Raises:
+        TypeError: an argument of the wrong type or dtype.
+        ValueError: a wrong shape or device, a rank, group or quantile out of range.
+
+    Example:
+        >>> import torch
+        >>> values, group = torch.tensor([5.0, 1.0, 3.0, 7.0]), torch.tensor([0, 0, 0, 1])
+        >>> ascending, order = values.sort()
+        >>> group_summaries(values, order.argsort(), ascending, group, 2, torch.tensor([0.5, 1.0]))
+        tensor([[3., 3., 5.],
+                [7., 7., 7.]], dtype=torch.float64)
+    """
+    check_array("values", values, torch.float32, (None,), "[C]")
+    count = values.shape[0]
+    for name, value, dtype in (
+        ("rank", rank, torch.int64),
+        ("ascending", ascending, torch.float32),
+        ("group", group, torch.int64),
+    ):
+        check_array(name, value, dtype, (count,), f"[C] = [{count}]")
+    check_number("num_groups", num_groups, (int,))
+    check_array("quantiles", quantiles, torch.float32, (None,), "[Q]")
+    result = torch.ops.torchjoint.group_summaries.default(
+        values.detach(), rank, ascending.detach(), group, num_groups, quantiles.detach()
+    )
+    return cast(Tensor, result)
+
+
+@torch.library.register_fake("torchjoint::group_summaries")
+def _fake(values: Tensor, rank: Tensor, ascending: Tensor, group: Tensor, num_groups: int, quantiles: Tensor) -> Tensor:
+    return values.new_empty(num_groups, 1 + quantiles.shape[0], dtype=torch.float64)
