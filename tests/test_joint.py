@@ -184,7 +184,7 @@ class TestOtherSegmentations:
 
     def test_frames_that_bring_labels(self):
         """With true image labels even what geometry cannot see is found."""
-        made = tj.synthetic.make_domain_scene("table", 40, num_views=6, num_points=10_000)
+        made = tj.synthetic.make_domain_scene("shelf", 42, num_views=6, num_points=10_000)
         frames = [
             dataclasses.replace(frame, labels=labels)
             for frame, labels in zip(made.scene.frames, made.image_labels, strict=True)

@@ -134,7 +134,7 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
     contour = views = None
     if r is not None and observations:
         total, views = state.contour_sum[across].long(), state.contour_views[across].long()
-        contour = torch.where(views > 0, total / (255 * views.clamp(min=1)), torch.nan)
+        contour = torch.where(views > 0, total.float() / (255 * views.clamp(min=1)), torch.nan)
         r = torch.where(state.views[across] > 0, r[across], torch.nan)
     else:
         r = None
