@@ -40,6 +40,7 @@ def test_perfect_masks_have_one_noise_seed():
     assert len(todo) == 14
 
 
+@pytest.mark.slow
 def test_the_command_measures_once(tmp_path, monkeypatch, scene_of, capsys):
     made = []
 

@@ -38,6 +38,7 @@ def test_parameters_of_one_stage(run, capsys):
         run("parameters", "nope")
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_is_no_error():
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, "parameters"], stdout=subprocess.PIPE, stderr=subprocess.PIPE

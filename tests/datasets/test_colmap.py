@@ -87,7 +87,7 @@ def write(folder, synthetic, kind, model="sparse/0"):
     return folder
 
 
-@pytest.fixture(params=["txt", "bin"])
+@pytest.fixture(params=[pytest.param("txt", marks=pytest.mark.slow), "bin"])
 def kind(request):
     return request.param
 

@@ -130,6 +130,7 @@ def test_every_row_is_what_the_metrics_say(data, out, synthetic):
     assert float(means["I", "3D-SIS", "P"]["recall"]) < float(means["I", "3D-SIS", "P_D"]["recall"])
 
 
+@pytest.mark.slow
 def test_the_page(out):
     page = (out / "tables.md").read_text()
     tables = [line for line in page.splitlines() if line.startswith("|")]

@@ -101,7 +101,10 @@ def test_generated_streets(seed):
     assert find_rings(noisy(points, 0.01)) is not None
 
 
-@pytest.mark.parametrize("domain", [name for name in DOMAINS if name != "street"])
+@pytest.mark.parametrize(
+    "domain",
+    ["room", *(pytest.param(name, marks=pytest.mark.slow) for name in DOMAINS if name not in ("street", "room"))],
+)
 def test_other_generated_scenes_are_none(domain):
     pytest.importorskip("open3d")
     assert find_rings(make_domain_scene(domain, 0, num_views=2).scene.points) is None

@@ -79,6 +79,7 @@ def test_plain_files_are_of_their_folder_s_kind(tmp_path: Path) -> None:
     np.testing.assert_allclose(item.size, (2, 1, 1), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_scenes_hold_models_of_one_side_only(folder: Path) -> None:
     for held_out in (False, True):
         made = make_domain_scene("bin", 1, num_views=1, num_points=2000, models=folder, held_out=held_out)
