@@ -296,6 +296,14 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (group_summaries, {"values": POSITIONS.double()}, TypeError, "values: expected dtype torch.float32, got"),
     (group_summaries, {"rank": PIXELS[:2]}, ValueError, "rank: expected shape [C] = [3], got [2]"),
     (group_summaries, {"rank": PIXELS + 1}, ValueError, "rank: expected numbers in [0, 3), got 3 at 2"),
+    (group_summaries, {"rank": PIXELS * 0}, ValueError, "rank: expected a permutation, got 0 again at 2"),
+    (group_summaries, {"ascending": POSITIONS + 1}, ValueError, "ascending: expected the value of each rank"),
+    (
+        group_summaries,
+        {"values": POSITIONS.flip(0), "ascending": POSITIONS.flip(0)},
+        ValueError,
+        "ascending: expected ascending numbers, got a smaller one at 2",
+    ),
     (group_summaries, {"group": PIXELS - 2}, ValueError, "group: expected numbers in [0, 2), got -2 at 0"),
     (group_summaries, {"group": PIXELS + 1}, ValueError, "group: expected numbers in [0, 2), got 2 at 1"),
     (group_summaries, {"num_groups": -1}, ValueError, "num_groups: expected a number >= 0, got -1"),
@@ -662,8 +670,10 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
     if op is group_summaries:
         values = torch.rand(int(3_000_000 * share), generator=torch.Generator().manual_seed(0))
         ascending, order = values.sort()
+        rank = torch.empty_like(order)
+        rank[order] = torch.arange(len(order))
         group = torch.arange(len(values)) % 1000
-        return lambda: group_summaries(values, order, ascending, group, 1000, torch.tensor([0.5]))
+        return lambda: group_summaries(values, rank, ascending, group, 1000, torch.tensor([0.5]))
     if op is region_merges:
         edges, cost = large_graph(int(100_000 * share))
         return lambda: region_merges(edges, cost, len(cost), 0.4)

@@ -48,6 +48,7 @@ Tensor group_summaries(const Tensor& values, const Tensor& rank, const Tensor& a
   Groups found(num_groups, num_quantiles);
   Array<int32_t> at_rank(num_values);
   std::fill_n(at_rank.data(), num_values, -1);
+  const float* const in_order = sorted.const_data_ptr<float>();
   const float* const value = of_values.const_data_ptr<float>();
   const int64_t *const place = ranks.const_data_ptr<int64_t>(), *const of = groups.const_data_ptr<int64_t>();
   for (int64_t i = 0; i < num_values; ++i) {
@@ -55,9 +56,14 @@ Tensor group_summaries(const Tensor& values, const Tensor& rank, const Tensor& a
     if (of[i] == -1) continue;
     check_index(of[i], num_groups, "group", i);
     if (!std::isfinite(value[i])) continue;
+    check(at_rank[place[i]] < 0, "rank: expected a permutation, got ", place[i], " again at ", i);
     found.sum[of[i]] += value[i];
     ++found.count[of[i]];
     at_rank[place[i]] = static_cast<int32_t>(of[i]);
+  }
+  for (int64_t i = 0; i < num_values; ++i) {
+    if (of[i] == -1 || !std::isfinite(value[i])) continue;
+    check(in_order[place[i]] == value[i], "ascending: expected the value of each rank, got another at ", place[i]);
   }
   found.place(share, num_quantiles);
 
@@ -67,10 +73,12 @@ Tensor group_summaries(const Tensor& values, const Tensor& rank, const Tensor& a
   for (int64_t g = 0; g < num_groups; ++g) {
     if (found.count[g] > 0) out[g * (1 + num_quantiles)] = found.sum[g] / found.count[g];
   }
-  const float* const in_order = sorted.const_data_ptr<float>();
+  float last = -std::numeric_limits<float>::infinity();
   for (int64_t r = 0; r < num_values; ++r) {
     const int64_t g = at_rank[r];
     if (g < 0) continue;
+    check(in_order[r] >= last, "ascending: expected ascending numbers, got a smaller one at ", r);
+    last = in_order[r];
     const int32_t met = found.met[g]++;
     for (int64_t q = 0; q < num_quantiles; ++q) {
       if (met == found.before[g * num_quantiles + q]) out[g * (1 + num_quantiles) + 1 + q] = in_order[r];

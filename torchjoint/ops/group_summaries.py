@@ -32,7 +32,8 @@ def group_summaries(
 
     Raises:
         TypeError: an argument of the wrong type or dtype.
-        ValueError: a wrong shape or device, a rank, group or quantile out of range.
+        ValueError: a wrong shape or device, a rank, group or quantile out of range, ranks that are no permutation, or
+            not those of `ascending`.
 
     Example:
         >>> import torch
