@@ -25,7 +25,9 @@ def test_any_tensor_comes_back(array):
 
 def test_what_is_unpacked_may_be_written_to():
     for dtype in (torch.uint8, torch.int32, torch.float32):
-        pack(torch.zeros(2, 3, dtype=dtype)).unpack()[0] = 1
+        back = pack(torch.zeros(2, 3, dtype=dtype)).unpack()
+        back[0] = 1
+        assert back.sum() == 3
 
 
 def test_labels_become_small():
