@@ -141,3 +141,15 @@ class TestScenes:
             find_recordings(str(tmp_path / "x*"))
         with pytest.raises(ValueError, match="at least one recording"):
             find_recordings([])
+
+
+def test_tables_that_cannot_be_written(scans, tmp_path):
+    """The results are there all the same, the report is whole, and a warning tells."""
+    out = tmp_path / "out"
+    (out / "summary.csv").mkdir(parents=True)
+    with pytest.warns(UserWarning, match=r"summary.csv and failures.csv are not up to date"):
+        report = tj.batch(
+            scans / "a", out, engine=HereEngine(), config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2)
+        )
+    assert list(report.reports) == ["a"]
+    assert len(tj.load_result(out / "a").points) == report.reports["a"].points

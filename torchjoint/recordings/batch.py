@@ -75,6 +75,9 @@ def batch(
         ValueError, TypeError: a bad argument, or OUT holds results of other parameters.
         FileExistsError: another batch is writing to OUT, or OUT is in use for something else.
         ConnectionError: the engine cannot be reached (any more); start again, and what is done is skipped.
+
+    Warns:
+        UserWarning: the tables could not be written in the end, for example because the disk is full.
     """
     config, options = config or Config(), options or RecordingOptions()
     options.check(config)

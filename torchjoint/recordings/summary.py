@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import time
+import warnings
 from pathlib import Path
 
 from torchjoint.recordings.one_scene import SceneReport
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.messages import in_one_line
 
 #: Longest time between two writes, seconds; a write may take a twentieth of the time.
 INTERVAL, SHARE = 5.0, 0.05
@@ -42,18 +44,31 @@ class Tables:
             return {}  # there is none, or somebody has edited it
 
     def save(self, *, now: bool = False) -> None:
-        """Writes both tables, if `now` is True or if it is time; without failures there is no failures.csv."""
+        """Writes both tables, if `now` is True or if it is time; a disk that is full then does not end the batch.
+
+        Warns:
+            UserWarning: they could not be written although `now` is True.
+        """
         start = time.monotonic()
         if not now and start < self._next:
             return
+        try:
+            self._write()
+        except OSError as error:
+            if now:
+                reason = in_one_line(error)
+                warnings.warn(f"{self.folder}: {SUMMARY} and {FAILURES} are not up to date: {reason}", stacklevel=2)
+        end = time.monotonic()
+        self._next = end + max(INTERVAL, (end - start) / SHARE)
+
+    def _write(self) -> None:
+        """Without failures there is no failures.csv."""
         write_text(self.folder / SUMMARY, self._summary())
         if self.failures:
             rows = [(name, self.failures[name]) for name in self._names if name in self.failures]
             write_text(self.folder / FAILURES, _csv([("scene", "reason"), *rows]))
         else:
             (self.folder / FAILURES).unlink(missing_ok=True)
-        end = time.monotonic()
-        self._next = end + max(INTERVAL, (end - start) / SHARE)
 
     def _summary(self) -> str:
         reports = [(name, self.reports[name]) for name in self._names if name in self.reports]
