@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array
 
 
@@ -71,8 +72,15 @@ def boosted_trees(
         check_array(name, array, dtype, shape, f"[T, M] = [{shape[0]}, {shape[1]}]")
     return cast(
         Tensor,
-        torch.ops.torchjoint.boosted_trees.default(
-            values.detach(), feature, threshold.detach(), missing_left, left, right, leaf_value.detach()
+        call(
+            torch.ops.torchjoint.boosted_trees.default,
+            values.detach(),
+            feature,
+            threshold.detach(),
+            missing_left,
+            left,
+            right,
+            leaf_value.detach(),
         ),
     )
 

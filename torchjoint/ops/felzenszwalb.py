@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_edge_index, check_number, check_vector
 
 MAX_NODES = 2**31 - 1
@@ -51,7 +52,9 @@ def felzenszwalb(edge_index: Tensor, weight: Tensor, num_nodes: int, scale: floa
     check_number("min_size", min_size, (int,))
     if not torch.compiler.is_compiling() and num_nodes > MAX_NODES:
         raise ValueError(f"num_nodes: expected less than 2^31, got {num_nodes}")
-    labels = torch.ops.torchjoint.felzenszwalb.default(edge_index, weight.detach(), num_nodes, float(scale), min_size)
+    labels = call(
+        torch.ops.torchjoint.felzenszwalb.default, edge_index, weight.detach(), num_nodes, float(scale), min_size
+    )
     return cast(Tensor, labels)
 
 

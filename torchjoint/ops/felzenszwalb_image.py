@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_number, check_tensor
 
 
@@ -64,8 +65,14 @@ def felzenszwalb_image(
     check_number("min_size", min_size, (int,))
     check_number("color_weight", color_weight, (int, float))
     check_number("boundary_weight", boundary_weight, (int, float))
-    labels = torch.ops.torchjoint.felzenszwalb_image.default(
-        images.detach(), boundaries, float(scale), min_size, float(color_weight), float(boundary_weight)
+    labels = call(
+        torch.ops.torchjoint.felzenszwalb_image.default,
+        images.detach(),
+        boundaries,
+        float(scale),
+        min_size,
+        float(color_weight),
+        float(boundary_weight),
     )
     return cast(Tensor, labels)
 

@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import FLOATING, check_neighbors, check_tensor
 
 
@@ -42,7 +43,7 @@ def fit_normals(points: Tensor, neighbors: Tensor) -> Tensor:
     if points.dim() != 2 or points.shape[1] != 3:
         raise ValueError(f"points: expected shape [N, 3], got {list(points.shape)}")
     check_neighbors(neighbors, points.shape[0])
-    return cast(Tensor, torch.ops.torchjoint.fit_normals.default(points.detach(), neighbors))
+    return cast(Tensor, call(torch.ops.torchjoint.fit_normals.default, points.detach(), neighbors))
 
 
 @torch.library.register_fake("torchjoint::fit_normals")

@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_number
 
 
@@ -53,8 +54,14 @@ def group_summaries(
         check_array(name, value, dtype, (count,), f"[C] = [{count}]")
     check_number("num_groups", num_groups, (int,))
     check_array("quantiles", quantiles, torch.float32, (None,), "[Q]")
-    result = torch.ops.torchjoint.group_summaries.default(
-        values.detach(), rank, ascending.detach(), group, num_groups, quantiles.detach()
+    result = call(
+        torch.ops.torchjoint.group_summaries.default,
+        values.detach(),
+        rank,
+        ascending.detach(),
+        group,
+        num_groups,
+        quantiles.detach(),
     )
     return cast(Tensor, result)
 

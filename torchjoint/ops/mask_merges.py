@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_edge_index, check_number
 
 #: The weight of a mask that is fully trusted. Weights are whole numbers, so that all sums are exact.
@@ -90,7 +91,7 @@ def mask_merges(
     check_array("stays", stays, torch.bool, (len(size),), f"[R] = [{len(size)}]")
     return cast(
         "tuple[Tensor, Tensor]",
-        torch.ops.torchjoint.mask_merges.default(
+        call(torch.ops.torchjoint.mask_merges.default,
             edge_index, cost.detach(), size, in_mask, in_frame, weight, frame_of_mask, float(apart_weight),
             float(prior_weight), float(threshold), stays, min_size,
         ),

@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_number
 
 
@@ -41,7 +42,7 @@ def match_pixels(pred: Tensor, target: Tensor, radius: float) -> tuple[Tensor, T
     check_array("pred", pred, torch.bool, (None, None), "[H, W]")
     check_array("target", target, torch.bool, tuple(pred.shape), f"[H, W] = {list(pred.shape)}")
     check_number("radius", radius, (int, float))
-    result = torch.ops.torchjoint.match_pixels.default(pred, target, radius)
+    result = call(torch.ops.torchjoint.match_pixels.default, pred, target, radius)
     return cast(tuple[Tensor, Tensor], result)
 
 

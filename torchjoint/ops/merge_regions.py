@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_edge_index, check_number
 
 
@@ -49,7 +50,8 @@ def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: flo
     check_number("threshold", threshold, (int, float))
     check_number("min_size", min_size, (int,))
     return cast(
-        Tensor, torch.ops.torchjoint.merge_regions.default(edge_index, cost.detach(), size, float(threshold), min_size)
+        Tensor,
+        call(torch.ops.torchjoint.merge_regions.default, edge_index, cost.detach(), size, float(threshold), min_size),
     )
 
 

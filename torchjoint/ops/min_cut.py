@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_edge_index, check_vector
 
 
@@ -56,8 +57,12 @@ def min_cut(
     check_vector("capacity", capacity, edge_index.shape[1], "E")
     check_vector("source_capacity", source_capacity, None, "N")
     check_vector("sink_capacity", sink_capacity, source_capacity.shape[0], "N")
-    result = torch.ops.torchjoint.min_cut.default(
-        edge_index, capacity.detach(), source_capacity.detach(), sink_capacity.detach()
+    result = call(
+        torch.ops.torchjoint.min_cut.default,
+        edge_index,
+        capacity.detach(),
+        source_capacity.detach(),
+        sink_capacity.detach(),
     )
     return cast(tuple[Tensor, Tensor], result)
 

@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_neighbors
 
 
@@ -33,7 +34,7 @@ def neighbor_edges(neighbors: Tensor) -> Tensor:
                 [1, 2]])
     """
     check_neighbors(neighbors, None)
-    return cast(Tensor, torch.ops.torchjoint.neighbor_edges.default(neighbors))
+    return cast(Tensor, call(torch.ops.torchjoint.neighbor_edges.default, neighbors))
 
 
 @torch.library.register_fake("torchjoint::neighbor_edges")

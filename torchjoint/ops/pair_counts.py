@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_number
 
 
@@ -52,7 +53,9 @@ def pair_counts(
     ):
         check_array(name, value, dtype, (u.shape[0],), f"[M] = [{u.shape[0]}]")
     check_number("radius", radius, (int, float))
-    result = torch.ops.torchjoint.pair_counts.default(u.detach(), v.detach(), pixel, segment, label, float(radius))
+    result = call(
+        torch.ops.torchjoint.pair_counts.default, u.detach(), v.detach(), pixel, segment, label, float(radius)
+    )
     return cast(tuple[Tensor, Tensor], result)
 
 

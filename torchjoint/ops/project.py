@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_number
 
 
@@ -55,8 +56,16 @@ def project(
         check_number(name, value, (int, float))
     check_number("height", height, (int,))
     check_number("width", width, (int,))
-    result = torch.ops.torchjoint.project.default(
-        points.detach(), camera_from_world, intrinsics, float(near), float(far), height, width, float(margin)
+    result = call(
+        torch.ops.torchjoint.project.default,
+        points.detach(),
+        camera_from_world,
+        intrinsics,
+        float(near),
+        float(far),
+        height,
+        width,
+        float(margin),
     )
     return cast(tuple[Tensor, Tensor, Tensor, Tensor], result)
 

@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_number
 
 
@@ -63,7 +64,7 @@ def propagate_labels(
     check_number("boundary_weight", boundary_weight, (int, float))
     check_number("min_markers", min_markers, (int,))
     arguments = (markers, colors.detach(), boundary.detach(), float(color_weight), float(boundary_weight), min_markers)
-    return cast(Tensor, torch.ops.torchjoint.propagate_labels.default(*arguments))
+    return cast(Tensor, call(torch.ops.torchjoint.propagate_labels.default, *arguments))
 
 
 @torch.library.register_fake("torchjoint::propagate_labels")

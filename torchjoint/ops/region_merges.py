@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_edge_index, check_number
 
 
@@ -45,7 +46,7 @@ def region_merges(edge_index: Tensor, cost: Tensor, num_regions: int, threshold:
     check_number("threshold", threshold, (int, float))
     return cast(
         "tuple[Tensor, Tensor]",
-        torch.ops.torchjoint.region_merges.default(edge_index, cost.detach(), num_regions, float(threshold)),
+        call(torch.ops.torchjoint.region_merges.default, edge_index, cost.detach(), num_regions, float(threshold)),
     )
 
 

@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_neighbors, check_number
 
 
@@ -51,7 +52,9 @@ def region_planes(
     check_number("min_points", min_points, (int,))
     return cast(
         "tuple[Tensor, Tensor]",
-        torch.ops.torchjoint.region_planes.default(points.detach(), neighbors, region, normals.detach(), min_points),
+        call(
+            torch.ops.torchjoint.region_planes.default, points.detach(), neighbors, region, normals.detach(), min_points
+        ),
     )
 
 

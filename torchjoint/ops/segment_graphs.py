@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_number
 
 
@@ -60,8 +61,14 @@ def segment_graphs(
     check_array("boundary", boundary, torch.float32, (height, width), f"[H, W] = [{height}, {width}]")
     check_number("color_weight", color_weight, (int, float))
     check_number("boundary_weight", boundary_weight, (int, float))
-    result = torch.ops.torchjoint.segment_graphs.default(
-        labels, chosen, colors.detach(), boundary.detach(), float(color_weight), float(boundary_weight)
+    result = call(
+        torch.ops.torchjoint.segment_graphs.default,
+        labels,
+        chosen,
+        colors.detach(),
+        boundary.detach(),
+        float(color_weight),
+        float(boundary_weight),
     )
     return cast(tuple[Tensor, Tensor, Tensor, Tensor, Tensor], result)
 

@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_number
 
 
@@ -44,7 +45,7 @@ def splat_depth(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, heigh
         check_array(name, value, dtype, (row.shape[0],), f"[M] = [{row.shape[0]}]")
     check_number("height", height, (int,))
     check_number("width", width, (int,))
-    result = torch.ops.torchjoint.splat_depth.default(row, column, depth.detach(), reach, height, width)
+    result = call(torch.ops.torchjoint.splat_depth.default, row, column, depth.detach(), reach, height, width)
     return cast(Tensor, result)
 
 

@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array
 
 
@@ -74,7 +75,7 @@ def structured_forest(
         if isinstance(number, bool) or not isinstance(number, int):
             raise TypeError(f"{name}: expected int, got {type(number).__name__}")
     trees = (children, features, thresholds.detach(), boundary_counts, boundary_pixels, trees_per_site)
-    return cast(Tensor, torch.ops.torchjoint.structured_forest.default(images.detach(), *trees, stride))
+    return cast(Tensor, call(torch.ops.torchjoint.structured_forest.default, images.detach(), *trees, stride))
 
 
 @torch.library.register_fake("torchjoint::structured_forest")

@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array
 
 
@@ -49,7 +50,7 @@ def ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
     """
     check_array("boundary", boundary, torch.float32, (None, None), "[H, W]")
     check_array("relief", relief, torch.float32, tuple(boundary.shape), f"[H, W] = {list(boundary.shape)}")
-    return cast(Tensor, torch.ops.torchjoint.ultrametric_contours.default(boundary.detach(), relief.detach()))
+    return cast(Tensor, call(torch.ops.torchjoint.ultrametric_contours.default, boundary.detach(), relief.detach()))
 
 
 @torch.library.register_fake("torchjoint::ultrametric_contours")

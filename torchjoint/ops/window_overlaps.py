@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_number
 
 
@@ -60,7 +61,9 @@ def window_overlaps(
         check_array(name, value, torch.int64, (point.shape[0],), f"[M] = [{point.shape[0]}]")
     check_array("labels", labels, torch.int32, (None, None), "[H, W]")
     check_number("window", window, (int,))
-    result = torch.ops.torchjoint.window_overlaps.default(order, other_end, start, point, row, column, labels, window)
+    result = call(
+        torch.ops.torchjoint.window_overlaps.default, order, other_end, start, point, row, column, labels, window
+    )
     return cast(tuple[Tensor, Tensor], result)
 
 
