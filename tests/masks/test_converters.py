@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import zipfile
 from types import SimpleNamespace
 
 import numpy as np
@@ -308,6 +309,14 @@ class TestFiles:
         (tmp_path / "b.json").write_text(json.dumps({"image": {"height": 3, "width": 4}, "annotations": records}))
         for name in "ab":
             assert_equal(tj.masks.read_masks(tmp_path / f"{name}.json"), STACK, [0.5, 0.5])
+
+    def test_npz_that_declares_more_than_its_file_can_hold(self, tmp_path):
+        with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive, archive.open("masks.npy", "w") as stream:
+            np.lib.format.write_array_header_1_0(
+                stream, {"descr": "|u1", "fortran_order": False, "shape": (1 << 20, 1 << 20)}
+            )
+        with pytest.raises(ValueError, match=r"a\.npz: .*more than the archive holds"):
+            tj.masks.read_masks(tmp_path / "a.npz")
 
     @pytest.mark.parametrize("suffix", [".png", ".npz", ".json"])
     def test_truncated_files_are_named(self, tmp_path, suffix):

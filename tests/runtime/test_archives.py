@@ -54,3 +54,13 @@ def test_objects_are_not_read(tmp_path):
     np.savez(tmp_path / "a.npz", a=np.array([{}], dtype=object))
     with pytest.raises(ValueError, match=r"a\.npz: not a whole archive of arrays: Object arrays"):
         read_archive(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("at", [28, 30, 32])  # the lengths of the name, of more fields, of a comment
+def test_a_directory_that_hides_an_array(tmp_path, at):
+    np.savez(tmp_path / "a.npz", points=np.zeros((2, 3)), colors=np.ones((2, 3)))
+    content = bytearray((tmp_path / "a.npz").read_bytes())
+    content[content.index(b"PK\x01\x02") + at] ^= 64
+    (tmp_path / "a.npz").write_bytes(content)
+    with pytest.raises(ValueError, match=r"a\.npz: not a whole archive of arrays"):
+        read_archive(tmp_path / "a.npz")

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import csv
-import io
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from torchjoint.datasets.files import decode_image, read_label_image
@@ -21,6 +17,7 @@ from torchjoint.masks.labels import from_labels
 from torchjoint.masks.sam import from_sam
 from torchjoint.masks.segmentation import stacked
 from torchjoint.masks.stack import from_stack
+from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
 from torchjoint.scene.masks import Masks
 
@@ -93,21 +90,13 @@ def _read_json(path: Path) -> Masks:
 
 
 def _read_npz(path: Path) -> Masks:
-    try:
-        with zipfile.ZipFile(path) as file:
-            arrays = {name.removesuffix(".npy"): _array(file.read(name)) for name in file.namelist()}
-    except (OSError, EOFError, zipfile.BadZipFile, zlib.error, ValueError) as error:
-        raise ValueError(f"{path}: no .npz file, or a truncated one: {error}") from error
+    arrays = read_archive(path)
     if {"atom", "pairs", "mask_scores"} <= set(arrays):
         return Masks(*(torch.from_numpy(arrays[name]) for name in ("atom", "pairs", "mask_scores")))
     if "masks" not in arrays:
         raise ValueError(f"{path}: expected masks, and optional scores, got {', '.join(arrays) or 'nothing'}")
     masks, scores = as_tensor(arrays["masks"], "masks"), arrays.get("scores")
     return from_labels(masks, scores) if masks.ndim == 2 else from_stack(masks, scores)
-
-
-def _array(data: bytes) -> npt.NDArray[Any]:
-    return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
 
 
 def _read_pngs(path: Path) -> Masks:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import tokenize
 import zipfile
 import zlib
@@ -29,6 +30,7 @@ def read_archive(path: Path) -> dict[str, npt.NDArray[Any]]:
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
+            _check_number(archive, len(entries))
             size, most = sum(entry.file_size for entry in entries), RATIO * path.stat().st_size + FREE
             if size > most:
                 raise ValueError(
@@ -38,6 +40,15 @@ def read_archive(path: Path) -> dict[str, npt.NDArray[Any]]:
     except (ValueError, KeyError, OSError, EOFError, RuntimeError, NotImplementedError, OverflowError, SyntaxError,
             TypeError, tokenize.TokenError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
         raise ValueError(f"{path}: not a whole archive of arrays: {error}") from error
+
+
+def _check_number(archive: zipfile.ZipFile, got: int) -> None:
+    """Raise unless the archive itself says so many: damaged lengths in its directory hide arrays."""
+    assert archive.fp is not None
+    archive.fp.seek(-(22 + len(archive.comment)), os.SEEK_END)  # where the record of 22 bytes about the whole begins
+    number = int.from_bytes(archive.fp.read(12)[-2:], "little")
+    if number not in (got, 0xFFFF):  # the latter stands for more
+        raise ValueError(f"lists {got} arrays, but says that it has {number}")
 
 
 def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray[Any]:
