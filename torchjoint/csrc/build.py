@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from setuptools import Extension
 from setuptools.command.build_ext import build_ext
@@ -21,7 +25,7 @@ class BuildStableExtension(build_ext):
         import torch  # imported here, because reading metadata and building an sdist must not need torch
 
         root = Path(torch.__file__).parent
-        ext.include_dirs += [str(root / "include"), str(root / "include/torch/csrc/api/include")]
+        includes = (root / "include", root / "include/torch/csrc/api/include")
         ext.library_dirs += [str(root / "lib")]
         # `import torch` comes first and loads libtorch_cpu and libc10, so no rpath to a build folder is needed.
         ext.libraries += ["torch_cpu", "c10"]
@@ -38,5 +42,19 @@ class BuildStableExtension(build_ext):
             "-ffp-contract=off",
             "-fno-math-errno",
             "-Wall",
+            "-Wextra",
+            *(f"-isystem{path}" for path in includes),  # without warnings about torch's headers
         ]
+        self.compiler.compile = in_parallel(self.compiler.compile)
         super().build_extension(ext)
+
+
+def in_parallel(compile: Callable[..., list[str]]) -> Callable[..., list[str]]:
+    """The method of a compiler, for several files at once: MAX_JOBS, or as many as there are processors, at most 8."""
+    jobs = int(os.environ.get("MAX_JOBS", 0)) or min(os.cpu_count() or 1, 8)
+
+    def compile_all(sources: list[str], **options: Any) -> list[str]:
+        with ThreadPoolExecutor(jobs) as pool:
+            return [file for files in pool.map(lambda source: compile([source], **options), sources) for file in files]
+
+    return compile_all

@@ -111,7 +111,7 @@ class MaskGraph {
     const auto [place, is_new] = border_to_[a].try_emplace(b, static_cast<int32_t>(borders_.size()));
     if (is_new) {
       border_to_[b].emplace(a, place->second);
-      borders_.push_back({.region = {a, b}});
+      borders_.push_back({.region = {a, b}, .views = {}});
     }
     borders_[place->second].prior_sum += cost;
     ++borders_[place->second].prior_count;
