@@ -4,6 +4,7 @@ import laspy
 import numpy as np
 import pytest
 import torch
+from copc_files import write_copc
 
 import torchjoint as tj
 from torchjoint.metrics import segmentation_covering
@@ -131,6 +132,24 @@ def test_the_command(cloud, tmp_path, run, capsys):
     with pytest.raises(SystemExit, match=r"--tile: expected a \.las or \.laz cloud and result"):
         run("superpoints", cloud, "-o", tmp_path / "out.npy", "--tile", 8)
     assert {file.name for file in tmp_path.iterdir()} == {"out.laz"}
+
+
+def test_copc_is_read_and_its_result_is_not_named_so(tmp_path):
+    """Nodes of the octree go, the order of the points and the coordinate system stay; laspy takes the result for LAZ."""
+    folder, expected = tmp_path / "parts", write(tmp_path / "town.las", town(4_000, 9))
+    folder.mkdir()
+    write_copc(folder / "town.copc.laz", laspy.read(expected))
+    superpoints_of_files(expected, tmp_path / "one.las", engine="loky:1")
+    superpoints_of_files(folder, tmp_path / "out", engine="loky:1")
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["town.laz"]
+    assert torch.equal(labels_of(tmp_path / "out" / "town.laz"), labels_of(tmp_path / "one.las"))
+    made = laspy.read(tmp_path / "out" / "town.laz")
+    assert not {"copc"} & {record.user_id for record in (*made.vlrs, *made.evlrs)}
+    assert made.vlrs.get("WktCoordinateSystemVlr")
+    assert len(tj.load_scene(folder / "town.copc.laz").points) == 4_000
+    write(folder / "town.laz", town(4_000, 9))
+    with pytest.raises(ValueError, match=r"a \.laz and a \.copc\.laz would both become town\.laz"):
+        superpoints_of_files(folder, tmp_path / "other", engine="loky:1")
 
 
 def tile_labels(shared, own=None):
