@@ -1,4 +1,4 @@
-"""Writes a small COPC file (https://copc.io): a LAZ file with an octree of one node. laspy reads COPC, but writes none."""
+"""Writes a small COPC file (https://copc.io): LAZ with an octree of one node. laspy reads COPC, and writes none."""
 
 import struct
 

@@ -135,7 +135,7 @@ def test_the_command(cloud, tmp_path, run, capsys):
 
 
 def test_copc_is_read_and_its_result_is_not_named_so(tmp_path):
-    """Nodes of the octree go, the order of the points and the coordinate system stay; laspy takes the result for LAZ."""
+    """The octree goes, the order of the points and the coordinate system stay; laspy takes the result for LAZ."""
     folder, expected = tmp_path / "parts", write(tmp_path / "town.las", town(4_000, 9))
     folder.mkdir()
     write_copc(folder / "town.copc.laz", laspy.read(expected))

@@ -148,8 +148,8 @@ def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool
         raise ValueError(f"out: expected a file that ends in .las or .laz, got {out}")
     if out.name.lower().endswith(COPC):
         raise ValueError(
-            f"out: COPC is read, not written, because it would change the order of the points; expected a name that ends "
-            f"in .laz (untwine or `pdal translate` makes COPC of it), got {out}"
+            f"out: COPC is read, not written, because it has an order of its own; expected a name that ends in .laz "
+            f"(untwine or `pdal translate` makes COPC of it), got {out}"
         )
     if not out.parent.is_dir():
         raise FileNotFoundError(f"out: {out.parent} is no folder")
