@@ -24,7 +24,7 @@ PUBLIC = {
         VisibilityConfig evidence_config evidence_differences marked_parameters marked_table parameter_table presets
         read_assignment read_preset read_yaml superpoint_presets superpoint_table
     """,
-    "torchjoint.engine": "Engine Outcome WorkerDied open_engine",
+    "torchjoint.engine": "Engine Outcome WorkerDied open_engine tasks_on_machine",
     "torchjoint.recordings": "BatchReport RecordingOptions batch find_recordings segment_recording",
     "torchjoint.scene": "Frame Hierarchy LabelImages Masks Scene Segmentation Truth",
     "torchjoint.masks": """

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import samples
 import torch
+from rosbags.rosbag2 import StoragePlugin
 from samples import ros
 from samples._parts import wall
 
@@ -23,6 +24,19 @@ def test_images_with_depth(name, tmp_path):
     torch.testing.assert_close(
         torch.stack(centers), torch.tensor([[0.04, 0, 0.5], [1, 0, 0.5]]).double(), atol=1e-5, rtol=0
     )
+
+
+@pytest.mark.parametrize("storage", StoragePlugin)
+def test_a_file_of_ros_2_without_its_folder(storage, tmp_path):
+    """A .mcap and a .db3 say themselves which topics they have, and of which types."""
+    folder = ros.record(tmp_path / "walk", ros.messages(), storage)
+    (file,) = (one for one in folder.iterdir() if one.suffix in (".mcap", ".db3"))
+    alone = tmp_path / "alone" / f"walk{file.suffix}"
+    alone.parent.mkdir()
+    file.rename(alone)
+    scene = tj.load_scene(alone, cloud=tmp_path / "cloud.ply", voxel_size=0.1)
+    assert [frame.name for frame in scene.frames] == ["1700000000.004000", "1700000000.104000"]
+    assert torch.equal(scene.frames[1].image, torch.from_numpy(ros.colors(1)[..., ::-1].copy()).permute(2, 0, 1) / 255)
 
 
 def test_scans_and_odometry(tmp_path):

@@ -3,12 +3,13 @@
 import csv
 from concurrent.futures import Future
 
+import joblib
 import pytest
 import torch
 from folder_files import write_folder
 
 import torchjoint as tj
-from torchjoint.engine import Engine
+from torchjoint.engine import Engine, tasks_on_machine
 from torchjoint.engine.worker import Shared
 from torchjoint.recordings import find_recordings
 from torchjoint.runtime.locks import lock
@@ -28,8 +29,8 @@ class Given(Shared):
 class HereEngine(Engine):
     """Runs its tasks at once, in this process."""
 
-    def __init__(self):
-        super().__init__("here", 1)
+    def __init__(self, on_machine=1):
+        super().__init__("here", 1, on_machine)
         self.started = 0
 
     def slots(self):
@@ -92,6 +93,21 @@ def test_a_failure_stops_no_other(done, scans):
     assert (rows["a"]["frames"], int(rows["a"]["segments"])) == ("1", int(result.points.max()) + 1)
     assert float(rows["a"]["seconds: point segments"]) > 0
     assert float(rows["a"]["peak_memory_mb"]) > 10
+
+
+def test_the_workers_of_a_machine_share_its_memory(scans, tmp_path, monkeypatch):
+    budgets = []
+
+    def segment(*arguments, memory, **options):
+        budgets.append(memory)
+        raise ValueError("enough")
+
+    monkeypatch.setattr(tj.recordings.one_scene, "segment_recording", segment)
+    monkeypatch.setattr("torchjoint.recordings.one_scene.as_bytes", lambda memory: 12_000 if memory is None else memory)
+    for on_machine in (1, 4, None):  # None: a cluster; its machines may run a task on each core
+        tj.batch(scans / "a", tmp_path, engine=HereEngine(on_machine))
+    assert budgets == [12_000, 3_000, 12_000 // joblib.cpu_count()]
+    assert tasks_on_machine() == 1  # again, after the tasks
 
 
 def test_what_is_done_is_skipped(done, scans):

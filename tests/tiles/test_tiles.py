@@ -4,12 +4,14 @@ import laspy
 import numpy as np
 import pytest
 import torch
+from copc_files import write_copc
 
 import torchjoint as tj
 from torchjoint.metrics import segmentation_covering
 from torchjoint.tiles import run as tiles
 from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.plan import NARROWEST, plan_tiles
+from torchjoint.tiles.spill import OWN, SHARED, _cells_of_one_tile, _copies
 from torchjoint.tiles.stitching import matching_superpoints, stitched_labels
 from torchjoint.tiles.survey import Survey
 from torchjoint.tiles.tile import TileLabels
@@ -133,6 +135,24 @@ def test_the_command(cloud, tmp_path, run, capsys):
     assert {file.name for file in tmp_path.iterdir()} == {"out.laz"}
 
 
+def test_copc_is_read_and_its_result_is_not_named_so(tmp_path):
+    """The octree goes, the order of the points and the coordinate system stay; laspy takes the result for LAZ."""
+    folder, expected = tmp_path / "parts", write(tmp_path / "town.las", town(4_000, 9))
+    folder.mkdir()
+    write_copc(folder / "town.copc.laz", laspy.read(expected))
+    superpoints_of_files(expected, tmp_path / "one.las", engine="loky:1")
+    superpoints_of_files(folder, tmp_path / "out", engine="loky:1")
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["town.laz"]
+    assert torch.equal(labels_of(tmp_path / "out" / "town.laz"), labels_of(tmp_path / "one.las"))
+    made = laspy.read(tmp_path / "out" / "town.laz")
+    assert not {"copc"} & {record.user_id for record in (*made.vlrs, *made.evlrs)}
+    assert made.vlrs.get("WktCoordinateSystemVlr")
+    assert len(tj.load_scene(folder / "town.copc.laz").points) == 4_000
+    write(folder / "town.laz", town(4_000, 9))
+    with pytest.raises(ValueError, match=r"a \.laz and a \.copc\.laz would both become town\.laz"):
+        superpoints_of_files(folder, tmp_path / "other", engine="loky:1")
+
+
 def tile_labels(shared, own=None):
     """Labels of a tile, from dictionaries of points and their superpoints."""
     arrays = []
@@ -182,6 +202,24 @@ def test_tiles_partition_the_plane_and_fit_the_memory(size):
     assert ((held == 1) | (counts == 0)).all()
     for one, other in plan.neighbors(survey):
         assert one < other
+
+
+def test_each_tile_gets_the_points_within_its_buffer():
+    """Against the distance of each point to each rectangle; cells without points belong to no tile."""
+    rng = np.random.default_rng(0)
+    counts = rng.integers(1, 50, (30, 20))
+    counts[5:9, :12] = 0
+    survey = Survey(int(counts.sum()), np.array([3.0, -2.0, 0.0]), 0.5, counts, None)
+    plan = plan_tiles(survey, 5.0, 1.1, 10_000)
+    xy = survey.origin[:2] + rng.uniform(0, 1, (3_000, 2)) * np.array(counts.shape) * survey.side
+    xy = xy[plan.of_cell[tuple(survey.cells(xy).T)] >= 0]
+    row, tile, kind = _copies(xy, survey, plan, _cells_of_one_tile(survey, plan))
+    low, high = (survey.origin[:2] + survey.side * np.array(ends) for ends in zip(*plan.tiles, strict=True))
+    outside = np.maximum(np.maximum(low - xy[:, None], xy[:, None] - high), 0).max(2)  # [n, tiles] metres
+    near, own = outside <= plan.buffer, outside == 0
+    assert [row.tolist(), tile.tolist()] == [part.tolist() for part in np.nonzero(near.T)[::-1]]
+    assert (((kind & OWN) > 0) == own[row, tile]).all()
+    assert (((kind & SHARED) > 0) == (near.sum(1) > 1)[row]).all()
 
 
 @pytest.mark.slow

@@ -9,5 +9,6 @@ print(outcome.index, outcome.value, outcome.error)
 
 from torchjoint.engine.engine import Engine, Outcome, WorkerDied
 from torchjoint.engine.opening import open_engine
+from torchjoint.engine.worker import tasks_on_machine
 
-__all__ = ["Engine", "Outcome", "WorkerDied", "open_engine"]
+__all__ = ["Engine", "Outcome", "WorkerDied", "open_engine", "tasks_on_machine"]

@@ -80,7 +80,7 @@ class DaskEngine(Engine):
     """
 
     def __init__(self, name: str, threads: int, workers: int | None, address: str | None) -> None:
-        super().__init__(name, threads)
+        super().__init__(name, threads, workers if address is None else None)
         self._cluster: LocalCluster | None = None
         self._slots: dict[str, int] = {}  # of each worker
         self._placed: dict[Future[Answer], str] = {}  # the workers of running tasks

@@ -60,11 +60,13 @@ class Engine(abc.ABC):
     Args:
         name: as the user gave it.
         threads: threads of one task; the number of workers times `threads` is at most the number of cores.
+        on_machine: how many tasks a machine runs at a time; None: it is not known, as many as its cores allow.
     """
 
-    def __init__(self, name: str, threads: int) -> None:
+    def __init__(self, name: str, threads: int, on_machine: int | None = None) -> None:
         self.name = name
         self.threads = threads
+        self.on_machine = on_machine
 
     @abc.abstractmethod
     def slots(self) -> int:
@@ -120,7 +122,7 @@ class Engine(abc.ABC):
                     task = waiting.popleft() if waiting else next(source, None)
                     if task is None:
                         break
-                    running[self._submit(answer, function, handle, task.item, self.threads)] = task
+                    running[self._submit(answer, function, handle, task.item, self.threads, self.on_machine)] = task
                 if not running:
                     return
                 done, _ = wait(running, return_when=FIRST_COMPLETED)

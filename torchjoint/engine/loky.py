@@ -28,7 +28,7 @@ class LokyEngine(Engine):
     """
 
     def __init__(self, name: str, threads: int, workers: int) -> None:
-        super().__init__(name, threads)
+        super().__init__(name, threads, workers)
         self._workers = workers
         self._idle: list[ProcessPoolExecutor] = []
         self._all: set[ProcessPoolExecutor] = set()

@@ -52,7 +52,7 @@ class RayEngine(Engine):
     """
 
     def __init__(self, name: str, threads: int, workers: int | None, address: str | None) -> None:
-        super().__init__(name, threads)
+        super().__init__(name, threads, workers if address is None else None)
         quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
         if address is not None:
             ray.init(f"ray://{address}", **quiet)

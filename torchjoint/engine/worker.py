@@ -8,8 +8,10 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextvars import ContextVar
 from typing import Any, NamedTuple
 
+import joblib
 import torch
 
 #: How often a worker looks whether the process that started it still runs, seconds.
@@ -40,15 +42,27 @@ class Shared(ABC):
 #: The shared value of this worker, by its key: at most one, so that a long-lived worker does not fill its memory.
 _loaded: dict[str, Any] = {}
 _lock = threading.Lock()  # a worker of dask may run several tasks at once
+#: Of the task that this thread runs.
+_on_machine: ContextVar[int] = ContextVar("torchjoint_tasks_on_machine", default=1)
 
 
-def answer(function: Callable[[Any, Any], Any], shared: Any, task: Any, threads: int) -> Answer:
+def tasks_on_machine() -> int:
+    """How many tasks of the engine this machine may run at a time, so that a task takes its share; 1 outside a task."""
+    return _on_machine.get()
+
+
+def answer(
+    function: Callable[[Any, Any], Any], shared: Any, task: Any, threads: int, on_machine: int | None = None
+) -> Answer:
     """Runs a task on `threads` threads. An error is returned, not raised: what is raised is then the engine's own."""
+    sharing = _on_machine.set(max(1, joblib.cpu_count() // threads) if on_machine is None else on_machine)
     try:
         torch.set_num_threads(threads)
         return Answer(function(_value(shared), task))
     except (Exception, SystemExit) as error:
         return Answer(error=_portable(error))
+    finally:
+        _on_machine.reset(sharing)
 
 
 def _value(shared: Any) -> Any:

@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from torchjoint.config import Config
+from torchjoint.engine import tasks_on_machine
 from torchjoint.recordings.options import RecordingOptions
 from torchjoint.recordings.segment import segment_recording
 from torchjoint.results.folder import read_record
 from torchjoint.runtime.locks import BusyError
+from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.peak_memory import peak_memory, reset_peak_memory
 
 #: A result that another worker writes: how often to look whether it is done, and how long to wait, seconds. A worker
@@ -55,16 +57,19 @@ class Job:
 
 
 def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
-    """Segments a recording, unless its result is there already; waits while another worker writes it."""
+    """Segments a recording, unless its result is there already; waits while another worker writes it.
+
+    The workers of a machine share the default of the memory for frames.
+    """
     name, path = scene
-    out = job.folder(name)
+    out, memory = job.folder(name), as_bytes(None) // tasks_on_machine()
     end = time.monotonic() + PATIENCE
     reset_peak_memory()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         while job.overwrite or not is_done(out):
             try:
-                segment_recording(path, out, job.config, job.options, overwrite=job.overwrite)
+                segment_recording(path, out, job.config, job.options, overwrite=job.overwrite, memory=memory)
                 break
             except BusyError:
                 if time.monotonic() > end:

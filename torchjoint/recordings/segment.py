@@ -40,7 +40,7 @@ def segment_recording(
     masks: Path | None = None,
     without_masks: Literal["segment", "leave-out"] = "segment",
     overwrite: bool = False,
-    memory: str | None = None,
+    memory: int | str | None = None,
     engine: Engine | None = None,
     progress: bool = False,
 ) -> Segmented | None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections import Counter
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -34,6 +35,7 @@ from torchjoint.tiles.tile import TileTask, read_labels, segment_tile
 
 #: Points of a tile with its buffer: they take about 0.7 GB while they are segmented.
 MOST_POINTS = 2_000_000
+COPC = ".copc.laz"
 #: The engine that starts no worker.
 HERE = "loky:1"
 #: The default buffer, in typical distances of neighbouring points.
@@ -77,7 +79,8 @@ def superpoints_of_files(
 
     Args:
         cloud: a .las, .laz or .copc.laz file, or a folder of them, which are one cloud.
-        out: the file to write, .las or .laz; for a folder, the folder.
+        out: the file to write, .las or .laz (not .copc.laz: COPC has an order of its own); for a folder, the folder, in
+            which X.copc.laz becomes X.laz.
         tile: metres, the side of a tile; default: as large as 2 million points allow. Tiles with more points than that
             are halved in any case.
         buffer: metres, the rim that a tile shares with its neighbours; default: 40 typical distances of points.
@@ -143,8 +146,11 @@ def _check_sizes(tile: float | None, buffer: float | None) -> None:
 def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool) -> None:
     if not cloud.is_dir() and out.suffix.lower() not in SUFFIXES:
         raise ValueError(f"out: expected a file that ends in .las or .laz, got {out}")
-    if out.name.lower().endswith(".copc.laz"):
-        raise ValueError(f"out: COPC is read, not written; expected a name that ends in .laz, got {out}")
+    if out.name.lower().endswith(COPC):
+        raise ValueError(
+            f"out: COPC is read, not written, because it has an order of its own; expected a name that ends in .laz "
+            f"(untwine or `pdal translate` makes COPC of it), got {out}"
+        )
     if not out.parent.is_dir():
         raise FileNotFoundError(f"out: {out.parent} is no folder")
     if out.exists() and out.samefile(cloud):
@@ -153,8 +159,17 @@ def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool
         raise FileExistsError(f"{out}: is in the way; choose another name")
     if out.exists() and not overwrite:
         raise FileExistsError(f"{out}: exists already; choose another name, or --overwrite")
-    if out.is_dir() and (others := {path.name for path in out.iterdir()} - {file.name for file in files}):
+    names = Counter(_result_name(file) for file in files)
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise ValueError(f"{cloud}: a .laz and a .copc.laz would both become {twice[0]}; rename one of them")
+    if out.is_dir() and (others := {path.name for path in out.iterdir()} - set(names)):
         raise FileExistsError(f"{out}: is no earlier result, and will not be replaced: it has {min(others)}")
+
+
+def _result_name(file: Path) -> str:
+    """The name of a file in a folder of results: one that ends in .copc.laz must be COPC, and the result is not."""
+    is_copc = file.name.lower().endswith(COPC)
+    return f"{file.name[: -len(COPC)]}.laz" if is_copc else file.name
 
 
 def _prepare(work: Path, source: str) -> None:
@@ -257,7 +272,7 @@ def _write(
     first = 0
     with tqdm(total=len(labels), desc="write", unit="points", unit_scale=True, disable=_hidden(progress)) as bar:
         for file in files:
-            name = file.name if cloud.is_dir() else out.name
+            name = _result_name(file) if cloud.is_dir() else out.name
             first += write_labelled(file, made / name, labels[first:], bar.update)
     if not cloud.is_dir():
         os.replace(made / out.name, out)

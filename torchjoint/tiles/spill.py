@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from torchjoint.datasets.las import LasPoints
 from torchjoint.tiles.plan import Plan
@@ -40,10 +42,9 @@ def spill_points(
         progress: is told the number of points of each part.
     """
     corners = np.array([tile.first for tile in plan.tiles]) * survey.side + survey.origin[:2]
+    alone = _cells_of_one_tile(survey, plan)
     for first, points in read_points(files):
-        row, tile, kind = _copies(points.xyz[:, :2], survey, plan)
-        order = np.argsort(tile, kind="stable")
-        row, tile, kind = row[order], tile[order], kind[order]
+        row, tile, kind = _copies(points.xyz[:, :2], survey, plan, alone)
         starts = np.flatnonzero(np.diff(tile, prepend=-1))
         for start, end in zip(starts, [*starts[1:], len(tile)], strict=True):
             number = int(tile[start])
@@ -54,32 +55,39 @@ def spill_points(
         progress(len(points.xyz))
 
 
+def _cells_of_one_tile(survey: Survey, plan: Plan) -> npt.NDArray[np.bool_]:
+    """[columns, rows] whether a point of the cell is in one tile only: the cells in reach of the buffer are its own."""
+    width, none = 2 * math.ceil(plan.buffer / survey.side) + 1, np.iinfo(np.int32).max
+    highest = maximum_filter(plan.of_cell, width, mode="nearest")
+    lowest = minimum_filter(np.where(plan.of_cell < 0, none, plan.of_cell), width, mode="nearest")
+    alone: npt.NDArray[np.bool_] = highest == lowest
+    return alone
+
+
 def _copies(
-    xy: npt.NDArray[np.float64], survey: Survey, plan: Plan
+    xy: npt.NDArray[np.float64], survey: Survey, plan: Plan, alone: npt.NDArray[np.bool_]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.uint8]]:
-    """Which point [c] is in which tile [c], and the bits of that; the copies of a tile are in the order of points.
+    """Which point [c] is in which tile [c], ascending, and the bits of that; points of a tile in their order.
 
     A tile is wider than two buffers. So if it meets the square of side 2 x buffer around a point, it holds one of the
-    square's corners.
+    square's corners. Most points are far from the edges of tiles, as the cells say that are `alone`.
     """
-
-    def tile_at(shift: tuple[int, int]) -> npt.NDArray[np.int32]:
-        cell = survey.cells(xy + plan.buffer * np.array(shift))
-        at: npt.NDArray[np.int32] = plan.of_cell[cell[:, 0], cell[:, 1]]
-        return at
-
-    own = tile_at((0, 0))
-    around = np.stack([own, *(tile_at((x, y)) for x in (-1, 1) for y in (-1, 1))], axis=1)
-    near = np.flatnonzero(((around != own[:, None]) & (around >= 0)).any(1))
-    found = np.sort(around[near], axis=1)  # each tile once
-    is_other = (found >= 0) & (found != own[near, None]) & (np.diff(found, axis=1, prepend=-2) != 0)
+    cell = survey.cells(xy)
+    own = plan.of_cell[cell[:, 0], cell[:, 1]]
+    near = np.flatnonzero(~alone[cell[:, 0], cell[:, 1]])
+    around = np.empty((len(near), 4), np.int32)
+    for number, corner in enumerate(((-1, -1), (-1, 1), (1, -1), (1, 1))):
+        cell = survey.cells(xy[near] + plan.buffer * np.array(corner))
+        around[:, number] = plan.of_cell[cell[:, 0], cell[:, 1]]
+    around.sort(axis=1)  # each tile once
+    is_other = (around >= 0) & (around != own[near, None]) & (np.diff(around, axis=1, prepend=-2) != 0)
     of_near, column = np.nonzero(is_other)
     kind = np.full(len(xy), OWN, np.uint8)
-    kind[near] |= SHARED
+    kind[near[of_near]] |= SHARED
     row = np.concatenate([np.arange(len(xy)), near[of_near]])
-    tile = np.concatenate([own, found[of_near, column]])
+    tile = np.concatenate([own, around[of_near, column]])
     kind = np.concatenate([kind, np.full(len(of_near), SHARED, np.uint8)])
-    order = np.argsort(row, kind="stable")
+    order = np.lexsort((row, tile)) if len(of_near) else np.argsort(tile, kind="stable")
     return row[order], tile[order], kind[order]
 
 
