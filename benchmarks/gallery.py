@@ -108,9 +108,11 @@ PICTURES = {"gallery": draw_gallery, "kitchen": draw_kitchen, "superpoints": dra
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
-    parser.add_argument("pictures", nargs="*", default=[*PICTURES], choices=[*PICTURES])
+    parser.add_argument("pictures", nargs="*", metavar="PICTURE", help=f"of {', '.join(PICTURES)}; default: all")
     arguments = parser.parse_args()
-    for name in arguments.pictures:
+    if unknown := set(arguments.pictures) - set(PICTURES):  # `choices` would refuse that there are none
+        parser.error(f"PICTURE: expected {', '.join(PICTURES)}, got {', '.join(sorted(unknown))}")
+    for name in arguments.pictures or PICTURES:
         PICTURES[name](arguments.data).savefig(DOCS / f"{name}.jpg", **JPEG)
 
 

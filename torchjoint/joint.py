@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from itertools import groupby
 from pathlib import Path
@@ -19,35 +19,29 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from torchjoint.config import Config, evidence_differences
+from torchjoint.config import Config
 from torchjoint.datasets.lazy import LazySequence
-from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
-from torchjoint.labels.image_labels import label_image
-from torchjoint.labels.joint_ids import private_id_offsets
+from torchjoint.images.segmenter import ImageSegmenter
+from torchjoint.labels.image_labels import label_images
 from torchjoint.labels.piece_images import PieceImages
-from torchjoint.points.graph import PointGraph
-from torchjoint.points.method import describe, with_method
-from torchjoint.points.orientation import orientation_votes
-from torchjoint.points.prepared_cloud import prepare_cloud
-from torchjoint.points.segments import point_hierarchy, segment_points
+from torchjoint.points.frame_evidence import add_evidence, observe
+from torchjoint.points.method import describe
+from torchjoint.points.point_labels import label_points
+from torchjoint.points.prepared_cloud import PreparedCloud, prepare_cloud
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.ahead import ahead
 from torchjoint.runtime.memory import as_bytes
-from torchjoint.runtime.packing import Packed, pack
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
-from torchjoint.scene import Frame, Hierarchy, LabelImages, Scene, Segmentation
-from torchjoint.scene.local_cloud import LocalFrame
-from torchjoint.views.observation import Observation
+from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.views.observations import Observations
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
-from torchjoint.views.propagation import edge_contours, edge_overlaps
 from torchjoint.views.state import JointState
-from torchjoint.views.visibility import visible_points
 
 logger = logging.getLogger(__name__)
 
-_NO_CLOUD = "JointSegmenter: call reset(points) before update, compute or state"
+#: Looks at a run while its frames come: is called with the segmenter and the scene, and must change neither.
+Watch = Callable[["JointSegmenter", Scene], None]
 
 
 class JointSegmenter(nn.Module):
@@ -104,11 +98,7 @@ class JointSegmenter(nn.Module):
         self.config = config or Config()
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
-        self._definite = self.config  # after `reset` without "auto"
-        self._graph: PointGraph | None = None
-        self._of_point: Tensor | None = None  # [N] the graph's point of each given point; None = itself
-        self._given: Tensor | None = None  # [M, 3] the given points without copies
-        self._local = LocalFrame.of_world()  # of the graph's points
+        self._cloud: PreparedCloud | None = None
         self._check: PoseCheck | None = None  # of frames that come one by one
         self._state: JointState | None = None
 
@@ -124,14 +114,26 @@ class JointSegmenter(nn.Module):
     if TYPE_CHECKING:  # nn.Module's own would be untyped
 
         def __call__(
-            self, scene: Scene, *, progress: bool = False, batch_size: int = 8, checkpoint: Checkpoint | None = None
+            self,
+            scene: Scene,
+            *,
+            progress: bool = False,
+            batch_size: int = 8,
+            checkpoint: Checkpoint | None = None,
+            on_frames: Watch | None = None,
         ) -> Segmentation:
             """See :meth:`forward`."""
 
     @torch.no_grad()
     @on_cpu()
     def forward(
-        self, scene: Scene, *, progress: bool = False, batch_size: int = 8, checkpoint: Checkpoint | None = None
+        self,
+        scene: Scene,
+        *,
+        progress: bool = False,
+        batch_size: int = 8,
+        checkpoint: Checkpoint | None = None,
+        on_frames: Watch | None = None,
     ) -> Segmentation:
         """Segments a whole scene (steps 1-8).
 
@@ -140,6 +142,8 @@ class JointSegmenter(nn.Module):
             progress: show progress bars.
             batch_size: number of frames that are worked on at a time; meanwhile as many are loaded.
             checkpoint: saves the state from time to time; an interrupted run resumes from it.
+            on_frames: called with the segmenter and the scene before the first frame and after each batch, to look at
+                the labels so far; it must change neither.
 
         Returns:
             labels of the points [N] and of the frames [H, W]; see :class:`~torchjoint.scene.Segmentation`.
@@ -152,17 +156,8 @@ class JointSegmenter(nn.Module):
             PoseWarning: the poses or intrinsics look wrong.
         """
         checked = self.begin(scene, checkpoint)
-        num_frames, done = len(scene.frames), len(self.state.observations)
-        with tqdm(total=num_frames, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
-            batches = [range(num_frames)[start : start + batch_size] for start in range(done, num_frames, batch_size)]
-            for batch in ahead(lambda indices: self._load_frames(scene.frames, indices, checked), batches):
-                self.add(batch)
-                bar.update(len(batch))
-                if checkpoint is not None:
-                    checkpoint.save(self.state)
-        if checkpoint is not None:
-            checkpoint.save(self.state, now=True)
-        return self.compute(progress=progress)
+        steps = self._add_batches(scene.frames, batch_size, checked)
+        return self.finish(scene, steps, progress=progress, checkpoint=checkpoint, on_frames=on_frames)
 
     @torch.no_grad()
     @on_cpu()
@@ -189,10 +184,50 @@ class JointSegmenter(nn.Module):
             self.state = checkpoint.load(Observations(budget=self._memory, folder=self._spill)) or self.state
         return checked
 
-    def _load_frames(self, frames: Sequence[Frame], indices: range, loaded: dict[int, Frame]) -> list[Frame]:
-        """The frames at `indices`. Frames that are already in `loaded` are moved out of it instead of read again."""
-        with self.stopwatch("load frames"):
-            return parallel_map(lambda index: loaded.pop(index, None) or frames[index], indices)
+    @torch.no_grad()
+    @on_cpu()
+    def finish(
+        self,
+        scene: Scene,
+        steps: Iterable[int],
+        *,
+        progress: bool = False,
+        checkpoint: Checkpoint | None = None,
+        on_frames: Watch | None = None,
+    ) -> Segmentation:
+        """What comes after :meth:`begin`: adds the evidence of all frames, and computes the labels.
+
+        Args:
+            scene: as for :meth:`begin`.
+            steps: each step adds the evidence of some frames to this segmenter, and says of how many.
+            progress, checkpoint, on_frames: as for :meth:`forward`.
+        """
+        if on_frames is not None:
+            on_frames(self, scene)
+        count, done = len(scene.frames), len(self.state.observations)
+        with tqdm(total=count, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
+            for number in steps:
+                bar.update(number)
+                if checkpoint is not None:
+                    checkpoint.save(self.state)
+                if on_frames is not None:
+                    on_frames(self, scene)
+        if checkpoint is not None:
+            checkpoint.save(self.state, now=True)
+        return self.compute(progress=progress)
+
+    def _add_batches(self, frames: Sequence[Frame], batch_size: int, checked: dict[int, Frame]) -> Iterator[int]:
+        """Adds the frames that are not in the state yet. Those in `checked` are moved out of it, not read again."""
+
+        def load(indices: range) -> list[Frame]:
+            with self.stopwatch("load frames"):
+                return parallel_map(lambda index: checked.pop(index, None) or frames[index], indices)
+
+        count = len(frames)
+        starts = range(len(self.state.observations), count, batch_size)
+        for batch in ahead(load, [range(count)[start : start + batch_size] for start in starts]):
+            self.add(batch)
+            yield len(batch)
 
     @torch.no_grad()
     @on_cpu()
@@ -213,18 +248,11 @@ class JointSegmenter(nn.Module):
         cloud = Scene(points, colors=colors, normals=normals)
         self.stopwatch = Stopwatch()
         with one_thread_per_operation(), self.stopwatch("point graph"):
-            prepared = prepare_cloud(cloud, self.config, self.merge_within)
-            self._graph, self._local, self._of_point, self._given, self._definite = prepared
+            self._cloud = prepare_cloud(cloud, self.config, self.merge_within)
             if logger.isEnabledFor(logging.INFO):
-                logger.info(describe(len(cloud.points), self._graph, self._definite))
-        observations = Observations(budget=self._memory, folder=self._spill)
-        self._state = JointState.empty(self._graph.edge_index.shape[1], self._graph.num_points, observations)
+                logger.info(describe(len(cloud.points), self._cloud.graph, self._cloud.definite))
+        self._state = self._no_evidence(Observations(budget=self._memory, folder=self._spill))
         self._check = self._new_check()
-
-    def _new_check(self, name: str = "") -> PoseCheck:
-        graph = self._require_graph()
-        cloud = Scene(graph.points, colors=graph.colors)
-        return PoseCheck(cloud, graph.spacing, self.config.visibility, self._local, name)
 
     @torch.no_grad()
     @on_cpu()
@@ -243,34 +271,29 @@ class JointSegmenter(nn.Module):
             PoseWarning: the poses or intrinsics look wrong, once that some frames came (or at :meth:`compute`).
         """
         frames = [frames] if isinstance(frames, Frame) else list(frames)
-        if self._check is None:
-            raise RuntimeError(_NO_CLOUD)
-        self._check.look_as_they_come(frames)
+        check = self._check or self._new_check()
+        check.look_as_they_come(frames)
         self.add(frames)
 
     @torch.no_grad()
     @on_cpu()
     def add(self, frames: Sequence[Frame]) -> None:
         """As :meth:`update`, for frames whose poses have been checked, by :meth:`begin` for example."""
-        state = self.state
+        cloud, state = self.cloud, self.state
         if not state.observations and frames:
             self._tell_unused(frames[0])
         with one_thread_per_operation():
-            for batch in _batches_of_one_size(frames):
+            for _, same_size in groupby(frames, key=lambda frame: frame.size):
+                batch = list(same_size)
                 segments = self.image_segmenter(batch, self.stopwatch)
-                seen = parallel_map(lambda item: self._observe(*item), zip(batch, segments, strict=True))
-                state.observations.extend([observation for observation, *_ in seen])  # first: the disk may be full
-                for observation, facing, (edges, overlaps), contours in seen:
-                    state.views.index_add_(0, edges, torch.ones_like(edges))
-                    state.overlap_sum.index_add_(0, edges, overlaps)
-                    state.facing[observation.visible.point] += facing
-                    if contours is not None:
-                        state.contour_sum[contours[0]] += contours[1]
-                        state.contour_views[contours[0]] += 1
+                seen = parallel_map(
+                    lambda item: observe(*item, cloud, self.config, self.stopwatch), zip(batch, segments, strict=True)
+                )
+                add_evidence(state, seen)
 
     def _tell_unused(self, frame: Frame) -> None:
         """Says so if images have no say in the segments of the points."""
-        if self._definite.point_segments.method != "scan":
+        if self.method != "scan":
             return
         logger.info("frames: method scan segments the points without images; images only get the points' labels")
         given = "masks" if frame.masks is not None else "labels" if frame.labels is not None else ""
@@ -301,7 +324,7 @@ class JointSegmenter(nn.Module):
         Warns:
             PoseWarning: the poses or intrinsics look wrong.
         """
-        state = self.state
+        cloud, state = self.cloud, self.state
         if self._check is not None:
             self._check.warn()
         seen, count = state.observations[:], len(state.observations)  # results keep them; more frames may follow
@@ -309,47 +332,38 @@ class JointSegmenter(nn.Module):
             raise ValueError(f"frames: none of the {count} images sees a point; wrong poses, axes or units?")
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
-                given_points, point_labels, hierarchy, piece = self._segment_points()
+                points, of_graph, hierarchy, piece = label_points(cloud, state)
             if not images:
-                return Segmentation(given_points, (), seconds=dict(self.stopwatch.seconds), hierarchy=hierarchy)
-            sizes = torch.bincount(point_labels)
-            bar = tqdm(total=count, desc="images", unit="frame", disable=not progress)
-
-            def refine(observation: Observation) -> tuple[Packed, int]:
-                with self.stopwatch("image labels"):
-                    refined, next_free = label_image(observation, point_labels, sizes, self.config)
-                bar.update()
-                return pack(refined), next_free
-
-            with bar:
-                refined = parallel_map(refine, seen)
-        num_segments = len(sizes)
-        offsets = private_id_offsets([next_free for _, next_free in refined], seen, num_segments)
-        labels = LabelImages([image for image, _ in refined], num_segments, offsets)
+                return Segmentation(points, (), seconds=dict(self.stopwatch.seconds), hierarchy=hierarchy)
+            labels = label_images(seen, of_graph, self.config, self.stopwatch, progress=progress)
+        pieces = None
+        if hierarchy is not None and piece is not None:
+            pieces = PieceImages(labels, seen, hierarchy, piece, self.config)
         return Segmentation(
-            points=given_points,
+            points=points,
             images=labels,
             initial_images=LazySequence(count, lambda index: seen[index].initial_labels().long()),
             names=tuple(seen.names),
             seconds=dict(self.stopwatch.seconds),
             hierarchy=hierarchy,
-            piece_images=()
-            if hierarchy is None or piece is None
-            else PieceImages(labels, seen, hierarchy, piece, self.config),
+            piece_images=pieces or (),
         )
 
-    def _segment_points(self) -> tuple[Tensor, Tensor, Hierarchy | None, Tensor | None]:
-        """Step 6: labels of the given points and of the graph's; if learned, all levels, and pieces of the graph's."""
-        graph, state, of_point = self._require_graph(), self.state, self._of_point
-        if self.method != "learned":
-            labels = segment_points(graph, state, self._definite)
-            return labels if of_point is None else labels[of_point], labels, None, None
-        hierarchy = point_hierarchy(graph, state, self._definite)
-        piece = hierarchy.piece
-        if of_point is not None:
-            hierarchy, number = hierarchy.transferred(of_point)
-            piece = number[piece]
-        return hierarchy.at(), hierarchy.segments_of_pieces(hierarchy.default)[piece], hierarchy, piece
+    @property
+    def cloud(self) -> PreparedCloud:
+        """The points that :meth:`reset` was given, as the steps use them, and their graph.
+
+        Raises:
+            RuntimeError: :meth:`reset` was not called before.
+        """
+        if self._cloud is None:
+            raise RuntimeError("JointSegmenter: call reset(points) first")
+        return self._cloud
+
+    @property
+    def method(self) -> str:
+        """Method of step 6: the config's, or, if that is auto, the one that :meth:`reset` chose."""
+        return self.config.point_segments.method if self._cloud is None else self._cloud.method
 
     @property
     def state(self) -> JointState:
@@ -360,7 +374,7 @@ class JointSegmenter(nn.Module):
             ValueError: (when set) the state belongs to another cloud.
         """
         if self._state is None:
-            raise RuntimeError(_NO_CLOUD)
+            raise RuntimeError("JointSegmenter: call reset(points) before update, compute or state")
         return self._state
 
     @state.setter
@@ -368,16 +382,6 @@ class JointSegmenter(nn.Module):
         if state.views.shape != self.state.views.shape or state.facing.shape != self.state.facing.shape:
             raise ValueError("state: expected the state of a segmenter that was reset with the same cloud")
         self._state = state
-
-    @property
-    def method(self) -> str:
-        """Method of step 6: the config's, or, if that is auto, the one that :meth:`reset` chose."""
-        return self._definite.point_segments.method
-
-    def _require_graph(self) -> PointGraph:
-        if self._graph is None:
-            raise RuntimeError("JointSegmenter: call reset(points) first")
-        return self._graph
 
     def merge(self, other: JointSegmenter) -> None:
         """Adds the evidence of another segmenter, which saw other frames of the same cloud with the same config.
@@ -387,8 +391,7 @@ class JointSegmenter(nn.Module):
         """
         if other.config != self.config:
             raise ValueError("other: expected a segmenter with the same config")
-        is_same = self._graph is not None and other._graph is not None and self._graph.is_same(other._graph)
-        if not (is_same and self._local.is_same(other._local)):
+        if self._cloud is None or other._cloud is None or not self._cloud.is_same(other._cloud):
             raise ValueError("other: expected a segmenter that was reset with the same points")
         both = set(filter(None, self.state.observations.names)) & set(other.state.observations.names)
         if other is self or both:
@@ -402,8 +405,8 @@ class JointSegmenter(nn.Module):
         Raises:
             RuntimeError: :meth:`reset` was not called before.
         """
-        graph, other = self._require_graph(), copy(self)
-        other._state = JointState.empty(graph.edge_index.shape[1], graph.num_points)
+        other = copy(self)
+        other._state = self._no_evidence(Observations())
         other._check, other.stopwatch = None, Stopwatch()
         return other
 
@@ -412,16 +415,10 @@ class JointSegmenter(nn.Module):
         """A segmenter with the same evidence and other parameters: tries out parameters without seeing frames again.
 
         Raises:
+            RuntimeError: :meth:`reset` was not called before.
             ValueError: the stored evidence depends on a parameter that differs; the message names the parameter.
         """
-        graph = self._require_graph()
-        is_decided = self.config.point_segments.method == config.point_segments.method  # from all points, if "auto"
-        definite = config.replace({"point_segments": {"method": self._definite.point_segments.method}})
-        if not is_decided and self._given is not None:
-            definite = with_method(config, self._given.float())
-        if different := evidence_differences(self._definite, definite):
-            raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
-        modules = self.image_segmenter
+        cloud, modules = self.cloud.with_config(self.config, config), self.image_segmenter
         other = JointSegmenter(
             config,
             boundary=modules.boundary,
@@ -430,39 +427,16 @@ class JointSegmenter(nn.Module):
             memory=self._memory,
             spill=self._spill,
         )
-        other._graph, other._definite, other._of_point = graph, definite, self._of_point
-        other._local, other._given = self._local, self._given
-        other._state = self.state + JointState.empty(graph.edge_index.shape[1], graph.num_points)  # a copy
+        other._cloud = cloud
+        other._state = self.state + self._no_evidence(Observations())  # a copy
         other._check = other._new_check()
         return other
 
-    def _observe(
-        self, frame: Frame, segments: ImageSegments
-    ) -> tuple[Observation, Tensor, tuple[Tensor, Tensor], tuple[Tensor, Tensor] | None]:
-        """Steps 4 and 5 for one frame: the observation; votes for the normals' signs; edges and their overlaps.
+    def _no_evidence(self, observations: Observations) -> JointState:
+        graph = self.cloud.graph
+        return JointState.empty(graph.edge_index.shape[1], graph.num_points, observations)
 
-        For method learned also edges and the contours across them, if the frame has no masks.
-        """
-        graph = self._require_graph()
-        with self.stopwatch("visibility"):
-            pose = self._local.pose(frame.world_to_camera)
-            camera = (frame.intrinsics, pose, frame.size)
-            visible = visible_points(graph.points, graph.spacing, *camera, self.config.visibility)
-            facing = orientation_votes(graph, visible.point, pose)
-        image, boundary = _to_8_bits(frame.image), _to_8_bits(segments.boundary)
-        with self.stopwatch("propagation"):
-            labels = segments.labels.to(torch.int32) if segments.masks is None else segments.masks.atom
-            overlaps = edge_overlaps(graph.adjacency, visible, labels, self.config.propagation.window)
-            contours = None
-            if self.method == "learned" and segments.masks is None:
-                contours = edge_contours(graph.adjacency, graph.edge_index, visible, boundary)
-        return Observation(frame.name, labels, visible, image, boundary, segments.masks), facing, overlaps, contours
-
-
-def _batches_of_one_size(frames: Sequence[Frame]) -> Iterator[list[Frame]]:
-    for _, batch in groupby(frames, key=lambda frame: frame.size):
-        yield list(batch)
-
-
-def _to_8_bits(values: Tensor) -> Tensor:
-    return values.mul(255).round_().clamp_(0, 255).to(torch.uint8)
+    def _new_check(self, name: str = "") -> PoseCheck:
+        graph = self.cloud.graph
+        points = Scene(graph.points, colors=graph.colors)
+        return PoseCheck(points, graph.spacing, self.config.visibility, self.cloud.local, name)

@@ -45,7 +45,7 @@ def segmenter(scene):
 
 @pytest.fixture(scope="module")
 def evidence(segmenter):
-    graph = segmenter._require_graph()
+    graph = segmenter.cloud.graph
     return gather_evidence(graph, graph.scales, segmenter.state, LEARNED)
 
 
@@ -174,7 +174,7 @@ class TestMethod:
             assert segmenter.compute().points.shape == (count,)
 
     def test_needs_the_scales(self, segmenter):
-        graph = segmenter._require_graph()._replace(scales=None)
+        graph = segmenter.cloud.graph._replace(scales=None)
         with pytest.raises(ValueError, match="graph: method learned needs a graph that was built with the scales"):
             segments.segment_points(graph, JointState.empty(graph.edge_index.shape[1], graph.num_points), LEARNED)
 

@@ -196,7 +196,7 @@ def seen_by_learned(scene, order=None) -> tuple[tj.JointSegmenter, Evidence, Bou
     segmenter = tj.JointSegmenter(LEARNED)
     segmenter.reset(scene.points, scene.colors)
     segmenter.update([scene.frames[index] for index in order or range(len(scene.frames))])
-    graph = segmenter._require_graph()
+    graph = segmenter.cloud.graph
     assert graph.scales is not None
     evidence = gather_evidence(graph, graph.scales, segmenter.state, LEARNED)
     return segmenter, evidence, boundary_features(evidence, evidence.piece)
@@ -240,7 +240,7 @@ class TestInvariance:
 
     def test_without_weight_images_do_not_count(self, reference):
         segmenter, _, _ = reference
-        graph = segmenter._require_graph()
+        graph = segmenter.cloud.graph
         config = LEARNED.set(["propagation.weight=0"])
         evidence = gather_evidence(graph, graph.scales, segmenter.state, config)
         assert evidence.images is None

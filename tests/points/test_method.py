@@ -95,7 +95,7 @@ def test_segmenters_of_parts_can_be_merged(room):
 def test_step_6_itself_wants_a_definite_method(street):
     segmenter = reset(AUTO, street)
     with pytest.raises(ValueError, match=r"config: expected a definite point_segments\.method, got auto"):
-        segment_points(segmenter._require_graph(), segmenter.state, AUTO)
+        segment_points(segmenter.cloud.graph, segmenter.state, AUTO)
 
 
 class TestLine:

@@ -35,7 +35,7 @@ def graph_and_state(scene: tj.Scene, config: tj.Config) -> tuple[PointGraph, Joi
     segmenter = tj.JointSegmenter(config)
     segmenter.reset(scene.points, scene.colors)
     segmenter.update(list(scene.frames))
-    return segmenter._require_graph(), segmenter.state
+    return segmenter.cloud.graph, segmenter.state
 
 
 @pytest.fixture(scope="module", params=PRESETS)

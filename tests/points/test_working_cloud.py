@@ -63,10 +63,10 @@ def test_every_given_point_gets_the_label_of_its_working_point(monkeypatch, scen
     monkeypatch.setattr(module, "LEAST_POINTS", 1000)
     segmenter = tj.JointSegmenter()
     result = segmenter(noisy)
-    of_point = segmenter._of_point
+    of_point = segmenter.cloud.of_point
     assert of_point is not None
-    assert len(result.points) == len(noisy.points) > segmenter._graph.num_points
-    label = torch.full((segmenter._graph.num_points,), -1)
+    assert len(result.points) == len(noisy.points) > segmenter.cloud.graph.num_points
+    label = torch.full((segmenter.cloud.graph.num_points,), -1)
     label[of_point] = result.points
     assert torch.equal(label[of_point], result.points)
     first = torch.unique(result.points, return_inverse=True)[1]

@@ -15,6 +15,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import torchjoint as tj
+from torchjoint.results.folder import write_result
 
 pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
 sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need playwright")
@@ -40,12 +41,13 @@ def browser():
 @pytest.fixture
 def viewer(out, tmp_path):
     from torchjoint.viewer.app import Viewer
+    from torchjoint.viewer.shown import Shown
 
     folder = tmp_path / "out"
     shutil.copytree(out, folder)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        viewer = Viewer(tj.load_result(folder, edits=False), folder, port=8950)
+        viewer = Viewer(tj.load_result(folder, edits=False), Shown(folder), port=8950)
     yield viewer
     viewer.stop()
 
@@ -214,11 +216,12 @@ def test_the_granularity_slider_and_the_frame_slider(viewer, page):
 def test_parameters_of_a_run_in_memory(browser, out, scene_of):
     from torchjoint.viewer.app import Viewer
     from torchjoint.viewer.parameters import LiveRun
+    from torchjoint.viewer.shown import Shown
 
     scene = scene_of(3).scene
     segmenter = tj.JointSegmenter(tj.Config.from_preset("regions").set(["boundary.detector=gradient"]))
     result = tj.Result.of(segmenter(scene), scene)
-    viewer = Viewer(result, run=LiveRun(segmenter, scene), port=8960)
+    viewer = Viewer(result, Shown(run=LiveRun(segmenter, scene)), port=8960)
     page = browser.new_page(viewport={"width": 1280, "height": 1400})  # the whole panel, without scrolling
     page.goto(viewer.url)
     page.wait_for_selector("#tj-image")
@@ -229,6 +232,56 @@ def test_parameters_of_a_run_in_memory(browser, out, scene_of):
     assert viewer.result.num_point_segments != result.num_point_segments
     page.close()
     viewer.stop()
+
+
+def test_a_run_is_shown_while_its_frames_come(browser, scene_of, tmp_path):
+    from torchjoint.viewer.live import LiveView
+    from torchjoint.viewer.parameters import LiveRun
+
+    scene, config = scene_of(3).scene, tj.Config().set(["boundary.detector=gradient"])
+    live = LiveView(lambda url: None, share=1.0, port=8970)
+    page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    notes, colors, images = [], [], []
+
+    def watch(segmenter, scene):
+        live(segmenter, scene)
+        if not notes:
+            page.goto(live.viewer.url)
+            page.wait_for_selector("#tj-image")
+            wait(lambda: drawn(page) > 1000)
+        note = f"running: {len(segmenter.state.observations)} of 6 frames"
+        wait(lambda: note in page.inner_text("#tj-note"))
+        segment, place = visible_segments(live.viewer)[0]
+        expected = live.viewer.model.piece_colors()[segment]
+        wait(lambda: np.abs(color_at(page, place) - expected).max() < 12)
+        notes.append(note)
+        colors.append(live.viewer.model.point_colors())
+        images.append(page.get_attribute("#tj-image", "src"))
+
+    segmenter = tj.JointSegmenter(config)
+    result = segmenter(scene, batch_size=3, on_frames=watch)
+    assert len(notes) == 3
+    assert not np.array_equal(colors[0], colors[-1])  # images have changed the labels
+    assert images[0] != images[1]  # the first frame has its labels now
+    out = tmp_path / "out"
+    out.mkdir()
+    write_result(out, scene, result, config, "test")
+    page.mouse.click(*visible_segments(live.viewer)[0][1])
+    wait(lambda: "segment" in panel(page) and "Click" not in panel(page))
+    assert page.get_by_role("button", name="Join").count() == 0
+    (lit,) = live.viewer.model.selected
+    points = live.viewer.result.points == live.viewer.model.key(lit)
+    live.finish(out, LiveRun(segmenter, scene))
+    page.get_by_role("button", name="Join").wait_for()
+    assert page.locator("#tj-note").count() == 0
+    page.get_by_role("button", name="Compute again").wait_for()
+    assert live.viewer.model.parts.count > result.num_point_segments  # all levels
+    (selected,) = live.viewer.model.selected  # what was selected still is
+    row = live.viewer.model.row(selected)
+    wait(lambda: f"segment {row.key}" in panel(page) and "seen in" in panel(page))
+    assert (result.points[points] == row.key).float().mean() > 0.5
+    page.close()
+    live.viewer.stop()
 
 
 def test_the_static_page(browser, out, run, tmp_path):

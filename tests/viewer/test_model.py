@@ -170,7 +170,7 @@ def test_the_table_sorts_and_searches(model, result):
     assert [row.points for row in rows] == sorted((row.points for row in rows), reverse=True)
     assert sum(row.points for row in rows) == 6000
     assert [row.key for row in model.rows(order="id")[0]] == list(range(count))
-    assert rows[0].frames == 0
+    assert rows[0].frames is None
     model.read_frames()
     seen = [row.frames for row in model.rows(order="frames")[0]]
     assert seen == sorted(seen, reverse=True)
@@ -241,3 +241,39 @@ def test_live_parameters_need_no_frames_again(method):
         value = getattr(getattr(config, stage), parameter)
         changed = config.replace({stage: {parameter: value + (1 if isinstance(value, int) else 0.01)}})
         assert tj.config.evidence_differences(config, changed) == []
+
+
+def test_labels_so_far_change_nothing_and_keep_their_numbers(scene_of):
+    pytest.importorskip("viser")
+    from torchjoint.viewer.live import kept_numbers, labels_so_far
+
+    scene, config = scene_of(3).scene, tj.Config().set(["boundary.detector=gradient"])
+    looks = []
+
+    def look(segmenter, scene):
+        before = looks[-1].points if looks else None
+        looks.append(labels_so_far(segmenter, scene, before))
+
+    watched, plain = tj.JointSegmenter(config)(scene, batch_size=3, on_frames=look), tj.JointSegmenter(config)(scene)
+    assert torch.equal(watched.points, plain.points)
+    assert all(torch.equal(one, other) for one, other in zip(watched.images, plain.images, strict=True))
+    first, second, last = looks  # before the first frame, after three, after all
+    assert bool((first.images[0] == -1).all())
+    assert bool((second.images[0] >= 0).any())
+    assert bool((second.images[3] == -1).all())
+    # The last look is the result, with other numbers for the segments, and those of the image alike.
+    number = kept_numbers(plain.points, second.points)
+    assert torch.equal(last.points, number[plain.points])
+    image = plain.images[4]
+    of_cloud = image < plain.num_point_segments
+    assert torch.equal(last.images[4][of_cloud], number[image[of_cloud]])
+
+
+def test_segments_keep_their_numbers():
+    from torchjoint.viewer.live import kept_numbers
+
+    before = torch.tensor([7, 7, 7, 2, 2, 4])
+    assert kept_numbers(before.unique(return_inverse=True)[1], before).tolist() == [2, 4, 7]
+    # 0 and 1 share two points each with 7 and 2; 2 is what 4 was; 3 is new and gets the lowest number that is free.
+    assert kept_numbers(torch.tensor([0, 0, 1, 1, 1, 2]), before).tolist() == [7, 2, 4]
+    assert kept_numbers(torch.tensor([0, 0, 3, 1, 1, 2]), before).tolist() == [7, 2, 4, 0]

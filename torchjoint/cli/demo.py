@@ -8,7 +8,7 @@ from torchjoint import metrics
 from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
-from torchjoint.cli.show import show_result
+from torchjoint.cli.show import live_view, show_result
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
@@ -23,10 +23,11 @@ def demo(
         out: folder for the result.
         parameters: parameters of the method.
         overwrite: replace OUT if it is an earlier result.
-        show: show the result in the browser, as `torchjoint show` does.
+        show: show the run, and then the result, in the browser, as `torchjoint segment --show` does.
     """
     from torchjoint.synthetic import make_scene
 
+    view = live_view(show)
     print("making a synthetic scene ...")
     synthetic = make_scene(seed=0, size="medium", height=360, width=480, num_points=150_000)
     config, source = parameters.config(), "synthetic, seed 0"
@@ -34,10 +35,10 @@ def demo(
         assert partial is not None  # without a key there is always something to do
         with printed_log():
             segmenter = JointSegmenter(config)
-            result = segmenter(synthetic.scene, progress=True)
+            result = segmenter(synthetic.scene, progress=True, on_frames=view)
         write_result(partial, synthetic.scene, result, config, source)
     summarize(result, out)
     in_3d = metrics.objects_and_parts(result.points, synthetic.point_labels)
     covering = metrics.segmentation_covering(result.points, synthetic.point_labels)
     print(f"against the truth, in 3D: covering {covering.symmetric:.2f}, F for objects and parts {in_3d.f:.2f}")
-    show_result(out, show, segmenter, synthetic.scene)
+    show_result(out, view, segmenter, synthetic.scene)

@@ -11,7 +11,7 @@ import tyro
 from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
-from torchjoint.cli.show import show_result
+from torchjoint.cli.show import live_view, show_result
 from torchjoint.engine import open_engine
 from torchjoint.recordings import RecordingOptions, segment_recording
 
@@ -64,12 +64,14 @@ def segment(
         engine: workers for the frames of a long recording: loky, dask or ray on this machine (loky:4: with 4 workers),
             dask://HOST:PORT or ray://HOST:PORT for a cluster; the labels are those without it.
         threads: threads of each of these workers.
-        show: show the result in the browser, as `torchjoint show` does.
+        show: show the run in the browser, labels that change while frames come, and then the result, as `torchjoint
+            show` does.
     """
     config = parameters.config()
     options = RecordingOptions(
         voxel_size, max_frames, in_view, thin, merge_within, granularity, tuple(map(read_topic, topics)), time_limit
     )
+    view = live_view(show)
     with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:
         segmented = segment_recording(
             scene,
@@ -82,12 +84,13 @@ def segment(
             memory=memory,
             engine=workers,
             progress=True,
+            on_frames=view,
         )
     if segmented is None:
         print(f"{out}: an earlier run was killed when all was written; its result is in its place now")
         return
     summarize(segmented.result, out)
-    show_result(out, show, segmented.segmenter, segmented.scene)
+    show_result(out, view, segmented.segmenter, segmented.scene)
 
 
 def read_topic(assignment: str) -> tuple[str, str]:

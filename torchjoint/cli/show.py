@@ -21,7 +21,7 @@ from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
 
 if TYPE_CHECKING:
-    from torchjoint.viewer.parameters import LiveRun
+    from torchjoint.viewer.live import LiveView
 
 
 def show(
@@ -63,14 +63,23 @@ def show(
         _serve(result, out if is_folder else None, granularity, direction, host, port, open_browser)
 
 
-def show_result(out: Path, now: bool, segmenter: JointSegmenter, scene: Scene) -> None:
-    """Shows a result that was just written, with parameters that can be changed; or says how to show it."""
-    if now:
-        from torchjoint.viewer.parameters import LiveRun
+def live_view(now: bool) -> LiveView | None:
+    """Shows a run that begins; None if it shall not be shown."""
+    if not now:
+        return None
+    from torchjoint.viewer.live import LiveView
 
-        _serve(load_result(out, edits=False), out, None, None, "127.0.0.1", 8080, True, LiveRun(segmenter, scene))
-    else:
+    return LiveView(_open_page)
+
+
+def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, scene: Scene) -> None:
+    """Shows a result that was just written, with parameters that can be changed; or says how to show it."""
+    if view is None:
         print(f"torchjoint show {out}: look at it in the browser")
+        return
+    from torchjoint.viewer.parameters import LiveRun
+
+    view.finish(out, LiveRun(segmenter, scene)).wait()
 
 
 def _read(out: Path, truth: bool) -> Result:
@@ -108,12 +117,16 @@ def _serve(
     host: str,
     port: int,
     open_browser: bool,
-    run: LiveRun | None = None,
 ) -> None:
     from torchjoint.viewer.app import Viewer
+    from torchjoint.viewer.shown import Shown
 
-    viewer = Viewer(result, folder, run=run, granularity=granularity, up=up, host=host, port=port)
-    print(f"{viewer.url}\nCtrl-C ends it")
-    if open_browser:
-        webbrowser.open(viewer.url)
+    viewer = Viewer(result, Shown(folder), granularity=granularity, up=up, host=host, port=port)
+    _open_page(viewer.url, open_browser)
     viewer.wait()
+
+
+def _open_page(url: str, in_browser: bool = True) -> None:
+    print(f"{url}\nCtrl-C ends it", flush=True)
+    if in_browser:
+        webbrowser.open(url)

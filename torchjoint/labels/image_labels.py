@@ -2,13 +2,48 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
+from tqdm import tqdm
 
 from torchjoint.config import Config
 from torchjoint.labels.geodesic import propagate
+from torchjoint.labels.joint_ids import private_id_offsets
 from torchjoint.labels.mask_labels import label_masks
 from torchjoint.labels.segment_refinement import cut
+from torchjoint.runtime.packing import Packed, pack
+from torchjoint.runtime.stopwatch import Stopwatch
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.scene import LabelImages
 from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observations
+
+
+def label_images(
+    seen: Observations, point_labels: Tensor, config: Config, stopwatch: Stopwatch, *, progress: bool = False
+) -> LabelImages:
+    """The final labels of all images, in one id space with the points.
+
+    Args:
+        seen: the frames.
+        point_labels: [N] int64, 3D labels of all points.
+        config: the refinement, and the image graph.
+        stopwatch: gets the seconds of each image.
+        progress: show a progress bar.
+    """
+    sizes = torch.bincount(point_labels)
+    bar = tqdm(total=len(seen), desc="images", unit="frame", disable=not progress)
+
+    def refine(observation: Observation) -> tuple[Packed, int]:
+        with stopwatch("image labels"):
+            refined, next_free = label_image(observation, point_labels, sizes, config)
+        bar.update()
+        return pack(refined), next_free
+
+    with bar:
+        refined = parallel_map(refine, seen)
+    offsets = private_id_offsets([next_free for _, next_free in refined], seen, len(sizes))
+    return LabelImages([image for image, _ in refined], len(sizes), offsets)
 
 
 def label_image(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, config: Config) -> tuple[Tensor, int]:

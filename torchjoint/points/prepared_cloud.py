@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torchjoint.config import Config
+from torchjoint.config import Config, evidence_differences
 from torchjoint.points.graph import PointGraph, build_edgeless_graph, build_point_graph
 from torchjoint.points.method import with_method
 from torchjoint.points.working_cloud import working_cloud
@@ -29,6 +29,32 @@ class PreparedCloud(NamedTuple):
     of_point: Tensor | None  #: [N] int64, the graph's point of each given point; None = itself
     given: Tensor  #: [M, 3] the given points without copies
     definite: Config  #: the config without method auto
+
+    @property
+    def method(self) -> str:
+        """Method of step 6: the config's, or, if that is auto, the one chosen for this cloud."""
+        return self.definite.point_segments.method
+
+    def is_same(self, other: PreparedCloud) -> bool:
+        """Whether frames can be seen with one of both clouds, and their evidence be used with the other."""
+        return self.graph.is_same(other.graph) and self.local.is_same(other.local)
+
+    def with_config(self, before: Config, config: Config) -> PreparedCloud:
+        """The same cloud and graph with other parameters.
+
+        Args:
+            before: the parameters that the cloud was prepared with.
+            config: the other ones.
+
+        Raises:
+            ValueError: what frames say of this cloud depends on a parameter that differs; the message names it.
+        """
+        definite = config.replace({"point_segments": {"method": self.method}})
+        if before.point_segments.method != config.point_segments.method:
+            definite = with_method(config, self.given.float())  # from all points, if it is auto now
+        if different := evidence_differences(self.definite, definite):
+            raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
+        return self._replace(definite=definite)
 
 
 def prepare_cloud(cloud: Scene, config: Config, merge_within: float) -> PreparedCloud:

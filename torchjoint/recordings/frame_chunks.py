@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from tqdm import tqdm
-
 from torchjoint.engine import Engine
-from torchjoint.joint import JointSegmenter
+from torchjoint.joint import JointSegmenter, Watch
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.views.state import JointState
@@ -27,6 +25,7 @@ def segment_over(
     *,
     progress: bool = False,
     checkpoint: Checkpoint | None = None,
+    on_frames: Watch | None = None,
 ) -> Segmentation:
     """Segments a scene as ``segmenter(scene)`` does, with the same labels; workers see the frames (steps 1, 2, 4, 5).
 
@@ -38,6 +37,7 @@ def segment_over(
         scene: the cloud and its frames.
         progress: show progress bars.
         checkpoint: saves the state from time to time; an interrupted run resumes from it.
+        on_frames: looks at the run while evidence comes, see :meth:`torchjoint.JointSegmenter.forward`.
 
     Raises:
         WorkerDied: two workers died with the same chunk.
@@ -45,17 +45,16 @@ def segment_over(
         ValueError, TypeError, OSError: as of the segmenter, and of reading frames.
     """
     segmenter.begin(scene, checkpoint)
-    count, done = len(scene.frames), len(segmenter.state.observations)
-    with tqdm(total=count, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
-        for evidence, seconds in _in_order(engine, segmenter, scene.frames, done):
-            segmenter.state = segmenter.state + evidence
-            segmenter.stopwatch.add(seconds)
-            bar.update(len(evidence.observations))
-            if checkpoint is not None:
-                checkpoint.save(segmenter.state)
-    if checkpoint is not None:
-        checkpoint.save(segmenter.state, now=True)
-    return segmenter.compute(progress=progress)
+    steps = _add_chunks(engine, segmenter, scene.frames)
+    return segmenter.finish(scene, steps, progress=progress, checkpoint=checkpoint, on_frames=on_frames)
+
+
+def _add_chunks(engine: Engine, segmenter: JointSegmenter, frames: Sequence[Frame]) -> Iterator[int]:
+    """Adds the evidence of the frames that are not in the segmenter's state yet, as it comes from the workers."""
+    for evidence, seconds in _in_order(engine, segmenter, frames, len(segmenter.state.observations)):
+        segmenter.state = segmenter.state + evidence
+        segmenter.stopwatch.add(seconds)
+        yield len(evidence.observations)
 
 
 def _in_order(

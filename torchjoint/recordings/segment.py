@@ -9,7 +9,7 @@ from torchjoint.config import Config
 from torchjoint.datasets import load_scene
 from torchjoint.datasets.files import fingerprint
 from torchjoint.engine import Engine
-from torchjoint.joint import JointSegmenter
+from torchjoint.joint import JointSegmenter, Watch
 from torchjoint.masks import read_folder
 from torchjoint.masks.folder import check_files
 from torchjoint.recordings.frame_chunks import segment_over
@@ -43,6 +43,7 @@ def segment_recording(
     memory: int | str | None = None,
     engine: Engine | None = None,
     progress: bool = False,
+    on_frames: Watch | None = None,
 ) -> Segmented | None:
     """Segments a recording and writes its result folder, as a whole or not at all.
 
@@ -58,6 +59,7 @@ def segment_recording(
             disk of `out`.
         engine: workers for the frames; None: this process. The labels are the same.
         progress: show progress bars.
+        on_frames: looks at the run while frames come, see :meth:`torchjoint.JointSegmenter.forward`.
 
     Returns:
         the result; None if an earlier run was killed when all was written: its result is then in its place.
@@ -91,9 +93,11 @@ def segment_recording(
         checkpoint = Checkpoint(partial / STATE / "frames", key)
         segmenter = JointSegmenter(config, merge_within=options.merge_within, memory=memory, spill=partial / STATE)
         if engine is None:
-            result = segmenter(scene, progress=progress, checkpoint=checkpoint)
+            result = segmenter(scene, progress=progress, checkpoint=checkpoint, on_frames=on_frames)
         else:
-            result = segment_over(engine, segmenter, scene, progress=progress, checkpoint=checkpoint)
+            result = segment_over(
+                engine, segmenter, scene, progress=progress, checkpoint=checkpoint, on_frames=on_frames
+            )
         if level is not None:
             result = result.at(level)
         write_result(partial, scene, result, config, str(path), 0.5 if level is None else level)

@@ -133,13 +133,13 @@ def labelled_evidence(scene: Scene, config: Config | None = None) -> LabelledEvi
     segmenter.reset(scene.points, scene.colors, scene.normals)
     for start in range(0, len(scene.frames), FRAMES):
         segmenter.update([scene.frames[i] for i in range(start, min(start + FRAMES, len(scene.frames)))])
-    graph = segmenter._require_graph()
+    graph = segmenter.cloud.graph
     assert graph.scales is not None
     with one_thread_per_operation():
         evidence = gather_evidence(graph, graph.scales, segmenter.state, segmenter.config)
     instance = scene.truth.points.long()
-    if segmenter._of_point is not None:
-        instance = _majority(instance, segmenter._of_point)
+    if segmenter.cloud.of_point is not None:
+        instance = _majority(instance, segmenter.cloud.of_point)
     return LabelledEvidence(evidence, instance)
 
 

@@ -54,7 +54,10 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
     for row in rows:
         style = "background:#ffe08a;color:#000;" if row.key in selected else ""
         size = " × ".join(f"{value:.2f}" for value in row.size)
-        cells = "".join(f"<td>{cell}</td>" for cell in (row.key, escape(row.name), row.points, size, row.frames))
+        cells = "".join(
+            f"<td>{cell}</td>"
+            for cell in (row.key, escape(row.name), row.points, size, "" if row.frames is None else row.frames)
+        )
         send = f"const line='row {row.key} '+(event.shiftKey?1:0);{_SEND}"
         lines.append(f'<tr data-key="{row.key}" style="cursor:pointer;{style}" onclick="{send}">{cells}</tr>')
     note = f"{len(rows)} of {count} segments" if len(rows) < count else f"{count} segments"
@@ -65,6 +68,11 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
     )
 
 
+def note_html(note: str) -> str:
+    """A line about a run whose frames still come."""
+    return f'<div id="tj-note" style="font-size:12px">{escape(note)}</div>'
+
+
 def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
     """What is known of the selected segments; `frames`: names and pixels of those that see the first."""
     if not rows:
@@ -73,10 +81,9 @@ def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
     for row in rows:
         size = " × ".join(f"{value:.2f}" for value in row.size)
         name = f" <b>{escape(row.name)}</b>" if row.name else ""
-        parts.append(
-            f"<div>segment <b>{row.key}</b>{name}: {row.points} points, {size} m, seen in {row.frames} frames</div>"
-        )
+        seen = "" if row.frames is None else f", seen in {row.frames} frames"
+        parts.append(f"<div>segment <b>{row.key}</b>{name}: {row.points} points, {size} m{seen}</div>")
     if len(rows) == 1 and frames:
-        seen = ", ".join(f"{escape(name)} ({pixels} px)" for name, pixels in frames[:8])
-        parts.append(f"<div>{seen}{', ...' if len(frames) > 8 else ''}</div>")
+        listed = ", ".join(f"{escape(name)} ({pixels} px)" for name, pixels in frames[:8])
+        parts.append(f"<div>{listed}{', ...' if len(frames) > 8 else ''}</div>")
     return f'<div id="tj-panel" style="font-size:12px">{"".join(parts)}</div>'

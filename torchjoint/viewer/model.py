@@ -33,7 +33,7 @@ class Row:
     name: str
     points: int
     size: tuple[float, float, float]  #: metres, of its upright box
-    frames: int  #: that see it; 0 until all frames were read
+    frames: int | None  #: that see it; None until all frames were read
 
 
 class Model:
@@ -55,13 +55,22 @@ class Model:
         self._frames: list[tuple[Table, Table]] | None = None  # per frame: pieces, and the pixels of each
         self._rows: dict[int, Row] = {}
 
-    def of_result(self, result: Result) -> Model:
-        """The same view of another result of the scene; corrections stay if it has the same pieces."""
+    def of_result(self, result: Result, edits: Edits | None = None) -> Model:
+        """The same view of another result of the scene: what was selected still is, as far as it is the same.
+
+        Args:
+            result: the other result.
+            edits: its corrections; default: those of this one, if the pieces are the same.
+        """
         parts = Parts(result)
-        same = np.array_equal(parts.of_point, self.parts.of_point)
-        edits = self.edits if same else replace(self.edits, num_pieces=parts.count, steps=())
+        if edits is None:
+            same = np.array_equal(parts.of_point, self.parts.of_point)
+            edits = self.edits if same else replace(self.edits, num_pieces=parts.count, steps=())
         model = Model(result, edits, self.up)
-        model.mode = self.mode
+        model.mode = self.mode if self.mode in model.modes else "segments"
+        here, there = self._table[self.parts.of_point], model.table[parts.of_point]
+        same_place = [int(np.bincount(there[here == segment]).argmax()) for segment in self.selected]
+        model.select(tuple(same_place))
         return model
 
     # What is shown
@@ -255,7 +264,7 @@ class Model:
                 self.names().get(segment, ""),
                 len(points),
                 (float(size[0]), float(size[1]), float(size[2])),
-                len(self.frames_of(segment)),
+                None if self._frames is None else len(self.frames_of(segment)),
             )
         return replace(self._rows[segment], name=self.names().get(segment, ""))
 
@@ -276,7 +285,7 @@ class Model:
         ]
         if order in ("size", "frames"):
             rows = [self.row(first) for first, _ in found]
-            rows.sort(key=lambda row: (-(row.frames if order == "frames" else np.prod(row.size)), row.key))
+            rows.sort(key=lambda row: (-((row.frames or 0) if order == "frames" else np.prod(row.size)), row.key))
             return rows[:most], len(rows)
         sort = {
             "id": lambda one: (0, self.key(one[0])),

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any
 
 from torchjoint.config import STAGES, Config
 from torchjoint.joint import JointSegmenter
@@ -54,11 +52,3 @@ class LiveRun:
 def _of_its_kind(stage: str, parameter: str, value: float) -> float | int:
     default = next(spec.default for spec in dataclasses.fields(STAGES[stage]) if spec.name == parameter)
     return round(value) if isinstance(default, int) else value
-
-
-def add_parameters(gui: Any, run: LiveRun, on_apply: Callable[[dict[str, float]], None]) -> None:
-    """Adds a field for each parameter, and a button that applies them."""
-    with gui.add_folder("Parameters"):
-        fields = {name: gui.add_number(name, value) for name, value in run.parameters.items()}
-        button = gui.add_button("Compute again")
-    button.on_click(lambda _: on_apply({name: float(field.value) for name, field in fields.items()}))

@@ -1,0 +1,155 @@
+"""A run in the viewer while its frames come: the labels so far, again and again, at a bounded share of the time."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.lazy import LazySequence
+from torchjoint.joint import JointSegmenter
+from torchjoint.labels.image_labels import label_image
+from torchjoint.masks.folder import frame_names
+from torchjoint.points.point_labels import label_points
+from torchjoint.results.loading import load_result
+from torchjoint.results.result import Result
+from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.scene import Scene, Segmentation
+from torchjoint.viewer.app import Viewer
+from torchjoint.viewer.parameters import LiveRun
+from torchjoint.viewer.server import import_viser
+from torchjoint.viewer.shown import Shown
+
+#: Share of a run's time that goes into the labels so far, at most, apart from the first ones.
+SHARE = 0.1
+
+
+class LiveView:
+    """Shows a run in the browser, from before its first frame: ``segmenter(scene, on_frames=LiveView())``.
+
+    It only reads what the segmenter has, so the result and its checkpoint are those of a run that nobody looks at.
+
+    Args:
+        on_open: called with the page's address once there is one.
+        share: of the run's time that may go into this.
+        host, port: see :class:`~torchjoint.viewer.app.Viewer`.
+
+    Raises:
+        ModuleNotFoundError: viser is not installed.
+    """
+
+    def __init__(
+        self,
+        on_open: Callable[[str], object] = print,
+        *,
+        share: float = SHARE,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+    ) -> None:
+        import_viser()  # now, not when a cloud has been fused for an hour
+        self.viewer: Viewer | None = None
+        self._on_open, self._share, self._address = on_open, share, (host, port)
+        self._next, self._labelled = 0.0, 0
+        self._names: tuple[str, ...] = ()
+
+    def __call__(self, segmenter: JointSegmenter, scene: Scene) -> None:
+        """Shows the labels so far, if it is time."""
+        start = time.monotonic()
+        if start >= self._next:
+            self._show(segmenter, scene)
+            end = time.monotonic()
+            self._next = end + (end - start) * (1 / self._share - 1)
+        if self.viewer is not None:
+            seen, count = len(segmenter.state.observations), len(scene.frames)
+            self.viewer.tell(f"running: {seen} of {count} frames; labels of {self._labelled}")
+
+    def finish(self, folder: Path, run: LiveRun) -> Viewer:
+        """Shows the result that was written to a folder, with all that can be done with it."""
+        result = load_result(folder, edits=False)
+        shown = Shown(folder, run)
+        if self.viewer is None:
+            host, port = self._address
+            self.viewer = Viewer(result, shown, host=host, port=port)
+            self._on_open(self.viewer.url)
+        else:
+            self.viewer.open(result, shown)
+        return self.viewer
+
+    def _show(self, segmenter: JointSegmenter, scene: Scene) -> None:
+        before = None if self.viewer is None else self.viewer.result.points
+        self._names = self._names or tuple(frame_names(scene.frames))  # once: it may read frames
+        result = Result.of(labels_so_far(segmenter, scene, before, self._names), scene, segmenter.config)
+        self._labelled = len(segmenter.state.observations)
+        if self.viewer is None:
+            host, port = self._address
+            self.viewer = Viewer(result, Shown(is_running=True), host=host, port=port)
+            self._on_open(self.viewer.url)
+        else:
+            self.viewer.replace(result)
+
+
+def labels_so_far(
+    segmenter: JointSegmenter, scene: Scene, before: Tensor | None = None, names: tuple[str, ...] = ()
+) -> Segmentation:
+    """What a segmenter would give if no more frames came; images are labelled when they are looked at.
+
+    Args:
+        segmenter: it has seen the first of the scene's frames, or none; it stays as it is.
+        scene: the whole scene; images of the other frames are -1.
+        before: [N] the points' labels of the last time: segments keep their numbers, as far as they are the same.
+        names: of all frames.
+
+    Returns:
+        one level only; pixels of image segments without points are -1. Numbers may be left out.
+    """
+    with torch.no_grad(), one_thread_per_operation():
+        labels = label_points(segmenter.cloud, segmenter.state)
+        number = torch.arange(int(labels.given.max()) + 1)
+        if before is not None:
+            number = kept_numbers(labels.given, before)
+    seen, sizes = segmenter.state.observations[:], torch.bincount(labels.of_graph)  # more frames may follow
+
+    @lru_cache(maxsize=4)
+    def image(index: int) -> Tensor:
+        if index >= len(seen):
+            return torch.full(scene.frames[index].size, -1)
+        with torch.no_grad(), one_thread_per_operation():
+            own = label_image(seen[index], labels.of_graph, sizes, segmenter.config)[0].long()
+        return torch.where((own >= 0) & (own < len(number)), number[own.clamp(0, len(number) - 1)], -1)
+
+    return Segmentation(number[labels.given], LazySequence(len(scene.frames), image), names=names)
+
+
+def kept_numbers(labels: Tensor, before: Tensor) -> Tensor:
+    """New numbers for segments, such that those that were there before keep theirs.
+
+    Pairs of a segment and an earlier one are gone through by the number of points they share, most first (ties: the
+    lower segment, then the lower earlier one). If both are still free, the segment gets the number of the earlier one.
+    Other segments get the lowest numbers that are left, in their order.
+
+    Args:
+        labels: [N] int64, 0 ... S - 1.
+        before: [N] int64, >= 0, of the same points.
+
+    Returns:
+        [S] int64, all different.
+
+    Example:
+        >>> kept_numbers(torch.tensor([0, 0, 1, 1, 2]), torch.tensor([5, 5, 5, 3, 3]))
+        tensor([5, 3, 0])
+    """
+    count = int(before.max()) + 1
+    pairs, shared = torch.unique(labels * count + before, return_counts=True)  # pairs ascend
+    number, taken = [-1] * (int(labels.max()) + 1), set[int]()
+    for pair in pairs[torch.argsort(shared, descending=True, stable=True)].tolist():
+        segment, earlier = divmod(pair, count)
+        if number[segment] < 0 and earlier not in taken:
+            number[segment] = earlier
+            taken.add(earlier)
+    free = (candidate for candidate in itertools.count() if candidate not in taken)
+    return torch.tensor([one if one >= 0 else next(free) for one in number])

@@ -1,0 +1,62 @@
+"""The panel of the viewer's page: which elements stand in it, from top to bottom. What they do is in app.py."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torchjoint.results.folder import read_granularity
+from torchjoint.viewer.html import HIDE_FIELD, PREFIX, panel_html
+from torchjoint.viewer.model import Model
+from torchjoint.viewer.shown import Shown
+
+
+class Panel:
+    """Elements of viser.
+
+    Args:
+        gui: of the server; what it has is taken away.
+        model: what is shown.
+        shown: where it is from.
+        frame: index of the frame to begin with.
+    """
+
+    def __init__(self, gui: Any, model: Model, shown: Shown, frame: int = 0) -> None:
+        gui.reset()
+        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        self.bridge = gui.add_text("events", PREFIX)  # what html.py's elements send
+        gui.add_html(HIDE_FIELD)
+        self.note = gui.add_html("", visible=shown.is_running)
+        self.mode = gui.add_dropdown("Colour by", model.modes, initial_value=model.mode)
+        self.level: Any = None
+        if model.result.hierarchy is not None:
+            stored = None if shown.folder is None else read_granularity(shown.folder)
+            at = next(level for level in (model.edits.granularity, stored, 0.5) if level is not None)
+            self.level = gui.add_slider("Granularity", min=0.0, max=1.0, step=0.01, initial_value=at)
+        self.size = gui.add_slider("Point size", min=0.2, max=4.0, step=0.1, initial_value=1.0)
+        if len(model.result.scene.frames):
+            self._add_image(gui, len(model.result.scene.frames), frame)
+        with gui.add_folder("Selection"):
+            self.selection = gui.add_html(panel_html((), ()))
+            self._add_buttons(gui, not shown.is_running, shown.folder is not None)
+        self.parameters: dict[str, Any] = {}
+        if shown.run is not None:
+            with gui.add_folder("Parameters"):
+                self.parameters = {name: gui.add_number(name, value) for name, value in shown.run.parameters.items()}
+                self.compute = gui.add_button("Compute again")
+        with gui.add_folder("Segments"):
+            self.search = gui.add_text("Search", "", hint="a part of a name, or an id")
+            self.table = gui.add_html("")
+
+    def _add_image(self, gui: Any, count: int, frame: int) -> None:
+        with gui.add_folder("Images"):
+            self.frame = gui.add_slider("Frame", min=0, max=max(count - 1, 1), step=1, initial_value=frame)
+            self.opacity = gui.add_slider("Labels", min=0.0, max=1.0, step=0.05, initial_value=0.5)
+            self.image = gui.add_html("")
+            self.stand = gui.add_button("Stand at this camera")
+
+    def _add_buttons(self, gui: Any, can_correct: bool, can_write: bool) -> None:
+        self.name = gui.add_text("Name", "", hint="of the selected segment", visible=can_correct)
+        self.correct = gui.add_button_group("Correct", ("Join", "Split", "Undo"), visible=can_correct)
+        self.export = gui.add_button_group("Export", ("PLY", "PNG", "COCO"), visible=can_write)
+        self.save = gui.add_button("Save corrections", visible=can_write)
+        self.clear = gui.add_button("Clear selection")
