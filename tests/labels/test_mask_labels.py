@@ -73,6 +73,22 @@ def test_a_small_mask_gets_a_label_of_its_points_not_of_what_is_around() -> None
     assert torch.equal(labels == 1, small)
 
 
+def test_a_few_points_do_not_make_a_mask_a_part_of_something_larger() -> None:
+    """They may lie behind its object; but if nothing else shows what they belong to, they are believed."""
+    large, small = box(1, 1, 6, 6), box(1, 8, 4, 11)
+    of_large = [(r, c, 3) for r in (2, 3, 4) for c in (2, 3, 4)]
+    points_in_small = [(2, 8, 3), (2, 9, 3), (2, 10, 3)]
+    labels, next_free = labelled([large, small], of_large + points_in_small)
+    assert torch.equal(labels == 5, small)
+    assert next_free == 6
+    labels, next_free = labelled([large, small], of_large + [(r, c, 4) for r, c, _ in points_in_small])
+    assert (labels[small] == 4).all()
+    assert next_free == 5
+    enough = [(r, c, 3) for r in (1, 2, 3) for c in (8, 9, 10)]
+    labels, _ = labelled([large, small], of_large + enough)
+    assert (labels[large | small] == 3).all()
+
+
 def test_perfect_masks_come_back(scene_of) -> None:
     scene = tj.synthetic.with_network_masks(scene_of(seed=0).scene, "perfect")
     result = tj.JointSegmenter()(scene)

@@ -23,6 +23,9 @@ OUTLINE_WEIGHT = 200.0
 SPARSE = 0.2
 #: Fewer points do not decide.
 MIN_POINTS = 3
+#: So many points decide that a mask is a part of something of which the image shows more elsewhere. Fewer may be points
+#: of what lies behind the mask's object: a cloud has holes.
+ENOUGH_POINTS = 8
 
 
 class _Winners(NamedTuple):
@@ -30,7 +33,7 @@ class _Winners(NamedTuple):
 
     label: Tensor  #: [K] int64; -1 without points
     num_points: Tensor  #: [K] int64
-    decides: Tensor  #: [K] bool: the part is one object
+    decides: Tensor  #: [K] bool: the part is one object, and which one is known
 
 
 def label_masks(
@@ -39,8 +42,8 @@ def label_masks(
     """Labels an image by its masks and the points that it sees.
 
     An atom whose points agree gets their label as a whole. An atom with too few points gets the label of the smallest
-    mask around it whose points agree. Masks with next to no points keep ids of their own, from `num_segments` on. What
-    is left, atoms whose points disagree and pixels without a mask, gets labels by geodesic label propagation, where
+    mask around it whose points agree. Masks with next to no points, or with a few that are no proof, keep ids of their
+    own, from `num_segments` on. What is left, atoms whose points disagree and pixels without a mask, gets labels by geodesic label propagation, where
     outlines of masks count as boundaries.
 
     Args:
@@ -78,11 +81,12 @@ def _labels_of_atoms(seen: Observation, masks: Masks, point_labels: Tensor, firs
 
     sparse = _is_sparse(masks, mask, seen.visible.z[point])
     label = torch.where(of_atoms.decides & is_covered, of_atoms.label, -1)
-    few = (of_atoms.num_points < MIN_POINTS) & is_covered
+    few = ~of_atoms.decides & (of_atoms.num_points < ENOUGH_POINTS) & is_covered
     around = masks.smallest(of_masks.decides)
     label = torch.where(few & (around >= 0), of_masks.label[around], label)
 
-    alone = is_covered & (masks.smallest(~sparse) < 0)
+    is_known = ~sparse & (of_masks.decides | (of_masks.num_points >= ENOUGH_POINTS))
+    alone = is_covered & ((masks.smallest(~sparse) < 0) | (few & (label < 0) & (masks.smallest(is_known) < 0)))
     own = masks.smallest(torch.ones(len(masks), dtype=torch.bool))[alone]
     kept, number = torch.unique(own, return_inverse=True)
     label[alone] = first_free + number
@@ -123,4 +127,7 @@ def _winners(part: Tensor, label: Tensor, num_parts: int) -> _Winners:
     winner = torch.full((num_parts,), num_labels)
     winner.scatter_reduce_(0, of_part[is_most], (key % num_labels)[is_most], "amin")
     decides = (num_points >= MIN_POINTS) & (most >= ONE_OBJECT * num_points)
+    chosen = winner.clamp(max=num_labels - 1)
+    strongest = torch.zeros(num_labels, dtype=torch.int64).scatter_reduce_(0, chosen, most * decides, "amax")
+    decides &= (num_points >= ENOUGH_POINTS) | (most == strongest[chosen])
     return _Winners(torch.where(num_points > 0, winner, -1), num_points, decides)
