@@ -43,8 +43,8 @@ def label_masks(
 
     An atom whose points agree gets their label as a whole. An atom with too few points gets the label of the smallest
     mask around it whose points agree. Masks with next to no points, or with a few that are no proof, keep ids of their
-    own, from `num_segments` on. What is left, atoms whose points disagree and pixels without a mask, gets labels by geodesic label propagation, where
-    outlines of masks count as boundaries.
+    own, from `num_segments` on. What is left, atoms whose points disagree and pixels without a mask, gets labels by
+    geodesic label propagation, where outlines of masks count as boundaries.
 
     Args:
         seen: the frame.
