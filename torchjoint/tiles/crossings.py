@@ -1,9 +1,9 @@
 """Small superpoints on the edge between two tiles: one of the tiles decides on the whole superpoint.
 
 A point has the label of the tile that owns it. Where two tiles disagree, a superpoint of one tile would therefore end
-at the edge: of 40 points that one tile sees as a superpoint of their own, and the other as a part of the street, 15
-would be a superpoint, and 25 street. So a superpoint that both tiles see completely, and that has points of both, belongs to
-the tile that owns most of them. Its home gives it the points on the other side. On the other side, the points of a
+at the edge: of 40 points that one tile sees as a superpoint, and the other as a part of the street, 15 would be a
+superpoint, and 25 street. So a superpoint that both tiles see completely, and that has points of both, belongs to the
+tile that owns most of them. Its home gives it the points on the other side. On the other side, the points of a
 superpoint whose home is here get the labels of here.
 """
 
