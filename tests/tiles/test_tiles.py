@@ -182,7 +182,29 @@ def test_what_a_tile_sees_in_its_buffer_alone_unites_nothing():
             tile_labels(dict.fromkeys(range(10, 15), 0), last),
         ]
         found = stitched_labels(3, [(0, 1), (1, 2)], tiles_labels.__getitem__)
-        assert [labels.tolist() for labels in found] == expected
+        assert [labels.tolist() for labels in found.of_tiles] == expected
+
+
+def test_a_small_superpoint_on_an_edge_is_not_cut():
+    """Points 0-49 are of tile 0, the others of tile 1; one tile sees a street, the other a thing on it, too."""
+    street = dict.fromkeys(range(100), 0)
+    for thing, home in ((range(46, 58), 1), (range(40, 52), 0), (range(44, 56), 0)):
+        with_thing = street | dict.fromkeys(thing, 1)
+        for tile_of_thing in (0, 1):
+            seen = [with_thing, street] if tile_of_thing == 0 else [street, with_thing]
+            labels = [
+                tile_labels(shared, {point: label for point, label in shared.items() if (point >= 50) == number})
+                for number, shared in enumerate(seen)
+            ]
+            found = stitched_labels(2, [(0, 1)], labels.__getitem__)
+            whole = np.empty(100, np.int64)
+            for one, table in zip(labels, found.of_tiles, strict=True):
+                whole[one.own] = table[one.own_label]
+            whole[found.changed] = found.changed_label
+            expected = (
+                with_thing if tile_of_thing == home else street
+            )  # at its home the thing is whole, else it is gone
+            assert whole.tolist() == [expected[point] for point in range(100)], (thing, tile_of_thing)
 
 
 @pytest.mark.parametrize("size", [None, 20.0])

@@ -244,13 +244,14 @@ def _segment_shared(shared: tuple[int | None, SuperpointsConfig], task: TileTask
 def _stitch(cut: _Cut, work: Path) -> tuple[int, npt.NDArray[np.unsignedinteger]]:
     """The number of superpoints, and the label of each point, mapped from disk."""
     try:
-        of_tiles = stitched_labels(cut.num_tiles, cut.neighbors, lambda tile: read_labels(_labels_file(work, tile)))
-        count = 1 + max(int(labels.max(initial=-1)) for labels in of_tiles)
+        stitched = stitched_labels(cut.num_tiles, cut.neighbors, lambda tile: read_labels(_labels_file(work, tile)))
+        count = 1 + max(int(labels.max(initial=-1)) for labels in stitched.of_tiles)
         path, dtype = work / "labels.npy", np.dtype(np.uint32 if count <= 1 << 32 else np.uint64)
         labels = np.lib.format.open_memmap(path, "w+", dtype, (cut.num_points,))
-        for number, table in enumerate(of_tiles):
+        for number, table in enumerate(stitched.of_tiles):
             one = read_labels(_labels_file(work, number))
             labels[one.own] = table[one.own_label]
+        labels[stitched.changed] = stitched.changed_label
     except ValueError as error:
         raise ValueError(f"{error}; remove {work} and start again") from error
     del labels
