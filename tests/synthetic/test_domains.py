@@ -10,6 +10,7 @@ import torch
 
 from torchjoint import synthetic
 from torchjoint.synthetic import DOMAINS, SyntheticScene, domain_settings, make_domain_scene
+from torchjoint.synthetic.rigs import Rig
 
 pytest.importorskip("open3d")
 
@@ -135,3 +136,16 @@ def test_bad_arguments_are_named(arguments: dict, message: str) -> None:
 
 def test_is_public() -> None:
     assert {"DOMAINS", "make_domain_scene", "domain_settings", "DomainSettings"} <= set(synthetic.__all__)
+
+
+def test_no_camera_stands_in_a_high_heap() -> None:
+    class Tower:
+        """A column, 0.4 m wide and 1.2 m high."""
+
+        def clearance(self, place: np.ndarray) -> float:
+            return max(np.hypot(*place[:2]) - 0.2, place[2] - 1.2)
+
+    rig = Rig((0, 0, 0.1), (0.03, 0.03, 0.02), (0.7, 1.1), (np.radians(70), np.radians(88)), 0.0, 1.0)
+    poses = rig.poses(np.random.default_rng(0), Tower(), 8)
+    eyes = [-pose[:3, :3].T @ pose[:3, 3] for pose in poses]
+    assert min(Tower().clearance(eye) for eye in eyes) > 0.15

@@ -14,6 +14,9 @@ from torchjoint.synthetic.world import World
 #: Nothing is nearer to a camera than this, metres.
 _CLEAR = 0.15
 
+#: Distances to try if all nearer ones are taken, as multiples of the first.
+_OUTWARD = np.arange(1.1, 2.05, 0.1)
+
 
 class Cameras(Protocol):
     """Anything that places cameras."""
@@ -71,7 +74,10 @@ class Rig(NamedTuple):
     high: tuple[float, float, float] = (1e3, 1e3, 1e3)
 
     def poses(self, rng: Rng, renderer: QuickRenderer, count: int) -> list[Array]:
-        """[4, 4] world-to-camera poses: a sweep over the arc and back, not too near to anything."""
+        """[4, 4] world-to-camera poses: a sweep over the arc and back, not too near to anything.
+
+        A place that is too near to something is first moved towards the target, then away from it.
+        """
         phase, swings = rng.uniform(-np.pi, np.pi), rng.uniform(0.4, 1.2)
         part = np.linspace(-1, 1, count) if count > 1 else rng.uniform(-1, 1, 1)
         wave = np.sin(phase + swings * np.pi * part)
@@ -87,6 +93,9 @@ class Rig(NamedTuple):
                 eye = np.clip(np.asarray(self.target) + out * away, self.low, self.high)
                 if renderer.clearance(eye) > _CLEAR:
                     break
+            else:  # going nearer only led into a high heap: out of it again
+                ways = (np.clip(self.target + out * step * reach, self.low, self.high) for step in _OUTWARD)
+                eye = next((way for way in ways if renderer.clearance(way) > _CLEAR), eye)
             poses.append(look_at(eye, target, float(rng.normal(0, 0.04))))
         return poses
 
