@@ -79,8 +79,9 @@ def workers(folder: Path, rounds: int) -> None:
                 cpu.append(sum(outcome.value for outcome in outcomes))
             one_worker, two_workers = seconds
             print(
-                f"1 worker {one_worker:.1f} s ({cpu[0]:.1f} CPU s), 2 workers {two_workers:.1f} s ({cpu[1]:.1f} CPU s): "
-                f"{one_worker / two_workers:.2f} times",
+                f"1 worker: {one_worker:.1f} s, {cpu[0]:.1f} CPU s; "
+                f"2 workers: {two_workers:.1f} s, {cpu[1]:.1f} CPU s; "
+                f"{one_worker / two_workers:.2f} times as fast",
                 flush=True,
             )
 
