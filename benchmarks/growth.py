@@ -167,6 +167,8 @@ def plot(points: list[dict], frames: list[dict]) -> None:
 
     figure, axes = plt.subplots(2, 2, figsize=(9, 6), layout="constrained")
     for column, (records, name) in enumerate(((frames, "frames"), (points, "points"))):
+        if not records:
+            continue
         counts = [one["count"] for one in records]
         for row, (key, label) in enumerate((("gb", "memory, GB"), ("work", "processor time, s"))):
             axis = axes[row, column]
