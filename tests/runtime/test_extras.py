@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 import torch
@@ -49,3 +51,12 @@ def test_a_package_that_does_not_load_is_not_called_missing():
         needed_for("fusing", "Open3D", "torchjoint[open3d]"),
     ):
         raise ImportError("libusb-1.0.so.0: cannot open shared object file")
+
+
+def test_only_the_extra_viewer_brings_the_viewer():
+    pyproject = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
+    extras = {"": pyproject["project"]["dependencies"], **pyproject["project"]["optional-dependencies"]}
+    bringing = {extra for extra, needed in extras.items() if any(re.match("viser|plotly", name) for name in needed)}
+    assert bringing == {"viewer"}
+    through = {extra for extra, needed in extras.items() if any("[" in name and "viewer" in name for name in needed)}
+    assert through == {"all"}

@@ -154,6 +154,8 @@ def test_wrong_arguments_are_named(scene):
         tj.synthetic.with_network_masks(scene, "hard", -1)
     with pytest.raises(ValueError, match="scene: expected a true image for each of 2 frames, got 0"):
         tj.synthetic.with_network_masks(replace(scene, truth=None), "hard")
+    with pytest.raises(TypeError, match=r"scene: expected a Scene, such as make_scene.*got NoneType"):
+        tj.synthetic.with_network_masks(None, "hard")
     with pytest.raises(ValueError, match=r"labels: expected shape \[H, W\], got \[4\]"):
         tj.synthetic.make_network_masks(torch.zeros(4, dtype=torch.int64), "hard")
 

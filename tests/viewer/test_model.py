@@ -277,3 +277,25 @@ def test_segments_keep_their_numbers():
     # 0 and 1 share two points each with 7 and 2; 2 is what 4 was; 3 is new and gets the lowest number that is free.
     assert kept_numbers(torch.tensor([0, 0, 1, 1, 1, 2]), before).tolist() == [7, 2, 4]
     assert kept_numbers(torch.tensor([0, 0, 3, 1, 1, 2]), before).tolist() == [7, 2, 4, 0]
+
+
+def test_looking_at_a_run_takes_a_bounded_share_of_its_time(monkeypatch):
+    pytest.importorskip("viser")
+    from types import SimpleNamespace
+
+    from torchjoint.viewer import live
+
+    clock, looks = [0.0], []
+
+    class Look(live.LiveView):
+        def _show(self, segmenter, scene):
+            looks.append(clock[0])
+            clock[0] += 2.0
+            self.viewer = SimpleNamespace(tell=lambda note: None)
+
+    monkeypatch.setattr(live.time, "monotonic", lambda: clock[0])
+    view, segmenter = Look(), SimpleNamespace(state=SimpleNamespace(observations=()))
+    for _ in range(60):
+        view(segmenter, tj.Scene(torch.rand(3, 3)))
+        clock[0] += 1.0
+    assert looks == [0, 3, 23, 43, 63]  # the page; the first labels of images; then 2 of each 20 seconds

@@ -70,6 +70,11 @@ def test_errors(run, out, tmp_path, arguments, message):
     assert not (tmp_path / "page.html").exists()
 
 
+def test_what_is_not_there_is_told(run, tmp_path):
+    with pytest.raises(SystemExit, match=r"out: .*nothing does not exist"):
+        run("show", tmp_path / "nothing")
+
+
 def test_without_viser_it_says_what_to_install(run, out, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(SystemExit, match=r"the viewer needs viser: pip install 'torchjoint\[viewer\]'"):

@@ -32,27 +32,14 @@ from torchjoint.runtime.files import write_text
 
 TABLE, SCORES, PICTURE, SETTINGS = "table.md", "scores.csv", "scores.png", "settings.yaml"
 
+SuiteName = Literal[
+    "masks", "synthetic", "sparse", "mosd", "kitti", "scannet",
+    "table", "shelf", "bin", "desk", "kitchen", "room", "workshop", "street",
+]  # fmt: skip
+
 
 def benchmark(
-    suite: Annotated[
-        Literal[
-            "masks",
-            "synthetic",
-            "sparse",
-            "mosd",
-            "kitti",
-            "scannet",
-            "table",
-            "shelf",
-            "bin",
-            "desk",
-            "kitchen",
-            "room",
-            "workshop",
-            "street",
-        ],
-        tyro.conf.Positional,
-    ],
+    suite: Annotated[SuiteName, tyro.conf.Positional],
     data: Path | None = None,
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     methods: tuple[str, ...] = (),
@@ -115,15 +102,20 @@ def benchmark(
     if not rows:
         raise ValueError(f"--data: none of the {half} scenes has a truth to compare with")
     text = report(rows, kind, half)
-    write_plot(out / PICTURE, rows, _title)
     names = dict.fromkeys(method.like or method.name for method in chosen)
     write_settings(out / SETTINGS, {name: used[name] for name in names if name in used}, f"suite {suite}")
-    by_scene = "\n\n".join(method_table(rows, space, _title) for space in dict.fromkeys(row.space for row in rows))
-    write_text(out / TABLE, f"{text}\n\n{by_scene}\n")
-    print(f"\n{by_scene}\n\n{text}\n\nwritten to {out}: {TABLE}, {SCORES}, {PICTURE}, {SETTINGS}")
+    _write_tables(out, rows, text)
     if page is not None:
         _fill(page, f"benchmark {suite}", text)
         print(f"and to {page}")
+
+
+def _write_tables(out: Path, rows: list[Row], text: str) -> None:
+    """Writes the picture, and the table of all scenes with one of each scene, which is printed too."""
+    write_plot(out / PICTURE, rows, _title)
+    by_scene = "\n\n".join(method_table(rows, space, _title) for space in dict.fromkeys(row.space for row in rows))
+    write_text(out / TABLE, f"{text}\n\n{by_scene}\n")
+    print(f"\n{by_scene}\n\n{text}\n\nwritten to {out}: {TABLE}, {SCORES}, {PICTURE}, {SETTINGS}")
 
 
 def _benchmark_masks(

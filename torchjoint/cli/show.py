@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import webbrowser
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +22,7 @@ from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
 
 if TYPE_CHECKING:
+    from torchjoint.viewer.app import Viewer
     from torchjoint.viewer.live import LiveView
 
 
@@ -36,7 +38,7 @@ def show(
 ) -> None:
     """Shows a result in the browser: cloud, images, a table of segments, levels, and corrections by hand.
 
-    Needs `pip install 'torchjoint[viewer]'`; --static does not. Ctrl-C ends it.
+    Needs `pip install 'torchjoint[viewer]'`. Ctrl-C ends it.
 
     Args:
         out: folder that `torchjoint segment` wrote; or labelled points: a .ply or .npz of `torchjoint superpoints`.
@@ -51,6 +53,8 @@ def show(
     if up is not None and not any(up):
         raise ValueError("--up: expected a direction, got 0 0 0")
     direction = None if up is None else torch.tensor(up, dtype=torch.float64)
+    if not out.exists():
+        raise FileNotFoundError(f"out: {out} does not exist")
     is_folder = not out.is_file()
     result = _read(out, truth)
     if granularity is not None:
@@ -79,7 +83,7 @@ def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, sce
         return
     from torchjoint.viewer.parameters import LiveRun
 
-    view.finish(out, LiveRun(segmenter, scene)).wait()
+    _serve_until_interrupted(view.finish(out, LiveRun(segmenter, scene)))
 
 
 def _read(out: Path, truth: bool) -> Result:
@@ -123,7 +127,12 @@ def _serve(
 
     viewer = Viewer(result, Shown(folder), granularity=granularity, up=up, host=host, port=port)
     _open_page(viewer.url, open_browser)
-    viewer.wait()
+    _serve_until_interrupted(viewer)
+
+
+def _serve_until_interrupted(viewer: Viewer) -> None:
+    with suppress(KeyboardInterrupt):  # which is how the page is meant to be ended
+        viewer.wait()
 
 
 def _open_page(url: str, in_browser: bool = True) -> None:

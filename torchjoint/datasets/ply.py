@@ -5,7 +5,6 @@ Each number of the file is accounted for: what is cut, too long or not a number 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +14,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.ply_header import Element, PlyHeader, parse_header
+from torchjoint.datasets.ply_ascii import read_ascii
+from torchjoint.datasets.ply_header import Element, PlyHeader, list_arrays, parse_header
 from torchjoint.runtime.files import atomic_write
 
 Array = npt.NDArray[Any]
@@ -67,7 +67,7 @@ def _read_elements(path: Path) -> dict[str, Mapping[str, Array]]:
     data = path.read_bytes()
     try:
         header = parse_header(data)
-        return _read_ascii(data, header) if header.encoding == "ascii" else _read_binary(data, header)
+        return read_ascii(data, header) if header.encoding == "ascii" else _read_binary(data, header)
     except (ValueError, OverflowError) as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -139,7 +139,7 @@ def _rows_with_lists(data: bytes, place: int, element: Element, header: PlyHeade
         for name in element.names:
             columns[name].append(row[name])
         place += row.nbytes
-    return _arrays(columns, element), place
+    return list_arrays(columns, element), place
 
 
 def _one_row(data: bytes, place: int, element: Element, header: PlyHeader) -> tuple[bytes, np.dtype[Any], int, int]:
@@ -171,102 +171,6 @@ def _check_rest(data: bytes, place: int, size: int, element: Element) -> None:
             f"truncated: {element.rows} of element {element.name} need {size} bytes at byte {place}, "
             f"got {max(0, len(data) - place)}"
         )
-
-
-def _read_ascii(data: bytes, header: PlyHeader) -> dict[str, Mapping[str, Array]]:
-    body = data[header.size :]
-    text = body.rstrip() + b"\n"
-    ends, words = _lines(text) if body.strip() else (np.empty(0, np.int64), np.empty(0, np.int64))
-    expected = sum(element.rows for element in header.elements if element.properties)
-    if len(ends) != expected:
-        counts = ", ".join(f"{element.rows} of {element.name}" for element in header.elements)
-        raise ValueError(f"truncated, or too long: expected {expected} lines ({counts}), got {len(ends)}")
-    if body and not body.endswith(b"\n"):
-        raise ValueError("truncated: expected a line break after the last number, which may be cut off")
-    place, start = 0, 0
-    elements: dict[str, Mapping[str, Array]] = {}
-    for element in header.elements:
-        if not element.properties:
-            continue
-        rows = slice(place, place + element.rows)
-        end = int(ends[rows.stop - 1]) if element.rows else start
-        if element.lists:
-            elements[element.name] = _ascii_lists(text[start:end].splitlines(), element)
-        else:
-            elements[element.name] = _ascii_rows(text[start:end], words[rows], element)
-        place, start = rows.stop, end
-    return elements
-
-
-def _lines(text: bytes) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """The end of each line, behind its line break, and the number of words in it."""
-    characters = np.frombuffer(text, np.uint8)
-    is_space = (characters == 32) | ((characters >= 9) & (characters <= 13))
-    begins = ~is_space & np.concatenate([[True], is_space[:-1]])
-    ends = np.flatnonzero(characters == 10) + 1
-    counted = np.searchsorted(np.flatnonzero(begins), ends)
-    return ends, np.diff(counted, prepend=0)
-
-
-def _ascii_rows(text: bytes, words: npt.NDArray[np.int64], element: Element) -> dict[str, Array]:
-    columns = len(element.properties)
-    wrong = np.flatnonzero(words != columns)
-    if len(wrong):
-        raise ValueError(
-            f"element {element.name}: expected {columns} numbers in row {wrong[0]}, got {words[wrong[0]]} words"
-        )
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # about what is no number, with an older NumPy
-            values = np.fromstring(text.decode("ascii", errors="replace"), np.float64, sep=" ")
-    except (ValueError, DeprecationWarning) as error:
-        raise ValueError(f"element {element.name}: a word is no number: {error}") from error
-    if len(values) != element.rows * columns:
-        raise ValueError(f"element {element.name}: {len(values)} numbers in {element.rows * columns} words")
-    table = values.reshape(-1, columns)
-    return {one.name: _converted(table[:, place], one.kind, one.name) for place, one in enumerate(element.properties)}
-
-
-def _ascii_lists(lines: list[bytes], element: Element) -> dict[str, Array]:
-    columns: dict[str, list[Any]] = {name: [] for name in element.names}
-    for line in lines:
-        if b"_" in line:  # Python reads 1_0 as 10
-            raise ValueError(f"element {element.name}: expected numbers, got {line[:80]!r}")
-        words, place = [float(word) for word in line.split()], 0
-        for one in element.properties:
-            length = 1
-            if one.length is not None:
-                length = int(_converted(np.array(words[place : place + 1]), one.length, one.name)[0])
-                place += 1
-            if not 0 <= length <= len(words) - place:
-                raise ValueError(f"element {element.name}: expected {length} numbers of {one.name} in {line[:80]!r}")
-            values = _converted(np.array(words[place : place + length]), one.kind, one.name)
-            columns[one.name].append(values if one.length is not None else values[0])
-            place += length
-        if place != len(words):
-            raise ValueError(f"element {element.name}: expected {place} numbers in {line[:80]!r}")
-    return _arrays(columns, element)
-
-
-def _arrays(columns: Mapping[str, list[Any]], element: Element) -> dict[str, Array]:
-    """An array for each property; lists are objects."""
-    arrays = {}
-    for one in element.properties:
-        arrays[one.name] = np.empty(len(columns[one.name]), dtype=one.kind if one.length is None else object)
-        arrays[one.name][:] = columns[one.name]
-    return arrays
-
-
-def _converted(values: npt.NDArray[np.float64], kind: str, name: str) -> Array:
-    """Numbers from text in the type of their property; integers must fit into it."""
-    dtype = np.dtype(kind)
-    if dtype.kind == "f":
-        with np.errstate(over="ignore"):
-            return values.astype(dtype)
-    limits = np.iinfo(dtype)
-    if not len(values) or ((values >= limits.min) & (values <= limits.max) & (values == np.floor(values))).all():
-        return values.astype(dtype)
-    raise ValueError(f"property {name}: expected integers of {dtype.itemsize * 8} bits")
 
 
 def _assembled(elements: Mapping[str, Mapping[str, Array]]) -> Ply:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from torchjoint.datasets.text import parse_integer
 
@@ -109,3 +110,12 @@ def _property(words: list[str]) -> Property | None:
         count = _KINDS[words[2]]
         return Property(words[4], _KINDS[words[3]], count) if count[0] in "iu" else None
     return None
+
+
+def list_arrays(columns: Mapping[str, list[Any]], element: Element) -> dict[str, npt.NDArray[Any]]:
+    """An array for each property; lists are objects."""
+    arrays = {}
+    for one in element.properties:
+        arrays[one.name] = np.empty(len(columns[one.name]), dtype=one.kind if one.length is None else object)
+        arrays[one.name][:] = columns[one.name]
+    return arrays

@@ -100,8 +100,11 @@ def with_network_masks(scene: Scene, level: str, seed: int = 0) -> Scene:
         seed: decides the errors, together with the number of the frame in this scene.
 
     Raises:
+        TypeError: not a scene.
         ValueError: an unknown level, a negative seed, or a scene without a true image for each frame.
     """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: expected a Scene, such as make_scene(...).scene, got {type(scene).__name__}")
     truths = scene.truth.images if scene.truth is not None else ()
     if len(truths) != len(scene.frames):
         raise ValueError(f"scene: expected a true image for each of {len(scene.frames)} frames, got {len(truths)}")

@@ -25,7 +25,7 @@ from torchjoint.viewer.parameters import LiveRun
 from torchjoint.viewer.server import import_viser
 from torchjoint.viewer.shown import Shown
 
-#: Share of a run's time that goes into the labels so far, at most, apart from the first ones.
+#: Share of a run's time that goes into the labels so far, at most, once the page is open and has labels of images.
 SHARE = 0.1
 
 
@@ -61,9 +61,11 @@ class LiveView:
         """Shows the labels so far, if it is time."""
         start = time.monotonic()
         if start >= self._next:
+            is_first = self.viewer is None
             self._show(segmenter, scene)
-            end = time.monotonic()
-            self._next = end + (end - start) * (1 / self._share - 1)
+            if not is_first:  # that opened the page, before the first frame
+                end = time.monotonic()
+                self._next = end + (end - start) * (1 / self._share - 1)
         if self.viewer is not None:
             seen, count = len(segmenter.state.observations), len(scene.frames)
             self.viewer.tell(f"running: {seen} of {count} frames; labels of {self._labelled}")
