@@ -30,3 +30,11 @@ def write_truth(folder, synthetic):
     np.save(folder / "cloud.truth.npy", synthetic.point_labels.numpy())
     for index, labels in enumerate(synthetic.image_labels):
         Image.fromarray((labels.numpy() + 1).astype(np.uint16)).save(folder / f"frame-{index * 5:06d}.truth.png")
+
+
+def write_scans(folder, scene):
+    """Writes three recordings of one scene, a, b and c, without depth, and returns their folder."""
+    folder.mkdir()
+    for name in ("a", "b", "c"):
+        write_folder(folder / name, scene, depth=False)
+    return folder

@@ -6,7 +6,7 @@ from concurrent.futures import Future
 import joblib
 import pytest
 import torch
-from folder_files import write_folder
+from folder_files import write_scans
 
 import torchjoint as tj
 from torchjoint.engine import Engine, tasks_on_machine
@@ -55,10 +55,7 @@ class HereEngine(Engine):
 
 @pytest.fixture(scope="module")
 def scans(scene_of, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("scans") / "scans"
-    folder.mkdir()
-    for name in ("a", "b", "c"):
-        write_folder(folder / name, scene_of(2), depth=False)
+    folder = write_scans(tmp_path_factory.mktemp("scans") / "scans", scene_of(2))
     (folder / "b" / "cloud.ply").write_text("no cloud")
     return folder
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import psutil
 import pytest
 import yaml
-from folder_files import write_folder
+from folder_files import write_scans
 
 import torchjoint as tj
 
@@ -31,11 +31,7 @@ ENGINES = ["loky:2", "dask:2", "ray:2"]
 
 @pytest.fixture(scope="module")
 def scans(scene_of, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("scans") / "scans"
-    folder.mkdir()
-    for name in ("a", "b", "c"):
-        write_folder(folder / name, scene_of(2), depth=False)
-    return folder
+    return write_scans(tmp_path_factory.mktemp("scans") / "scans", scene_of(2))
 
 
 @pytest.fixture

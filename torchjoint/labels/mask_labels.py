@@ -85,6 +85,7 @@ def _labels_of_atoms(seen: Observation, masks: Masks, point_labels: Tensor, firs
     around = masks.smallest(of_masks.decides)
     label = torch.where(few & (around >= 0), of_masks.label[around], label)
 
+    # A mask of which too little is known stays apart: it must not be swallowed by what is around it.
     is_known = ~sparse & (of_masks.decides | (of_masks.num_points >= ENOUGH_POINTS))
     alone = is_covered & ((masks.smallest(~sparse) < 0) | (few & (label < 0) & (masks.smallest(is_known) < 0)))
     own = masks.smallest(torch.ones(len(masks), dtype=torch.bool))[alone]
