@@ -8,7 +8,8 @@ from torch import Tensor
 
 import torchjoint as tj
 from torchjoint.points.mask_evidence import masks_of_pieces
-from torchjoint.scene import Masks
+from torchjoint.points.mask_majority import move_to_majority
+from torchjoint.scene import Hierarchy, Masks
 from torchjoint.views.observation import Observation
 
 
@@ -123,3 +124,34 @@ def test_a_part_in_its_whole_is_a_finer_level() -> None:
     assert share_of_one_label(left) > 0.9
     assert share_of_one_label(right) > 0.9
     assert left.mode().values != right.mode().values
+
+
+CHAIN = torch.stack([torch.arange(5), torch.arange(1, 6)])
+HALVES = torch.tensor([[[True, True, True, False, False, False]], [[False, False, False, True, True, True]]])
+
+
+def moved(seen, piece: list[int], stacks: list[Tensor], edges: Tensor = CHAIN) -> list[int]:
+    """Six points in a chain, each in a pixel of its own; the pieces are the segments."""
+    number = torch.tensor(piece)
+    hierarchy = Hierarchy(number, torch.empty(0, 2, dtype=torch.int64), torch.empty(0, dtype=torch.float64))
+    frames = [with_masks(seen(range(6), range(6)), Masks.from_stack(stack)) for stack in stacks]
+    frames.insert(1, seen(range(6), range(6)))  # without masks: does not count
+    masks = masks_of_pieces(number, frames)
+    assert masks is not None
+    return move_to_majority(hierarchy, edges, masks, frames).piece.tolist()
+
+
+def test_a_point_moves_to_where_most_frames_see_it(seen) -> None:
+    nothing = torch.zeros(0, 1, 6, dtype=torch.bool)
+    assert moved(seen, [0, 0, 0, 0, 1, 1], [HALVES]) == [0, 0, 0, 1, 1, 1]
+    assert moved(seen, [0, 0, 0, 0, 1, 1], [nothing, HALVES, HALVES]) == [0, 0, 0, 1, 1, 1]
+    assert moved(seen, [0, 0, 0, 0, 1, 1], [nothing, HALVES]) == [0, 0, 0, 0, 1, 1]  # half of the frames are not most
+    smaller = torch.cat([HALVES, HALVES[:1]])
+    smaller[2, 0, 2] = False
+    assert moved(seen, [0, 0, 0, 0, 1, 1], [smaller]) == [0, 0, 0, 1, 1, 1]  # nested masks stand for one region
+
+
+def test_a_point_moves_only_to_a_neighbour_and_no_piece_is_lost(seen) -> None:
+    apart = torch.tensor([[0, 1, 2, 4], [1, 2, 3, 5]])
+    assert moved(seen, [0, 0, 0, 0, 1, 1], [HALVES], apart) == [0, 0, 0, 0, 1, 1]
+    assert moved(seen, [0, 0, 0, 1, 2, 2], [HALVES]) == [0, 0, 0, 1, 2, 2]

@@ -83,7 +83,9 @@ class MaskLinkage:
     def crumbs(self, of_piece: Tensor, ends: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
         """The merges that join small regions that no mask confirms, to a neighbour each; arguments as before."""
         tables = size, in_mask, in_frame, *_ = self._tables(of_piece)
-        stays = _best_overlaps(self.masks, in_mask, in_frame, len(size)) >= CONFIRMED
+        best = torch.zeros(len(size), dtype=torch.float64)
+        best.scatter_reduce_(0, in_mask[0], overlaps(self.masks, in_mask, in_frame), "amax")
+        stays = best >= CONFIRMED
         return ops.mask_merges(ends, cost, *tables, APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE)
 
     def _tables(self, of_piece: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -114,12 +116,20 @@ def _share_against(masks: MaskEvidence, in_mask: Tensor, in_frame: Tensor, size:
     return float((against * size[has_votes]).sum() / size[has_votes].sum())
 
 
-def _best_overlaps(masks: MaskEvidence, in_mask: Tensor, in_frame: Tensor, num_regions: int) -> Tensor:
-    """The best overlap (intersection over union) of each region with a mask: [R] float64, 0 without masks."""
-    region, mask, count = in_mask
+def overlaps(masks: MaskEvidence, in_mask: Tensor, in_frame: Tensor) -> Tensor:
+    """The overlap (intersection over union) of each row (region, mask, points), in points that the frame sees.
+
+    Args:
+        masks: the masks.
+        in_mask: [3, K] int64, and
+        in_frame: [3, J] int64, as :meth:`MaskEvidence.of_regions` gives them.
+
+    Returns:
+        [K] float64.
+    """
+    _, mask, count = in_mask
     in_whole_mask = sum_by(mask, count, len(masks.weight))[mask]
-    overlap = count.double() / (_seen_with(masks, in_mask, in_frame) + in_whole_mask - count)
-    return torch.zeros(num_regions, dtype=torch.float64).scatter_reduce_(0, region, overlap, "amax")
+    return count.double() / (_seen_with(masks, in_mask, in_frame) + in_whole_mask - count)
 
 
 def _seen_with(masks: MaskEvidence, in_mask: Tensor, in_frame: Tensor) -> Tensor:

@@ -15,6 +15,7 @@ from torchjoint.points.evidence import gather_evidence
 from torchjoint.points.graph import PointGraph
 from torchjoint.points.image_support import best_overlaps
 from torchjoint.points.lidar.scan_segments import segment_scan
+from torchjoint.points.mask_majority import move_to_majority
 from torchjoint.points.occlusion_bridging import bridge
 from torchjoint.points.orientation import orient_normals
 from torchjoint.points.pieces import piece_disagreement
@@ -71,7 +72,11 @@ def point_hierarchy(graph: PointGraph, state: JointState, config: Config) -> Hie
     """
     if graph.scales is None:
         raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
-    return build_hierarchy(gather_evidence(graph, graph.scales, state, config), load_boundary_model())
+    evidence = gather_evidence(graph, graph.scales, state, config)
+    hierarchy = build_hierarchy(evidence, load_boundary_model())
+    if evidence.masks is None:
+        return hierarchy
+    return move_to_majority(hierarchy, graph.edge_index, evidence.masks, state.observations)
 
 
 def by_edges(graph: PointGraph, normals: Tensor, oriented: Tensor, r: Tensor | None, config: Config) -> Tensor:

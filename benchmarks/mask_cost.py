@@ -1,0 +1,143 @@
+"""What the merging by masks costs for many pieces and many frames: `python benchmarks/mask_cost.py`.
+
+Pieces stand on a floor, PER_OBJECT neighbours make an object, and a camera walks over the floor. Each frame sees the
+pieces of a disc, whose area is a share of the floor's, and its masks are the objects there, some split in two, some
+joined, some missing. So the counts are those of a recording, without its images. Each row is a process of its own:
+the size of the counts, the time of the merging in the model's steps, and the largest resident memory above what the
+process took before the counts. Writes its part of benchmarks/README.md.
+"""
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import report
+import torch
+from scipy.spatial import cKDTree
+
+from torchjoint import ops
+from torchjoint.ops.mask_merges import WEIGHT_UNIT
+from torchjoint.points.mask_evidence import MaskEvidence
+from torchjoint.points.mask_merging import MaskLinkage
+
+PER_OBJECT, NEIGHBORS, POINTS_PER_PIECE = 12, 6, 30
+SPLIT, JOINED, MISSING = 0.3, 0.08, 0.15
+THRESHOLDS = (0.1, 0.3, 0.5)
+#: (pieces, frames, share of the floor that a frame sees)
+ROWS = ((1_000, 150, 0.2), (10_000, 150, 0.05), (10_000, 1_500, 0.01), (10_000, 1_500, 0.05), (10_000, 1_500, 0.2))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--one", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.one:
+        pieces, frames, share = arguments.one.split(",")
+        print(json.dumps(measure(int(pieces), int(frames), float(share))))
+        return
+    rows = []
+    for row in ROWS:
+        command = [sys.executable, __file__, "--one", ",".join(map(str, row))]
+        output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+        measured = json.loads(output.splitlines()[-1])
+        print(row, measured, flush=True)
+        pieces, frames, share = row
+        cells = [f"{pieces:,}", f"{frames:,}", f"{share:.0%}", f"{measured['rows'] / 1e6:.2f}"]
+        cells += [f"{measured['far']:,}", f"{measured['regions']:,}"]
+        rows.append(
+            [*cells, f"{measured['touching']:.1f}", f"{measured['all pairs']:.1f}", f"{measured['memory']:.2f}"]
+        )
+    columns = ["pieces", "frames", "seen by a frame", "million counts", "pairs that do not touch", "regions at the end"]
+    columns += ["s, touching", "s, all pairs", "GB"]
+    report.write_part("mask cost", report.table(columns, rows))
+
+
+def measure(num_pieces: int, num_frames: int, share: float) -> dict[str, float]:
+    """Sizes, seconds and memory of one row."""
+    random = np.random.default_rng(0)
+    place = random.random((num_pieces, 2))
+    of_object = cKDTree(random.random((num_pieces // PER_OBJECT, 2))).query(place)[1]
+    before = memory("VmRSS")
+    masks = counts(place, of_object, num_frames, share, random)
+    linkage = MaskLinkage(masks, torch.full((num_pieces,), POINTS_PER_PIECE))
+    near = cKDTree(place).query(place, NEIGHBORS + 1)[1][:, 1:]
+    ends = torch.from_numpy(np.stack([np.repeat(np.arange(num_pieces), NEIGHBORS), near.ravel()]))
+    ends = torch.unique(ends.sort(0).values, dim=1)
+    cost = torch.from_numpy(random.random(ends.shape[1], dtype=np.float32))
+
+    region, started = torch.arange(num_pieces), time.perf_counter()
+    for threshold in THRESHOLDS:
+        region = merged(linkage, region, ends, cost, threshold)
+    touching = time.perf_counter() - started
+    far = linkage.far_pairs(region)
+    region = merged(linkage, region, ends, cost, THRESHOLDS[-1], far)
+    seconds = time.perf_counter() - started
+    return {
+        "rows": masks.in_mask.shape[1] + masks.in_frame.shape[1],
+        "far": far.shape[1],
+        "regions": int(region.max()) + 1,
+        "touching": touching,
+        "all pairs": seconds,
+        "memory": memory("VmHWM") - before,
+    }
+
+
+def merged(
+    linkage: MaskLinkage,
+    of_piece: torch.Tensor,
+    ends: torch.Tensor,
+    cost: torch.Tensor,
+    threshold: float,
+    far: torch.Tensor | None = None,
+) -> torch.Tensor:
+    """The regions of the pieces after a step of the merging."""
+    between = of_piece[ends]
+    across = between[0] != between[1]
+    between, cost = between[:, across], cost[across]
+    if far is not None:
+        between = torch.cat([between, far], 1)
+        cost = torch.cat([cost, torch.ones(far.shape[1])])
+    joined, _ = linkage.merges(of_piece, between, cost, threshold)
+    num_regions = int(of_piece.max()) + 1
+    return ops.felzenszwalb(joined, torch.zeros(joined.shape[1]), num_regions, scale=1.0)[of_piece]
+
+
+def counts(
+    place: np.ndarray, of_object: np.ndarray, num_frames: int, share: float, random: np.random.Generator
+) -> MaskEvidence:
+    """What the frames of a walk over the floor see of the pieces, and of the objects' masks."""
+    tree, radius = cKDTree(place), (share / np.pi) ** 0.5
+    walk = np.cumsum(random.normal(0, 0.05, (num_frames, 2)), 0)
+    center = 1 - np.abs(np.mod(walk, 2) - 1)  # reflected at the walls
+    in_mask, in_frame, frame_of_mask, num_masks = [], [], [], 0
+    for frame, seen in enumerate(tree.query_ball_point(center, radius)):
+        piece = np.sort(np.array(seen, dtype=np.int64))
+        if not len(piece):
+            continue
+        objects, mask = np.unique(of_object[piece], return_inverse=True)
+        joins = random.random(len(objects)) < JOINED
+        mask = np.where(joins[mask], np.maximum(mask - 1, 0), mask)
+        splits = (random.random(len(objects)) < SPLIT)[mask] & (random.random(len(piece)) < 0.5)
+        mask = np.unique(mask + len(objects) * splits, return_inverse=True)[1]
+        kept = ~(random.random(mask.max() + 1) < MISSING)[mask]
+        points = random.integers(POINTS_PER_PIECE // 4, POINTS_PER_PIECE, len(piece))
+        in_frame.append(np.stack([piece, np.full(len(piece), frame), points]))
+        in_mask.append(np.stack([piece, num_masks + mask, points])[:, kept])
+        frame_of_mask.append(np.full(mask.max() + 1, frame))
+        num_masks += mask.max() + 1
+    tables = (torch.from_numpy(np.concatenate(rows, 1)) for rows in (in_mask, in_frame))
+    return MaskEvidence(*tables, torch.full((num_masks,), WEIGHT_UNIT), torch.from_numpy(np.concatenate(frame_of_mask)))
+
+
+def memory(name: str) -> float:
+    """VmRSS, resident now, or VmHWM, the largest so far; GB."""
+    return int(re.search(rf"{name}:\s*(\d+) kB", Path("/proc/self/status").read_text())[1]) * 1024 / 1e9
+
+
+if __name__ == "__main__":
+    main()
