@@ -97,3 +97,8 @@ def test_superpoints_of_numpy_arrays_are_a_numpy_array(scene_of, dtype):
     labels = tj.superpoints(points, colors)
     assert isinstance(labels, np.ndarray)
     np.testing.assert_array_equal(labels, tj.superpoints(torch.tensor(points), torch.from_numpy(colors)))
+
+
+def test_python_m_torchjoint_is_the_command() -> None:
+    command = [sys.executable, "-m", "torchjoint", "--version"]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == f"torchjoint {tj.__version__}\n"
