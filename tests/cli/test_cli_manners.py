@@ -101,4 +101,5 @@ def test_superpoints_of_numpy_arrays_are_a_numpy_array(scene_of, dtype):
 
 def test_python_m_torchjoint_is_the_command() -> None:
     command = [sys.executable, "-m", "torchjoint", "--version"]
-    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == f"torchjoint {tj.__version__}\n"
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert printed == f"torchjoint {tj.__version__}\n"
