@@ -224,11 +224,11 @@ def _faces(elements: Mapping[str, Mapping[str, Array]], num_points: int) -> Tens
         return None
     if lists.dtype != object:  # all of one length
         corners = lists.reshape(len(lists), -1)
-        stacked = np.empty((len(lists), max(corners.shape[1] - 2, 0), 3), np.int64)
-        for k in range(stacked.shape[1]):
+        triangles = np.empty((len(lists), max(corners.shape[1] - 2, 0), 3), np.int64)
+        for k in range(triangles.shape[1]):
             for place, corner in enumerate((0, k + 1, k + 2)):
-                stacked[:, k, place] = corners[:, corner]
-        stacked = stacked.reshape(-1, 3)
+                triangles[:, k, place] = corners[:, corner]
+        stacked = triangles.reshape(-1, 3)
     else:
         cut = [[one[0], one[k], one[k + 1]] for one in lists for k in range(1, len(one) - 1)]
         stacked = np.array(cut, dtype=np.int64).reshape(-1, 3)
