@@ -5,15 +5,17 @@ an earlier result. Each run is killed (SIGKILL) in a random stage, and again wit
 is left to end. All files must then be those of a run that nobody disturbed, byte for byte (except for the seconds in
 run.yaml), and nothing else may be left beside them.
 
-    python benchmarks/kills.py --kills 100
+    python benchmarks/kills.py --kills 100 --state kills.json
 
-The package is imported once, and each run is a fork (of a process that has run nothing of it: a fork of threads may
-hang). Prints how often which stage was hit.
+With --state an interrupted campaign goes on where it was; kills are counted when their result has ended well. The
+package is imported once, and each run is a fork (of a process that has run nothing of it: a fork of threads may hang).
+Prints how often which stage was hit.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import random
 import shutil
@@ -24,11 +26,13 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from torchjoint.cli import main
 from torchjoint.results.output_folder import COMPLETE, PLACING
+from torchjoint.runtime.files import write_text
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -107,55 +111,70 @@ def stage(out: Path) -> str:
 def kill(process: int, out: Path, seconds: float, rng: random.Random) -> bool:
     """Kills a run soon after a random stage has begun; False if it had ended before.
 
-    Times that are uniform over the run would nearly all fall into the longest stage.
+    Times that are uniform over the run would nearly all fall into the longest stage; with a logarithm that is uniform,
+    from a ten-thousandth of a quarter of the run on, stages of milliseconds are hit, too.
     """
     wanted, end = rng.randrange(len(STAGES)), time.monotonic() + 20 * seconds
     while STAGES.index(stage(out)) < wanted and time.monotonic() < end:
         if os.waitid(os.P_PID, process, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
             break
         time.sleep(0.001)
-    time.sleep(rng.random() ** 3 * seconds / 4)
+    time.sleep(10 ** -rng.uniform(0, 4) * seconds / 4)
     os.kill(process, signal.SIGKILL)
     return os.waitpid(process, 0)[1] == signal.SIGKILL
+
+
+def kill_and_end(folder: Path, again: bool, most: int, seconds: float, rng: random.Random) -> Counter[str]:
+    """Kills the runs of one result, at most so often, and lets a last one end; returns what they were doing."""
+    recording, out, log, hit = folder / "recording", folder / "results" / "out", folder / "log.txt", Counter[str]()
+    shutil.rmtree(out.parent, ignore_errors=True)
+    if again:
+        shutil.copytree(folder / "earlier", out)
+    while sum(hit.values()) < most:
+        process = segment(recording, out, log, "--overwrite")
+        if not kill(process, out, seconds, rng):
+            break
+        hit[stage(out)] += 1
+        if rng.random() < 0.5:
+            break
+    must_end(segment(recording, out, log, "--overwrite"), log)
+    if contents(out) != contents(folder / "expected"):
+        sys.exit(f"after kills while {', '.join(hit)} the result differs")
+    if [path.name for path in out.parent.iterdir()] != ["out"]:
+        sys.exit(f"left behind: {sorted(path.name for path in out.parent.iterdir())}")
+    return hit
 
 
 def main_() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--state", type=Path)
     arguments = parser.parse_args()
-    rng, hit, runs = random.Random(arguments.seed), Counter[str](), 0
+    state: dict[str, Any] = {"results": 0, "kills": {}}
+    if arguments.state is not None and arguments.state.is_file():
+        state = json.loads(arguments.state.read_text())
+    hit = Counter[str](state["kills"])
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        recording, out, log = folder / "recording", folder / "results" / "out", folder / "log.txt"
+        recording, log = folder / "recording", folder / "log.txt"
         must_end(forked(lambda: make_recording(recording), log), log)
         must_end(segment(recording, folder / "expected", log), log)
         must_end(segment(recording, folder / "earlier", log, "--max-frames", "2"), log)
-        expected = contents(folder / "expected")
         start = time.monotonic()
         must_end(segment(recording, folder / "again", log), log)
         seconds = time.monotonic() - start
         print(f"a run takes {seconds:.1f} s", flush=True)
-        if contents(folder / "again") != expected:
+        if contents(folder / "again") != contents(folder / "expected"):
             sys.exit("two runs that nobody disturbed differ")
         while sum(hit.values()) < arguments.kills:
-            runs += 1
-            shutil.rmtree(out.parent, ignore_errors=True)
-            if runs % 2:
-                shutil.copytree(folder / "earlier", out)
-            while sum(hit.values()) < arguments.kills:
-                process = segment(recording, out, log, "--overwrite")
-                if not kill(process, out, seconds, rng):
-                    break
-                hit[stage(out)] += 1
-                if rng.random() < 0.5:
-                    break
-            must_end(segment(recording, out, log, "--overwrite"), log)
-            if contents(out) != expected:
-                sys.exit(f"after {sum(hit.values())} kills the result differs")
-            if [path.name for path in out.parent.iterdir()] != ["out"]:
-                sys.exit(f"left behind: {sorted(path.name for path in out.parent.iterdir())}")
-    print(f"{sum(hit.values())} kills in {runs} results, each of which ended with the same {len(expected)} files")
+            rng = random.Random(f"{arguments.seed} {state['results']}")
+            hit += kill_and_end(folder, state["results"] % 2 == 0, arguments.kills - sum(hit.values()), seconds, rng)
+            state = {"results": state["results"] + 1, "kills": dict(hit)}
+            if arguments.state is not None:
+                write_text(arguments.state, json.dumps(state, indent=1))
+        number = len(contents(folder / "expected"))
+    print(f"{sum(hit.values())} kills in {state['results']} results, each of which ended with the same {number} files")
     for name, count in hit.most_common():
         print(f"  while {name}: {count}")
 

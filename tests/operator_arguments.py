@@ -21,6 +21,7 @@ from torchjoint.ops import (
     min_cut,
     neighbor_edges,
     pair_counts,
+    parse_numbers,
     project,
     propagate_labels,
     region_merges,
@@ -62,6 +63,10 @@ WINDOW_OVERLAPS = {
 PAIR_COUNTS = {
     "u": POSITIONS, "v": POSITIONS, "pixel": PIXELS, "segment": torch.tensor([0, 0, -1]),
     "label": torch.tensor([3, 4, 3]), "radius": 2.0,
+}  # fmt: skip
+PARSE_NUMBERS = {
+    "text": torch.tensor(list(b"1 -2.5e3\t.5\n 1e22 inf 0.1234567890123456789 \n4"), dtype=torch.uint8), "num_rows": 2,
+    "num_columns": 3,
 }  # fmt: skip
 SEGMENT_GRAPHS = {
     "labels": LABELS, "chosen": torch.tensor([False, True]), "colors": torch.rand(3, 3, 4),
@@ -116,6 +121,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     splat_depth: SPLAT_DEPTH,
     window_overlaps: WINDOW_OVERLAPS,
     pair_counts: PAIR_COUNTS,
+    parse_numbers: PARSE_NUMBERS,
     segment_graphs: SEGMENT_GRAPHS,
     match_pixels: MATCH_PIXELS,
     propagate_labels: PROPAGATE_LABELS,

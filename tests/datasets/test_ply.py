@@ -95,6 +95,35 @@ def test_ascii_with_lists(tmp_path):
     assert read.faces.tolist() == [[0, 1, 1], [0, 1, 0], [0, 0, 1]]
 
 
+def test_ascii_vertices_after_lists_of_any_length(tmp_path):
+    """Lists of one length are read by columns, others line by line; what comes behind is where they end."""
+    vertex = (*VERTEX[:1], *(line.replace("float", "double") for line in VERTEX[1:]))
+    for lists in (b"3 0 1 1 7\n3 1 1 0 8\n", b"3 0 1 1 7\n 2\t1 0 8 \n"):
+        lines = ("element face 2", "property list uchar int vertex_index", "property short flag", *vertex)
+        read = read_ply(written(tmp_path / "a.ply", header("ascii", *lines) + lists + b"1 2 3.1\n4 5 6e-3\n \n"))
+        assert read.points.tolist() == [[1, 2, 3.1], [4, 5, 6e-3]]
+        assert read.faces[0].tolist() == [0, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (b"3 0 1 1\n3 0 1\n", "element face: expected 3 numbers of vertex_index in b'3 0 1'"),
+        (b"3 0 1 1\n2 0 1 1\n", "element face: expected 3 numbers in b'2 0 1 1'"),
+        (b"3 0 1 1\n3 0 x 1\n", "could not convert string to float: b'x'"),
+        (b"3 0 1 1\n3 0 1.5 1\n", "property vertex_index: expected integers of 32 bits"),
+        (b"3 0 1 1\n300 0 1 1\n", "property vertex_index: expected integers of 8 bits"),
+        (b"3 0 1 1\n3 0 1e99 1\n", "property vertex_index: expected integers of 32 bits"),
+        (b"3 0 1 1\n3 0 nan 1\n", "property vertex_index: expected integers of 32 bits"),
+        (b"3 0 1 1\n", "expected 4 lines"),
+    ],
+)
+def test_ascii_lists_that_are_damaged(tmp_path, body, message):
+    lines = (*VERTEX, "element face 2", "property list uchar int vertex_index")
+    with pytest.raises(ValueError, match=message):
+        read_ply(written(tmp_path / "a.ply", header("ascii", *lines) + b"1 2 3\n4 5 6\n" + body))
+
+
 @pytest.mark.parametrize(
     ("body", "message"),
     [

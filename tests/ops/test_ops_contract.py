@@ -51,6 +51,7 @@ from torchjoint.ops import (
     min_cut,
     neighbor_edges,
     pair_counts,
+    parse_numbers,
     project,
     propagate_labels,
     region_merges,
@@ -186,6 +187,13 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (pair_counts, {"label": PIXELS + 2**40}, ValueError, f"label: expected numbers in [0, 2147483647), got {2**40}"),
     (pair_counts, {"radius": 0}, ValueError, "radius: expected a finite number > 0, got 0"),
     (pair_counts, {"radius": "1"}, TypeError, "radius: expected int or float, got str"),
+    (parse_numbers, {"text": "1 2 3"}, TypeError, "text: expected a torch.Tensor, got str"),
+    (parse_numbers, {"text": PIXELS}, TypeError, "text: expected dtype torch.uint8, got torch.int64"),
+    (parse_numbers, {"text": LABELS.byte()}, ValueError, "text: expected shape [B], got [3, 4]"),
+    (parse_numbers, {"num_rows": -1}, ValueError, "num_rows: expected a number >= 0, got -1"),
+    (parse_numbers, {"num_rows": 3}, ValueError, "text: expected 3 numbers in row 2, got 1 words"),
+    (parse_numbers, {"num_columns": 0}, ValueError, "num_columns: expected a number > 0, got 0"),
+    (parse_numbers, {"num_columns": 3.0}, TypeError, "num_columns: expected int, got float"),
     (segment_graphs, {"labels": LABELS[0]}, ValueError, "labels: expected shape [H, W], got [4]"),
     (segment_graphs, {"labels": LABELS + 1}, ValueError, "labels: expected numbers in [0, 2), got 2 at 2"),
     (segment_graphs, {"labels": LABELS - 1}, ValueError, "labels: expected numbers in [0, 2), got -2 at 3"),
@@ -458,6 +466,9 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (window_overlaps, {"window": -1}),
         (pair_counts, {"segment": PIXELS[:2]}),
         (pair_counts, {"radius": NAN}),
+        (parse_numbers, {"text": LABELS}),
+        (parse_numbers, {"num_rows": -1}),
+        (parse_numbers, {"num_columns": 2**62}),
         (segment_graphs, {"colors": torch.rand(3, 4, 3)}),
         (segment_graphs, {"boundary": torch.rand(3)}),
         (segment_graphs, {"chosen": PIXELS}),
@@ -646,6 +657,7 @@ LONG_OPERATORS = (
     merge_regions,
     region_merges,
     region_planes,
+    parse_numbers,
     propagate_labels,
     boosted_trees,
     structured_forest,
@@ -666,6 +678,10 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
         image = torch.rand(4, int(1000 * side), int(1000 * side), generator=generator)
         markers = torch.where(image[0] < 0.01, torch.arange(image.shape[2]), -1).int()
         return lambda: propagate_labels(markers, image[:3], image[3], 9.0, 2.0)
+    if op is parse_numbers:
+        num_rows = int(4_000_000 * share)
+        text = torch.tensor(list(b"1.25 -3.5\n"), dtype=torch.uint8).repeat(num_rows)
+        return lambda: parse_numbers(text, num_rows, 2)
     if op in (neighbor_edges, fit_normals, region_planes):
         generator = torch.Generator().manual_seed(0)
         points = torch.rand(int(500_000 * share), 3, generator=generator)

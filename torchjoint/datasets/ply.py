@@ -5,7 +5,7 @@ Each number of the file is accounted for: what is cut, too long or not a number 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.ply_ascii import read_ascii
-from torchjoint.datasets.ply_header import Element, PlyHeader, list_arrays, parse_header
+from torchjoint.datasets.ply_header import MAX_HEADER, Element, PlyHeader, list_arrays, parse_header
 from torchjoint.runtime.files import atomic_write
 
 Array = npt.NDArray[Any]
@@ -64,9 +64,9 @@ def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
 def _read_elements(path: Path) -> dict[str, Mapping[str, Array]]:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud, .ply")
-    data = path.read_bytes()
+    data = np.fromfile(path, np.uint8)
     try:
-        header = parse_header(data)
+        header = parse_header(data[:MAX_HEADER].tobytes())
         return read_ascii(data, header) if header.encoding == "ascii" else _read_binary(data, header)
     except (ValueError, OverflowError) as error:
         raise ValueError(f"{path}: {error}") from error
@@ -102,7 +102,8 @@ def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels
         stream.write(rows.tobytes())
 
 
-def _read_binary(data: bytes, header: PlyHeader) -> dict[str, Mapping[str, Array]]:
+def _read_binary(data: Array, header: PlyHeader) -> dict[str, Mapping[str, Array]]:
+    """Views of the file's bytes: only columns that are asked for are copied."""
     place = header.size
     elements: dict[str, Mapping[str, Array]] = {}
     for element in header.elements:
@@ -114,14 +115,14 @@ def _read_binary(data: bytes, header: PlyHeader) -> dict[str, Mapping[str, Array
         dtype = element.dtype(header.byte_order)
         _check_rest(data, place, dtype.itemsize * element.rows, element)
         rows = np.frombuffer(data, dtype, element.rows, place)
-        elements[element.name] = {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()}
+        elements[element.name] = {name: rows[name] for name in element.names}
         place += rows.nbytes
-    if data[place:].strip():
+    if data[place:].tobytes().strip():
         raise ValueError(f"expected the end at byte {place}, got {len(data) - place} more bytes")
     return elements
 
 
-def _rows_with_lists(data: bytes, place: int, element: Element, header: PlyHeader) -> tuple[dict[str, Array], int]:
+def _rows_with_lists(data: Array, place: int, element: Element, header: PlyHeader) -> tuple[dict[str, Array], int]:
     """The rows of an element with lists, as object arrays or [count, k] where all lists have one length."""
     smallest = sum(np.dtype(p.length or p.kind).itemsize for p in element.properties)
     _check_rest(data, place, smallest * element.rows, element)
@@ -142,13 +143,13 @@ def _rows_with_lists(data: bytes, place: int, element: Element, header: PlyHeade
     return list_arrays(columns, element), place
 
 
-def _one_row(data: bytes, place: int, element: Element, header: PlyHeader) -> tuple[bytes, np.dtype[Any], int, int]:
+def _one_row(data: Array, place: int, element: Element, header: PlyHeader) -> tuple[Array, np.dtype[Any], int, int]:
     dtype = element.dtype(header.byte_order, _lengths(data, place, element, header))
     _check_rest(data, place, dtype.itemsize, element)
     return data, dtype, 1, place
 
 
-def _lengths(data: bytes, place: int, element: Element, header: PlyHeader) -> dict[str, int]:
+def _lengths(data: Array, place: int, element: Element, header: PlyHeader) -> dict[str, int]:
     """The lengths of the lists in the row at `place`."""
     lengths = {}
     for one in element.properties:
@@ -165,7 +166,7 @@ def _lengths(data: bytes, place: int, element: Element, header: PlyHeader) -> di
     return lengths
 
 
-def _check_rest(data: bytes, place: int, size: int, element: Element) -> None:
+def _check_rest(data: Array, place: int, size: int, element: Element) -> None:
     if size > len(data) - place:
         raise ValueError(
             f"truncated: {element.rows} of element {element.name} need {size} bytes at byte {place}, "
@@ -191,19 +192,29 @@ def _columns(values: Mapping[str, Array], names: tuple[str, ...] | str) -> Tenso
     if any(name not in values or values[name].dtype == object for name in names):
         return None
     narrow = all((values[name].dtype.kind, values[name].dtype.itemsize) == ("f", 4) for name in names)
-    stacked = np.stack([values[name].astype(np.float32 if narrow else np.float64) for name in names], axis=1)
+    return _stacked([values[name] for name in names], np.float32 if narrow else np.float64)
+
+
+def _stacked(columns: Sequence[Array], dtype: npt.DTypeLike) -> Tensor:
+    """[N, k]: each number is copied once."""
+    stacked = np.empty((len(columns[0]), len(columns)), dtype)
+    for place, column in enumerate(columns):
+        stacked[:, place] = column
     return torch.from_numpy(stacked)
 
 
 def _colors(vertex: Mapping[str, Array]) -> Tensor | None:
     names = ("red", "green", "blue")
-    colors = _columns(vertex, names)
-    if colors is None:
+    if any(name not in vertex or vertex[name].dtype == object for name in names):
         return None
-    kinds = {vertex[name].dtype for name in names}
+    columns = [vertex[name] for name in names]
+    kinds = {column.dtype for column in columns}
     (kind,) = kinds if len(kinds) == 1 else (np.dtype(np.uint8),)
     white = 1 if kind.kind == "f" else np.iinfo(kind).max
-    return (colors.double() / white).float()
+    if all(column.dtype == np.uint8 for column in columns):
+        shares = (np.arange(256) / white).astype(np.float32)  # what the division gives
+        return _stacked([shares[column] for column in columns], np.float32)
+    return (_stacked(columns, np.float64) / white).float()
 
 
 def _faces(elements: Mapping[str, Mapping[str, Array]], num_points: int) -> Tensor | None:
@@ -212,9 +223,12 @@ def _faces(elements: Mapping[str, Mapping[str, Array]], num_points: int) -> Tens
     if lists is None or not len(lists):
         return None
     if lists.dtype != object:  # all of one length
-        corners = lists.astype(np.int64).reshape(len(lists), -1)
-        triangles = [corners[:, [0, k, k + 1]] for k in range(1, corners.shape[1] - 1)]
-        stacked = np.stack(triangles, axis=1).reshape(-1, 3) if triangles else np.empty((0, 3), np.int64)
+        corners = lists.reshape(len(lists), -1)
+        triangles = np.empty((len(lists), max(corners.shape[1] - 2, 0), 3), np.int64)
+        for k in range(triangles.shape[1]):
+            for place, corner in enumerate((0, k + 1, k + 2)):
+                triangles[:, k, place] = corners[:, corner]
+        stacked = triangles.reshape(-1, 3)
     else:
         cut = [[one[0], one[k], one[k + 1]] for one in lists for k in range(1, len(one) - 1)]
         stacked = np.array(cut, dtype=np.int64).reshape(-1, 3)

@@ -2,79 +2,112 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from torchjoint.datasets.ply_header import Element, PlyHeader, list_arrays
+from torchjoint.ops import parse_numbers
 
 Array = npt.NDArray[Any]
+Bytes = npt.NDArray[np.uint8]
+
+#: Characters of a line that are looked at to count its words.
+_MAX_LINE = 1 << 16
 
 
-def read_ascii(data: bytes, header: PlyHeader) -> dict[str, Mapping[str, Array]]:
+def read_ascii(data: Bytes, header: PlyHeader) -> dict[str, Mapping[str, Array]]:
     """The columns of each element.
 
     Args:
-        data: of the whole file.
+        data: [B], of the whole file.
         header: of the file.
 
     Raises:
         ValueError: a line too few or too many, a word that is no number, or a number that does not fit its type.
     """
     body = data[header.size :]
-    text = body.rstrip() + b"\n"
-    ends, words = _lines(text) if body.strip() else (np.empty(0, np.int64), np.empty(0, np.int64))
-    expected = sum(element.rows for element in header.elements if element.properties)
-    if len(ends) != expected:
-        counts = ", ".join(f"{element.rows} of {element.name}" for element in header.elements)
-        raise ValueError(f"truncated, or too long: expected {expected} lines ({counts}), got {len(ends)}")
-    if body and not body.endswith(b"\n"):
+    try:
+        elements, place = _read_elements(body, header)
+    except ValueError:
+        _check_lines(body, header)  # says more than where the first number was missed
+        raise
+    if body[place:].tobytes().strip():
+        _check_lines(body, header)
+    if len(body) and body[-1] != ord("\n"):
         raise ValueError("truncated: expected a line break after the last number, which may be cut off")
-    place, start = 0, 0
+    return elements
+
+
+def _read_elements(body: Bytes, header: PlyHeader) -> tuple[dict[str, Mapping[str, Array]], int]:
+    """The columns of each element, and the position behind them."""
+    place = 0
     elements: dict[str, Mapping[str, Array]] = {}
     for element in header.elements:
         if not element.properties:
             continue
-        rows = slice(place, place + element.rows)
-        end = int(ends[rows.stop - 1]) if element.rows else start
-        if element.lists:
-            elements[element.name] = _ascii_lists(text[start:end].splitlines(), element)
-        else:
-            elements[element.name] = _ascii_rows(text[start:end], words[rows], element)
-        place, start = rows.stop, end
-    return elements
+        text = body[place:]
+        read = _equal_rows(text, element) if element.lists else _rows(text, element)
+        elements[element.name], size = _rows_with_lists(text, element) if read is None else read
+        place += size
+    return elements, place
 
 
-def _lines(text: bytes) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """The end of each line, behind its line break, and the number of words in it."""
-    characters = np.frombuffer(text, np.uint8)
-    is_space = (characters == 32) | ((characters >= 9) & (characters <= 13))
-    begins = ~is_space & np.concatenate([[True], is_space[:-1]])
-    ends = np.flatnonzero(characters == 10) + 1
-    counted = np.searchsorted(np.flatnonzero(begins), ends)
-    return ends, np.diff(counted, prepend=0)
+def _check_lines(body: Bytes, header: PlyHeader) -> None:
+    text = body.tobytes().rstrip()
+    lines = text.count(b"\n") + bool(text)
+    expected = sum(element.rows for element in header.elements if element.properties)
+    if lines != expected:
+        counts = ", ".join(f"{element.rows} of {element.name}" for element in header.elements)
+        raise ValueError(f"truncated, or too long: expected {expected} lines ({counts}), got {lines}")
 
 
-def _ascii_rows(text: bytes, words: npt.NDArray[np.int64], element: Element) -> dict[str, Array]:
-    columns = len(element.properties)
-    wrong = np.flatnonzero(words != columns)
-    if len(wrong):
-        raise ValueError(
-            f"element {element.name}: expected {columns} numbers in row {wrong[0]}, got {words[wrong[0]]} words"
-        )
+def _table(text: Bytes, element: Element, columns: int) -> tuple[npt.NDArray[np.float64], int]:
+    """The numbers of an element, [columns, rows], and the characters that were read."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # about what is no number, with an older NumPy
-            values = np.fromstring(text.decode("ascii", errors="replace"), np.float64, sep=" ")
-    except (ValueError, DeprecationWarning) as error:
-        raise ValueError(f"element {element.name}: a word is no number: {error}") from error
-    if len(values) != element.rows * columns:
-        raise ValueError(f"element {element.name}: {len(values)} numbers in {element.rows * columns} words")
-    table = values.reshape(-1, columns)
-    return {one.name: _converted(table[:, place], one.kind, one.name) for place, one in enumerate(element.properties)}
+        values, end = parse_numbers(torch.from_numpy(text), element.rows, columns)
+    except ValueError as error:
+        raise ValueError(f"element {element.name}: {str(error).removeprefix('text: ')}") from error
+    return values.numpy(), int(end)
+
+
+def _rows(text: Bytes, element: Element) -> tuple[dict[str, Array], int]:
+    values, size = _table(text, element, len(element.properties))
+    return {one.name: _converted(values[i], one.kind, one.name) for i, one in enumerate(element.properties)}, size
+
+
+def _equal_rows(text: Bytes, element: Element) -> tuple[dict[str, Array], int] | None:
+    """The rows of an element whose lists have one length, such as triangles, as [rows, length]; None: it has others."""
+    first = text[:_MAX_LINE].tobytes().partition(b"\n")[0].split()
+    if not element.rows or not first:
+        return None
+    try:
+        values, size = _table(text, element, len(first))
+    except ValueError:
+        return None
+    columns, place = {}, 0
+    for one in element.properties:
+        length = 1
+        if one.length is not None:
+            lengths = _converted(values[place : place + 1], one.length, one.name)
+            length, place = int(lengths[0, 0]) if lengths.size else -1, place + 1
+            if (lengths != length).any():
+                return None
+        if not 0 <= length <= len(values) - place:
+            return None
+        read = _converted(values[place : place + length], one.kind, one.name)
+        columns[one.name] = read[0] if one.length is None else read.T
+        place += length
+    return (columns, size) if place == len(values) else None
+
+
+def _rows_with_lists(text: Bytes, element: Element) -> tuple[dict[str, Array], int]:
+    lines = text.tobytes().split(b"\n", element.rows)
+    rest = lines.pop() if len(lines) > element.rows else b""
+    return _ascii_lists(lines, element), len(text) - len(rest)
 
 
 def _ascii_lists(lines: list[bytes], element: Element) -> dict[str, Array]:
@@ -86,8 +119,8 @@ def _ascii_lists(lines: list[bytes], element: Element) -> dict[str, Array]:
         for one in element.properties:
             length = 1
             if one.length is not None:
-                length = int(_converted(np.array(words[place : place + 1]), one.length, one.name)[0])
-                place += 1
+                lengths = _converted(np.array(words[place : place + 1]), one.length, one.name)
+                length, place = int(lengths[0]) if len(lengths) else 1, place + 1
             if not 0 <= length <= len(words) - place:
                 raise ValueError(f"element {element.name}: expected {length} numbers of {one.name} in {line[:80]!r}")
             values = _converted(np.array(words[place : place + length]), one.kind, one.name)
@@ -101,10 +134,8 @@ def _ascii_lists(lines: list[bytes], element: Element) -> dict[str, Array]:
 def _converted(values: npt.NDArray[np.float64], kind: str, name: str) -> Array:
     """Numbers from text in the type of their property; integers must fit into it."""
     dtype = np.dtype(kind)
-    if dtype.kind == "f":
-        with np.errstate(over="ignore"):
-            return values.astype(dtype)
-    limits = np.iinfo(dtype)
-    if not len(values) or ((values >= limits.min) & (values <= limits.max) & (values == np.floor(values))).all():
-        return values.astype(dtype)
-    raise ValueError(f"property {name}: expected integers of {dtype.itemsize * 8} bits")
+    with np.errstate(over="ignore", invalid="ignore"):
+        converted = values.astype(dtype, copy=False)
+    if dtype.kind != "f" and (converted != values).any():  # also of NaN
+        raise ValueError(f"property {name}: expected integers of {dtype.itemsize * 8} bits")
+    return converted

@@ -16,6 +16,7 @@ from torchjoint.ops.merge_regions import merge_regions
 from torchjoint.ops.min_cut import min_cut
 from torchjoint.ops.neighbor_edges import neighbor_edges
 from torchjoint.ops.pair_counts import pair_counts
+from torchjoint.ops.parse_numbers import parse_numbers
 from torchjoint.ops.project import project
 from torchjoint.ops.propagate_labels import propagate_labels
 from torchjoint.ops.region_merges import region_merges
@@ -38,6 +39,7 @@ __all__ = [
     "min_cut",
     "neighbor_edges",
     "pair_counts",
+    "parse_numbers",
     "project",
     "propagate_labels",
     "region_merges",

@@ -27,6 +27,7 @@ from torchjoint.ops.reference.regions import (
     region_merges_reference,
     region_planes_reference,
 )
+from torchjoint.ops.reference.text import parse_numbers_reference
 from torchjoint.ops.reference.trees import boosted_trees_reference
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "min_cut_reference",
     "neighbor_edges_reference",
     "pair_counts_reference",
+    "parse_numbers_reference",
     "project_reference",
     "propagate_labels_reference",
     "quantise_reference",
