@@ -1,6 +1,7 @@
 """Many recordings: each has its result, or the reason why not; what is done is skipped."""
 
 import csv
+import sys
 from concurrent.futures import Future
 
 import joblib
@@ -134,6 +135,21 @@ def test_the_command(done, scans, run, capsys):
     assert not (done[0] / "failures.csv").exists()
     with pytest.raises(SystemExit, match=r"engine: expected loky, dask or ray .*, got 'slurm'"):
         run("batch", scans / "b", *options, "--engine", "slurm")
+
+
+def test_the_command_chooses_topics(scans, tmp_path, run, monkeypatch):
+    given = []
+    monkeypatch.setattr(
+        sys.modules["torchjoint.cli.batch"], "run_batch", lambda *_, options, **__: given.append(options)
+    )
+    monkeypatch.setattr(sys.modules["torchjoint.cli.batch"], "_print", lambda report: sys.exit("printed"))
+    chosen = ["--topics", "color=/front/image", "info=/front/info", "--time-limit", 0.1]
+    with pytest.raises(SystemExit, match="printed"):
+        run("batch", scans / "a", "-o", tmp_path / "out", *chosen)
+    topics = (("color", "/front/image"), ("info", "/front/info"))
+    assert given == [tj.RecordingOptions(topics=topics, time_limit=0.1)]
+    with pytest.raises(SystemExit, match=r"--topics: expected ROLE=TOPIC, such as .*, got 'color'"):
+        run("batch", scans / "a", "-o", tmp_path / "out", "--topics", "color")
 
 
 class TestScenes:

@@ -34,6 +34,19 @@ Flat = tyro.conf.OmitArgPrefixes[Parameters]
 Out = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 
 
+def read_topics(assignments: Iterable[str]) -> tuple[tuple[str, str], ...]:
+    """Roles and topics of ``role=/topic``, as :class:`~torchjoint.recordings.RecordingOptions` has them.
+
+    Raises:
+        ValueError: one has another form.
+    """
+    parts = {assignment: assignment.partition("=") for assignment in assignments}
+    for assignment, (role, _, topic) in parts.items():
+        if not (role and topic):
+            raise ValueError(f"--topics: expected ROLE=TOPIC, such as color=/camera/image_raw, got {assignment!r}")
+    return tuple((role, topic) for role, _, topic in parts.values())
+
+
 def check_max_frames(max_frames: int | None) -> None:
     """Raises ValueError if `max_frames` is negative."""
     if max_frames is not None and max_frames < 0:

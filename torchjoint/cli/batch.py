@@ -7,7 +7,7 @@ import sys
 import tyro
 
 from torchjoint.cli._log import printed_log
-from torchjoint.cli.arguments import DEFAULTS, Flat, Out
+from torchjoint.cli.arguments import DEFAULTS, Flat, Out, read_topics
 from torchjoint.recordings import BatchReport, RecordingOptions
 from torchjoint.recordings import batch as run_batch
 from torchjoint.recordings.summary import FAILURES, SUMMARY
@@ -24,6 +24,8 @@ def batch(
     threads: int = 1,
     overwrite: bool = False,
     voxel_size: float = 0.02,
+    topics: tuple[str, ...] = (),
+    time_limit: float = 0.02,
     max_frames: int | None = None,
     in_view: bool = False,
     thin: float | None = None,
@@ -43,13 +45,18 @@ def batch(
         threads: threads of one recording; workers on this machine never have more threads than there are cores.
         overwrite: replace earlier results.
         voxel_size: metres, for fusing a cloud from depth if a recording has no cloud.
+        topics: of ROS recordings, where several would do: --topics color=/front/image_raw; also info, depth, points,
+            odometry.
+        time_limit: of ROS recordings: seconds between an image and its depth, and its pose, at most.
         max_frames: number of frames to use, evenly spread over a recording.
         in_view: leave out the points that no frame has in its view.
         thin: keep one point per voxel of this size, metres.
         merge_within: metres; the points in a cube with this side count as one point, and all get its label.
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5.
     """
-    options = RecordingOptions(voxel_size, max_frames, in_view, thin, merge_within, granularity)
+    options = RecordingOptions(
+        voxel_size, max_frames, in_view, thin, merge_within, granularity, read_topics(topics), time_limit
+    )
     with printed_log():
         report = run_batch(
             scenes,

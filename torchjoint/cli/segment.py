@@ -10,7 +10,7 @@ import tyro
 
 from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
-from torchjoint.cli.arguments import DEFAULTS, Flat, Out
+from torchjoint.cli.arguments import DEFAULTS, Flat, Out, read_topics
 from torchjoint.cli.show import live_view, show_result
 from torchjoint.engine import open_engine
 from torchjoint.recordings import RecordingOptions, segment_recording
@@ -69,7 +69,7 @@ def segment(
     """
     config = parameters.config()
     options = RecordingOptions(
-        voxel_size, max_frames, in_view, thin, merge_within, granularity, tuple(map(read_topic, topics)), time_limit
+        voxel_size, max_frames, in_view, thin, merge_within, granularity, read_topics(topics), time_limit
     )
     view = live_view(show)
     with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:
@@ -91,15 +91,3 @@ def segment(
         return
     summarize(segmented.result, out)
     show_result(out, view, segmented.segmenter, segmented.scene)
-
-
-def read_topic(assignment: str) -> tuple[str, str]:
-    """Role and topic of ``role=/topic``.
-
-    Raises:
-        ValueError: it has another form.
-    """
-    role, sign, topic = assignment.partition("=")
-    if not (role and sign and topic):
-        raise ValueError(f"--topics: expected ROLE=TOPIC, such as color=/camera/image_raw, got {assignment!r}")
-    return role, topic

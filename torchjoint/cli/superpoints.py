@@ -69,7 +69,8 @@ def superpoints(
             overwrite=overwrite,
             progress=True,
         )
-        print(f"{made.num_points} points in {made.num_superpoints} superpoints, {made.num_tiles} tiles: {out}")
+        tiles = "1 tile" if made.num_tiles == 1 else f"{made.num_tiles} tiles"
+        print(f"{made.num_points} points in {made.num_superpoints} superpoints, {tiles}: {out}")
         return
     for name, value in (("--tile", tile), ("--buffer", buffer), ("--engine", engine)):
         if value is not None:
