@@ -1,6 +1,7 @@
 """Times reading PLY files, against Open3D's two readers: points with colours, ascii and binary, and a mesh.
 
-    python benchmarks/ply.py --points 1000000 10000000
+    python benchmarks/ply.py --points 1000000
+    python benchmarks/ply.py --points 10000000 --no-meshes
 
 The files are written by Open3D (ascii: six digits), and once with the 17 digits of a double. All readers run in one
 thread, in turn; their points are compared first. Prints milliseconds, and the time of the faster one of Open3D's over
@@ -25,17 +26,18 @@ from interleaved import medians
 
 from torchjoint.datasets.ply import read_ply
 
+MESHES = ("mesh, ascii", "mesh, binary")
 #: Points of the file with 17 digits, which is written slowly.
 MOST_PRECISE = 1_000_000
 
 
-def write_files(folder: Path, num_points: int) -> dict[str, Path]:
+def write_files(folder: Path, num_points: int, meshes: bool = True) -> dict[str, Path]:
     rng = np.random.default_rng(0)
     cloud = o3d.t.geometry.PointCloud()
     points = rng.uniform(-10, 10, (num_points, 3))
     cloud.point.positions = o3d.core.Tensor(points.astype(np.float32))
     cloud.point.colors = o3d.core.Tensor(rng.integers(0, 256, (num_points, 3), dtype=np.uint8))
-    files = {name: folder / f"{name}.ply" for name in ("ascii", "binary", "mesh, ascii", "mesh, binary")}
+    files = {name: folder / f"{name}.ply" for name in ("ascii", "binary", *MESHES * meshes)}
     triangles = rng.integers(0, num_points, (2 * num_points, 3), dtype=np.int32)
     mesh = o3d.t.geometry.TriangleMesh(cloud.point.positions, o3d.core.Tensor(triangles))
     for name, file in files.items():
@@ -77,12 +79,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, nargs="+", default=[1_000_000])
     parser.add_argument("--seconds", type=float, default=5.0, help="for each file, at least three rounds")
+    parser.add_argument("--no-meshes", action="store_true")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     print("| points, file | torchjoint | Open3D | Open3D's tensors | ratio |\n|---|---:|---:|---:|---:|")
     for num_points in arguments.points:
         with tempfile.TemporaryDirectory() as folder:
-            for name, file in write_files(Path(folder), num_points).items():
+            for name, file in write_files(Path(folder), num_points, not arguments.no_meshes).items():
                 functions = readers(name, file)
                 expected = points_of(functions["torchjoint"]())
                 for function in functions.values():

@@ -135,6 +135,19 @@ def test_configs_are_frozen():
         Config().propagation.weight = 3  # type: ignore[misc]
 
 
+def test_aliases_cannot_blow_up_a_value(tmp_path):
+    """Each level is ten times the one before; its error message alone had 40 MB for seven levels."""
+    value = "&a0 [x, x, x, x, x, x, x, x, x, x]"
+    for level in range(1, 3):
+        value = f"&a{level} [{value}{f', *a{level - 1}' * 9}]"
+    (tmp_path / "bomb.yaml").write_text(f"boundary: {{detector: {value}}}")
+    with pytest.raises(ValueError, match=r"bomb\.yaml: not valid YAML: expected a value, got an alias") as caught:
+        Config.from_yaml(tmp_path / "bomb.yaml")
+    assert len(str(caught.value)) < 1000
+    with pytest.raises(ValueError, match=r"boundary\.detector: expected a value, got"):
+        Config().set([f"boundary.detector={value}"])
+
+
 def test_a_file_that_is_nested_too_deeply(tmp_path):
     (tmp_path / "deep.yaml").write_text("[" * 10_000)
     with pytest.raises(ValueError, match=r"deep\.yaml"):

@@ -5,7 +5,8 @@ import pytest
 import torch
 from damage import CLEAR, damage
 
-from torchjoint.datasets.ply import read_ply, write_cloud
+from torchjoint.datasets import ply_ascii, ply_binary
+from torchjoint.datasets.ply import read_ply, read_vertex_property, write_cloud
 
 POINTS = torch.rand(50, 3, generator=torch.Generator().manual_seed(0))
 COLORS = torch.randint(256, (50, 3), generator=torch.Generator().manual_seed(1)) / 255
@@ -141,6 +142,29 @@ def test_ascii_lists_that_are_damaged(tmp_path, body, message):
 def test_ascii_that_is_damaged(tmp_path, body, message):
     with pytest.raises(ValueError, match=message):
         read_ply(written(tmp_path / "a.ply", header("ascii", *VERTEX) + body))
+
+
+def test_files_are_read_in_blocks(tmp_path, monkeypatch):
+    """A file that ends within a block, at its end, and an error behind the first block."""
+    monkeypatch.setattr(ply_ascii, "_BLOCK", 3)
+    monkeypatch.setattr(ply_binary, "_BLOCK", 3)
+    for count in (1, 3, 7, 9):
+        lines = (
+            f"element vertex {count}",
+            *VERTEX[1:],
+            *(f"property uchar {name}" for name in ("red", "green", "blue")),
+        )
+        body = b"".join(b"%d 0.5 -1e-3 255 %d 0\n" % (i, i) for i in range(count))
+        read = read_ply(written(tmp_path / "a.ply", header("ascii", *lines) + body))
+        write_cloud(tmp_path / "b.ply", read.points, read.colors)
+        again = read_ply(tmp_path / "b.ply")
+        assert torch.equal(read.points, torch.tensor([[i, 0.5, -1e-3] for i in range(count)]))
+        assert torch.equal(read.colors, torch.tensor([[1, i / 255, 0] for i in range(count)]))
+        assert torch.equal(again.points, read.points)
+        assert torch.equal(again.colors, read.colors)
+    assert read_vertex_property(tmp_path / "b.ply", "green").tolist() == list(range(9))
+    with pytest.raises(ValueError, match="element vertex: expected 6 numbers in row 7, got 1 words"):
+        read_ply(written(tmp_path / "a.ply", header("ascii", *lines) + body.replace(b"7 0.5 -1e-3 255 7 0", b"7")))
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,8 @@ def read_settings(suite: str, file: Path | None = None) -> dict[str, Setting]:
 
 def write_settings(file: Path, settings: Mapping[str, Setting], comment: str) -> None:
     """Writes a file for :func:`read_settings`, atomically (a temporary file is renamed)."""
-    write_text(file, f"# {comment}\n{yaml.safe_dump(dict(settings), sort_keys=False)}")
+    own = {method: dict(setting) for method, setting in settings.items()}  # no two are one object: YAML would alias it
+    write_text(file, f"# {comment}\n{yaml.safe_dump(own, sort_keys=False)}")
 
 
 def _checked(values: Mapping[str, Any]) -> dict[str, Setting]:

@@ -12,6 +12,16 @@ import yaml
 T = TypeVar("T")
 
 
+class _Loader(yaml.SafeLoader):
+    """Refuses aliases (``*name``): with a few of them a short text is a value of gigabytes."""
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark
+            raise yaml.composer.ComposerError(None, None, "expected a value, got an alias (*name)", mark)
+        return super().compose_node(parent, index)
+
+
 def presets(*folder: str) -> dict[str, Any]:
     """The presets in `configs/` or in one of its folders: name -> readable resource."""
     files = resources.files("torchjoint.configs").joinpath(*folder).iterdir()
@@ -61,14 +71,14 @@ def read_assignment(assignment: str, form: str = "parameter") -> tuple[str, Any]
     if not equals or not name or form.count(".") != name.count("."):
         raise ValueError(f"--set: expected {form}=value, got {assignment!r}")
     try:
-        return name, yaml.safe_load(text)
+        return name, yaml.load(text, _Loader)
     except (yaml.YAMLError, RecursionError):
         raise ValueError(f"{name}: expected a value, got {text!r}") from None
 
 
 def _parse(text: str, source: str, make: Callable[[Mapping[str, Any]], T], form: str) -> T:
     try:
-        values = yaml.safe_load(text)
+        values = yaml.load(text, _Loader)
     except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(f"{source}: not valid YAML: {error}") from error
     if values is not None and not isinstance(values, dict):

@@ -15,13 +15,16 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.ply_ascii import read_ascii
-from torchjoint.datasets.ply_header import MAX_HEADER, Element, PlyHeader, list_arrays, parse_header
+from torchjoint.datasets.ply_binary import read_binary
+from torchjoint.datasets.ply_columns import Columns
+from torchjoint.datasets.ply_header import MAX_HEADER, parse_header
 from torchjoint.runtime.files import atomic_write
 
 Array = npt.NDArray[Any]
 
 #: Names of the list of a face's vertices.
 _FACE_LISTS = ("vertex_indices", "vertex_index")
+_COLORS, _NORMALS = ("red", "green", "blue"), ("nx", "ny", "nz")
 
 
 class Ply(NamedTuple):
@@ -53,21 +56,25 @@ def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
     Raises:
         FileNotFoundError, ValueError: as :func:`read_ply`; or the property is a list, or not of integers.
     """
-    values = _read_elements(path).get("vertex", {}).get(name)
-    if values is None:
+    vertex = _read_elements(path).get("vertex", Columns.of({}, 0))
+    if name not in vertex.kinds:
         return None
-    if values.dtype.kind not in "iu":
-        raise ValueError(f"{path}: property {name}: expected integers, got {values.dtype}")
-    return values.astype(np.int64)
+    if vertex.kinds[name].kind not in "iu":
+        raise ValueError(f"{path}: property {name}: expected integers, got {vertex.kinds[name]}")
+    try:
+        return vertex.stacked({name: ((name,), np.int64, 1)})[name][:, 0]
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
-def _read_elements(path: Path) -> dict[str, Mapping[str, Array]]:
+def _read_elements(path: Path) -> dict[str, Columns]:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud, .ply")
-    data = np.fromfile(path, np.uint8)
+    with path.open("rb") as stream:
+        start = stream.read(MAX_HEADER)
     try:
-        header = parse_header(data[:MAX_HEADER].tobytes())
-        return read_ascii(data, header) if header.encoding == "ascii" else _read_binary(data, header)
+        header = parse_header(start)
+        return (read_ascii if header.encoding == "ascii" else read_binary)(path, header)
     except (ValueError, OverflowError) as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -102,126 +109,37 @@ def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels
         stream.write(rows.tobytes())
 
 
-def _read_binary(data: Array, header: PlyHeader) -> dict[str, Mapping[str, Array]]:
-    """Views of the file's bytes: only columns that are asked for are copied."""
-    place = header.size
-    elements: dict[str, Mapping[str, Array]] = {}
-    for element in header.elements:
-        if not element.properties:
-            continue
-        if element.lists:
-            elements[element.name], place = _rows_with_lists(data, place, element, header)
-            continue
-        dtype = element.dtype(header.byte_order)
-        _check_rest(data, place, dtype.itemsize * element.rows, element)
-        rows = np.frombuffer(data, dtype, element.rows, place)
-        elements[element.name] = {name: rows[name] for name in element.names}
-        place += rows.nbytes
-    if data[place:].tobytes().strip():
-        raise ValueError(f"expected the end at byte {place}, got {len(data) - place} more bytes")
-    return elements
-
-
-def _rows_with_lists(data: Array, place: int, element: Element, header: PlyHeader) -> tuple[dict[str, Array], int]:
-    """The rows of an element with lists, as object arrays or [count, k] where all lists have one length."""
-    smallest = sum(np.dtype(p.length or p.kind).itemsize for p in element.properties)
-    _check_rest(data, place, smallest * element.rows, element)
-    if element.rows == 0:
-        return {}, place
-    lengths = _lengths(data, place, element, header)
-    dtype = element.dtype(header.byte_order, lengths)
-    if dtype.itemsize * element.rows <= len(data) - place:
-        rows = np.frombuffer(data, dtype, element.rows, place)
-        if all((rows[f"#{name}"] == length).all() for name, length in lengths.items()):
-            return {name: rows[name] for name in element.names}, place + rows.nbytes
-    columns: dict[str, list[Any]] = {name: [] for name in element.names}
-    for _ in range(element.rows):
-        row = np.frombuffer(*_one_row(data, place, element, header))[0]
-        for name in element.names:
-            columns[name].append(row[name])
-        place += row.nbytes
-    return list_arrays(columns, element), place
-
-
-def _one_row(data: Array, place: int, element: Element, header: PlyHeader) -> tuple[Array, np.dtype[Any], int, int]:
-    dtype = element.dtype(header.byte_order, _lengths(data, place, element, header))
-    _check_rest(data, place, dtype.itemsize, element)
-    return data, dtype, 1, place
-
-
-def _lengths(data: Array, place: int, element: Element, header: PlyHeader) -> dict[str, int]:
-    """The lengths of the lists in the row at `place`."""
-    lengths = {}
-    for one in element.properties:
-        if one.length is not None:
-            _check_rest(data, place, np.dtype(one.length).itemsize, element)
-            length = int(np.frombuffer(data, np.dtype(header.byte_order + one.length), 1, place)[0])
-            if length < 0:
-                raise ValueError(f"element {element.name}: a list of {length} numbers")
-            lengths[one.name] = length
-            place += np.dtype(one.length).itemsize + length * np.dtype(one.kind).itemsize
-        else:
-            place += np.dtype(one.kind).itemsize
-        _check_rest(data, place, 0, element)
-    return lengths
-
-
-def _check_rest(data: Array, place: int, size: int, element: Element) -> None:
-    if size > len(data) - place:
-        raise ValueError(
-            f"truncated: {element.rows} of element {element.name} need {size} bytes at byte {place}, "
-            f"got {max(0, len(data) - place)}"
-        )
-
-
-def _assembled(elements: Mapping[str, Mapping[str, Array]]) -> Ply:
-    vertex = elements.get("vertex", {})
-    missing = [name for name in "xyz" if name not in vertex or vertex[name].dtype == object]
+def _assembled(elements: Mapping[str, Columns]) -> Ply:
+    vertex = elements.get("vertex", Columns.of({}, 0))
+    missing = [name for name in "xyz" if not vertex.has_numbers(name)]
     if missing:
         raise ValueError(f"expected an element vertex with properties x, y and z; {', '.join(missing)} missing")
-    points = _columns(vertex, "xyz")
-    assert points is not None
-    if not len(points):
+    if not vertex.rows:
         raise ValueError("no points")
-    normals = _columns(vertex, ("nx", "ny", "nz"))
-    return Ply(points, _colors(vertex), None if normals is None else normals.float(), _faces(elements, len(points)))
+    narrow = all((vertex.kinds[name].kind, vertex.kinds[name].itemsize) == ("f", 4) for name in "xyz")
+    wanted: dict[str, tuple[tuple[str, ...], npt.DTypeLike, float]] = {
+        "points": (tuple("xyz"), np.float32 if narrow else np.float64, 1)
+    }
+    if vertex.has_numbers(_COLORS):
+        wanted["colors"] = (_COLORS, np.float32, _white([vertex.kinds[name] for name in _COLORS]))
+    if vertex.has_numbers(_NORMALS):
+        wanted["normals"] = (_NORMALS, np.float32, 1)
+    made = {name: torch.from_numpy(array) for name, array in vertex.stacked(wanted).items()}
+    return Ply(made["points"], made.get("colors"), made.get("normals"), _faces(elements, vertex.rows))
 
 
-def _columns(values: Mapping[str, Array], names: tuple[str, ...] | str) -> Tensor | None:
-    """[N, k]: float32 if all of them are, else float64; None if one is missing."""
-    if any(name not in values or values[name].dtype == object for name in names):
+def _white(kinds: Sequence[np.dtype[Any]]) -> float:
+    """The number of full brightness."""
+    kind = kinds[0] if len({(one.kind, one.itemsize) for one in kinds}) == 1 else np.dtype(np.uint8)
+    return 1 if kind.kind == "f" else int(np.iinfo(kind).max)
+
+
+def _faces(elements: Mapping[str, Columns], num_points: int) -> Tensor | None:
+    face = elements.get("face", Columns.of({}, 0))
+    name = next((name for name in _FACE_LISTS if name in face.kinds), None)
+    if name is None or not face.rows:
         return None
-    narrow = all((values[name].dtype.kind, values[name].dtype.itemsize) == ("f", 4) for name in names)
-    return _stacked([values[name] for name in names], np.float32 if narrow else np.float64)
-
-
-def _stacked(columns: Sequence[Array], dtype: npt.DTypeLike) -> Tensor:
-    """[N, k]: each number is copied once."""
-    stacked = np.empty((len(columns[0]), len(columns)), dtype)
-    for place, column in enumerate(columns):
-        stacked[:, place] = column
-    return torch.from_numpy(stacked)
-
-
-def _colors(vertex: Mapping[str, Array]) -> Tensor | None:
-    names = ("red", "green", "blue")
-    if any(name not in vertex or vertex[name].dtype == object for name in names):
-        return None
-    columns = [vertex[name] for name in names]
-    kinds = {column.dtype for column in columns}
-    (kind,) = kinds if len(kinds) == 1 else (np.dtype(np.uint8),)
-    white = 1 if kind.kind == "f" else np.iinfo(kind).max
-    if all(column.dtype == np.uint8 for column in columns):
-        shares = (np.arange(256) / white).astype(np.float32)  # what the division gives
-        return _stacked([shares[column] for column in columns], np.float32)
-    return (_stacked(columns, np.float64) / white).float()
-
-
-def _faces(elements: Mapping[str, Mapping[str, Array]], num_points: int) -> Tensor | None:
-    face = elements.get("face", {})
-    lists = next((face[name] for name in _FACE_LISTS if name in face), None)
-    if lists is None or not len(lists):
-        return None
+    lists = np.concatenate([block[name] for _, block in face.blocks()])
     if lists.dtype != object:  # all of one length
         corners = lists.reshape(len(lists), -1)
         triangles = np.empty((len(lists), max(corners.shape[1] - 2, 0), 3), np.int64)

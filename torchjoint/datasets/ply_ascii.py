@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
+from torchjoint.datasets.ply_columns import Columns
 from torchjoint.datasets.ply_header import Element, PlyHeader, list_arrays
 from torchjoint.ops import parse_numbers
 
@@ -17,19 +18,17 @@ Bytes = npt.NDArray[np.uint8]
 
 #: Characters of a line that are looked at to count its words.
 _MAX_LINE = 1 << 16
+#: Rows that are read at a time: their float64 numbers stay in the cache.
+_BLOCK = 1 << 14
 
 
-def read_ascii(data: Bytes, header: PlyHeader) -> dict[str, Mapping[str, Array]]:
+def read_ascii(path: Path, header: PlyHeader) -> dict[str, Columns]:
     """The columns of each element.
-
-    Args:
-        data: [B], of the whole file.
-        header: of the file.
 
     Raises:
         ValueError: a line too few or too many, a word that is no number, or a number that does not fit its type.
     """
-    body = data[header.size :]
+    body = np.fromfile(path, np.uint8, offset=header.size)
     try:
         elements, place = _read_elements(body, header)
     except ValueError:
@@ -42,16 +41,17 @@ def read_ascii(data: Bytes, header: PlyHeader) -> dict[str, Mapping[str, Array]]
     return elements
 
 
-def _read_elements(body: Bytes, header: PlyHeader) -> tuple[dict[str, Mapping[str, Array]], int]:
+def _read_elements(body: Bytes, header: PlyHeader) -> tuple[dict[str, Columns], int]:
     """The columns of each element, and the position behind them."""
     place = 0
-    elements: dict[str, Mapping[str, Array]] = {}
+    elements: dict[str, Columns] = {}
     for element in header.elements:
         if not element.properties:
             continue
         text = body[place:]
         read = _equal_rows(text, element) if element.lists else _rows(text, element)
-        elements[element.name], size = _rows_with_lists(text, element) if read is None else read
+        columns, size = _rows_with_lists(text, element) if read is None else read
+        elements[element.name] = Columns.of(columns, element.rows)
         place += size
     return elements, place
 
@@ -65,43 +65,68 @@ def _check_lines(body: Bytes, header: PlyHeader) -> None:
         raise ValueError(f"truncated, or too long: expected {expected} lines ({counts}), got {lines}")
 
 
-def _table(text: Bytes, element: Element, columns: int) -> tuple[npt.NDArray[np.float64], int]:
-    """The numbers of an element, [columns, rows], and the characters that were read."""
-    try:
-        values, end = parse_numbers(torch.from_numpy(text), element.rows, columns)
-    except ValueError as error:
-        raise ValueError(f"element {element.name}: {str(error).removeprefix('text: ')}") from error
-    return values.numpy(), int(end)
-
-
 def _rows(text: Bytes, element: Element) -> tuple[dict[str, Array], int]:
-    values, size = _table(text, element, len(element.properties))
-    return {one.name: _converted(values[i], one.kind, one.name) for i, one in enumerate(element.properties)}, size
+    """The rows of an element without lists, and the characters that were read."""
+    columns, size = _columns(text, element, [(one.kind, one.name) for one in element.properties])
+    return dict(zip(element.names, columns, strict=True)), size
 
 
 def _equal_rows(text: Bytes, element: Element) -> tuple[dict[str, Array], int] | None:
     """The rows of an element whose lists have one length, such as triangles, as [rows, length]; None: it has others."""
-    first = text[:_MAX_LINE].tobytes().partition(b"\n")[0].split()
-    if not element.rows or not first:
-        return None
+    words = text[:_MAX_LINE].tobytes().partition(b"\n")[0].split()
+    kinds: list[tuple[str, str]] = []
+    lengths: dict[str, int] = {}
+    for one in element.properties:
+        if one.length is not None:
+            word = words[len(kinds)] if len(kinds) < len(words) else b""
+            lengths[one.name] = int(word) if word.isdigit() and len(word) < 6 else len(words)
+            kinds.append((one.length, one.name))
+        kinds += [(one.kind, one.name)] * lengths.get(one.name, 1)
+        if len(kinds) > len(words):
+            return None
     try:
-        values, size = _table(text, element, len(first))
+        columns, size = _columns(text, element, kinds)
     except ValueError:
         return None
-    columns, place = {}, 0
+    read: dict[str, Array] = {}
     for one in element.properties:
-        length = 1
-        if one.length is not None:
-            lengths = _converted(values[place : place + 1], one.length, one.name)
-            length, place = int(lengths[0, 0]) if lengths.size else -1, place + 1
-            if (lengths != length).any():
-                return None
-        if not 0 <= length <= len(values) - place:
+        if one.length is None:
+            read[one.name] = columns.pop(0)
+            continue
+        if (columns.pop(0) != lengths[one.name]).any():
             return None
-        read = _converted(values[place : place + length], one.kind, one.name)
-        columns[one.name] = read[0] if one.length is None else read.T
-        place += length
-    return (columns, size) if place == len(values) else None
+        own, columns = columns[: lengths[one.name]], columns[lengths[one.name] :]
+        read[one.name] = np.stack(own, axis=1) if own else np.empty((element.rows, 0), one.kind)
+    return read, size
+
+
+def _columns(text: Bytes, element: Element, kinds: list[tuple[str, str]]) -> tuple[list[Array], int]:
+    """The columns of rows of equal length in their types, and the characters that were read; `kinds`: type, name."""
+    numbers, place = torch.from_numpy(text), 0
+    try:
+        if element.rows * len(kinds) > len(text):  # before memory is allocated
+            parse_numbers(numbers, element.rows, len(kinds))
+        columns = [np.empty(element.rows, kind) for kind, _ in kinds]
+        for start in range(0, element.rows, _BLOCK):
+            rows = slice(start, min(start + _BLOCK, element.rows))
+            values, end = parse_numbers(numbers[place:], rows.stop - rows.start, len(kinds))
+            place += int(end)
+            for column, read, (kind, name) in zip(columns, values.numpy(), kinds, strict=True):
+                column[rows] = _converted(read, kind, name)
+    except ValueError as error:
+        if str(error).startswith("text: "):
+            raise ValueError(f"element {element.name}: {_message(numbers, element.rows, len(kinds))}") from error
+        raise
+    return columns, place
+
+
+def _message(text: torch.Tensor, num_rows: int, num_columns: int) -> str:
+    """What is wrong with rows, numbered from the element's first one."""
+    try:
+        parse_numbers(text, num_rows, num_columns)
+    except ValueError as error:
+        return str(error).removeprefix("text: ")
+    raise AssertionError("rows that are wrong in a block are wrong in the whole")
 
 
 def _rows_with_lists(text: Bytes, element: Element) -> tuple[dict[str, Array], int]:
