@@ -10,7 +10,8 @@ from torchjoint.benchmark.paint import paint
 from torchjoint.config import Config
 from torchjoint.joint import JointSegmenter
 from torchjoint.labels import geodesic
-from torchjoint.labels.geodesic import nearest_labels, propagate
+from torchjoint.labels.geodesic import propagate
+from torchjoint.labels.markers import nearest_labels
 from torchjoint.scene import Scene
 from torchjoint.synthetic import make_scene
 from torchjoint.views.observation import Observation

@@ -11,9 +11,8 @@ from torchjoint import ops
 from torchjoint.config import Config
 from torchjoint.images.smoothing import smooth
 from torchjoint.labels._tables import by_first_appearance, look_up
-from torchjoint.views.nearest_points import nearest_in_cells
+from torchjoint.labels.markers import nearest_labels, without_outvoted
 from torchjoint.views.observation import Observation
-from torchjoint.views.visibility import Visible
 
 #: Path cost of a boundary of strength 1, in units of the cost of an RGB distance of 1. Boundaries add little to
 #: colours: without them, F of images of rooms falls by .002, and that of table-tops does not change.
@@ -51,9 +50,9 @@ def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config
         ([H, W] int32, the next free id); pixels that are -1 in the initial labels stay -1.
     """
     height, width = seen.labels.shape
-    markers = nearest_labels(seen.visible, point_labels, (height, width))
-    image = path_costs(seen, config)
-    labels = ops.propagate_labels(markers, *image, MIN_POINTS)
+    colors, boundary, color_weight, boundary_weight = path_costs(seen, config)
+    markers = without_outvoted(nearest_labels(seen.visible, point_labels, (height, width)), colors, color_weight)
+    labels = ops.propagate_labels(markers, colors, boundary, color_weight, boundary_weight, MIN_POINTS)
     return _keep_unseen(labels, markers >= 0, seen.labels, num_segments)
 
 
@@ -62,26 +61,6 @@ def path_costs(seen: Observation, config: Config) -> tuple[Tensor, Tensor, float
     colors = smooth(seen.image[None].float() / 255, config.image_graph.smoothing)[0].clamp_(0, 1)
     weight = config.refinement.color_weight
     return colors, seen.boundary.float() / 255, weight, BOUNDARY_SHARE * weight
-
-
-def nearest_labels(visible: Visible, point_labels: Tensor, size: tuple[int, int]) -> Tensor:
-    """Labels each pixel that contains points with the label of its point nearest to the camera.
-
-    Of equally near points the first counts.
-
-    Args:
-        visible: M visible points.
-        point_labels: [M] int64, 3D label of each visible point.
-        size: (H, W) of the image, pixels.
-
-    Returns:
-        [H, W] int32, -1 for pixels without a point.
-    """
-    pixel = visible.row * size[1] + visible.column
-    nearest = nearest_in_cells(pixel, visible.z)
-    labels = torch.full((size[0] * size[1],), -1, dtype=torch.int32)
-    labels[pixel[nearest]] = point_labels[nearest].to(torch.int32)
-    return labels.view(size)
 
 
 def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) -> tuple[Tensor, int]:

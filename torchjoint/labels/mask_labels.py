@@ -10,7 +10,8 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.config import Config
 from torchjoint.labels.geodesic import MIN_POINTS as SPECK
-from torchjoint.labels.geodesic import nearest_labels, path_costs
+from torchjoint.labels.geodesic import path_costs
+from torchjoint.labels.markers import nearest_labels
 from torchjoint.scene import Masks
 from torchjoint.views.observation import Observation
 

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import Config
-from torchjoint.labels.geodesic import nearest_labels, path_costs
+from torchjoint.labels.geodesic import path_costs
+from torchjoint.labels.markers import nearest_labels, without_outvoted
 from torchjoint.runtime.packing import Packed, pack
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Hierarchy
@@ -90,8 +91,11 @@ def piece_image(seen: Observation, labels: Tensor, piece: Tensor, of_piece: Tens
     by_segment = torch.argsort(of_piece, stable=True)
     place = torch.empty_like(by_segment)
     place[by_segment] = torch.arange(len(by_segment))
+    colors, boundary, color_weight, boundary_weight = path_costs(seen, config)
     markers = nearest_labels(seen.visible, place[pieces_there], (height, width))
-    places = ops.propagate_labels(markers, *path_costs(seen, config)).to(torch.int64)
+    of_segments = nearest_labels(seen.visible, of_piece[pieces_there], (height, width))
+    markers[without_outvoted(of_segments, colors, color_weight) < 0] = -1
+    places = ops.propagate_labels(markers, colors, boundary, color_weight, boundary_weight).to(torch.int64)
     pieces = by_segment[places.clamp(min=0)]
     num_segments = int(of_piece.max()) + 1
     has_segment = (labels >= 0) & (labels < num_segments)
