@@ -49,6 +49,7 @@ from torchjoint.ops import (
     match_pixels,
     merge_regions,
     min_cut,
+    nearest_neighbors,
     neighbor_edges,
     pair_counts,
     project,
@@ -125,6 +126,13 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (min_cut, {"sink_capacity": SINK[:3]}, ValueError, "sink_capacity: expected shape [N] = [4], got [3]"),
     (min_cut, {"sink_capacity": changed(SINK, NAN, 1)}, ValueError, "sink_capacity: expected numbers >= 0, got nan"),
     (min_cut, {"sink_capacity": SOURCE}, ValueError, "source_capacity and sink_capacity: both are infinite at node 0"),
+    (nearest_neighbors, {"points": POINTS.numpy()}, TypeError, "points: expected a torch.Tensor, got ndarray"),
+    (nearest_neighbors, {"points": POINTS.half()}, TypeError, "points: expected dtype torch.float32 or torch.float64"),
+    (nearest_neighbors, {"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [4, 2]"),
+    (nearest_neighbors, {"points": changed(POINTS, NAN, 2, 1)}, ValueError, "finite coordinates, got nan in row 2"),
+    (nearest_neighbors, {"points": changed(POINTS, torch.inf, 3, 0)}, ValueError, "coordinates, got inf in row 3"),
+    (nearest_neighbors, {"count": -1}, ValueError, "count: expected a number >= 0, got -1"),
+    (nearest_neighbors, {"num_distances": 1.0}, TypeError, "num_distances: expected int, got float"),
     (neighbor_edges, {"neighbors": [[1], [0]]}, TypeError, "neighbors: expected a torch.Tensor, got list"),
     (neighbor_edges, {"neighbors": NEIGHBORS.float()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
     (neighbor_edges, {"neighbors": NEIGHBORS[0]}, ValueError, "neighbors: expected shape [N, K], got [2]"),
@@ -639,6 +647,7 @@ LONG_OPERATORS = (
     felzenszwalb,
     felzenszwalb_image,
     min_cut,
+    nearest_neighbors,
     neighbor_edges,
     fit_normals,
     group_summaries,
@@ -666,6 +675,9 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
         image = torch.rand(4, int(1000 * side), int(1000 * side), generator=generator)
         markers = torch.where(image[0] < 0.01, torch.arange(image.shape[2]), -1).int()
         return lambda: propagate_labels(markers, image[:3], image[3], 9.0, 2.0)
+    if op is nearest_neighbors:
+        points = torch.rand(int(200_000 * share), 3, generator=torch.Generator().manual_seed(0))
+        return lambda: nearest_neighbors(points, 16)
     if op in (neighbor_edges, fit_normals, region_planes):
         generator = torch.Generator().manual_seed(0)
         points = torch.rand(int(500_000 * share), 3, generator=generator)
