@@ -49,6 +49,7 @@ from torchjoint.ops import (
     match_pixels,
     merge_regions,
     min_cut,
+    nearest_neighbors,
     neighbor_edges,
     pair_counts,
     parse_numbers,
@@ -126,6 +127,13 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (min_cut, {"sink_capacity": SINK[:3]}, ValueError, "sink_capacity: expected shape [N] = [4], got [3]"),
     (min_cut, {"sink_capacity": changed(SINK, NAN, 1)}, ValueError, "sink_capacity: expected numbers >= 0, got nan"),
     (min_cut, {"sink_capacity": SOURCE}, ValueError, "source_capacity and sink_capacity: both are infinite at node 0"),
+    (nearest_neighbors, {"points": POINTS.numpy()}, TypeError, "points: expected a torch.Tensor, got ndarray"),
+    (nearest_neighbors, {"points": POINTS.half()}, TypeError, "points: expected dtype torch.float32 or torch.float64"),
+    (nearest_neighbors, {"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [4, 2]"),
+    (nearest_neighbors, {"points": changed(POINTS, NAN, 2, 1)}, ValueError, "finite coordinates, got nan in row 2"),
+    (nearest_neighbors, {"points": changed(POINTS, torch.inf, 3, 0)}, ValueError, "coordinates, got inf in row 3"),
+    (nearest_neighbors, {"count": -1}, ValueError, "count: expected a number >= 0, got -1"),
+    (nearest_neighbors, {"num_distances": 1.0}, TypeError, "num_distances: expected int, got float"),
     (neighbor_edges, {"neighbors": [[1], [0]]}, TypeError, "neighbors: expected a torch.Tensor, got list"),
     (neighbor_edges, {"neighbors": NEIGHBORS.float()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
     (neighbor_edges, {"neighbors": NEIGHBORS[0]}, ValueError, "neighbors: expected shape [N, K], got [2]"),
@@ -650,6 +658,7 @@ LONG_OPERATORS = (
     felzenszwalb,
     felzenszwalb_image,
     min_cut,
+    nearest_neighbors,
     neighbor_edges,
     fit_normals,
     group_summaries,
@@ -682,6 +691,9 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
         num_rows = int(4_000_000 * share)
         text = torch.tensor(list(b"1.25 -3.5\n"), dtype=torch.uint8).repeat(num_rows)
         return lambda: parse_numbers(text, num_rows, 2)
+    if op is nearest_neighbors:
+        points = torch.rand(int(200_000 * share), 3, generator=torch.Generator().manual_seed(0))
+        return lambda: nearest_neighbors(points, 16)
     if op in (neighbor_edges, fit_normals, region_planes):
         generator = torch.Generator().manual_seed(0)
         points = torch.rand(int(500_000 * share), 3, generator=generator)

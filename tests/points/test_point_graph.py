@@ -158,13 +158,13 @@ def test_neighbours_normals_and_edges_do_not_depend_on_threads(set_threads):
 
 
 def test_points_are_asked_for_in_pieces(monkeypatch):
-    points, expected = random_points(500), nearest_neighbors(random_points(500), 6)
+    points, expected = random_points(500), nearest_neighbors(random_points(500), 6, reach=0.3)
     normals = torch.nn.functional.normalize(random_points(500, 1), dim=1)
     edges, known = undirected_edges(expected.indices), torch.ones(500, dtype=torch.bool)
     whole = geometric_weights(points, edges, normals, known, PointGraphConfig())
     monkeypatch.setattr("torchjoint.points.neighbors.QUERIES", 64)
     monkeypatch.setattr("torchjoint.points.edge_weights.EDGES", 128)
-    pieces = nearest_neighbors(points, 6)
+    pieces = nearest_neighbors(points, 6, reach=0.3)
     assert torch.equal(pieces.indices, expected.indices)
     assert torch.equal(pieces.spacing, expected.spacing)
     assert torch.equal(geometric_weights(points, edges, normals, known, PointGraphConfig()), whole)

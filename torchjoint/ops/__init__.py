@@ -14,6 +14,7 @@ from torchjoint.ops.mask_merges import mask_merges
 from torchjoint.ops.match_pixels import match_pixels
 from torchjoint.ops.merge_regions import merge_regions
 from torchjoint.ops.min_cut import min_cut
+from torchjoint.ops.nearest_neighbors import nearest_neighbors
 from torchjoint.ops.neighbor_edges import neighbor_edges
 from torchjoint.ops.pair_counts import pair_counts
 from torchjoint.ops.parse_numbers import parse_numbers
@@ -37,6 +38,7 @@ __all__ = [
     "match_pixels",
     "merge_regions",
     "min_cut",
+    "nearest_neighbors",
     "neighbor_edges",
     "pair_counts",
     "parse_numbers",

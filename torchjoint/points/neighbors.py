@@ -1,4 +1,4 @@
-"""Step 3: nearest neighbours of the points of a cloud, by SciPy's k-d tree."""
+"""Step 3: nearest neighbours of the points of a cloud."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from torchjoint.runtime.threads import num_threads
+from torchjoint import ops
+from torchjoint.runtime.threads import all_threads, num_threads
 
 Array = npt.NDArray[Any]
 
-#: Number of points per query, so that clouds of millions of points need little memory besides the result.
+#: Number of points per query of SciPy's tree, so that large scans need little memory besides the result.
 QUERIES = 1 << 18
 
 #: Where neighbours do not reach far enough, they are searched among every 2nd, 4th or 8th point.
@@ -40,9 +41,9 @@ def nearest_neighbors(points: Tensor, count: int, reach: float = 0.0) -> Neighbo
     closer than `reach`, the K nearest are searched among half of the points instead, then a quarter, then an eighth,
     evenly spread. The first search that reaches far enough counts, else the last one that has enough points.
 
-    Duplicate points are neighbours of one another at distance 0. Equally far neighbours have the order in which SciPy's
-    tree finds them. This order is always the same for the same cloud, whatever the number of threads, but it does not
-    follow the points' numbers. On a grid the tree therefore decides which of several equally far points come last.
+    Duplicate points are neighbours of one another at distance 0. Of equally far neighbours the one with the smaller
+    number comes first (:func:`torchjoint.ops.nearest_neighbors`). Only where neighbours are searched among fewer points
+    do equally far ones have the order in which SciPy's tree finds them, which is always the same for the same cloud.
 
     Args:
         points: [N, 3] float32 metres, N < 2^31.
@@ -52,22 +53,13 @@ def nearest_neighbors(points: Tensor, count: int, reach: float = 0.0) -> Neighbo
     Returns:
         indices [N, K] int32 and spacing [N] float32 metres.
     """
-    num_points = points.shape[0]
-    count = max(0, min(count, num_points - 1))
-    indices = torch.empty(num_points, count, dtype=torch.int32)
-    spacing = torch.zeros(num_points, dtype=torch.float32)
-    if count == 0:
-        return Neighbors(indices, spacing)
-    coordinates = np.ascontiguousarray(points.double().numpy())
-    tree = _tree(coordinates)
-    near = []
-    for rows in _pieces(tree.indices):
-        index, distance = _query(tree, coordinates, rows, count)
-        spacing[torch.from_numpy(rows)] = torch.from_numpy(distance[:, :SPACING_NEIGHBORS]).float().mean(dim=1)
-        indices.numpy()[rows] = index
-        near.append(rows[distance[:, -1] < reach])
-    _reach_farther(tree, coordinates, np.concatenate(near), reach, indices.numpy())
-    return Neighbors(indices, spacing)
+    with all_threads():
+        indices, distances = ops.nearest_neighbors(points, count, count if reach > 0 else SPACING_NEIGHBORS)
+    if indices.shape[1] == 0:
+        return Neighbors(indices, torch.zeros(len(points), dtype=torch.float32))
+    if reach > 0:
+        _reach_farther(points, torch.nonzero(distances[:, -1] < reach).squeeze(1).numpy(), reach, indices.numpy())
+    return Neighbors(indices, distances[:, :SPACING_NEIGHBORS].float().mean(dim=1))
 
 
 def neighbor_tables(points: Tensor, counts: Iterable[int], reach: float) -> tuple[dict[int, Tensor], Tensor]:
@@ -91,9 +83,12 @@ def neighbor_tables(points: Tensor, counts: Iterable[int], reach: float) -> tupl
     return {count: nearest.indices[:, :count] for count in counts}, nearest.spacing
 
 
-def _reach_farther(tree: cKDTree, coordinates: Array, near: Array, reach: float, indices: Array) -> None:
+def _reach_farther(points: Tensor, near: Array, reach: float, indices: Array) -> None:
     """Replaces the neighbours of the points `near` by neighbours among fewer points, which are farther away."""
-    count = indices.shape[1]
+    if len(near) == 0:
+        return
+    count, coordinates = indices.shape[1], np.ascontiguousarray(points.double().numpy())
+    tree = _tree(coordinates)
     for share in SHARES:
         # In the tree's order consecutive points are near each other: every second point is an evenly spread half.
         kept = tree.indices[::share]
@@ -112,12 +107,10 @@ def _tree(coordinates: Array) -> cKDTree:
     return cKDTree(coordinates, leafsize=24, balanced_tree=False, compact_nodes=False)
 
 
-def _query(
-    tree: cKDTree, coordinates: Array, rows: Array, count: int, members: Array | None = None
-) -> tuple[Array, Array]:
-    """Indices and distances of the neighbours of the points `rows`; `members`: the tree's points, if not all points."""
+def _query(tree: cKDTree, coordinates: Array, rows: Array, count: int, members: Array) -> tuple[Array, Array]:
+    """Indices and distances of the neighbours of the points `rows`; `members` are the tree's points."""
     distance, index = tree.query(coordinates[rows], k=count + 1, workers=num_threads())
-    return _without_self(rows, index if members is None else members[index], distance)
+    return _without_self(rows, members[index], distance)
 
 
 def _pieces(order: Array) -> Iterator[Array]:

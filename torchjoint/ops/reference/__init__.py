@@ -14,6 +14,7 @@ from torchjoint.ops.reference.images import (
 )
 from torchjoint.ops.reference.points import (
     fit_normals_reference,
+    nearest_neighbors_reference,
     neighbor_edges_reference,
     pair_counts_reference,
     project_reference,
@@ -39,6 +40,7 @@ __all__ = [
     "match_pixels_reference",
     "merge_regions_reference",
     "min_cut_reference",
+    "nearest_neighbors_reference",
     "neighbor_edges_reference",
     "pair_counts_reference",
     "parse_numbers_reference",

@@ -12,6 +12,23 @@ import torch
 from torch import Tensor
 
 
+def nearest_neighbors_reference(points: Tensor, count: int, num_distances: int | None = None) -> tuple[Tensor, Tensor]:
+    """What :func:`torchjoint.ops.nearest_neighbors` computes, by sorting all distances; the arguments are not checked.
+
+    Example:
+        >>> nearest_neighbors_reference(torch.tensor([[0.0, 0, 0], [1, 0, 0], [3, 0, 0]]), 1)[0].tolist()
+        [[1], [0], [1]]
+    """
+    x, y, z = (points.double()[:, None] - points.double()).unbind(dim=2)
+    squared = (x * x + y * y) + z * z
+    itself = torch.eye(len(points), dtype=torch.bool)
+    # A stable sort leaves equal distances in the order of the numbers; then the point itself is left out.
+    order = squared.sort(dim=1, stable=True).indices
+    order = order[~itself.gather(1, order)].view(len(points), max(len(points) - 1, 0))[:, :count]
+    distances = squared.gather(1, order[:, : count if num_distances is None else num_distances]).sqrt()
+    return order.int(), distances.to(points.dtype)
+
+
 def neighbor_edges_reference(neighbors: Tensor) -> Tensor:
     """What :func:`torchjoint.ops.neighbor_edges` computes; the arguments are not checked.
 

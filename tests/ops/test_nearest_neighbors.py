@@ -1,0 +1,75 @@
+"""The nearest neighbours of all points: those of the twin, with ties, copies, and points far apart."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torchjoint.ops import nearest_neighbors
+from torchjoint.ops.reference import nearest_neighbors_reference
+
+
+def cloud(kind: str, num_points: int, seed: int, dtype: torch.dtype) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    points = torch.rand(num_points, 3, generator=generator, dtype=torch.float64)
+    if kind == "lattice":  # equal distances wherever one looks
+        points = (points * 5).round() / 10
+    elif kind == "plane":
+        points[:, 2] = 0
+    elif kind == "copies":
+        points = points[torch.randint(1 + num_points // 20, (num_points,), generator=generator)]
+    elif kind == "outliers":
+        points = (points - 0.5) ** 9 * 1e6
+    elif kind == "far away":  # rounded to few different coordinates in float32
+        points += 1e5
+    elif kind == "tiny":  # squares vanish in float32, and some in float64
+        points = (points * 5).round() * 10.0 ** torch.randint(-170, -20, (num_points, 1), generator=generator)
+    return points.to(dtype)
+
+
+KINDS = ("random", "lattice", "plane", "copies", "outliers", "far away", "tiny")
+
+
+def check(points: torch.Tensor, *counts: int) -> None:
+    expected, measured = nearest_neighbors_reference(points, max(counts))
+    for count in counts:
+        indices, distances = nearest_neighbors(points, count)
+        assert torch.equal(indices, expected[:, :count])
+        rtol = 1e-15 if points.dtype == torch.float64 else 1e-6
+        torch.testing.assert_close(distances, measured[:, :count], rtol=rtol, atol=0)
+
+
+@given(
+    st.sampled_from(KINDS), st.integers(0, 100), st.integers(0, 40), st.integers(0, 10_000),
+    st.sampled_from([torch.float32, torch.float64]),
+)  # fmt: skip
+def test_neighbours_are_the_twin_s(kind: str, num_points: int, count: int, seed: int, dtype: torch.dtype) -> None:
+    check(cloud(kind, num_points, seed, dtype), count)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_neighbours_in_a_deep_tree_are_the_twin_s(kind: str) -> None:
+    check(cloud(kind, 700, 0, torch.float32), 1, 16, 130)  # the last is more than are sorted by rank
+
+
+def test_of_equally_far_points_the_smaller_number_comes_first() -> None:
+    cross = torch.tensor([[0.0, 1, 0], [1, 0, 0], [0, 0, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1]])
+    indices, distances = nearest_neighbors(cross, 4, 2)
+    assert indices[2].tolist() == [0, 1, 3, 4]
+    assert distances[2].tolist() == [1, 1]
+    assert nearest_neighbors(cross.flip(0), 4)[0][3].tolist() == [0, 1, 2, 4]
+
+
+def test_many_copies_are_no_slower_than_other_points() -> None:
+    points = torch.cat([torch.zeros(10_000, 3), torch.ones(10_000, 3)])[torch.arange(20_000).view(2, -1).t().flatten()]
+    indices, distances = nearest_neighbors(points, 3)
+    assert indices[:4].tolist() == [[2, 4, 6], [3, 5, 7], [0, 4, 6], [1, 5, 7]]
+    assert (indices[8:] == torch.tensor([[0, 2, 4], [1, 3, 5]]).repeat(10_000 - 4, 1)).all()
+    assert not distances.any()
+
+
+def test_any_strides() -> None:
+    points = cloud("random", 100, 0, torch.float32)
+    assert torch.equal(nearest_neighbors(points.t().contiguous().t(), 5)[0], nearest_neighbors(points, 5)[0])

@@ -1,0 +1,289 @@
+// The nearest neighbours of every point of a cloud. The points of a leaf of a k-d tree have nearly the same neighbours, so
+// the tree is walked once a leaf, for what any of its points may need; each point then chooses among these candidates.
+#include "neighbor_candidates.h"
+
+#include <atomic>
+#include <cmath>
+
+namespace torchjoint {
+namespace {
+
+constexpr int64_t kLeavesPerBlock = 64;
+// A leaf with more candidates than this, and than this for each neighbour, holds points that are far apart.
+constexpr size_t kFewCandidates = 8192, kMostCandidates = 32;
+constexpr size_t kNoLimit = std::numeric_limits<size_t>::max();
+// Sorting by rank needs no branches, but the square of the number.
+constexpr size_t kMostRanked = 96;
+// Factor on bounds, for their rounding.
+constexpr double kSlack = 1 + 1e-9;
+
+struct Neighbor {
+  double squared_distance;
+  int32_t index;
+};
+
+// The order of neighbours, and the rule for ties: of equally far points the one with the smaller number comes first.
+bool operator<(const Neighbor& a, const Neighbor& b) {
+  return a.squared_distance != b.squared_distance ? a.squared_distance < b.squared_distance : a.index < b.index;
+}
+
+template <typename Value>
+double squared_distance(const Value* a, const Value* b) {
+  const double x = double{a[0]} - b[0], y = double{a[1]} - b[1], z = double{a[2]} - b[2];
+  return (x * x + y * y) + z * z;
+}
+
+template <typename Value>
+class Search {
+ public:
+  Search(const PointTree<Value>& tree, int64_t count, int64_t num_distances, int32_t* indices, Value* distances)
+      : tree_(tree), count_(count), num_distances_(num_distances), wanted_(count + 1), indices_(indices),
+        distances_(distances) {}
+
+  void search_leaf(int64_t leaf) {
+    const int64_t size = tree_.num_points(leaf, leaf + 1);
+    if (search_together(leaf, 0, size)) return;
+    for (int64_t i = 0; i < size; ++i) search_together(leaf, i, i + 1);
+  }
+
+ private:
+  struct Point {
+    Value at[3];
+    int32_t index;
+    double radius;  // distance from the centre of the points that are searched together
+  };
+
+  // Searches the neighbours of some points of a leaf; returns false, and searches none, if they are too far apart.
+  bool search_together(int64_t leaf, int64_t first, int64_t last) {
+    Value center[3];
+    const double radius = take(tree_.leaf(leaf), first, last, center);
+    // As many points as are wanted are up to `reach` from the centre, so for a point at distance r of the centre as many
+    // are within reach + r, and all these are within reach + 2 r of the centre. The first reach is a rough one.
+    double reach = reach_around(leaf, center);
+    gather(center, squared(reach), kNoLimit);
+    candidates_.measure(center);
+    reach = wanted_within();
+    const bool is_one_place = radius == 0;
+    if (!gather(center, squared(reach + 2 * radius), is_one_place ? kNoLimit : most_together())) return false;
+    candidates_.measure(center);
+    candidates_.keep_up_to(rounded_up<Value>(squared(reach + 2 * radius)));
+    if (is_one_place) keep_lowest_copies(center);
+    last_ = rounded_up<Value>(squared(reach));
+    for (int64_t i = 0; i < last - first; ++i) choose(together_[i], squared(reach + together_[i].radius));
+    return true;
+  }
+
+  // The number of candidates beyond which the points of a leaf are searched one by one.
+  size_t most_together() const { return std::max(kFewCandidates, kMostCandidates * wanted_); }
+
+  // Takes points [first, last) of a leaf, and finds the centre of their box and their largest distance from it.
+  double take(const typename PointTree<Value>::Leaf& leaf, int64_t first, int64_t last, Value* center) {
+    for (int d = 0; d < 3; ++d) {
+      const auto [low, high] = std::minmax_element(leaf.at[d] + first, leaf.at[d] + last);
+      center[d] = *low == *high ? *low : *low / 2 + *high / 2;
+    }
+    double largest = 0;
+    for (int64_t i = first; i < last; ++i) {
+      Point& point = together_[i - first] = {{leaf.at[0][i], leaf.at[1][i], leaf.at[2][i]}, leaf.index[i], 0};
+      point.radius = std::sqrt(squared_distance(center, point.at));
+      largest = std::max(largest, point.radius);
+    }
+    return largest;
+  }
+
+  static double squared(double distance) { return distance * distance * kSlack; }
+
+  // A distance from a place in a leaf within which there are as many points as are wanted.
+  double reach_around(int64_t leaf, const Value* center) {
+    const auto [first, last] = tree_.leaves_around(leaf, wanted_);
+    candidates_.size = 0;
+    for (int64_t i = first; i < last; ++i) candidates_.add(tree_.leaf(i), tree_.num_points(i, i + 1));
+    candidates_.measure(center);
+    return wanted_within();
+  }
+
+  double wanted_within() const {
+    const Value* distance = candidates_.distance.data();
+    const Value farthest = *std::max_element(distance, distance + candidates_.size);
+    const Value first = farthest * (static_cast<Value>(wanted_ + 1) / static_cast<Value>(candidates_.size + 1));
+    return std::sqrt(double{rounded_up<Value>(threshold(distance, candidates_.size, wanted_, farthest, first))});
+  }
+
+  // Gathers the points of all leaves that are at most sqrt(limit) from a place; false if there are more than `most`.
+  bool gather(const Value* place, double limit, size_t most) {
+    tree_.leaves_near(place, rounded_up<Value>(limit), leaves_);
+    if (leaves_.size() * PointTree<Value>::kLeafSize > most) return false;
+    candidates_.size = 0;
+    for (const int32_t leaf : leaves_) candidates_.add(tree_.leaf(leaf), tree_.num_points(leaf, leaf + 1));
+    return true;
+  }
+
+  // If there are enough copies of a point, keeps those with the lowest numbers: a point may have any number of copies.
+  void keep_lowest_copies(const Value* place) {
+    near_.clear();
+    for (size_t i = 0; i < candidates_.size; ++i) {
+      const Value at[] = {candidates_.at[0][i], candidates_.at[1][i], candidates_.at[2][i]};
+      if (std::equal(at, at + 3, place)) near_.push_back(candidates_.index[i]);
+    }
+    if (near_.size() <= wanted_) return;
+    std::nth_element(near_.begin(), near_.begin() + wanted_, near_.end());
+    candidates_.size = wanted_;
+    std::copy_n(near_.begin(), wanted_, candidates_.index.begin());
+    for (int d = 0; d < 3; ++d) std::fill_n(candidates_.at[d].begin(), wanted_, place[d]);
+  }
+
+  // Writes the neighbours of a point, of which the wanted number is known to be within sqrt(limit). Distances are first
+  // computed in Value, which is quick, and those that may count once more in double.
+  void choose(const Point& point, double limit) {
+    candidates_.measure(point.at);
+    const Value* distance = candidates_.distance.data();
+    const Value high = rounded_up<Value>(limit);
+    last_ = threshold(distance, candidates_.size, wanted_, high, last_);
+    sort(point, keep_near(rounded_up<Value>(last_)));
+    write(point);
+  }
+
+  // Keeps the candidates up to a distance, and their distances, in near_ and near_distance_; returns how many.
+  size_t keep_near(Value limit) {
+    near_.resize(candidates_.size);
+    near_distance_.resize(candidates_.size);
+    const Value* distance = candidates_.distance.data();
+    size_t kept = 0;
+    for_each_up_to(distance, candidates_.size, limit, [&](size_t i) {
+      near_distance_[kept] = distance[i];
+      near_[kept++] = static_cast<int32_t>(i);
+    });
+    return kept;
+  }
+
+  // Sorts the near candidates: first by their rounded distances, and then by the distances themselves.
+  void sort(const Point& point, size_t size) {
+    order(size);
+    sorted_.resize(size);
+    for (size_t i = 0; i < size; ++i) {
+      const int32_t candidate = order_[i];
+      const Value at[] = {candidates_.at[0][candidate], candidates_.at[1][candidate], candidates_.at[2][candidate]};
+      sorted_[i] = {squared_distance(at, point.at), candidates_.index[candidate]};
+    }
+    if (size > kMostRanked) return std::sort(sorted_.begin(), sorted_.end());
+    for (size_t i = 1; i < size; ++i) {  // nearly nothing is left to move
+      const Neighbor moved = sorted_[i];
+      size_t to = i;
+      for (; to > 0 && moved < sorted_[to - 1]; --to) sorted_[to] = sorted_[to - 1];
+      sorted_[to] = moved;
+    }
+  }
+
+  // Puts the near candidates in the order of their rounded distances, unless there are many.
+  void order(size_t size) {
+    order_.resize(size);
+    if (size > kMostRanked) {
+      std::copy(near_.begin(), near_.begin() + size, order_.begin());
+      return;
+    }
+    const Value* distance = near_distance_.data();
+    uint8_t taken[kMostRanked] = {};
+    for (size_t i = 0; i < size; ++i) {
+      const Value own = distance[i];
+      int32_t rank = 0;
+      for (size_t j = 0; j < size; ++j) rank += distance[j] < own;
+      order_[rank + taken[rank]++] = near_[i];
+    }
+  }
+
+  void write(const Point& point) {
+    int32_t* indices = indices_ + point.index * count_;
+    Value* distances = distances_ + point.index * num_distances_;
+    int64_t written = 0;
+    for (size_t i = 0; written < count_; ++i) {
+      if (sorted_[i].index == point.index) continue;
+      if (written < num_distances_) distances[written] = static_cast<Value>(std::sqrt(sorted_[i].squared_distance));
+      indices[written++] = sorted_[i].index;
+    }
+  }
+
+  const PointTree<Value>& tree_;
+  const int64_t count_, num_distances_;
+  const size_t wanted_;  // neighbours and the point itself
+  int32_t* indices_;
+  Value* distances_;
+  Point together_[PointTree<Value>::kLeafSize];
+  Candidates<Value> candidates_;
+  Value last_ = 0;  // squared distance of the last of a point's neighbours: a first guess for the next point's
+  std::vector<Value> near_distance_;
+  std::vector<int32_t> leaves_, near_, order_;
+  std::vector<Neighbor> sorted_;
+};
+
+template <typename Value>
+void search_leaves(Search<Value>& search, int64_t first, int64_t last) {
+  for (int64_t leaf = first; leaf < last; ++leaf) search.search_leaf(leaf);
+}
+
+#ifdef __x86_64__
+// The same, compiled for vectors of twice the length; without fused operations, so with the same results.
+template <typename Value>
+__attribute__((target("avx2"), flatten)) void search_leaves_avx2(Search<Value>& search, int64_t first, int64_t last) {
+  for (int64_t leaf = first; leaf < last; ++leaf) search.search_leaf(leaf);
+}
+#endif
+
+// What searches leaves fastest on this machine.
+template <typename Value>
+void (*block_search())(Search<Value>&, int64_t, int64_t) {
+#ifdef __x86_64__
+  if (__builtin_cpu_supports("avx2")) return search_leaves_avx2<Value>;
+#endif
+  return search_leaves<Value>;
+}
+
+template <typename Value>
+void search_all(const Value* points, int64_t num_points, int64_t count, int64_t num_distances, int32_t* indices,
+                Value* distances) {
+  const PointTree<Value> tree(points, num_points);
+  const int64_t blocks = (tree.num_leaves() + kLeavesPerBlock - 1) / kLeavesPerBlock;
+  const auto search_block = block_search<Value>();
+  std::atomic<int64_t> next = 0;  // blocks take different times, so each thread takes the next one when it is free
+  torch::stable::parallel_for(0, blocks, 1, [&](int64_t, int64_t) {
+    Search<Value> search(tree, count, num_distances, indices, distances);
+    for (int64_t block = next++; block < blocks; block = next++) {
+      search_block(search, block * kLeavesPerBlock, std::min((block + 1) * kLeavesPerBlock, tree.num_leaves()));
+    }
+  });
+}
+
+std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count, int64_t num_distances) {
+  check(points.is_cpu(), "points: expected a CPU tensor");
+  check(is_floating(points), "points: expected dtype torch.float32 or torch.float64");
+  check(points.dim() == 2 && points.size(1) == 3, "points: expected shape [N, 3]");
+  const int64_t num_points = points.size(0);
+  check(num_points <= kMaxCount, "points: expected at most 2^31 - 1 points, got ", num_points);
+  check(count >= 0, "count: expected a number >= 0, got ", count);
+  check(num_distances >= 0, "num_distances: expected a number >= 0, got ", num_distances);
+  const Tensor coordinates = torch::stable::contiguous(points);
+  count = std::min(count, std::max<int64_t>(num_points - 1, 0));
+  num_distances = std::min(num_distances, count);
+  Tensor indices = torch::stable::new_empty(coordinates, {num_points, count}, ScalarType::Int);
+  Tensor distances = torch::stable::new_empty(coordinates, {num_points, num_distances}, points.scalar_type());
+  with_values(coordinates, [&]<typename Value>(const Value* values) {
+    for (int64_t i = 0; i < 3 * num_points; ++i) {
+      check(std::isfinite(values[i]), "points: expected finite coordinates, got ", values[i], " in row ", i / 3);
+    }
+    if (count == 0) return;
+    search_all(values, num_points, count, num_distances, indices.mutable_data_ptr<int32_t>(),
+               distances.mutable_data_ptr<Value>());
+  });
+  return {indices, distances};
+}
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
+  m.def("nearest_neighbors(Tensor points, int count, int num_distances) -> (Tensor, Tensor)");
+}
+
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
+  m.impl("nearest_neighbors", TORCH_BOX(&nearest_neighbors));
+}
+
+}  // namespace torchjoint
