@@ -4,8 +4,11 @@ import dataclasses
 
 import pytest
 import torch
+from folder_files import write_folder
 
 import torchjoint as tj
+from torchjoint.recordings import segment_recording
+from torchjoint.results.exports.clouds import export_npz
 
 
 @pytest.fixture(params=["float64", "meta"])
@@ -54,3 +57,55 @@ def test_superpoints(scene, expected, other_default):
     labels = tj.superpoints(scene.points, scene.colors)
     torch.set_default_device(None)
     assert torch.equal(labels, expected["superpoints"][0])
+
+
+LABELS = torch.arange(600) % 7 - 1
+STACK = torch.arange(3 * 20 * 30).view(3, 20, 30) % 5 < 2
+IN_MASKS = {"segmentation": {"size": [2, 3], "counts": [1, 2, 3]}, "score": 0.5}
+CALLS = {
+    "covering": lambda: tj.metrics.segmentation_covering(LABELS, LABELS // 2),
+    "objects and parts": lambda: tj.metrics.objects_and_parts(LABELS, LABELS // 2),
+    "average precision": lambda: tj.metrics.average_precision_parts(LABELS, LABELS // 2),
+    "achievable accuracy": lambda: tj.metrics.achievable_segmentation_accuracy(LABELS, LABELS // 2),
+    "masks of labels": lambda: tj.masks.from_labels(LABELS.view(20, 30)).labels(),
+    "nested masks": lambda: tj.masks.from_stack(STACK).resized((37, 56)).labels(),
+    "masks of COCO": lambda: tj.masks.from_coco([IN_MASKS], (2, 3)).stack(),
+    "labels of the nearest": lambda: tj.transforms.transfer_labels(LABELS[:9], POINTS, POINTS + 0.1),
+}
+POINTS = torch.arange(27.0).view(9, 3)
+
+
+@pytest.fixture(scope="module")
+def usual():
+    return {name: repr(call()) for name, call in CALLS.items()}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_other_functions(usual, name, other_default):
+    result = CALLS[name]()
+    torch.set_default_device(None)
+    torch.set_default_dtype(torch.float32)  # as numbers are shown
+    assert repr(result) == usual[name]
+
+
+@pytest.mark.slow
+def test_a_recording_and_its_files(scene_of, tmp_path):
+    """Read, segmented, written, and exported by a name without the usual suffix."""
+
+    def files(out):
+        segment_recording(tmp_path / "recording", out, config, tj.RecordingOptions())
+        export_npz(out / "export", tj.load_result(out))
+        return {str(file.relative_to(out)): file.read_bytes() for file in out.rglob("*") if file.is_file()}
+
+    config, made = tj.Config().set(["boundary.detector=gradient"]), scene_of(3)
+    few = dataclasses.replace(made.scene, frames=made.scene.frames[:2], truth=None)
+    write_folder(tmp_path / "recording", dataclasses.replace(made, scene=few))
+    wanted = files(tmp_path / "wanted")
+    torch.set_default_device("meta")
+    try:
+        got = files(tmp_path / "got")
+    finally:
+        torch.set_default_device(None)
+    assert {name for name in wanted if wanted[name] != got.get(name)} <= {"run.yaml"}  # which has the seconds
+    assert set(got) == set(wanted)
+    assert "export" in got

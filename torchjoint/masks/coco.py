@@ -10,9 +10,11 @@ from typing import Any
 import torch
 
 from torchjoint.masks.segmentation import mask_of, stacked
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
 
 
+@on_cpu()
 def from_coco(annotations: Sequence[Mapping[str, Any]], size: tuple[int, int]) -> Masks:
     """Masks of the annotations, or of the results, of one image.
 

@@ -19,6 +19,7 @@ from torchjoint.masks.segmentation import stacked
 from torchjoint.masks.stack import from_stack
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
 
 #: The files that :func:`read_masks` reads, besides folders.
@@ -27,6 +28,7 @@ SUFFIXES = (".png", ".npz", ".json")
 METADATA = "metadata.csv"
 
 
+@on_cpu()
 def read_masks(path: Path | str) -> Masks:
     """The masks of one frame, by the kind of file.
 
@@ -58,6 +60,7 @@ def read_masks(path: Path | str) -> Masks:
         raise ValueError(message if message.startswith(str(path)) else f"{path}: {message}") from error
 
 
+@on_cpu()
 def save_masks(path: Path | str, masks: Masks) -> None:
     """Writes masks for :func:`read_masks`, compressed, atomically (a temporary file is renamed); makes the folder.
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from torchjoint.masks.arrays import as_binary, as_scores
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
 
 
+@on_cpu()
 def from_instances(instances: Any, min_score: float = 0.0) -> Masks:
     """Masks of Detectron2's `Instances`: ``pred_masks`` [M, H, W] and ``scores`` [M], as attributes or as a dict.
 

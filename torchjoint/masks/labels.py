@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from torchjoint.masks.arrays import as_scores, as_tensor
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
 
 
+@on_cpu()
 def from_labels(labels: Any, scores: Any = None, none: int = -1) -> Masks:
     """Masks that do not overlap.
 

@@ -8,10 +8,12 @@ from typing import Any
 import torch
 
 from torchjoint.masks.arrays import as_tensor
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import as_labels
 from torchjoint.scene.masks import Masks
 
 
+@on_cpu()
 def from_panoptic(segmentation: Any, segments_info: Sequence[Mapping[str, Any]]) -> Masks:
     """Masks of Detectron2's `panoptic_seg`, and of Hugging Face's `post_process_*_segmentation`.
 

@@ -9,9 +9,11 @@ from typing import Any
 import torch
 
 from torchjoint.masks.segmentation import mask_of, stacked
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
 
 
+@on_cpu()
 def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None = None) -> Masks:
     """Masks of SAM, SAM 2 and their relatives: what `SamAutomaticMaskGenerator.generate(image)` returns.
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from torchjoint.masks.arrays import as_binary, as_scores
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
 
 
+@on_cpu()
 def from_stack(stack: Any, scores: Any = None) -> Masks:
     """Masks that may overlap and nest.
 

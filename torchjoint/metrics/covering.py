@@ -9,6 +9,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from torchjoint.metrics.overlaps import Overlaps, overlap_tables
+from torchjoint.runtime.threads import on_cpu
 
 
 class SegmentationCovering(NamedTuple):
@@ -19,6 +20,7 @@ class SegmentationCovering(NamedTuple):
     pred_by_target: float
 
 
+@on_cpu()
 def segmentation_covering(pred: Tensor, target: Tensor | Sequence[Tensor]) -> SegmentationCovering:
     """Computes the segmentation covering in both directions, and their mean.
 
@@ -47,6 +49,7 @@ def covering_of(tables: Sequence[Overlaps]) -> SegmentationCovering:
     return SegmentationCovering((target_by_pred + pred_by_target) / 2, target_by_pred, pred_by_target)
 
 
+@on_cpu()
 def mean_best_iou(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
     """Mean, over the ground-truth instances, of the best IoU with any predicted region.
 

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.metrics.overlaps import Overlaps, largest, overlap_tables
+from torchjoint.runtime.threads import on_cpu
 
 #: Candidates are the largest regions that together hold this share of the data; smaller regions do not count.
 CANDIDATE_SHARE = 0.99
@@ -27,6 +28,7 @@ class ObjectsAndParts(NamedTuple):
     f: float
 
 
+@on_cpu()
 def objects_and_parts(
     pred: Tensor,
     target: Tensor | Sequence[Tensor],
@@ -64,6 +66,7 @@ def objects_and_parts(
     return objects_and_parts_of(*overlap_tables(pred, target), gamma_object, gamma_part, beta)
 
 
+@on_cpu()
 def average_precision_objects(
     pred: Tensor, target: Tensor | Sequence[Tensor], gamma_part: float = 0.25, beta: float = 0.1
 ) -> float:
@@ -76,6 +79,7 @@ def average_precision_objects(
     return average_precision_objects_of(*overlap_tables(pred, target), gamma_part, beta)
 
 
+@on_cpu()
 def average_precision_parts(
     pred: Tensor, target: Tensor | Sequence[Tensor], gamma_object: float = 0.75, beta: float = 0.1
 ) -> float:
@@ -83,6 +87,7 @@ def average_precision_parts(
     return average_precision_parts_of(*overlap_tables(pred, target), gamma_object, beta)
 
 
+@on_cpu()
 def average_precision_objects_of(
     pred_area: Tensor, tables: Sequence[Overlaps], gamma_part: float = 0.25, beta: float = 0.1
 ) -> float:
@@ -90,6 +95,7 @@ def average_precision_objects_of(
     return _step_sum([objects_and_parts_of(pred_area, tables, k / 20, gamma_part, beta) for k in range(10, 20)])
 
 
+@on_cpu()
 def average_precision_parts_of(
     pred_area: Tensor, tables: Sequence[Overlaps], gamma_object: float = 0.75, beta: float = 0.1
 ) -> float:
@@ -97,6 +103,7 @@ def average_precision_parts_of(
     return _step_sum([objects_and_parts_of(pred_area, tables, gamma_object, k / 20, beta) for k in range(1, 15)])
 
 
+@on_cpu()
 def objects_and_parts_of(
     pred_area: Tensor,
     tables: Sequence[Overlaps],

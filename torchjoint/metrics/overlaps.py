@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.metrics.labels import checked_pair
+from torchjoint.runtime.threads import on_cpu
 
 
 class Overlaps:
@@ -27,6 +28,7 @@ class Overlaps:
         self.best_iou_of_target = largest(iou, self.target, num_target)
 
 
+@on_cpu()
 def overlap_tables(pred: Tensor, target: Tensor | Sequence[Tensor]) -> tuple[Tensor, list[Overlaps]]:
     """Returns the predicted regions' areas [P] and one table per ground truth, all with the same P.
 

@@ -27,6 +27,7 @@ from torch import Tensor
 
 from torchjoint.metrics.labels import checked_targets
 from torchjoint.metrics.masks import Intersections, intersect
+from torchjoint.runtime.threads import on_cpu
 
 #: IoU thresholds: of AP25, then those averaged for AP; the first of the latter is AP50's.
 THRESHOLDS = (0.25, *(k / 20 for k in range(10, 19)))
@@ -48,6 +49,7 @@ class Matches(NamedTuple):
     hit: Tensor  #: [M] float64, 1 = true positive, 0 = false positive
 
 
+@on_cpu()
 def scannet_average_precision(
     pred: Tensor | Sequence[Tensor],
     target: Tensor | Sequence[Tensor],

@@ -10,8 +10,10 @@ from torch import Tensor
 
 from torchjoint.metrics.labels import INTEGERS, checked_pair
 from torchjoint.metrics.overlaps import largest, overlap_tables, places, renumber_by_value
+from torchjoint.runtime.threads import on_cpu
 
 
+@on_cpu()
 def achievable_segmentation_accuracy(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
     """Share of the points with a correct label if every superpoint gets the most frequent true label of its points.
 
@@ -33,6 +35,7 @@ def achievable_segmentation_accuracy(pred: Tensor, target: Tensor | Sequence[Ten
     return fmean([_share(largest(t.count, t.pred, len(t.pred_area)), t.target_area) for t in tables])
 
 
+@on_cpu()
 def undersegmentation_error(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
     """Measures how far superpoints leak out of the true regions that they touch; lower is better.
 
@@ -48,6 +51,7 @@ def undersegmentation_error(pred: Tensor, target: Tensor | Sequence[Tensor]) -> 
     return fmean([_share(torch.minimum(t.count, t.pred_area[t.pred] - t.count), t.target_area) for t in tables])
 
 
+@on_cpu()
 def boundary_recall(
     pred: Tensor, target: Tensor | Sequence[Tensor], edge_index: Tensor, *, tolerance: int = 1
 ) -> float:

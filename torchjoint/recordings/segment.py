@@ -20,6 +20,7 @@ from torchjoint.results.output_folder import STATE, output_folder, own_files
 from torchjoint.runtime.checked_files import file_checksum
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.memory import as_bytes
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
 
 
@@ -31,6 +32,7 @@ class Segmented(NamedTuple):
     scene: Scene
 
 
+@on_cpu()
 def segment_recording(
     path: Path,
     out: Path,

@@ -9,10 +9,12 @@ from torch import Tensor
 
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.render import render_cloud
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
 from torchjoint.scene.subset import evenly_spaced_indices
 
 
+@on_cpu()
 def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
     """A matplotlib figure: input, initial and final segmentation of some frames, and the cloud.
 
@@ -41,6 +43,7 @@ def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
     return figure
 
 
+@on_cpu()
 def cloud_figure(scene: Scene, labels: Tensor) -> Any:
     """A matplotlib figure: the cloud in its own colours, and in the colours of its labels.
 

@@ -25,6 +25,7 @@ from torchjoint.results.inputs import write_inputs
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.objects import write_segments
 from torchjoint.runtime.archives import read_archive
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
 
 #: Largest label in a 16-bit label image, which stores label + 1; 0 = none.
@@ -39,6 +40,7 @@ class PointResult(NamedTuple):
     colors: Tensor | None  #: [N, 3] float32
 
 
+@on_cpu()
 def write_result(
     folder: Path, scene: Scene, result: Segmentation, config: Config, source: str, granularity: float = 0.5
 ) -> None:

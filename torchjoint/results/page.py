@@ -22,6 +22,7 @@ from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction, view_from_above
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.subset import evenly_spaced_indices
 
 #: Number of points and of images in the page, at most, and height of an image in pixels.
@@ -30,6 +31,7 @@ MOST_POINTS, MOST_IMAGES, HEIGHT = 100_000, 8, 150
 PALETTE = 255
 
 
+@on_cpu()
 def write_page(path: Path, result: Result, up: Tensor | None = None) -> int:
     """Writes a page that works in any browser, without a network; it is replaced as a whole.
 

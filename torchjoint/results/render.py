@@ -8,6 +8,7 @@ from torch import Tensor
 from torchjoint.config import VisibilityConfig
 from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.results.upright import up_direction
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
 from torchjoint.scene.subset import evenly_spaced_indices
 from torchjoint.views.visibility import visible_points
@@ -18,6 +19,7 @@ FOCAL = 1.15
 LARGEST = 6
 
 
+@on_cpu()
 def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640)) -> Tensor:
     """Renders the cloud, upright, from behind and above the cameras (without cameras: from a corner).
 

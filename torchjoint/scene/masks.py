@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import as_float, as_labels, check_shape
 
 
@@ -47,6 +48,7 @@ class Masks:
                 )
 
     @classmethod
+    @on_cpu()
     def from_stack(cls, stack: Tensor, scores: Tensor | None = None, name: str = "masks") -> Masks:
         """Masks that may overlap and nest.
 
@@ -74,6 +76,7 @@ class Masks:
         return cls._of_members(atom.view(stack.shape[1:]), members, _as_scores(scores, len(stack), f"{name}' scores"))
 
     @classmethod
+    @on_cpu()
     def from_labels(cls, labels: Tensor, scores: Tensor | None = None, none: int = -1, name: str = "masks") -> Masks:
         """Masks that do not overlap.
 
@@ -99,6 +102,7 @@ class Masks:
         return cls._of_members(number, members, _as_scores(scores, int(covered.sum()), f"{name}' scores"))
 
     @classmethod
+    @on_cpu()
     def _of_members(cls, atom: Tensor, members: Sequence[Sequence[int]], scores: Tensor) -> Masks:
         """Numbers the atoms that have pixels by first appearance. `members` are the masks of each atom, ascending."""
         first = torch.full((len(members),), atom.numel())
@@ -126,27 +130,32 @@ class Masks:
         """(H, W), pixels."""
         return self.atom.shape[0], self.atom.shape[1]
 
+    @on_cpu()
     def covered(self) -> Tensor:
         """[H, W] bool, the pixels in at least one mask."""
         has_mask = torch.zeros(self.num_atoms, dtype=torch.bool)
         has_mask[self.pairs[0]] = True
         return has_mask[self.atom]
 
+    @on_cpu()
     def stack(self) -> Tensor:
         """[M, H, W] bool, the masks."""
         member = torch.zeros(len(self), self.num_atoms, dtype=torch.bool)
         member[self.pairs[1], self.pairs[0]] = True
         return member[:, self.atom]
 
+    @on_cpu()
     def labels(self) -> Tensor:
         """[H, W] int64, the mask of each pixel, -1 = none; where masks overlap the smallest counts, then the first."""
         return self.smallest(torch.ones(len(self), dtype=torch.bool))[self.atom]
 
+    @on_cpu()
     def areas(self) -> Tensor:
         """[M] int64, number of pixels of each mask."""
         of_atom = torch.bincount(self.atom.reshape(-1), minlength=self.num_atoms)
         return torch.zeros(len(self), dtype=torch.int64).index_add_(0, self.pairs[1], of_atom[self.pairs[0]])
 
+    @on_cpu()
     def smallest(self, wanted: Tensor) -> Tensor:
         """The smallest wanted mask, of [M] bool, around each atom, of equal ones the first: [K] int64, -1 = none."""
         order = torch.argsort(self.areas(), stable=True)
@@ -172,14 +181,15 @@ class Masks:
                 "show the same view?",
                 stacklevel=2,
             )
-        row = ((torch.arange(height) + 0.5) * own_height / height).long()
-        column = ((torch.arange(width) + 0.5) * own_width / width).long()
+        row = ((torch.arange(height, dtype=torch.float32, device="cpu") + 0.5) * own_height / height).long()
+        column = ((torch.arange(width, dtype=torch.float32, device="cpu") + 0.5) * own_width / width).long()
         members: list[list[int]] = [[] for _ in range(self.num_atoms)]
         for atom, mask in self.pairs.t().tolist():
             members[atom].append(mask)
         return self._of_members(self.atom[row][:, column].long(), [tuple(masks) for masks in members], self.scores)
 
 
+@on_cpu()
 def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None = None, name: str = "masks") -> Masks:
     """Masks of an image of a size (H, W), from a label map, a stack, or :class:`Masks`; scaled to the image's size.
 
@@ -214,7 +224,7 @@ def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None
 
 def _as_scores(scores: Tensor | None, count: int, name: str) -> Tensor:
     if scores is None:
-        return torch.ones(count, dtype=torch.float32)
+        return torch.ones(count, dtype=torch.float32, device="cpu")
     scores = as_float(scores, name, torch.float32)
     check_shape(scores, (count,), name)
     if count and not 0 <= float(scores.min()) <= float(scores.max()) <= 1:

@@ -10,8 +10,10 @@ from torchjoint.datasets.ply import write_cloud
 from torchjoint.results.result import Result
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.threads import on_cpu
 
 
+@on_cpu()
 def export_ply(folder: Path, result: Result) -> None:
     """Writes ID.ply for each segment of the cloud, with the points' own colours, if there are any."""
     folder.mkdir()
@@ -20,6 +22,7 @@ def export_ply(folder: Path, result: Result) -> None:
         write_cloud(folder / f"{segment:06d}.ply", cloud.points, cloud.colors)
 
 
+@on_cpu()
 def export_las(path: Path, result: Result) -> None:
     """Writes a LAS 1.4 file of all points: 16-bit colours, if there are any, and the extra dimension `label` (int32).
 
@@ -45,6 +48,7 @@ def export_las(path: Path, result: Result) -> None:
         cloud.write(partial)
 
 
+@on_cpu()
 def export_npz(path: Path, result: Result) -> None:
     """Writes the arrays points [N, 3], labels [N], colors [N, 3] if any, names [L], `image:NAME` [H, W]."""
     arrays = {"points": result.scene.points.numpy(), "labels": result.points.numpy()}
@@ -55,5 +59,5 @@ def export_npz(path: Path, result: Result) -> None:
     arrays |= {
         f"image:{name}": image.numpy().astype(np.int32) for name, image in zip(names, result.images, strict=True)
     }
-    with atomic_write(path) as partial:
-        np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]
+    with atomic_write(path) as partial, partial.open("wb") as stream:  # to a path NumPy would add .npz
+        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]

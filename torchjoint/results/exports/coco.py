@@ -9,9 +9,10 @@ from typing import Any
 from torchjoint.results.exports.masks import masks_of
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.threads import parallel_map
+from torchjoint.runtime.threads import on_cpu, parallel_map
 
 
+@on_cpu()
 def export_coco(path: Path, result: Result) -> None:
     """Writes one JSON file; an annotation's `segment_id` is the label, the same in all images and in the cloud.
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from torchjoint.results.exports.masks import masks_of
 from torchjoint.results.result import Result
-from torchjoint.runtime.threads import parallel_map
+from torchjoint.runtime.threads import on_cpu, parallel_map
 
 
+@on_cpu()
 def export_sam(folder: Path, result: Result) -> None:
     """Writes NAME.json for each image; an annotation's `id` is the label, the same in all images and in the cloud.
 
