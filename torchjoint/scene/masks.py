@@ -189,7 +189,6 @@ class Masks:
         return self._of_members(self.atom[row][:, column].long(), [tuple(masks) for masks in members], self.scores)
 
 
-@on_cpu()
 def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None = None, name: str = "masks") -> Masks:
     """Masks of an image of a size (H, W), from a label map, a stack, or :class:`Masks`; scaled to the image's size.
 
