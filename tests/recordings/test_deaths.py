@@ -124,7 +124,8 @@ def test_the_head_is_killed(engine, scans, deaths, expected, tmp_path):
     wait_for(lambda: not any(is_running(process) for process in processes), 90.0 if engine == "ray:2" else 30.0)
 
 
-def test_a_full_disk(scans, deaths, expected, tmp_path):
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_full_disk(engine, scans, deaths, expected, tmp_path):
     """Scenes fail with a clear reason; after making room the command goes on."""
     disk = tmp_path / "disk"
     disk.mkdir()
@@ -135,7 +136,7 @@ def test_a_full_disk(scans, deaths, expected, tmp_path):
         out = disk / "out"
         with warnings.catch_warnings():  # whether there is room for the tables depends on what was written last
             warnings.filterwarnings("ignore", ".*not up to date: the disk is full")
-            first = tj.batch(scans, out, engine="loky:2", config=CONFIG, options=OPTIONS)
+            first = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS)
         assert first.failures
         assert all("the disk is full" in reason for reason in first.failures.values())
         subprocess.run(["mount", "-o", "remount,size=200m", disk], check=True)
