@@ -151,7 +151,7 @@ class Wire:
     """A TCP connection between a client and a scheduler that can be cut; listens on `port`."""
 
     def __init__(self, target):
-        self._target, self._sockets = target, []
+        self._target, self._sockets, self._lock = target, [], threading.Lock()
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port = self._server.getsockname()[1]
         threading.Thread(target=self._accept, daemon=True).start()
@@ -163,7 +163,10 @@ class Wire:
             except OSError:
                 return
             there = socket.create_connection(self._target)
-            self._sockets += [here, there]
+            with self._lock:
+                self._sockets += [here, there]
+                if self._server.fileno() < 0:  # closed meanwhile
+                    self._cut()
             for one, other in ((here, there), (there, here)):
                 threading.Thread(target=self._pass_on, args=(one, other), daemon=True).start()
 
@@ -174,6 +177,10 @@ class Wire:
                 other.sendall(data)
 
     def cut(self):
+        with self._lock:
+            self._cut()
+
+    def _cut(self):
         for one in self._sockets:
             with suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)
