@@ -30,7 +30,7 @@ class LokyEngine(Engine):
 
     def __init__(self, name: str, threads: int, workers: int) -> None:
         super().__init__(name, threads, workers)
-        # Loky replaces a worker that has grown by 300 MB, after its task. Large recordings do that, and nothing is lost.
+        # Loky replaces a worker that has grown by 300 MB, after its task. Large recordings do that; nothing is lost.
         warnings.filterwarnings("ignore", "A worker stopped while some jobs were given to the executor")
         self._workers = workers
         self._idle: list[ProcessPoolExecutor] = []
