@@ -1,5 +1,6 @@
 """Workers, heads, connections, memory and disks fail; each time the files end up those of an undisturbed run."""
 
+import gc
 import os
 import signal
 import socket
@@ -212,6 +213,10 @@ def test_the_connection_to_the_scheduler_is_cut(scans, deaths, expected, tmp_pat
             report = tj.batch(scans, out, engine=f"dask://127.0.0.1:{wire.port}", config=CONFIG, options=OPTIONS)
         finally:
             wire.close()
+    for one in gc.get_objects():  # an attempt to connect that dask's client has cancelled leaves its socket open
+        with suppress(OSError):  # it listens only
+            if type(one) is socket.socket and one.getpeername()[1] == wire.port:
+                one.close()
     assert cuts
     assert report.failures == {}
     assert_complete(out, expected)
