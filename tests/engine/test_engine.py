@@ -172,6 +172,23 @@ def test_no_orphans_of_a_killed_head(name, tmp_path):
     assert still_running(processes) == set()
 
 
+def grows(_, number):
+    """The second task leaves a worker 400 MB larger, as a large recording may."""
+    if number == 1:
+        grows.kept = b"1" * 400_000_000
+    time.sleep(1.1)  # loky looks once a second
+    return os.getpid()
+
+
+@pytest.mark.slow
+def test_a_worker_that_grows_is_replaced_without_a_warning(recwarn):
+    with open_engine("loky:1") as engine:
+        outcomes = list(engine.run(grows, range(3), None))
+    assert [outcome.error for outcome in outcomes] == [None] * 3
+    assert outcomes[0].value == outcomes[1].value != outcomes[2].value
+    assert not recwarn.list
+
+
 @QUIET
 @pytest.mark.slow
 def test_dask_without_a_scheduler(monkeypatch):

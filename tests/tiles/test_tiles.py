@@ -7,14 +7,15 @@ import torch
 from copc_files import write_copc
 
 import torchjoint as tj
+from torchjoint.config import SuperpointsConfig
 from torchjoint.metrics import segmentation_covering
 from torchjoint.tiles import run as tiles
 from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.plan import NARROWEST, plan_tiles
-from torchjoint.tiles.spill import OWN, SHARED, _cells_of_one_tile, _copies
-from torchjoint.tiles.stitching import matching_superpoints, stitched_labels
+from torchjoint.tiles.spill import OWN, SHARED, _cells_of_one_tile, _copies, point_type
+from torchjoint.tiles.stitching import matching_superpoints, stitch
 from torchjoint.tiles.survey import Survey
-from torchjoint.tiles.tile import TileLabels
+from torchjoint.tiles.tile import OwnLabels, SharedLabels, TileTask, read_shared, segment_tile
 
 #: UTM: float32 keeps half a metre of the northing.
 ORIGIN = np.array([691_000.0, 5_334_000.0, 500.0])
@@ -153,58 +154,107 @@ def test_copc_is_read_and_its_result_is_not_named_so(tmp_path):
         superpoints_of_files(folder, tmp_path / "other", engine="loky:1")
 
 
-def tile_labels(shared, own=None):
-    """Labels of a tile, from dictionaries of points and their superpoints."""
-    arrays = []
-    for labels in (shared if own is None else own, shared):
-        arrays += [np.array(sorted(labels), np.int64), np.array([labels[point] for point in sorted(labels)], np.int32)]
-    return TileLabels(*arrays)
+def tile_labels(shared, own=None, cut_off=()):
+    """What a tile says, from dictionaries of points and their superpoints; some of these go on beyond the buffer."""
+    own = shared if own is None else own
+    arrays = [
+        (np.array(sorted(labels), np.int64), np.array([labels[point] for point in sorted(labels)], np.int32))
+        for labels in (own, shared)
+    ]
+    size = np.bincount(list((own | shared).values())).astype(np.int32)
+    size[[superpoint for superpoint in cut_off if superpoint < len(size)]] = 0
+    is_own = np.array([point in own for point in sorted(shared)], bool)
+    return OwnLabels(*arrays[0]), SharedLabels(*arrays[1], is_own, size)
+
+
+def stitched(neighbors, tiles_labels, num_points):
+    """The labels of the points 0, 1, ..."""
+    labels = np.full(num_points, 99)
+    counts = [len(shared.whole_size) for _, shared in tiles_labels]
+    own, shared = (lambda tile: tiles_labels[tile][0]), (lambda tile: tiles_labels[tile][1])
+    assert stitch(neighbors, counts, own, shared, labels) == len(set(labels))
+    return labels.tolist()
 
 
 def test_superpoints_match_by_the_majority_of_both():
-    one = tile_labels({0: 0, 1: 0, 2: 0, 3: 1, 4: 1, 5: 1, 6: 2})
-    other = tile_labels({0: 5, 1: 5, 2: 6, 3: 6, 4: 6, 5: 7, 9: 8})
+    one = tile_labels({0: 0, 1: 0, 2: 0, 3: 1, 4: 1, 5: 1, 6: 2})[1]
+    other = tile_labels({0: 5, 1: 5, 2: 6, 3: 6, 4: 6, 5: 7, 9: 8})[1]
     # 0 and 5 share 2 of 3 and 2 points; 1 and 6 share 2 of 3 and 3; 2 and 8 have no common point; 7 is less than half
     assert matching_superpoints(one, other).tolist() == [[0, 5], [1, 6]]
     # A large superpoint is not united with each of many small ones, nor by one point in a hundred.
-    large, small = tile_labels(dict.fromkeys(range(100), 0)), tile_labels({point: point // 20 for point in range(100)})
+    large, small = (tile_labels({point: point // size for point in range(100)})[1] for size in (100, 20))
     assert len(matching_superpoints(large, small)) == 0
-    assert len(matching_superpoints(tile_labels({0: 0}), tile_labels({1: 0}))) == 0
+    assert len(matching_superpoints(tile_labels({0: 0})[1], tile_labels({1: 0})[1])) == 0
 
 
 def test_what_a_tile_sees_in_its_buffer_alone_unites_nothing():
     """Tile 1 sees points of tile 0 and of tile 2 as one superpoint: that counts only if it has points of its own."""
     first, middle, last = (dict.fromkeys(points, 0) for points in (range(10), range(5, 15), range(10, 20)))
-    for own, expected in (({}, [[0], [-1], [1]]), ({20: 0}, [[0], [0], [0]])):
+    for own, expected in (({}, [0] * 10 + [1] * 10), ({20: 0}, [0] * 21)):
         tiles_labels = [
-            tile_labels(dict.fromkeys(range(5, 10), 0), first),
-            tile_labels(middle, own),
-            tile_labels(dict.fromkeys(range(10, 15), 0), last),
+            tile_labels(dict.fromkeys(range(5, 10), 0), first, [0]),
+            tile_labels(middle, own, [0]),
+            tile_labels(dict.fromkeys(range(10, 15), 0), last, [0]),
         ]
-        found = stitched_labels(3, [(0, 1), (1, 2)], tiles_labels.__getitem__)
-        assert [labels.tolist() for labels in found.of_tiles] == expected
+        assert stitched([(0, 1), (1, 2)], tiles_labels, len(expected)) == expected
 
 
-def test_a_small_superpoint_on_an_edge_is_not_cut():
-    """Points 0-49 are of tile 0, the others of tile 1; one tile sees a street, the other a thing on it, too."""
+def test_a_superpoint_that_a_tile_sees_whole_is_not_cut():
+    """Points 0-49 are of tile 0, the others of tile 1. One tile sees a street, the other a thing on it, too."""
     street = dict.fromkeys(range(100), 0)
-    for thing, home in ((range(46, 58), 1), (range(40, 52), 0), (range(44, 56), 0)):
+    for thing in (range(46, 58), range(40, 52), range(60, 72)):
         with_thing = street | dict.fromkeys(thing, 1)
-        for tile_of_thing in (0, 1):
-            seen = [with_thing, street] if tile_of_thing == 0 else [street, with_thing]
-            labels = [
-                tile_labels(shared, {point: label for point, label in shared.items() if (point >= 50) == number})
-                for number, shared in enumerate(seen)
-            ]
-            found = stitched_labels(2, [(0, 1)], labels.__getitem__)
-            whole = np.empty(100, np.int64)
-            for one, table in zip(labels, found.of_tiles, strict=True):
-                whole[one.own] = table[one.own_label]
-            whole[found.changed] = found.changed_label
-            expected = (
-                with_thing if tile_of_thing == home else street
-            )  # at its home the thing is whole, else it is gone
-            assert whole.tolist() == [expected[point] for point in range(100)], (thing, tile_of_thing)
+        for seen in ([with_thing, street], [street, with_thing]):
+            for cut_off, expected in (([0], with_thing), ([], street), ([0, 1], None)):
+                tiles_labels = [
+                    tile_labels(labels, {point: labels[point] for point in range(50 * tile, 50 * tile + 50)}, cut_off)
+                    for tile, labels in enumerate(seen)
+                ]
+                # The street goes on beyond the buffers; it ends, and is the larger; both go on: the owner decides.
+                own = {point: seen[point // 50][point] for point in range(100)}
+                expected = own if expected is None else expected
+                assert stitched([(0, 1)], tiles_labels, 100) == [expected[point] for point in range(100)], thing
+
+
+def test_the_choice_among_many_tiles(monkeypatch):
+    """Against the rule, point by point; without partners, such that each tile's superpoints stay apart."""
+    none = np.empty((0, 2), np.int64)
+    monkeypatch.setattr("torchjoint.tiles.stitching.matching_superpoints", lambda one, other: none)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        seen = rng.random((3, 60)) < 0.7
+        owner = np.array([rng.choice(np.flatnonzero(row)) if row.any() else 0 for row in seen.T])
+        seen[owner, np.arange(60)] = True
+        superpoint = rng.integers(0, 12, (3, 60))
+        superpoint[:, :12] = np.arange(12)  # all are there
+        seen[:, :12] = True
+        shared = seen.sum(0) > 1
+        tiles_labels, chosen = [], []
+        for tile in range(3):
+            own = {int(point): superpoint[tile, point] for point in np.flatnonzero(owner == tile)}
+            both = {int(point): superpoint[tile, point] for point in np.flatnonzero(seen[tile] & shared)}
+            tiles_labels.append(tile_labels(both, own, np.flatnonzero(rng.random(12) < 0.4)))
+        for point in range(60):
+            sizes = {tile: tiles_labels[tile][1].whole_size[superpoint[tile, point]] for tile in range(3)}
+            order = [owner[point], *(tile for tile in range(3) if seen[tile, point] and tile != owner[point])]
+            best = max(order, key=sizes.get)  # the first of equal ones
+            chosen.append((best, superpoint[best, point]))
+        labels = stitched([(0, 1), (0, 2), (1, 2)], tiles_labels, 60)
+        assert labels == [list(dict.fromkeys(chosen)).index(one) for one in chosen]
+
+
+def test_a_tile_tells_which_superpoints_may_go_on(tmp_path):
+    """Three squares on a tile of 2 x 1 m with a buffer of 1 m: inside, into the buffer, and to its end."""
+    grid = torch.cartesian_prod(torch.arange(0, 0.5, 0.05), torch.arange(0, 0.5, 0.05), torch.zeros(1))
+    corners = torch.tensor([[0.2, 0.2, 0.0], [2.3, 0.2, 0.0], [0.2, -0.95, 0.0]])
+    records = np.zeros(3 * len(grid), point_type(False))
+    records["number"], records["kind"] = np.arange(len(records)), OWN | SHARED
+    records["xyz"] = (corners[:, None] + grid).reshape(-1, 3)
+    records.tofile(tmp_path / "one.points")
+    task = TileTask(tmp_path / "one.points", tmp_path / "one.npz", (2.0, 1.0), 1.0)
+    segment_tile(None, SuperpointsConfig(), task)
+    assert read_shared(task.labels).whole_size.tolist() == [len(grid), len(grid), 0]
+    assert not task.points.exists()
 
 
 @pytest.mark.parametrize("size", [None, 20.0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future
 from typing import Any
@@ -29,6 +30,8 @@ class LokyEngine(Engine):
 
     def __init__(self, name: str, threads: int, workers: int) -> None:
         super().__init__(name, threads, workers)
+        # Loky replaces a worker that has grown by 300 MB, after its task. Large recordings do that; nothing is lost.
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs were given to the executor")
         self._workers = workers
         self._idle: list[ProcessPoolExecutor] = []
         self._all: set[ProcessPoolExecutor] = set()

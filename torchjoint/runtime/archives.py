@@ -7,6 +7,7 @@ import os
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,12 @@ import numpy.typing as npt
 RATIO, FREE = 100, 1 << 30
 
 
-def read_archive(path: Path) -> dict[str, npt.NDArray[Any]]:
+def read_archive(path: Path, names: Collection[str] | None = None) -> dict[str, npt.NDArray[Any]]:
     """The arrays of an archive by name.
+
+    Args:
+        path: of the archive.
+        names: of the arrays that are read, if they are there; None: all.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -36,7 +41,8 @@ def read_archive(path: Path) -> dict[str, npt.NDArray[Any]]:
                 raise ValueError(
                     f"declares {size / 1e9:.3g} GB; expected {most / 1e9:.3g} GB at most in so small a file"
                 )
-            return {entry.filename.removesuffix(".npy"): _read_array(archive, entry) for entry in entries}
+            named = {entry.filename.removesuffix(".npy"): entry for entry in entries}
+            return {name: _read_array(archive, named[name]) for name in named if names is None or name in names}
     except (ValueError, KeyError, OSError, EOFError, RuntimeError, NotImplementedError, OverflowError, SyntaxError,
             TypeError, tokenize.TokenError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
         raise ValueError(f"{path}: not a whole archive of arrays: {error}") from error

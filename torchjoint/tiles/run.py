@@ -29,9 +29,9 @@ from torchjoint.runtime.locks import lock
 from torchjoint.tiles.labelled_las import check_dimension, write_labelled
 from torchjoint.tiles.plan import NARROWEST, plan_tiles
 from torchjoint.tiles.spill import point_type, spill_points, tile_file
-from torchjoint.tiles.stitching import stitched_labels
+from torchjoint.tiles.stitching import stitch
 from torchjoint.tiles.survey import survey
-from torchjoint.tiles.tile import TileTask, read_labels, segment_tile
+from torchjoint.tiles.tile import TileTask, read_own, read_shared, segment_tile
 
 #: Points of a tile with its buffer: they take about 0.7 GB while they are segmented.
 MOST_POINTS = 2_000_000
@@ -57,6 +57,8 @@ class _Cut(NamedTuple):
     num_tiles: int
     white: int | None
     neighbors: list[tuple[int, int]]
+    tile_sizes: list[tuple[float, float]]  #: metres
+    buffer: float  #: metres
 
 
 def superpoints_of_files(
@@ -202,10 +204,13 @@ def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | 
                 partial,
                 sizes=np.array([found.num_points, len(plan.tiles), found.white or 0]),
                 neighbors=np.array(plan.neighbors(found), np.int64).reshape(-1, 2),
+                metres=np.array([np.subtract(one.end, one.first) for one in plan.tiles]) * found.side,
+                buffer=np.array(plan.buffer),
             )
     arrays = read_archive(marker)
     num_points, num_tiles, white = arrays["sizes"].tolist()
-    return _Cut(num_points, num_tiles, white or None, [(one, other) for one, other in arrays["neighbors"].tolist()])
+    neighbors, metres = ([(one, other) for one, other in arrays[name].tolist()] for name in ("neighbors", "metres"))
+    return _Cut(num_points, num_tiles, white or None, neighbors, metres, float(arrays["buffer"]))
 
 
 def _check_disk(work: Path, num_points: int, colored: bool) -> None:
@@ -219,8 +224,8 @@ def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: str | Eng
     """Segments the tiles that no earlier run has done, several at a time; a single one in this process."""
     (work / "labels").mkdir(exist_ok=True)
     tasks = [
-        TileTask(tile_file(work / "points", number), _labels_file(work, number))
-        for number in range(cut.num_tiles)
+        TileTask(tile_file(work / "points", number), _labels_file(work, number), size, cut.buffer)
+        for number, size in enumerate(cut.tile_sizes)
         if not _labels_file(work, number).is_file()
     ]
     with tqdm(total=cut.num_tiles, desc="segment", unit="tile", disable=_hidden(progress)) as bar:
@@ -244,14 +249,13 @@ def _segment_shared(shared: tuple[int | None, SuperpointsConfig], task: TileTask
 def _stitch(cut: _Cut, work: Path) -> tuple[int, npt.NDArray[np.unsignedinteger]]:
     """The number of superpoints, and the label of each point, mapped from disk."""
     try:
-        stitched = stitched_labels(cut.num_tiles, cut.neighbors, lambda tile: read_labels(_labels_file(work, tile)))
-        count = 1 + max(int(labels.max(initial=-1)) for labels in stitched.of_tiles)
-        path, dtype = work / "labels.npy", np.dtype(np.uint32 if count <= 1 << 32 else np.uint64)
+        files = [_labels_file(work, number) for number in range(cut.num_tiles)]
+        counts = [len(read_shared(file).whole_size) for file in files]
+        path, dtype = work / "labels.npy", np.dtype(np.uint32 if sum(counts) <= 1 << 32 else np.uint64)
         labels = np.lib.format.open_memmap(path, "w+", dtype, (cut.num_points,))
-        for number, table in enumerate(stitched.of_tiles):
-            one = read_labels(_labels_file(work, number))
-            labels[one.own] = table[one.own_label]
-        labels[stitched.changed] = stitched.changed_label
+        count = stitch(
+            cut.neighbors, counts, lambda tile: read_own(files[tile]), lambda tile: read_shared(files[tile]), labels
+        )
     except ValueError as error:
         raise ValueError(f"{error}; remove {work} and start again") from error
     del labels

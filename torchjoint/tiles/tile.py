@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,21 +16,33 @@ from torchjoint.runtime.files import atomic_write
 from torchjoint.superpoints import superpoints
 from torchjoint.tiles.spill import OWN, SHARED, point_type
 
+#: The outer part of the buffer, in buffers. A superpoint that reaches it may go on where the tile does not see.
+RIM = 0.1
+
 
 class TileTask(NamedTuple):
     """All that a worker needs; it can be pickled."""
 
     points: Path  #: the file of the tile's points
     labels: Path  #: the file to write
+    size: tuple[float, float]  #: metres, of the tile without its buffer
+    buffer: float  #: metres
 
 
-class TileLabels(NamedTuple):
-    """Superpoints of a tile, numbered in the tile."""
+class OwnLabels(NamedTuple):
+    """Superpoints of the points that a tile owns."""
 
-    own: npt.NDArray[np.int64]  #: [n] the tile's own points, ascending
-    own_label: npt.NDArray[np.int32]  #: [n]
-    shared: npt.NDArray[np.int64]  #: [m] own and others' points that are in other tiles, too, ascending
-    shared_label: npt.NDArray[np.int32]  #: [m]
+    point: npt.NDArray[np.int64]  #: [n] ascending
+    superpoint: npt.NDArray[np.int32]  #: [n] numbered in the tile
+
+
+class SharedLabels(NamedTuple):
+    """What a tile says of the points that others see, too; its own, and others'."""
+
+    point: npt.NDArray[np.int64]  #: [m] ascending
+    superpoint: npt.NDArray[np.int32]  #: [m] numbered in the tile
+    is_own: npt.NDArray[np.bool_]  #: [m] whether the tile owns the point
+    whole_size: npt.NDArray[np.int32]  #: [K] points of each superpoint of the tile; 0: it may go on beyond the buffer
 
 
 def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -> None:
@@ -49,22 +62,48 @@ def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -
     points = torch.from_numpy(np.ascontiguousarray(records["xyz"]))
     colors = None if white is None else torch.from_numpy(records["rgb"].astype(np.float32) / white)
     number, kind = records["number"].copy(), records["kind"].copy()
+    inside = (1 - RIM) * task.buffer  # so far outside of the tile a superpoint may reach
+    xy = records["xyz"][:, :2]
+    at_rim = ((xy < -inside) | (xy > np.array(task.size) + inside)).any(1)
     del records
     label = superpoints(points, colors, preset=config).numpy().astype(np.int32)
+    whole_size = np.bincount(label).astype(np.int32)
+    whole_size[label[at_rim]] = 0
     own, shared = (kind & OWN) > 0, (kind & SHARED) > 0
-    arrays: dict[str, npt.NDArray[Any]] = TileLabels(number[own], label[own], number[shared], label[shared])._asdict()
+    arrays: dict[str, npt.NDArray[Any]] = {
+        **_prefixed("own", OwnLabels(number[own], label[own])),
+        **_prefixed("shared", SharedLabels(number[shared], label[shared], own[shared], whole_size)),
+    }
     with atomic_write(task.labels) as partial:
         np.savez(partial, **arrays)  # type: ignore[arg-type]
     task.points.unlink()
 
 
-def read_labels(path: Path) -> TileLabels:
-    """Reads what :func:`segment_tile` wrote.
+def _prefixed(name: str, arrays: OwnLabels | SharedLabels) -> dict[str, npt.NDArray[Any]]:
+    return {f"{name}_{field}": array for field, array in arrays._asdict().items()}
+
+
+def read_own(path: Path) -> OwnLabels:
+    """Reads of the file that :func:`segment_tile` wrote what is said of the tile's own points.
 
     Raises:
         ValueError: the file is damaged; the message names it.
     """
-    arrays = read_archive(path)
-    if set(arrays) != set(TileLabels._fields):
-        raise ValueError(f"{path}: expected the arrays {', '.join(TileLabels._fields)}, got {', '.join(arrays)}")
-    return TileLabels(**arrays)
+    return OwnLabels(*_read(path, "own", OwnLabels._fields))
+
+
+def read_shared(path: Path) -> SharedLabels:
+    """Reads of the same file what is said of the points that others see, too.
+
+    Raises:
+        ValueError: as :func:`read_own`.
+    """
+    return SharedLabels(*_read(path, "shared", SharedLabels._fields))
+
+
+def _read(path: Path, prefix: str, fields: Sequence[str]) -> list[npt.NDArray[Any]]:
+    names = [f"{prefix}_{field}" for field in fields]
+    arrays = read_archive(path, names)
+    if missing := set(names) - set(arrays):
+        raise ValueError(f"{path}: expected the arrays {', '.join(names)}, got no {min(missing)}")
+    return [arrays[name] for name in names]
