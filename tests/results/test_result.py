@@ -11,7 +11,7 @@ import torchjoint as tj
 from torchjoint.results.folder import write_result
 from torchjoint.results.oriented_box import oriented_box
 from torchjoint.results.overlays import overlay
-from torchjoint.results.upright import up_direction
+from torchjoint.results.upright import up_direction, view_from_above
 
 GRADIENT = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
 
@@ -123,6 +123,20 @@ def test_up_is_against_gravity_in_any_world_frame(scene):
         turned = tj.Scene((scene.points.double() @ turn.T).float(), chosen)
         assert float(up_direction(turned) @ (turn @ torch.tensor([0.0, 0, 1], dtype=torch.float64))) > 0.999
     assert float(up_direction(tj.Scene(scene.points))[2]) > 0.999
+
+
+@pytest.mark.parametrize(("turns", "degrees"), [((0, 0, 0, 0), 35), ((0, 1, 2, 3), 54)])
+def test_a_room_is_seen_from_higher_than_one_wall(turns, degrees):
+    """Cameras that look around stand in a room; a wall would hide it from below."""
+    frames = []
+    for turn in turns:
+        pose = torch.eye(4, dtype=torch.float64)  # y down: -y is up
+        pose[:3, :3] = torch.linalg.matrix_power(torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]).double(), turn)
+        frames.append(tj.Frame(torch.zeros(3, 4, 4), torch.eye(3), pose))
+    scene = tj.Scene(torch.rand(50, 3, generator=torch.Generator().manual_seed(0)), frames)
+    center, eye = view_from_above(scene, np.array([0.0, -1, 0]))
+    away = eye - center
+    assert np.degrees(np.arcsin(-away[1] / np.linalg.norm(away))) == pytest.approx(degrees, abs=1)
 
 
 class TestCrops:

@@ -98,7 +98,8 @@ def view_from_above(scene: Scene, up: npt.NDArray[np.float64]) -> tuple[npt.NDAr
     chosen = np.linspace(0, max(len(scene.frames) - 1, 0), count).astype(int).tolist()
     forward = sum((scene.frames[i].world_to_camera[2, :3].numpy() for i in chosen), np.zeros(3))
     forward = forward - up * (forward @ up)
-    if np.linalg.norm(forward) < 0.1 * max(count, 1):  # cameras that look down, or in all directions
-        forward = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
-    forward = forward / np.linalg.norm(forward) - 0.7 * up
+    down = 0.7
+    if np.linalg.norm(forward) < 0.3 * max(count, 1):  # cameras that look down, or around, as in a room with four walls
+        forward, down = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]), 1.4
+    forward = forward / np.linalg.norm(forward) - down * up
     return center, center - 2.2 * radius * forward / np.linalg.norm(forward)

@@ -24,6 +24,8 @@ _SEND = (
     "i.dispatchEvent(new Event('input',{bubbles:true}));"
 )
 HIDE_FIELD = f"<style>.mantine-Flex-root:has(input[value^='{PREFIX}']){{display:none}}</style>"
+#: Style of text that stands where viser puts elements with a margin.
+_TEXT = "font-size:12px;padding:0 8px"
 COLUMNS = ("id", "name", "points", "size", "frames")
 
 
@@ -62,21 +64,22 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
         lines.append(f'<tr data-key="{row.key}" style="cursor:pointer;{style}" onclick="{send}">{cells}</tr>')
     note = f"{len(rows)} of {count} segments" if len(rows) < count else f"{count} segments"
     return (
-        f'<div style="font-size:11px">{note}; sizes in metres</div>'
-        '<div style="max-height:260px;overflow-y:auto"><table id="tj-table" style="font-size:12px;width:100%">'
+        f'<div style="{_TEXT}">{note}; sizes in metres</div>'
+        '<div style="max-height:260px;overflow-y:auto;padding:0 5px">'
+        '<table id="tj-table" style="font-size:12px;width:100%">'
         f"<thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
     )
 
 
 def note_html(note: str) -> str:
     """A line about a run whose frames still come."""
-    return f'<div id="tj-note" style="font-size:12px">{escape(note)}</div>'
+    return f'<div id="tj-note" style="{_TEXT}">{escape(note)}</div>'
 
 
 def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
     """What is known of the selected segments; `frames`: names and pixels of those that see the first."""
     if not rows:
-        return '<div id="tj-panel" style="font-size:12px">Click a segment, in the cloud or in the image.</div>'
+        return f'<div id="tj-panel" style="{_TEXT}">Click a segment, in the cloud or in the image.</div>'
     parts = []
     for row in rows:
         size = " × ".join(f"{value:.2f}" for value in row.size)
@@ -86,4 +89,4 @@ def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
     if len(rows) == 1 and frames:
         listed = ", ".join(f"{escape(name)} ({pixels} px)" for name, pixels in frames[:8])
         parts.append(f"<div>{listed}{', ...' if len(frames) > 8 else ''}</div>")
-    return f'<div id="tj-panel" style="font-size:12px">{"".join(parts)}</div>'
+    return f'<div id="tj-panel" style="{_TEXT}">{"".join(parts)}</div>'
