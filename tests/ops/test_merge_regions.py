@@ -52,13 +52,13 @@ def test_the_twin(seed: int, num_regions: int, num_edges: int, levels: int, thre
     assert got.tolist() == merge_regions_reference(edges, cost, size, threshold, min_size).tolist()
 
 
-@pytest.mark.parametrize(("levels", "threshold", "min_size"), [(5, 0.3, 0), (5, 0.0, 40), (1000, 0.2, 10)])
+@pytest.mark.parametrize(("levels", "threshold", "min_size"), [(5, 0.3, 0), (5, 0.0, 4), (1000, 0.2, 4)])
 def test_the_twin_with_more_borders_than_there_is_room_for_at_first(levels, threshold, min_size):
-    edges, size = random_regions(seed=levels, num_regions=300, num_edges=1500)
-    cost = torch.randint(levels, (1500,), generator=torch.Generator().manual_seed(1)) / (levels - 1)
+    edges, size = random_regions(seed=levels, num_regions=60, num_edges=3000)
+    cost = torch.randint(levels, (3000,), generator=torch.Generator().manual_seed(1)) / (levels - 1)
     got = merge_regions(edges, cost, size, threshold, min_size)
     assert got.tolist() == merge_regions_reference(edges, cost, size, threshold, min_size).tolist()
-    assert 1 < got.max() < 299
+    assert 1 < got.max() < 59
 
 
 @settings(max_examples=100, derandomize=True)  # costs hardly ever tie, but they may

@@ -247,5 +247,18 @@ class TestInvariance:
         assert missing(boundary_features(evidence, evidence.piece)) == OF_IMAGES
 
 
+def test_edges_inside_regions_do_not_count():
+    generator = torch.Generator().manual_seed(0)
+    points, colors = torch.rand(300, 3, generator=generator), torch.rand(300, 3, generator=generator)
+    evidence = evidence_of(points, colors=colors)
+    region = (evidence.piece > 0).long()  # one piece, and all others
+    fewer = evidence.between(region)
+    assert evidence.between(evidence.piece) is evidence
+    assert 0 < len(fewer.edges.pair) < len(evidence.edges.pair) / 2
+    expected, got = boundary_features(evidence, region), boundary_features(fewer, region)
+    assert torch.equal(got.pairs, expected.pairs)
+    assert torch.equal(got.values.nan_to_num(-1), expected.values.nan_to_num(-1))
+
+
 def test_names_are_unique():
     assert len(set(FEATURE_NAMES)) == len(FEATURE_NAMES) == 84

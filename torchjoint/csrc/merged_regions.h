@@ -17,7 +17,7 @@ constexpr double kUnit = 1 << 20;
 constexpr float kLargestCost = 1 << 10;
 
 inline RegionAdjacencyGraph boundaries_of(const int64_t* edges, const float* cost, int64_t num_edges, int64_t num_regions) {
-  RegionAdjacencyGraph graph(num_regions);
+  RegionAdjacencyGraph graph(num_regions, num_edges);
   for (int64_t e = 0; e < num_edges; ++e) {
     const int64_t a = edges[e], b = edges[num_edges + e];
     check_node(a, num_regions, e);

@@ -116,6 +116,7 @@ def _merge_in_steps(
     With `far`, also regions that do not touch, but lie in one mask, may merge.
     """
     for index, threshold in steps:
+        evidence = evidence.between(region)
         pairs, values = boundary_features(evidence, region)
         if pairs.shape[1] == 0 and not far:
             break

@@ -7,8 +7,8 @@ of a boundary, so only these are measured.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import kornia
 import torch
@@ -72,6 +72,16 @@ class BoundaryEdges(NamedTuple):
     contour: Measure | None  #: strength of the images' boundaries across the edge, mean over those that see both ends
     views: Tensor | None  #: [C] int64, number of images that see both ends
 
+    def only(self, kept: Tensor) -> BoundaryEdges:
+        """The edges numbered [c] int64, in this order."""
+
+        def part(values: Any) -> Any:
+            if isinstance(values, Measure):
+                return Measure.of(values.values[kept])
+            return None if values is None else values[kept]
+
+        return BoundaryEdges(*parallel_map(part, self))
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -100,6 +110,14 @@ class Evidence:
         of_piece = torch.empty(len(self.statistics.size), dtype=torch.int64)
         of_piece[self.piece] = region
         return of_piece
+
+    def between(self, region: Tensor) -> Evidence:
+        """The same without edges inside regions [N], which never count again, once these edges are the larger part."""
+        first, second = self.regions_of_pieces(region)[self.pairs]
+        across = torch.nonzero((first != second)[self.edges.pair]).squeeze(1)
+        if 2 * len(across) > len(self.edges.pair):
+            return self
+        return replace(self, edges=self.edges.only(across))
 
 
 def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config: Config) -> Evidence:
