@@ -89,8 +89,8 @@ def _near_others(row: Tensor, column: Tensor, label: Tensor, area: int) -> Tenso
     num_rows, num_columns = int(y.max()) + 1, int(x.max()) + 1
 
     def highest(values: Tensor) -> Tensor:
-        most = torch.full((num_rows * num_columns,), -math.inf)
+        most = torch.full((num_rows * num_columns,), -math.inf, dtype=torch.float64)
         most.scatter_reduce_(0, y * num_columns + x, values, "amax")
         return torch.nn.functional.max_pool2d(most.view(1, num_rows, num_columns), 3, stride=1, padding=1)[0]
 
-    return (highest(label.float()) != -highest(-label.float()))[y, x].nonzero().flatten()
+    return (highest(label.double()) != -highest(-label.double()))[y, x].nonzero().flatten()
