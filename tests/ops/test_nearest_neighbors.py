@@ -62,7 +62,7 @@ def test_of_equally_far_points_the_smaller_number_comes_first() -> None:
     assert nearest_neighbors(cross.flip(0), 4)[0][3].tolist() == [0, 1, 2, 4]
 
 
-def test_many_copies_are_no_slower_than_other_points() -> None:
+def test_copies_are_neighbours_by_number() -> None:
     points = torch.cat([torch.zeros(10_000, 3), torch.ones(10_000, 3)])[torch.arange(20_000).view(2, -1).t().flatten()]
     indices, distances = nearest_neighbors(points, 3)
     assert indices[:4].tolist() == [[2, 4, 6], [3, 5, 7], [0, 4, 6], [1, 5, 7]]
