@@ -112,7 +112,6 @@ def test_evidence_on_disk(prepared, tmp_path):
         load_evidence(path)
 
 
-@pytest.mark.slow  # scikit-learn takes seconds for the bins of weighted rows, however few
 def test_from_scenes_to_segments(prepared, tmp_path, set_threads):
     reports = []
     model = fit_boundary_model(prepared, QUICK, report=reports.append)
@@ -127,6 +126,16 @@ def test_from_scenes_to_segments(prepared, tmp_path, set_threads):
     set_threads(1)
     save_boundary_model(tmp_path / "b.npz", fit_boundary_model(prepared, QUICK))
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_training_without_images_and_colours(scene_of):
+    scenes = [scene_of(seed).scene for seed in (0, 1)]
+    bare = [labelled_evidence(Scene(scene.points, truth=scene.truth)) for scene in scenes]
+    model = fit_boundary_model(bare, QUICK)
+    columns = boundary_examples.feature_columns(boundary_examples.IMAGE_FEATURES + boundary_examples.COLOR_FEATURES)
+    used = {int(column) for trees in model.rounds for column in trees.feature[trees.left >= 0]}
+    assert used
+    assert not used & set(columns)
 
 
 def test_errors():

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +20,7 @@ from torchjoint.config import Config
 from torchjoint.points.boundary_features import FEATURE_NAMES
 from torchjoint.points.boundary_model import BoostedTrees, BoundaryModel, no_calibration
 from torchjoint.runtime.extras import needed_for
-from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
+from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene
 from torchjoint.training.boundary_examples import (
     BoundaryModelOptions,
@@ -31,6 +30,7 @@ from torchjoint.training.boundary_examples import (
     join_samples,
     labelled_evidence,
 )
+from torchjoint.training.quantile_bins import QuantileBins
 from torchjoint.training.scene_merging import SceneMerging
 
 #: Largest number of knots of a calibration.
@@ -94,7 +94,7 @@ def fit_boundary_model(
     """As :func:`train_boundary_model`, from what :func:`labelled_evidence` returns.
 
     Args:
-        scenes: at least two; the sequence may be lazy, since one scene is used at a time, once in each round.
+        scenes: at least two; the sequence may be lazy, since few scenes are used at a time, each once in each round.
         options: of the training.
         report: called after each round.
         progress: show progress bars.
@@ -113,16 +113,8 @@ def fit_boundary_model(
     of_parts: list[BoostedTrees] = []
     for number, threshold in enumerate(options.thresholds):
         name = f"round {number + 1} of {len(options.thresholds)}"
-        bar = tqdm(runs, desc=f"{name}: features", unit="scene", disable=not progress)
-        for i, of_scene in groupby(bar, key=lambda run: run.scene):
-            scene = scenes[i]  # read once for all its merges
-            with one_thread_per_operation():
-                for run in of_scene:
-                    if not of_parts:
-                        run.start(scene)
-                    else:
-                        trees = of_parts[parts.index(int(fold[i]))]
-                        run.advance(scene, number, trees, calibrations[-1], options)
+        judges = [(of_parts[parts.index(part)], calibrations[-1]) for part in fold.tolist()] if of_parts else None
+        _merge_all(scenes, runs, number, judges, options, f"{name}: features" if progress else None)
         new = [place for place, run in enumerate(runs) if number > 0 or run.variant == 0]
         boundaries = [runs[place].examples for place in new]
         samples = [draw_sample(one, rng, options) for one in boundaries]
@@ -148,8 +140,13 @@ def _check_packages() -> None:
         import threadpoolctl  # noqa: F401
 
 
-def trees_of_classifier(classifier: Any) -> BoostedTrees:
-    """The trees of a fitted ``HistGradientBoostingClassifier`` of two classes, without categorical features."""
+def trees_of_classifier(classifier: Any, bins: QuantileBins | None = None) -> BoostedTrees:
+    """The trees of a fitted ``HistGradientBoostingClassifier`` of two classes, without categorical features.
+
+    Args:
+        classifier: fitted to values, or to the numbers of their bins.
+        bins: in this case.
+    """
     trees = [of_class[0].nodes for of_class in classifier._predictors]
     length = max(len(nodes) for nodes in trees)
 
@@ -158,17 +155,46 @@ def trees_of_classifier(classifier: Any) -> BoostedTrees:
         return torch.from_numpy(np.stack(rows))
 
     is_leaf = padded("is_leaf", bool, True)
+    feature = padded("feature_idx", np.int32, 0).masked_fill(is_leaf, 0)
+    threshold = padded("num_threshold", np.float64, 0).masked_fill(is_leaf, 0)
+    if bins is not None:
+        of_value = ~is_leaf & threshold.isfinite()
+        found = bins.thresholds(feature[of_value].numpy(), threshold[of_value].numpy())
+        threshold[of_value] = torch.from_numpy(found)
     # Where all that is known goes left, and what is missing right, scikit-learn's threshold is infinite.
-    threshold = padded("num_threshold", np.float64, 0).nan_to_num(posinf=torch.finfo(torch.float64).max)
+    threshold = threshold.nan_to_num(posinf=torch.finfo(torch.float64).max)
     return BoostedTrees(
-        feature=padded("feature_idx", np.int32, 0).masked_fill(is_leaf, 0),
-        threshold=threshold.masked_fill(is_leaf, 0),
+        feature=feature,
+        threshold=threshold,
         missing_left=padded("missing_go_to_left", bool, False) & ~is_leaf,
         left=padded("left", np.int32, -1).masked_fill(is_leaf, -1),
         right=padded("right", np.int32, -1).masked_fill(is_leaf, -1),
         leaf_value=padded("value", np.float64, 0).masked_fill(~is_leaf, 0),
         baseline=float(classifier._baseline_prediction.item()),
     )
+
+
+def _merge_all(
+    scenes: Sequence[LabelledEvidence],
+    runs: Sequence[SceneMerging],
+    number: int,
+    judges: Sequence[tuple[BoostedTrees, Tensor]] | None,
+    options: BoundaryModelOptions,
+    progress: str | None,
+) -> None:
+    """Brings all merges to a round, by the trees and calibration for each scene of the round before (None: no such)."""
+    with tqdm(total=len(scenes), desc=progress, unit="scene", disable=progress is None) as bar:
+
+        def merge(i: int) -> None:
+            scene = scenes[i]  # read once for all its merges
+            for run in runs:
+                if run.scene == i and judges is None:
+                    run.start(scene)
+                elif run.scene == i and judges is not None:
+                    run.advance(scene, number, *judges[i], options)
+            bar.update()
+
+        parallel_map(merge, range(len(scenes)))
 
 
 def _fit_all(
@@ -213,8 +239,9 @@ def _grow(samples: Sequence[Sample], options: BoundaryModelOptions) -> BoostedTr
         early_stopping=False,
         random_state=options.seed,
     )
-    classifier.fit(values, is_border, sample_weight=weight)
-    return trees_of_classifier(classifier)
+    bins = QuantileBins(values, weight)
+    classifier.fit(bins.numbers(values), is_border, sample_weight=weight)
+    return trees_of_classifier(classifier, bins)
 
 
 def _constant(log_odds: float) -> BoostedTrees:
