@@ -16,7 +16,7 @@ import argparse
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,11 +31,12 @@ from torchjoint.benchmark.methods import METHODS
 from torchjoint.benchmark.search import Budget, run_scores, search
 from torchjoint.evaluation.scores import score, score_images
 from torchjoint.points.agglomeration import build_hierarchy
-from torchjoint.points.boundary_model import BoundaryModel
+from torchjoint.points.boundary_model import BoundaryModel, load_boundary_model
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
 from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.training import save_boundary_model
 from torchjoint.training.boundary_examples import (
     BoundaryModelOptions,
     LabelledEvidence,
@@ -176,9 +177,7 @@ def score_left_out(work: Path, left_out: str, seed: int, arguments: argparse.Nam
     done = [work / f"left-out-{kind}-{seed}.json" for kind in LEFT_OUT[left_out]]
     if all(path.is_file() for path in done):
         return
-    names = [named.name for kind in LEFT_OUT if kind != left_out for named in scenes(kind, "training", arguments)]
-    examples = [load_evidence(work / "evidence" / f"{name}.pt") for name in names]
-    model = fit_boundary_model(examples, replace(OPTIONS, seed=seed))
+    model = left_out_model(work, left_out, seed, arguments)
     for kind, path in zip(LEFT_OUT[left_out], done, strict=True):
         rows = {
             name: [scene.scores(model, images) for scene in judged_scenes(kind, arguments)]
@@ -188,10 +187,24 @@ def score_left_out(work: Path, left_out: str, seed: int, arguments: argparse.Nam
         print(kind, seed, {name: np.mean(values, 0).round(3).tolist() for name, values in rows.items()}, flush=True)
 
 
+def left_out_model(work: Path, left_out: str, seed: int, arguments: argparse.Namespace) -> BoundaryModel:
+    """The model that never saw a kind of data; trained if it is not in the folder yet."""
+    path = work / f"model-without-{left_out}-{seed}.npz"
+    if path.is_file():
+        return load_boundary_model(path)
+    names = [named.name for kind in LEFT_OUT if kind != left_out for named in scenes(kind, "training", arguments)]
+    examples = [training_evidence(work / "evidence" / f"{name}.pt") for name in names]
+    model = fit_boundary_model(examples, replace(OPTIONS, seed=seed))
+    save_boundary_model(path, model)
+    return model
+
+
+#: Most scenes serve all trainings but one.
+training_evidence = lru_cache(maxsize=None)(load_evidence)
+
+
 def score_packaged(work: Path, kinds: Sequence[str], arguments: argparse.Namespace) -> None:
     """Scores the model of the package, which saw other scenes of all kinds but the real desk."""
-    from torchjoint.points.boundary_model import load_boundary_model
-
     model, rows = load_boundary_model(), {}
     for kind in kinds:
         cases = judged_scenes(kind, arguments)

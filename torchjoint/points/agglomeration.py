@@ -16,6 +16,7 @@ from torchjoint.points.boundary_features import boundary_features
 from torchjoint.points.boundary_model import BoundaryModel
 from torchjoint.points.evidence import Evidence
 from torchjoint.points.mask_merging import MaskLinkage
+from torchjoint.points.occluded_surfaces import Occlusions, continued_surfaces
 from torchjoint.scene import Hierarchy
 
 #: Thresholds of the rounds above the model's; at 1, whatever touches has merged. There are several, because larger
@@ -96,6 +97,8 @@ def build_hierarchy(evidence: Evidence, model: BoundaryModel) -> Hierarchy:
     if linkage is not None:
         region = _merge_in_steps(evidence, model, [(last, default)], linkage, region, merges, far=True)
         region = _merge_in_steps(evidence, model, [(last, default)], linkage, region, merges, only_crumbs=True)
+    elif evidence.occlusions is not None:
+        region = _join_behind_occluders(evidence, evidence.occlusions, region, merges, default)
     coarser = [(last, threshold) for threshold in COARSER if threshold > default]
     _merge_in_steps(evidence, model, coarser, linkage, region, merges)
     return merges.hierarchy(evidence.piece, default)
@@ -134,6 +137,21 @@ def _merge_in_steps(
         # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect.
         region = ops.felzenszwalb(joined, torch.zeros(len(height), dtype=torch.float32), num_regions, scale=1.0)[region]
     return region
+
+
+def _join_behind_occluders(
+    evidence: Evidence, occlusions: Occlusions, region: Tensor, merges: _Merges, threshold: float
+) -> Tensor:
+    """Merges regions [N] of one surface that an occluder separates, and returns the new regions [N].
+
+    The merges stand at the threshold: all finer levels keep the regions apart.
+    """
+    of_piece = evidence.regions_of_pieces(region)
+    num_regions = int(region.max()) + 1
+    pairs, against = continued_surfaces(occlusions, evidence.statistics, of_piece)
+    joined, height = ops.region_merges(pairs, against, num_regions, threshold)
+    merges.add(of_piece, joined, torch.full_like(height, threshold), threshold)
+    return ops.felzenszwalb(joined, torch.zeros(len(height), dtype=torch.float32), num_regions, scale=1.0)[region]
 
 
 def _with_far_pairs(

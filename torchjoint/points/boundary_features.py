@@ -15,13 +15,17 @@ from torchjoint.points._vectors import dot, length
 from torchjoint.points.evidence import Evidence
 from torchjoint.points.group_summaries import Measure, sum_by, summarize
 from torchjoint.points.image_agreement import NUM_VALUES, image_agreement
-from torchjoint.points.region_statistics import RegionStatistics, axes, covariance_of_unions, pooled
+from torchjoint.points.region_statistics import (
+    RegionStatistics,
+    axes,
+    color_contrasts,
+    covariance_of_unions,
+    pooled,
+)
 from torchjoint.runtime.threads import parallel_map
 
 #: Smallest divisor: flat and single points have no width.
 TINY = 1e-30
-#: Added to the spread of colours before a division, units of Lab: colours of one surface differ by about as much.
-COLOR_NOISE = 2.0
 #: A boundary without a value counts as this among the boundaries of a region.
 TYPICAL = 0.3
 #: Sides of a boundary: the region with fewer points, and the other.
@@ -220,7 +224,7 @@ def _colors(regions: RegionStatistics, pairs: Tensor, small: Tensor, large: Tens
         return torch.full((pairs.shape[1], 5), torch.nan, dtype=torch.float32)
     difference = regions.color[small] - regions.color[large]
     spread = regions.color_variance.sum(1).sqrt()
-    contrast = length(difference) / ((spread[small] + spread[large]) / 2 + COLOR_NOISE)
+    contrast = color_contrasts(regions, small, large)
     chroma = difference[:, 1:].square().sum(1).sqrt()
     return torch.stack([difference[:, 0].abs(), chroma, contrast, spread[small], spread[large]], 1)
 

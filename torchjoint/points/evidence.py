@@ -23,6 +23,7 @@ from torchjoint.points.group_summaries import Measure
 from torchjoint.points.image_evidence import ImageEvidence, segments_of_pieces
 from torchjoint.points.mask_evidence import MaskEvidence, masks_of_pieces
 from torchjoint.points.normals import angle_between, estimate_normals, is_convex
+from torchjoint.points.occluded_surfaces import Occlusions, find_occlusions
 from torchjoint.points.orientation import orient_normals
 from torchjoint.points.region_merging import merge
 from torchjoint.points.region_statistics import RegionStatistics, statistics_of_points
@@ -95,6 +96,7 @@ class Evidence:
         typical_color_step: median colour step of all edges, units of Lab; None without colours.
         images: the image segments in which the pieces lie; None without images, and if all images have masks.
         masks: the masks in which the pieces lie; None without masks.
+        occlusions: the pieces on the two sides of something nearer, in the images; None as for `images`.
     """
 
     piece: Tensor
@@ -104,6 +106,7 @@ class Evidence:
     typical_color_step: float | None
     images: ImageEvidence | None
     masks: MaskEvidence | None = None
+    occlusions: Occlusions | None = None
 
     def regions_of_pieces(self, region: Tensor) -> Tensor:
         """The region of each piece, [P] int64, of regions [N] that are unions of pieces."""
@@ -161,16 +164,18 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
     crease, bend, wide_bend, offset, larger_offset, gap = parallel_map(Measure.of, geometry)
     color, overlap, strength = (None if values is None else Measure.of(values) for values in (color_step, r, contour))
     unoriented = ~(oriented[ends[0]] & oriented[ends[1]])
+    statistics = statistics_of_points(piece, graph.points, planes.normal, scales.noise, scales.spacing, lab)
     return Evidence(
         piece,
         torch.stack([key // num_pieces, key % num_pieces]),
         BoundaryEdges(
             pair, crease, bend, wide_bend, offset, larger_offset, gap, unoriented, color, overlap, strength, views
         ),
-        statistics_of_points(piece, graph.points, planes.normal, scales.noise, scales.spacing, lab),
+        statistics,
         None if median is None else max(median, SMALLEST_TYPICAL),
         segments_of_pieces(piece, observations) if observations else None,
         masks_of_pieces(piece, seen),
+        find_occlusions(piece, statistics, graph.points, scales, observations) if observations else None,
     )
 
 

@@ -11,7 +11,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchjoint.points._vectors import length
 from torchjoint.points.group_summaries import sum_by
+
+#: Added to the spread of colours before a division, units of Lab: colours of one surface differ by about as much.
+COLOR_NOISE = 2.0
 
 
 class RegionStatistics(NamedTuple):
@@ -111,3 +115,11 @@ def axes(covariance: Tensor) -> Tensor:
 
 def _outer(vectors: Tensor) -> Tensor:
     return vectors[:, :, None] * vectors[:, None, :]
+
+
+def color_contrasts(regions: RegionStatistics, one: Tensor, other: Tensor) -> Tensor:
+    """Distances [B] of the mean colours of pairs of regions, in multiples of the spread within them, NaN without."""
+    if regions.color is None or regions.color_variance is None:
+        return torch.full((len(one),), torch.nan, dtype=torch.float64)
+    spread = regions.color_variance.sum(1).sqrt()
+    return length(regions.color[one] - regions.color[other]) / ((spread[one] + spread[other]) / 2 + COLOR_NOISE)

@@ -12,12 +12,13 @@ import torch
 from torchjoint.points.evidence import BoundaryEdges, Evidence
 from torchjoint.points.group_summaries import Measure
 from torchjoint.points.image_evidence import ImageEvidence
+from torchjoint.points.occluded_surfaces import Occlusions
 from torchjoint.points.region_statistics import RegionStatistics
 from torchjoint.runtime.checked_files import read_checked, write_checked
 from torchjoint.training.boundary_examples import LabelledEvidence
 
 #: The types that a file may contain besides tensors and numbers; none of them runs code when it is made.
-_TYPES = (LabelledEvidence, Evidence, BoundaryEdges, Measure, RegionStatistics, ImageEvidence)
+_TYPES = (LabelledEvidence, Evidence, BoundaryEdges, Measure, RegionStatistics, ImageEvidence, Occlusions)
 
 
 def save_evidence(path: Path, prepared: LabelledEvidence) -> None:
