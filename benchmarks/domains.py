@@ -275,7 +275,7 @@ def write_tables(work: Path, kinds: Sequence[str]) -> None:
         cells = [f"{TITLES.get(kind, kind)}, {left.shape[1]}", f"{_both(left)}, {len(runs)}", _both(blind)]
         cells += [_both(np.array(packaged[kind]["default"])[None])]
         cells += [_both(others[f"preset_{preset}"][None]) for preset in PRESETS]
-        cells += [f"{_both(others[simple][None])} ({simple})", _difference(gain)]
+        cells += [f"{_both(others[simple][None])} ({simple})", difference(gain)]
         rows.append(cells)
     report.write_part("domains", report.table(columns, rows))
     chosen = [columns.index(name) for name in ("preset regions", "best simple method")]
@@ -290,7 +290,7 @@ def write_tables(work: Path, kinds: Sequence[str]) -> None:
         initial, final = of_images.values()
         in_3d = [np.array(packaged[kind][name]) for name in ("default", "default, no images")]
         cells = [f"{TITLES.get(kind, kind)}, {len(initial)}", *(_both(scores[None]) for scores in (initial, final))]
-        rows.append([*cells, _difference(final - initial), _difference(in_3d[0] - in_3d[1])])
+        rows.append([*cells, difference(final - initial), difference(in_3d[0] - in_3d[1])])
     columns = ["kind of data, scenes", "initial images", "final images", "final - initial"]
     report.write_part("images or not", report.table([*columns, "3D: with - without images"], rows))
 
@@ -304,7 +304,7 @@ def _both(scores: np.ndarray) -> str:
     return f"{mean[0]:.3f} ± {spread[0]:.3f} / {mean[1]:.3f} ± {spread[1]:.3f}"
 
 
-def _difference(gain: np.ndarray) -> str:
+def difference(gain: np.ndarray) -> str:
     """Mean of differences [scenes, 2], paired by scene, with its standard error."""
     if len(gain) == 1:
         return f"{gain[0, 0]:+.3f} / {gain[0, 1]:+.3f}"
