@@ -242,7 +242,7 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (outvoted_markers, {"markers": LABELS[0]}, ValueError, "markers: expected shape [H, W], got [4]"),
     (outvoted_markers, {"colors": torch.ones(3, 4)}, ValueError, "colors: expected shape [3, H, W] = [3, 3, 4], got"),
     (outvoted_markers, {"colors": torch.full((3, 3, 4), NAN)}, ValueError, "colors: expected numbers in [0, 1], got"),
-    (outvoted_markers, {"color_weight": torch.inf}, ValueError, "color_weight: expected a finite number >= 0, got inf"),
+    (outvoted_markers, {"color_weight": torch.inf}, ValueError, "color_weight: expected 0 to 1000, got inf"),
     (outvoted_markers, {"num_voters": 0}, ValueError, "num_voters: expected 1 to 2^31 - 1, got 0"),
     (outvoted_markers, {"near": -1.0}, ValueError, "near: expected a number >= 0, got -1.0"),
     (merge_regions, {"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),

@@ -8,6 +8,8 @@
 namespace torchjoint {
 namespace {
 
+constexpr double kMaxWeight = 1000;
+
 struct Marker {
   int32_t row, column;
   float color[3];  // in pixels
@@ -196,8 +198,7 @@ Tensor outvoted_markers(
   const int64_t height = marker.size(0), width = marker.size(1), num_pixels = height * width;
   check_image_size(height, width);
   const Tensor color = checked_array(colors, ScalarType::Float, {3, height, width}, "colors");
-  check(std::isfinite(color_weight) && color_weight >= 0, "color_weight: expected a finite number >= 0, got ",
-        color_weight);
+  check(color_weight >= 0 && color_weight <= kMaxWeight, "color_weight: expected 0 to 1000, got ", color_weight);
   check(num_voters >= 1 && num_voters <= kMaxCount, "num_voters: expected 1 to 2^31 - 1, got ", num_voters);
   check(std::isfinite(near) && near >= 0, "near: expected a finite number >= 0, got ", near);
   check_shares(color.const_data_ptr<float>(), 3 * num_pixels, "colors");

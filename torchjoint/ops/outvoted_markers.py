@@ -23,7 +23,7 @@ def outvoted_markers(markers: Tensor, colors: Tensor, color_weight: float, num_v
     Args:
         markers: ``[H, W]`` int32, labels; negative where there is no marker.
         colors: ``[3, H, W]`` float32 RGB in [0, 1].
-        color_weight: pixels per RGB distance, finite.
+        color_weight: pixels per RGB distance, 0 to 1000.
         num_voters: at least 1.
         near: side of a cell, in mean distances of markers, which are the root of pixels per marker; rounded up to whole
             pixels.
