@@ -21,6 +21,7 @@ from torchjoint.ops import (
     min_cut,
     nearest_neighbors,
     neighbor_edges,
+    outvoted_markers,
     pair_counts,
     parse_numbers,
     project,
@@ -78,6 +79,9 @@ PROPAGATE_LABELS = {
     "markers": LABELS, "colors": torch.rand(3, 3, 4), "boundary": torch.rand(3, 4), "color_weight": 9.0,
     "boundary_weight": 2.0, "min_markers": 2,
 }  # fmt: skip
+OUTVOTED_MARKERS = {
+    "markers": LABELS, "colors": torch.rand(3, 3, 4), "color_weight": 9.0, "num_voters": 3, "near": 3.0,
+}  # fmt: skip
 MERGE_REGIONS = {
     "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
 }  # fmt: skip
@@ -127,6 +131,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     segment_graphs: SEGMENT_GRAPHS,
     match_pixels: MATCH_PIXELS,
     propagate_labels: PROPAGATE_LABELS,
+    outvoted_markers: OUTVOTED_MARKERS,
     merge_regions: MERGE_REGIONS,
     group_summaries: GROUP_SUMMARIES,
     region_merges: REGION_MERGES,

@@ -107,6 +107,25 @@ class TestCopies:
         assert distinct_points(points[[0, 1, 4]]) is None
         assert distinct_points(torch.zeros(4, 3)).tolist() == [0, 0, 0, 0]
 
+    def test_the_size_of_blocks_changes_nothing(self, monkeypatch):
+        points = torch.rand(400, 3, generator=torch.Generator().manual_seed(0)) + 5
+
+        def results():
+            frame = LocalFrame.of(points)
+            return (
+                frame.origin,
+                frame.cloud(tj.Scene(points)).points,
+                [distinct_points(torch.cat([points, points[i : i + 1]])) for i in range(0, 400, 40)],
+            )
+
+        origin, local, found = results()
+        assert torch.equal(origin, points.double().median(0).values)
+        assert all(one[-1] == 40 * i for i, one in enumerate(found))
+        monkeypatch.setattr("torchjoint.scene.local_cloud.BLOCK", 64)
+        assert distinct_points(points) is None
+        for one, other in zip(results(), (origin, local, found), strict=True):
+            assert all(map(torch.equal, one, other))
+
     def test_distinct_points_of_equal_codes(self, monkeypatch):
         """Numbers that do not tell points apart: they are sorted by coordinates."""
         monkeypatch.setattr("torchjoint.scene.local_cloud._codes", lambda rows: (rows[:, 0] * 0).astype("uint64"))

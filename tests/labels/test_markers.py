@@ -1,12 +1,8 @@
-"""Markers that their neighbours contradict: by hand, and against the rule written out for all pairs."""
-
-import math
+"""Markers that their neighbours contradict, by hand."""
 
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from torchjoint.labels.markers import NEAR, VOTERS, without_outvoted
+from torchjoint.labels.markers import without_outvoted
 
 NONE = -1
 
@@ -38,31 +34,3 @@ def test_without_markers_or_with_one_label_nothing_changes():
     for labels in ([NONE] * 5, [NONE, 3, 3, NONE], [NONE, 0, NONE]):
         markers, colors = strip(labels)
         assert torch.equal(without_outvoted(markers, colors, 100.0), markers)
-
-
-@settings(max_examples=15, deadline=None)
-@given(st.integers(0, 2**31), st.sampled_from([0.3, 0.7, 1.0]), st.sampled_from([1, 3]))
-def test_the_rule_for_all_pairs(seed, share, num_shades):
-    """Few shades make many distances equal."""
-    random, size = torch.Generator().manual_seed(seed), (7, 11)
-    markers = torch.randint(0, 3, size, generator=random, dtype=torch.int32)
-    markers[torch.rand(size, generator=random) >= share] = NONE
-    shade = torch.randint(0, num_shades, size, generator=random)
-    marked = [(y, x, int(markers[y, x]), int(shade[y, x])) for y, x in markers.ge(0).nonzero().tolist()]
-    cell = math.ceil(NEAR * math.sqrt(markers.numel() / max(len(marked), 1)))
-    expected = markers.clone()
-    for y, x, mine, gray in marked:
-        others = sorted(
-            (float((v - y) ** 2 + (u - x) ** 2 + 3 * (2 * (other - gray)) ** 2), label == mine)
-            for v, u, label, other in marked
-            if (v, u) != (y, x)
-        )
-        in_question = any(
-            label != mine and max(abs(v // cell - y // cell), abs(u // cell - x // cell)) <= 1
-            for v, u, label, _ in marked
-        )
-        votes = [same for far, same in others if len(others) <= VOTERS or far < others[VOTERS][0]]
-        if in_question and 2 * sum(votes) < min(len(votes), sum(same for _, same in others)):
-            expected[y, x] = NONE
-    colors = (shade / 4).expand(3, -1, -1)
-    assert torch.equal(without_outvoted(markers, colors, 8.0), expected)

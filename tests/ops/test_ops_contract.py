@@ -51,6 +51,7 @@ from torchjoint.ops import (
     min_cut,
     nearest_neighbors,
     neighbor_edges,
+    outvoted_markers,
     pair_counts,
     parse_numbers,
     project,
@@ -238,6 +239,12 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     ),
     (propagate_labels, {"color_weight": -1.0}, ValueError, "color_weight: expected a number >= 0, got -1.0"),
     (propagate_labels, {"boundary_weight": 1001.0}, ValueError, "boundary_weight: expected 0 to 1000, got 1001"),
+    (outvoted_markers, {"markers": LABELS[0]}, ValueError, "markers: expected shape [H, W], got [4]"),
+    (outvoted_markers, {"colors": torch.ones(3, 4)}, ValueError, "colors: expected shape [3, H, W] = [3, 3, 4], got"),
+    (outvoted_markers, {"colors": torch.full((3, 3, 4), NAN)}, ValueError, "colors: expected numbers in [0, 1], got"),
+    (outvoted_markers, {"color_weight": torch.inf}, ValueError, "color_weight: expected 0 to 1000, got inf"),
+    (outvoted_markers, {"num_voters": 0}, ValueError, "num_voters: expected 1 to 2^31 - 1, got 0"),
+    (outvoted_markers, {"near": -1.0}, ValueError, "near: expected a number >= 0, got -1.0"),
     (merge_regions, {"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
     (merge_regions, {"edge_index": EDGES.t()}, ValueError, "edge_index: expected shape [2, E], got [3, 2]"),
     (merge_regions, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
@@ -485,6 +492,9 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (propagate_labels, {"colors": torch.rand(3, 4, 3)}),
         (propagate_labels, {"boundary": torch.rand(3)}),
         (propagate_labels, {"boundary_weight": NAN}),
+        (outvoted_markers, {"markers": LABELS.long()}),
+        (outvoted_markers, {"colors": torch.rand(3, 4)}),
+        (outvoted_markers, {"near": NAN}),
         (merge_regions, {"edge_index": EDGES.int()}),
         (merge_regions, {"cost": VALUES[:2]}),
         (merge_regions, {"cost": VALUES.double()}),
@@ -596,6 +606,8 @@ def test_no_gradient_flows() -> None:
     assert not any(result.requires_grad for result in region_planes(**REGION_PLANES | with_grad))
     values = BOOSTED_TREES["values"].clone().requires_grad_()
     assert not boosted_trees(**BOOSTED_TREES | {"values": values}).requires_grad
+    with_grad = torch.rand(3, 3, 4).requires_grad_()
+    assert not outvoted_markers(LABELS, with_grad, 9.0, 3, 3.0).requires_grad
     assert not propagate_labels(**PROPAGATE_LABELS | {"boundary": torch.rand(3, 4).requires_grad_()}).requires_grad
 
 
@@ -668,6 +680,7 @@ LONG_OPERATORS = (
     region_planes,
     parse_numbers,
     propagate_labels,
+    outvoted_markers,
     boosted_trees,
     structured_forest,
 )
@@ -687,6 +700,10 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
         image = torch.rand(4, int(1000 * side), int(1000 * side), generator=generator)
         markers = torch.where(image[0] < 0.01, torch.arange(image.shape[2]), -1).int()
         return lambda: propagate_labels(markers, image[:3], image[3], 9.0, 2.0)
+    if op is outvoted_markers:
+        generator = torch.Generator().manual_seed(0)
+        colors = torch.rand(3, int(400 * side), int(400 * side), generator=generator)
+        return lambda: outvoted_markers((10 * colors[0]).int(), colors, 10.0, 12, 3.0)
     if op is parse_numbers:
         num_rows = int(4_000_000 * share)
         text = torch.tensor(list(b"1.25 -3.5\n"), dtype=torch.uint8).repeat(num_rows)

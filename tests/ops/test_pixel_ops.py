@@ -228,6 +228,27 @@ def test_parts_with_few_markers_by_hand() -> None:
     assert ops.propagate_labels(markers, *image, 2)[1].tolist() == [4, 4, 2, 2, 2, 2, 2]
 
 
+@given(
+    seed=SEEDS,
+    height=st.integers(0, 9),
+    width=st.integers(0, 12),
+    share=st.sampled_from([0.05, 0.3, 1.0]),
+    levels=st.sampled_from([1, 3, 1000]),
+    num_voters=st.sampled_from([1, 4, 12]),
+    near=st.sampled_from([0.0, 1.0, 3.0]),
+)
+def test_outvoted_markers(
+    seed: int, height: int, width: int, share: float, levels: int, num_voters: int, near: float
+) -> None:
+    """Few shades make many distances equal."""
+    generator = torch.Generator().manual_seed(seed)
+    markers = integers(generator, 0, 3, height, width).int()
+    markers[torch.rand(height, width, generator=generator) >= share] = -1
+    colors = torch.randint(0, levels + 1, (3, height, width), generator=generator) / levels
+    arguments = (markers, colors, 8.0, num_voters, near)
+    assert_same((ops.outvoted_markers(*arguments),), (reference.outvoted_markers_reference(*arguments),))
+
+
 def test_spread_labels_of_nothing() -> None:
     markers = torch.full((3, 4), -1, dtype=torch.int32)
     assert torch.equal(ops.propagate_labels(markers, torch.rand(3, 3, 4), torch.rand(3, 4), 1.0, 1.0), markers)

@@ -137,6 +137,17 @@ def test_the_command(done, scans, run, capsys):
         run("batch", scans / "b", *options, "--engine", "slurm")
 
 
+def test_the_exit_code_of_the_command_tells_of_failures(done, scans, run, capsys, monkeypatch):
+    out, report = done
+    monkeypatch.setattr(sys.modules["torchjoint.cli.batch"], "run_batch", lambda *_, **__: report)
+    with pytest.raises(SystemExit) as ended:
+        run("batch", scans, "-o", out)
+    assert ended.value.code == 1
+    text = capsys.readouterr().out
+    assert "2 segmented, 0 were done before, 1 failed" in text
+    assert report.failures["b"] in text
+
+
 def test_the_command_chooses_topics(scans, tmp_path, run, monkeypatch):
     given = []
     monkeypatch.setattr(

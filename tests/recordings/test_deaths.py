@@ -1,6 +1,7 @@
 """Workers, heads, connections, memory and disks fail; each time the files end up those of an undisturbed run."""
 
 import gc
+import logging
 import os
 import signal
 import socket
@@ -9,7 +10,7 @@ import sys
 import threading
 import time
 import warnings
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
@@ -193,30 +194,91 @@ class Wire:
         self.cut()
 
 
-def test_the_connection_to_the_scheduler_is_cut(scans, deaths, expected, tmp_path):
-    from distributed import LocalCluster
-
-    out = tmp_path / "out"
+def batch_with_a_cut(engine, target, scans, deaths, out):
+    """Runs a batch on a cluster, and cuts the connection to its scheduler once, while recordings are under way."""
     (deaths / "wait").touch()
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
-        host, port = cluster.scheduler_address.removeprefix("tcp://").split(":")
-        wire, cuts = Wire((host, int(port))), []
+    wire, cuts = Wire(target), []
 
-        def cut():
-            wait_for(lambda: list(out.glob("*.partial/source.txt")))
-            wire.cut()
-            cuts.append(True)
-            (deaths / "wait").unlink()
+    def cut():
+        wait_for(lambda: list(out.glob("*.partial/source.txt")))
+        wire.cut()
+        cuts.append(True)
+        (deaths / "wait").unlink()
 
-        threading.Thread(target=cut, daemon=True).start()
-        try:
-            report = tj.batch(scans, out, engine=f"dask://127.0.0.1:{wire.port}", config=CONFIG, options=OPTIONS)
-        finally:
-            wire.close()
+    threading.Thread(target=cut, daemon=True).start()
+    try:
+        report = tj.batch(scans, out, engine=f"{engine}://127.0.0.1:{wire.port}", config=CONFIG, options=OPTIONS)
+    finally:
+        wire.close()
     for one in gc.get_objects():  # an attempt to connect that dask's client has cancelled leaves its socket open
         with suppress(OSError):  # it listens only
             if type(one) is socket.socket and one.getpeername() == ("127.0.0.1", wire.port):
                 one.close()
     assert cuts
+    return report
+
+
+def test_the_connection_to_a_scheduler_of_dask_is_cut(scans, deaths, expected, tmp_path):
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
+        host, port = cluster.scheduler_address.removeprefix("tcp://").split(":")
+        report = batch_with_a_cut("dask", (host, int(port)), scans, deaths, tmp_path / "out")
     assert report.failures == {}
-    assert_complete(out, expected)
+    assert_complete(tmp_path / "out", expected)
+
+
+@contextmanager
+def ray_cluster(folder):
+    """The port for clients of a cluster of ray, and none of its processes afterwards.
+
+    They all have TORCHJOINT_TEST_DEATHS, which is the folder, in their environments.
+    """
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    options = [f"--ray-client-server-port={port}", "--port=0", "--num-cpus=2", "--include-dashboard=false", "--block"]
+    command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--head", "--node-ip-address=127.0.0.1", *options]
+    with (folder.parent / "ray.txt").open("w") as log:
+        head = subprocess.Popen(command, start_new_session=True, stdout=log, stderr=log)
+    try:
+        wait_for(lambda: takes_clients(port) or head.poll() is not None, 300)
+        assert head.poll() is None, (folder.parent / "ray.txt").read_text()
+        yield port
+    finally:
+        wait_for(lambda: not killed(folder))
+        head.wait()
+
+
+def takes_clients(port):
+    """Whether a client can connect; the port is open some time before."""
+    import ray
+
+    try:
+        with socket.create_connection(("127.0.0.1", port)):
+            pass
+        ray.init(f"ray://127.0.0.1:{port}", log_to_driver=False, logging_level=logging.CRITICAL)
+    except (OSError, RuntimeError):
+        return False
+    ray.shutdown()
+    return True
+
+
+def killed(folder):
+    """Kills all processes that were started with this folder of deaths, and returns them."""
+    found, mark = [], b"TORCHJOINT_TEST_DEATHS=" + os.fsencode(folder)
+    for process in psutil.process_iter():
+        with suppress(psutil.Error, OSError):  # psutil reads no environment of a process that has changed its title
+            if process.pid != os.getpid() and mark in Path(f"/proc/{process.pid}/environ").read_bytes():
+                process.kill()
+                found.append(process)
+    return found
+
+
+def test_the_connection_to_a_ray_cluster_is_cut(scans, deaths, expected, tmp_path, monkeypatch):
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # as for a cluster on this machine; else both need a token
+    # Each client gets a server of its own, which on a busy machine takes more than ray's 30 s to start.
+    monkeypatch.setenv("RAY_CLIENT_SERVER_CHECK_CHANNEL_TIMEOUT_S", "120")
+    with ray_cluster(deaths) as port:
+        report = batch_with_a_cut("ray", ("127.0.0.1", port), scans, deaths, tmp_path / "out")
+    assert report.failures == {}
+    assert_complete(tmp_path / "out", expected)

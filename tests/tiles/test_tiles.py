@@ -304,3 +304,12 @@ def test_processes_and_many_tiles(tmp_path):
     assert (tmp_path / "one.las").read_bytes() == (tmp_path / "two.las").read_bytes()
     whole, labels = tj.superpoints(torch.from_numpy(laspy.read(cloud).xyz.copy())), labels_of(tmp_path / "one.las")
     assert segmentation_covering(labels, whole).symmetric > 0.98
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning", "ignore::FutureWarning")
+@pytest.mark.parametrize("engine", ["dask:2", "ray:2"])
+def test_tiles_on_the_workers_of_an_engine(engine, cloud, tmp_path):
+    superpoints_of_files(cloud, tmp_path / "here.las", tile=7, buffer=1, engine="loky:1")
+    superpoints_of_files(cloud, tmp_path / "there.las", tile=7, buffer=1, engine=engine)
+    assert (tmp_path / "here.las").read_bytes() == (tmp_path / "there.las").read_bytes()

@@ -50,7 +50,7 @@ def superpoints(
         picture: write a picture of the cloud and its superpoints next to OUT (not if OUT is .las or .laz).
         overwrite: replace existing files.
         tile: metres, side of a tile of a .las or .laz; default: as large as 2 million points allow.
-        buffer: metres, rim that a tile shares with its neighbours; default: 40 typical distances of points.
+        buffer: metres, rim that a tile shares with its neighbours; default: 60 typical distances of points.
         engine: where tiles are segmented: loky (this machine, the default; loky:2: two workers), dask, dask://HOST:PORT,
             ray, ray://HOST:PORT. The workers must see the folder of OUT.
     """

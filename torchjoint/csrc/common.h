@@ -82,6 +82,15 @@ inline void check_index(int64_t value, int64_t count, const char* name, int64_t 
   }
 }
 
+// Checks numbers in [0, 1]; the error names the argument and the position.
+inline void check_shares(const float* values, int64_t count, const char* name) {
+  int32_t bad = 0;
+  for (int64_t i = 0; i < count; ++i) bad |= !(values[i] >= 0) | !(values[i] <= 1);
+  for (int64_t i = 0; bad && i < count; ++i) {
+    if (!(values[i] >= 0 && values[i] <= 1)) fail(name, ": expected numbers in [0, 1], got ", values[i], " at ", i);
+  }
+}
+
 // A new CPU tensor with the values of a vector; `like` is any CPU tensor.
 template <typename T>
 Tensor to_tensor(const std::vector<T>& values, ScalarType dtype, const Tensor& like) {

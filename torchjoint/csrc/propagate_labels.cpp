@@ -219,14 +219,6 @@ class LabelPropagation {
   int64_t waiting_ = 0;
 };
 
-void check_shares(const float* values, int64_t count, const char* name) {
-  int32_t bad = 0;
-  for (int64_t i = 0; i < count; ++i) bad |= !(values[i] >= 0) | !(values[i] <= 1);
-  for (int64_t i = 0; bad && i < count; ++i) {
-    if (!(values[i] >= 0 && values[i] <= 1)) fail(name, ": expected numbers in [0, 1], got ", values[i], " at ", i);
-  }
-}
-
 Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tensor& boundary, double color_weight,
                         double boundary_weight, int64_t min_markers) {
   const Tensor marker = checked_array(markers, ScalarType::Int, {-1, -1}, "markers");

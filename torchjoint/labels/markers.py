@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
+from torchjoint import ops
 from torchjoint.views.nearest_points import nearest_in_cells
 from torchjoint.views.visibility import Visible
 
@@ -57,40 +55,5 @@ def without_outvoted(markers: Tensor, colors: Tensor, color_weight: float) -> Te
     Returns:
         [H, W] int32.
     """
-    row, column = torch.nonzero(markers >= 0, as_tuple=True)
-    label = markers[row, column].long()
-    asked = _near_others(row, column, label, markers.numel())
-    if not len(asked):
-        return markers
-    place = torch.cat([torch.stack([row, column]), color_weight * colors[:, row, column]]).T.double().numpy()
-    count = min(VOTERS + 2, len(label))  # the first is the marker itself; of equally far last ones all vote, or none
-    distance, found = (torch.from_numpy(one)[:, 1:] for one in cKDTree(place).query(place[asked], k=count))
-    votes = distance < (distance[:, -1:] if count == VOTERS + 2 else math.inf)
-    agree = (votes & (label[found] == label[asked, None])).sum(1)
-    others = torch.bincount(label)[label[asked]] - 1
-    outvoted = asked[2 * agree < torch.minimum(votes.sum(1), others)]
-    kept = markers.clone()
-    kept[row[outvoted], column[outvoted]] = -1
-    return kept
-
-
-def _near_others(row: Tensor, column: Tensor, label: Tensor, area: int) -> Tensor:
-    """[K] int64: the markers that have another label in their cell of the image, or in one of the eight around it.
-
-    Args:
-        row, column: [M] int64, pixels of the markers.
-        label: [M] int64.
-        area: of the image, pixels.
-    """
-    if not len(label):
-        return label
-    cell = math.ceil(NEAR * math.sqrt(area / len(label)))
-    y, x = row // cell, column // cell
-    num_rows, num_columns = int(y.max()) + 1, int(x.max()) + 1
-
-    def highest(values: Tensor) -> Tensor:
-        most = torch.full((num_rows * num_columns,), -math.inf, dtype=torch.float64)
-        most.scatter_reduce_(0, y * num_columns + x, values, "amax")
-        return torch.nn.functional.max_pool2d(most.view(1, num_rows, num_columns), 3, stride=1, padding=1)[0]
-
-    return (highest(label.double()) != -highest(-label.double()))[y, x].nonzero().flatten()
+    outvoted = ops.outvoted_markers(markers, colors, color_weight, VOTERS, NEAR)
+    return markers.masked_fill(outvoted, -1)

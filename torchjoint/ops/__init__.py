@@ -16,6 +16,7 @@ from torchjoint.ops.merge_regions import merge_regions
 from torchjoint.ops.min_cut import min_cut
 from torchjoint.ops.nearest_neighbors import nearest_neighbors
 from torchjoint.ops.neighbor_edges import neighbor_edges
+from torchjoint.ops.outvoted_markers import outvoted_markers
 from torchjoint.ops.pair_counts import pair_counts
 from torchjoint.ops.parse_numbers import parse_numbers
 from torchjoint.ops.project import project
@@ -40,6 +41,7 @@ __all__ = [
     "min_cut",
     "nearest_neighbors",
     "neighbor_edges",
+    "outvoted_markers",
     "pair_counts",
     "parse_numbers",
     "project",

@@ -161,8 +161,11 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
         r = None
     if color_step is not None:
         color_step = color_step[across]
-    crease, bend, wide_bend, offset, larger_offset, gap = parallel_map(Measure.of, geometry)
-    color, overlap, strength = (None if values is None else Measure.of(values) for values in (color_step, r, contour))
+    optional = (color_step, r, contour)
+    present = [values for values in optional if values is not None]
+    crease, bend, wide_bend, offset, larger_offset, gap, *ranked = parallel_map(Measure.of, [*geometry, *present])
+    rest = iter(ranked)
+    color, overlap, strength = (None if values is None else next(rest) for values in optional)
     unoriented = ~(oriented[ends[0]] & oriented[ends[1]])
     statistics = statistics_of_points(piece, graph.points, planes.normal, scales.noise, scales.spacing, lab)
     return Evidence(

@@ -19,10 +19,14 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from torchjoint.runtime.threads import num_threads, parallel_map
 from torchjoint.scene.scene import Scene
 
 #: Largest rounding error of given float32 coordinates, in units of the cloud's spacing, that passes without a warning.
 ROUNDING = 0.25
+
+#: Number of points processed at a time by a thread.
+BLOCK = 1 << 18
 
 #: Odd numbers that spread the bits of coordinates.
 _ODD = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
@@ -33,11 +37,12 @@ def distinct_points(points: Tensor) -> Tensor | None:
 
     0 and -0 are equal.
     """
-    rows = points.numpy() + 0.0  # -0 becomes 0
-    code = _codes(rows)
-    in_order = np.sort(code)
-    if not (in_order[1:] == in_order[:-1]).any():
+    rows = points.numpy()
+    blocks = range(0, len(rows), BLOCK)
+    code = np.concatenate(parallel_map(lambda start: _codes(rows[start : start + BLOCK]), blocks))
+    if not _has_equal(code):
         return None
+    rows = rows + 0.0  # -0 becomes 0
     order = np.argsort(code, kind="stable")
     same = (rows[order][1:] == rows[order][:-1]).all(1)
     if ((code[order][1:] == code[order][:-1]) & ~same).any():  # two points have one code: sort by coordinates instead
@@ -54,12 +59,31 @@ def distinct_points(points: Tensor) -> Tensor | None:
     return torch.from_numpy(of_point)
 
 
+def _has_equal(code: npt.NDArray[np.uint64]) -> bool:
+    """Whether two codes are equal: on each thread those in a part of the range are sorted."""
+    count = num_threads() if len(code) > BLOCK else 1
+    limits = [round(2**64 / count * part) for part in range(count)]
+
+    def among(part: int) -> bool:
+        some = code
+        if count > 1:
+            is_in = code >= np.uint64(limits[part])
+            if part + 1 < count:
+                is_in &= code < np.uint64(limits[part + 1])
+            some = code[is_in]
+        in_order = np.sort(some)
+        return bool((in_order[1:] == in_order[:-1]).any())
+
+    return any(parallel_map(among, range(count)))
+
+
 def _codes(rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.uint64]:
     """A number for each row [N, 3], the same for equal rows: sorting numbers is faster than sorting rows."""
+    rows = rows + 0.0  # -0 becomes 0
     bits = rows.view(np.uint32 if rows.dtype == np.float32 else np.uint64).astype(np.uint64)
-    mixed = (bits ^ (bits >> np.uint64(29))) * _ODD
-    code: npt.NDArray[np.uint64] = mixed[:, 0] ^ (mixed[:, 1] >> np.uint64(7)) ^ (mixed[:, 2] << np.uint64(9))
-    return code ^ (mixed.sum(1) >> np.uint64(31))
+    x, y, z = ((bits ^ (bits >> np.uint64(29))) * _ODD).T
+    code: npt.NDArray[np.uint64] = x ^ (y >> np.uint64(7)) ^ (z << np.uint64(9)) ^ ((x + y + z) >> np.uint64(31))
+    return code
 
 
 def merged_points(cloud: Scene, of_point: Tensor, count: int) -> Scene:
@@ -120,6 +144,12 @@ def without_copies(cloud: Scene) -> tuple[Scene, Tensor | None]:
     return replace(merged, points=cloud.points[first_of_each(found)]), found
 
 
+def _lower_median(values: Tensor) -> float:
+    """The median of values [N]; of two in the middle the lower."""
+    middle = (len(values) - 1) // 2
+    return float(np.partition(values.numpy(), middle)[middle])  # several times as fast as torch's
+
+
 class LocalFrame(NamedTuple):
     """The coordinates that a method works in: those of the world, relative to an origin."""
 
@@ -133,9 +163,11 @@ class LocalFrame(NamedTuple):
         For each axis the origin is the lower median: a coordinate of the cloud, so that it moves exactly as the cloud
         does, and a few wild points do not count. The step is about the resolution of float32 coordinates in the cloud.
         """
-        wide = points.double()
-        extent = float((wide.amax(0) - wide.amin(0)).max())
-        return cls(wide.median(dim=0).values, 2.0 ** (math.frexp(extent)[1] - 24) if extent > 0 else 0.0)
+        columns = points.unbind(1)
+        medians = map(_lower_median, columns) if len(points) <= BLOCK else parallel_map(_lower_median, columns)
+        origin = torch.tensor(list(medians), dtype=torch.float64)
+        extent = float((points.amax(0).double() - points.amin(0).double()).max())
+        return cls(origin, 2.0 ** (math.frexp(extent)[1] - 24) if extent > 0 else 0.0)
 
     @classmethod
     def of_world(cls) -> LocalFrame:
@@ -144,7 +176,8 @@ class LocalFrame(NamedTuple):
 
     def cloud(self, cloud: Scene) -> Scene:
         """The cloud in float32 coordinates of this frame; its frames are left out."""
-        points = (cloud.points.double() - self.origin).float()
+        blocks = cloud.points.split(BLOCK)
+        points = torch.cat(parallel_map(lambda block: (block.double() - self.origin).float(), blocks))
         return Scene(points, colors=cloud.colors, normals=cloud.normals, name=cloud.name)
 
     def pose(self, world_to_camera: Tensor) -> Tensor:
@@ -178,8 +211,10 @@ def warn_of_rounding(points: Tensor, spacing: Tensor) -> None:
         points: [N, 3], as given.
         spacing: [M] metres.
     """
-    step, typical = float(points.abs().max()) * 2**-23, float(spacing.median())
-    if points.dtype == torch.float32 and len(spacing) > 1 and step > ROUNDING * typical:
+    if points.dtype != torch.float32 or len(spacing) < 2:
+        return
+    step, typical = float(points.abs().max()) * 2**-23, _lower_median(spacing)
+    if step > ROUNDING * typical:
         warnings.warn(
             f"points: float32 keeps only {step:.2g} m this far from the origin, and neighbours are {typical:.2g} m "
             "apart; pass float64, or subtract an offset in float64",

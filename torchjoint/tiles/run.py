@@ -39,7 +39,7 @@ COPC = ".copc.laz"
 #: The engine that starts no worker.
 HERE = "loky:1"
 #: The default buffer, in typical distances of neighbouring points.
-BUFFER_SPACINGS = 40
+BUFFER_SPACINGS = 60
 
 
 class TiledCloud(NamedTuple):
@@ -85,7 +85,7 @@ def superpoints_of_files(
             which X.copc.laz becomes X.laz.
         tile: metres, the side of a tile; default: as large as 2 million points allow. Tiles with more points than that
             are halved in any case.
-        buffer: metres, the rim that a tile shares with its neighbours; default: 40 typical distances of points.
+        buffer: metres, the rim that a tile shares with its neighbours; default: 60 typical distances of points.
         preset: as of :func:`torchjoint.superpoints`.
         engine: as of :func:`torchjoint.engine.open_engine`: where the tiles are segmented. The workers must see the
             folder of `out`. With "loky:1" it is this process.

@@ -8,6 +8,7 @@ from torchjoint.ops.reference.graphs import (
 )
 from torchjoint.ops.reference.images import (
     match_pixels_reference,
+    outvoted_markers_reference,
     propagate_labels_reference,
     segment_graphs_reference,
     ultrametric_contours_reference,
@@ -42,6 +43,7 @@ __all__ = [
     "min_cut_reference",
     "nearest_neighbors_reference",
     "neighbor_edges_reference",
+    "outvoted_markers_reference",
     "pair_counts_reference",
     "parse_numbers_reference",
     "project_reference",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from heapq import heappop, heappush
 
@@ -181,6 +182,29 @@ def propagate_labels_reference(
         for pixel in part if not stay else ():
             kept[pixel] = -1
     return _cheapest_labels(kept, *image)
+
+
+def outvoted_markers_reference(
+    markers: Tensor, colors: Tensor, color_weight: float, num_voters: int, near: float
+) -> Tensor:
+    """What :func:`torchjoint.ops.outvoted_markers` computes; the arguments are not checked."""
+    outvoted = torch.zeros(markers.shape, dtype=torch.bool)
+    pixel = torch.nonzero(markers >= 0)
+    row, column = pixel.T
+    label, place = markers[row, column], torch.cat([pixel.T, color_weight * colors[:, row, column]]).double()
+    side = max(1, math.ceil(near * math.sqrt(markers.numel() / max(len(label), 1))))
+    for i in range(len(label)):
+        same = label == label[i]
+        if same[((pixel // side - pixel[i] // side).abs() <= 1).all(1)].all():
+            continue
+        down, right, red, green, blue = (place - place[:, i, None]).square()
+        distance = (((down + right) + red) + green) + blue
+        distance[i] = math.inf
+        in_order = distance.sort().values
+        votes = distance < (in_order[num_voters] if len(label) > num_voters else math.inf)
+        agree, others = int((votes & same).sum()), int(same.sum()) - 1
+        outvoted[row[i], column[i]] = 2 * agree < min(int(votes.sum()), others)
+    return outvoted
 
 
 def _connected_parts(labels: Tensor) -> list[list[tuple[int, int]]]:
