@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,6 +33,7 @@ def export_selected(model: Model, folder: Path, kind: str) -> Path:
         raise ValueError("export: select a segment first")
     folder.mkdir(exist_ok=True)
     name = "-".join(str(model.key(segment)) for segment in model.selected[:5])
+    name += f"-and-{len(model.selected) - 5}-more" if len(model.selected) > 5 else ""
     result, keys = model.result, _keys_of_pieces(model)
     if kind == "PLY":
         labels = torch.from_numpy(keys[model.parts.of_point])
@@ -57,8 +59,11 @@ def _labels(model: Model, keys: np.ndarray[tuple[int], np.dtype[np.int64]], inde
 
 
 def _write_masks(folder: Path, images: Sequence[Tensor], names: Sequence[str]) -> Path:
-    folder.mkdir(exist_ok=True)
+    partial = folder.with_name(f".{folder.name}.partial")
+    for old in (partial, folder):  # masks of frames that no longer see anything
+        shutil.rmtree(old, ignore_errors=True)
+    partial.mkdir()
     for name, labels in zip(names, images, strict=True):
         if bool((labels >= 0).any()):
-            Image.fromarray(((labels >= 0) * 255).numpy().astype(np.uint8)).save(folder / f"{name}.png")
-    return folder
+            Image.fromarray(((labels >= 0) * 255).numpy().astype(np.uint8)).save(partial / f"{name}.png")
+    return partial.rename(folder)
