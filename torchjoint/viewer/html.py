@@ -49,10 +49,11 @@ def image_html(image: Bytes, caption: str) -> str:
 
 def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[int]) -> str:
     """The table of segments; a click sends `row KEY SHIFT`, one on a head `sort COLUMN`."""
+    has_frames = any(row.frames is not None for row in rows)  # not without images, and not until they were counted
     heads = "".join(
         f'<th style="text-align:left;cursor:pointer" onclick="const line=\'sort {column}\';{_SEND}">'
         f"{column}{' ▾' if column == order else ''}</th>"
-        for column in COLUMNS
+        for column in COLUMNS[: None if has_frames else -1]
     )
     lines = []
     for row in rows:
@@ -60,7 +61,7 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
         size = " × ".join(f"{value:.2f}" for value in row.size)
         cells = "".join(
             f"<td>{cell}</td>"
-            for cell in (row.key, escape(row.name), row.points, size, "" if row.frames is None else row.frames)
+            for cell in (row.key, escape(row.name), row.points, size, *([row.frames] if has_frames else []))
         )
         send = f"const line='row {row.key} '+(event.shiftKey?1:0);{_SEND}"
         lines.append(f'<tr data-key="{row.key}" style="cursor:pointer;{style}" onclick="{send}">{cells}</tr>')

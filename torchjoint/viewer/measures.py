@@ -23,7 +23,7 @@ class Row:
     name: str
     points: int
     size: tuple[float, float, float]  #: metres, of its upright box
-    frames: int | None  #: that see it; None until all frames were read
+    frames: int | None  #: that see it; None until all frames were read, and without frames
 
 
 class Measures:
@@ -78,7 +78,7 @@ class Measures:
                 name,
                 count,
                 (float(size[0]), float(size[1]), float(size[2])),
-                None if self._frames is None else len(self.frames_of(segment)),
+                len(self.frames_of(segment)) if self._frames else None,
             )
         return replace(self._rows[segment], name=name)
 

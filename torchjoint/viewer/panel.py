@@ -41,7 +41,7 @@ class Panel:
             self._add_image(gui, len(model.result.scene.frames), frame)
         with gui.add_folder("Selection"):
             self.selection = gui.add_html(panel_html((), ()))
-            self._add_buttons(gui, not shown.is_running, shown.folder is not None)
+            self._add_buttons(gui, shown.folder is not None)
         self.parameters: dict[str, Any] = {}
         if shown.run is not None:
             with gui.add_folder("Parameters"):
@@ -62,19 +62,19 @@ class Panel:
             self.image = gui.add_html("")
             self.stand = gui.add_button("Stand at this camera")
 
-    def _add_buttons(self, gui: Any, can_correct: bool, can_write: bool) -> None:
-        self.name = gui.add_text("Name", "", hint="of the selected segment", visible=can_correct)
+    def _add_buttons(self, gui: Any, can_save: bool) -> None:
+        self.name = gui.add_text("Name", "", hint="of the selected segment", visible=can_save)
         self.correct = gui.add_button_group(
             "Correct",
             ("Join", "Split", "Undo"),
-            visible=can_correct,
+            visible=can_save,
             hint="join the selected segments; split the selected one in two; undo joins, splits and names",
         )
         self.export = gui.add_button_group(
             "Export",
             ("PLY", "PNG", "COCO"),
-            visible=can_write,
+            visible=can_save,
             hint="what is selected, to the folder `selection`: its points, its masks, or its masks as JSON",
         )
-        self.save = gui.add_button("Save corrections", visible=can_write, hint="to edits.json; the labels stay")
+        self.save = gui.add_button("Save corrections", visible=can_save, hint="to edits.json; the labels stay")
         self.clear = gui.add_button("Clear selection")
