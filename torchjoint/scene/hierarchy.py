@@ -135,7 +135,8 @@ class Hierarchy:
 
 def check_granularity(granularity: float, name: str = "granularity") -> None:
     """Raises TypeError if it is no number, ValueError if it is outside [0, 1]; the message calls it `name`."""
-    if isinstance(granularity, bool) or not isinstance(granularity, numbers.Real):
+    given: object = granularity
+    if isinstance(given, bool) or not isinstance(given, numbers.Real):
         raise TypeError(f"{name}: expected a number from 0 (coarse) to 1 (fine), got {type(granularity).__name__}")
     if not 0 <= granularity <= 1:
         raise ValueError(f"{name}: expected a number from 0 (coarse) to 1 (fine), got {granularity}")
