@@ -8,6 +8,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 
+from torchjoint.datasets import ros_packing
 from torchjoint.datasets.ros_bag import Bag
 from torchjoint.datasets.ros_packing import unpack
 from torchjoint.runtime import archives
@@ -57,7 +58,9 @@ def test_packed_recordings(name, write, arguments, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("pack", "make"), [(bz2.compress, bz2.BZ2Decompressor), (lz4.compress, lz4.LZ4FrameDecompressor)]
 )
-def test_the_bound_is_exact(pack, make, monkeypatch):
+@pytest.mark.parametrize("step", [1000, 1 << 24])
+def test_the_bound_is_exact(pack, make, step, monkeypatch):
+    monkeypatch.setattr(ros_packing, "STEP", step)
     packed = pack(bytes(5000)) + pack(b"ab")  # two streams
     assert unpack(make, packed) == bytes(5000) + b"ab"
     monkeypatch.setattr(archives, "RATIO", 0)

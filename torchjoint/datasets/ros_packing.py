@@ -10,6 +10,9 @@ from typing import Any
 
 from torchjoint.runtime import archives
 
+#: Bytes that are unpacked at a time: lz4 allocates them beforehand.
+STEP = 1 << 24
+
 
 def unpack(make: Callable[[], Any], packed: bytes) -> bytes:
     """What packed bytes become.
@@ -25,12 +28,13 @@ def unpack(make: Callable[[], Any], packed: bytes) -> bytes:
     parts, count, left = [], 0, packed
     while left:
         unpacker = make()
-        parts.append(unpacker.decompress(left, max_length=most + 1 - count))
-        count += len(parts[-1])
-        if count > most:
-            raise ValueError(f"{len(packed)} packed bytes become more than {most}")
-        if not unpacker.eof:
-            raise ValueError("packed bytes are cut")
+        while not unpacker.eof:
+            parts.append(unpacker.decompress(left, max_length=min(STEP, most + 1 - count)))
+            count, left = count + len(parts[-1]), b""
+            if count > most:
+                raise ValueError(f"{len(packed)} packed bytes become more than {most}")
+            if unpacker.needs_input and not unpacker.eof:
+                raise ValueError("packed bytes are cut")
         left = unpacker.unused_data or b""
     return b"".join(parts)
 
