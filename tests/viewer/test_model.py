@@ -15,6 +15,7 @@ from torchjoint.scene import Hierarchy
 from torchjoint.viewer.cloud import blocks_of
 from torchjoint.viewer.model import Model
 from torchjoint.viewer.pick import pick_point
+from torchjoint.viewer.selection import export_selected
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -121,6 +122,18 @@ def test_both_parts_of_a_split_are_selected_and_written(model, tmp_path):
     assert read_edits(tmp_path, model.parts.count) == model.edits
     assert model.undo()
     assert model.selected == (segment,)
+
+
+def test_the_selection_as_coco(model, tmp_path):
+    pytest.importorskip("pycocotools", reason="COCO needs pycocotools")
+    (segment,) = largest(model, 1)
+    model.select((segment,))
+    model.split()
+    keys = {model.key(part) for part in model.selected}
+    assert max(keys) >= model.result.num_point_segments  # one of both is new
+    found = json.loads(export_selected(model, tmp_path, "COCO").read_text())["annotations"]
+    assert {one["segment_id"] for one in found} == keys
+    assert all(one["in_cloud"] for one in found)
 
 
 def test_what_one_click_did_is_undone_at_once(model):

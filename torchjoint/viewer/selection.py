@@ -35,8 +35,8 @@ def export_selected(model: Model, folder: Path, kind: str) -> Path:
     name = "-".join(str(model.key(segment)) for segment in model.selected[:5])
     name += f"-and-{len(model.selected) - 5}-more" if len(model.selected) > 5 else ""
     result, keys = model.result, _keys_of_pieces(model)
+    labels = torch.from_numpy(keys[model.parts.of_point])
     if kind == "PLY":
-        labels = torch.from_numpy(keys[model.parts.of_point])
         chosen = result.scene.select_points(labels >= 0)
         write_cloud(folder / f"{name}.ply", chosen.points, chosen.colors, labels[labels >= 0])
         return folder / f"{name}.ply"
@@ -44,7 +44,8 @@ def export_selected(model: Model, folder: Path, kind: str) -> Path:
     if kind == "PNG":
         return _write_masks(folder / f"{name}-masks", images, result.names)
 
-    export_coco(folder / f"{name}.json", replace(result, images=images, hierarchy=None, piece_images=()))
+    selection = replace(result, points=labels, images=images, hierarchy=None, piece_images=())
+    export_coco(folder / f"{name}.json", selection)
     return folder / f"{name}.json"
 
 
