@@ -14,7 +14,7 @@ from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.points.normals import estimate_normals
 from torchjoint.points.regions import SmoothRegions
 from torchjoint.results.checkpoint import Checkpoint, run_key
-from torchjoint.views.pose_check import NUM_FRAMES, PoseWarning
+from torchjoint.views.pose_check import NUM_FRAMES, PoseWarning, check_poses
 
 CONFIG = tj.Config().set(["point_segments.min_size=20", "image_segments.min_size=20"])
 REGIONS = CONFIG.set(["point_segments.method=regions"])
@@ -472,6 +472,16 @@ class TestPoseCheck:
         colors = [dataclasses.replace(frame, depth=None) for frame in depth]
         messages = self.warnings_of(dataclasses.replace(synthetic.scene, frames=colors))
         assert any("agree no more than by chance" in message for message in messages)
+
+    def test_something_without_points_before_a_camera(self, synthetic):
+        frames = [*synthetic.scene.frames]
+        spacing = torch.full((len(synthetic.scene.points),), 0.03)
+        for place, warns in ((0, False), (1, True)):  # one frame of six may disagree, two may not
+            frames[place] = dataclasses.replace(frames[place], depth=torch.full_like(frames[place].depth, 0.1))
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                check_poses(dataclasses.replace(synthetic.scene, frames=frames), spacing, CONFIG.visibility)
+            assert any("the depth images and the cloud disagree" in str(one.message) for one in caught) == warns
 
     @pytest.mark.parametrize("axis", range(3))
     def test_a_cloud_shifted_by_half_a_metre(self, synthetic, axis):

@@ -1,28 +1,111 @@
-"""The programs of docs/recipes.md run, on small files of the kinds that they read."""
+"""The programs of docs/recipes.md run; what they write is read as the other tools read it."""
 
 import json
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
+from torchjoint.datasets.ply import read_vertex_property, write_cloud
+
 ROOT = Path(__file__).parents[1]
+SCENE = "scene0000_00"
 
 
-def program(name):
+def program(name, language="python"):
     text = (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8")
-    return re.search(rf"<!-- {name} -->\n```python\n(.*?)```", text, flags=re.DOTALL)[1]
+    return re.search(rf"<!-- {name} -->\n```{language}\n(.*?)```", text, flags=re.DOTALL)[1]
 
 
-def test_superpoint_files(monkeypatch, tmp_path, run):
+def execute(name):
+    exec(compile(program(name), "recipes.md", "exec"), {})
+
+
+@pytest.fixture(params=[300, pytest.param(100_000, marks=pytest.mark.slow)])
+def labels(request, monkeypatch, tmp_path, run):
+    """Superpoints of a bumpy surface, in the folder of the data."""
     monkeypatch.chdir(tmp_path)
-    np.save("scene0000_00.npy", np.random.default_rng(0).random((300, 3)))
+    points = np.random.default_rng(0).random((request.param, 3))
+    points[:, 2] = np.round(2 * points[:, 0]) * 0.2
+    np.save(f"{SCENE}.npy", points)
     Path("superpoints").mkdir()
-    run("superpoints", "scene0000_00.npy", "-o", "superpoints/scene0000_00.npy", "--no-picture")
-    labels = np.load("superpoints/scene0000_00.npy")
-    exec(compile(program("superpoint files"), "recipes.md", "exec"), {})
-    assert np.array_equal(np.fromfile("super_points/scene0000_00.bin", np.int64), labels)
-    assert np.array_equal(torch.load("superpoints/scene0000_00.pth", weights_only=False), labels)
-    segments = json.loads(Path("superpoints/scene0000_00_vh_clean_2.0.010000.segs.json").read_text())
-    assert segments["segIndices"] == labels.tolist()
+    run("superpoints", f"{SCENE}.npy", "-o", f"superpoints/{SCENE}.npy", "--no-picture")
+    labels = np.load(f"superpoints/{SCENE}.npy")
+    assert labels.shape == (request.param,)
+    return labels
+
+
+def batched(superpoints):
+    """As SPFormer and ISBNet put scenes together: in place, numbers of the later scenes after those of the earlier."""
+    offset, joined = 0, []
+    for one in superpoints:
+        one = torch.from_numpy(np.unique(one, return_inverse=True)[1])
+        one += offset
+        offset = int(one.max()) + 1
+        joined.append(one)
+    return torch.cat(joined).long()
+
+
+def test_superpoint_files(labels):
+    execute("superpoint files")
+    # OneFormer3D reads bytes as int64, one for each row of points/SCENE.bin.
+    raw = np.frombuffer(Path(f"super_points/{SCENE}.bin").read_bytes(), dtype=np.int64).copy()
+    assert np.array_equal(raw, labels)
+    stored = torch.load(f"superpoints/{SCENE}.pth", weights_only=False)  # ISBNet
+    both = batched([stored, stored])
+    assert torch.equal(both[: len(labels)] + labels.max() + 1, both[len(labels) :])
+    # Mask3D makes numbers of its own of segIndices, and keeps them as float32 beside coordinates, colours and normals.
+    segments = json.loads(Path(f"superpoints/{SCENE}_vh_clean_2.0.010000.segs.json").read_text())
+    own = np.unique(np.array(segments["segIndices"]), return_inverse=True)[1]
+    table = np.hstack((np.zeros((len(labels), 9)), own[..., None])).astype(np.float32)
+    assert np.array_equal(table[:, 9].astype(np.int64), labels)
+
+
+def test_superpoints_in_larger_files(labels):
+    rng = np.random.default_rng(1)
+    coordinates, colors = rng.random((2, len(labels), 3))
+    wrong = rng.integers(0, 9, len(labels))
+    Path("scannetv2/val").mkdir(parents=True)
+    Path("scannetv2/test").mkdir()
+    Path("processed/scannet/validation").mkdir(parents=True)
+    whole = (coordinates, colors, wrong, wrong + 1.0, wrong - 100.0)
+    torch.save(whole, f"scannetv2/val/{SCENE}_inst_nostuff.pth")
+    torch.save(whole[:3], f"scannetv2/test/{SCENE}_inst_nostuff.pth")
+    before = rng.random((len(labels), 12)).astype(np.float32)
+    np.save("processed/scannet/validation/0000_00.npy", before)
+    execute("superpoints in larger files")
+    xyz, rgb, superpoint, semantic, instance = torch.load(f"scannetv2/val/{SCENE}_inst_nostuff.pth", weights_only=False)
+    for got, expected in zip((xyz, rgb, semantic, instance), (*whole[:2], *whole[3:]), strict=True):
+        assert np.array_equal(got, expected)
+    _, _, tested = torch.load(f"scannetv2/test/{SCENE}_inst_nostuff.pth", weights_only=False)
+    both = batched([superpoint, tested])
+    assert torch.equal(both[: len(labels)], torch.from_numpy(labels))
+    after = np.load("processed/scannet/validation/0000_00.npy")
+    assert after.dtype == np.float32
+    assert np.array_equal(after[:, 9].astype(np.int64), labels)
+    assert np.array_equal(np.delete(after, 9, axis=1), np.delete(before, 9, axis=1))
+
+
+@pytest.mark.skipif(shutil.which("sed") is None, reason="no sed")
+def test_a_scalar_field_for_cloudcompare(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    Path("out").mkdir()
+    labels = torch.arange(100_000) % 777
+    text = torch.frombuffer(
+        bytearray(b"property int label\n" * 16), dtype=torch.float32
+    )  # stays as it is in the numbers
+    points = torch.rand(100_000, 3)
+    points.view(-1)[: len(text)] = text
+    write_cloud(Path("out/points.ply"), points, torch.rand(100_000, 3), labels)
+    subprocess.run(["bash", "-c", program("cloudcompare command", "bash")], check=True)
+    head, body = Path("cloudcompare.ply").read_bytes().split(b"end_header\n", 1)
+    assert re.findall(r"property (\w+) (\w+)", head.decode()) == [
+        ("float", "x"), ("float", "y"), ("float", "z"), ("uchar", "red"), ("uchar", "green"), ("uchar", "blue"),
+        ("int", "scalar_label"),
+    ]  # fmt: skip
+    assert body == Path("out/points.ply").read_bytes().split(b"end_header\n", 1)[1]
+    assert np.array_equal(read_vertex_property(Path("cloudcompare.ply"), "scalar_label"), labels)

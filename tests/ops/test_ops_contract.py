@@ -459,6 +459,23 @@ def test_errors_have_the_same_types_with_every_torch(message: str, error: type[E
     assert type(caught.value) is error
 
 
+@pytest.mark.parametrize("op", VALID, ids=lambda op: op.__name__)
+def test_every_wrapper_translates_errors(op: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    packet = getattr(torch.ops.torchjoint, op.__name__)
+
+    class Refusing:
+        """As every kernel refuses an argument with torch 2.15."""
+
+        _schema = packet.default._schema
+
+        def __call__(self, *arguments: object) -> None:
+            raise RuntimeError(f"{self._schema.arguments[0].name}: wrong")
+
+    monkeypatch.setattr(packet, "default", Refusing())
+    with pytest.raises(ValueError, match=": wrong"):
+        op(**VALID[op])
+
+
 def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
     fh, mc = torch.ops.torchjoint.felzenszwalb.default, torch.ops.torchjoint.min_cut.default
     image = torch.ops.torchjoint.felzenszwalb_image.default

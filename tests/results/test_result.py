@@ -50,6 +50,14 @@ def test_a_result_is_read_back(out, scene, result):
     assert coarse.num_point_segments < read.num_point_segments
 
 
+@pytest.mark.parametrize("segment", [0.5, "0", None])
+def test_an_id_that_is_none(result, segment):
+    for what in (result.crops, result.cloud):
+        with pytest.raises(TypeError, match="segment: expected an id, an integer, got "):
+            what(segment)
+    assert len(result.cloud(np.int64(0)).points) == len(result.cloud(0).points)
+
+
 def test_a_result_without_cameras_has_no_frames(out, tmp_path):
     for name in ("points.npz", "run.yaml"):
         (tmp_path / name).write_bytes((out / name).read_bytes())

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 import torch
 from examples import few_and_many
@@ -182,6 +183,13 @@ def test_granularities_out_of_range(granularity):
 def test_granularities_that_are_no_numbers(granularity):
     with pytest.raises(TypeError, match="granularity: expected a number from 0"):
         BY_HAND.at(granularity)
+
+
+def test_a_level_of_numpy():
+    heights = torch.tensor([0.3, 0.7 * 0.7 + 1e-10], dtype=torch.float64)
+    hierarchy = Hierarchy(torch.arange(3), torch.tensor([[0, 1], [0, 2]]), heights, default=0.7)
+    for granularity in np.linspace(0, 1, 21).astype(np.float32):
+        assert torch.equal(hierarchy.at(granularity), hierarchy.at(float(granularity)))
 
 
 def test_without_a_hierarchy():

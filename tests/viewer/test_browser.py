@@ -183,6 +183,34 @@ def test_a_click_in_the_image_and_in_the_table(viewer, page):
     wait((viewer.folder / "selection" / f"{other}-masks").is_dir)
 
 
+def test_split_name_undo_and_the_cameras(viewer, page):
+    segment, place = visible_segments(viewer)[0]
+    page.mouse.click(*place)
+    wait(lambda: f"segment {viewer.model.key(segment)}:" in panel(page))
+    points = viewer.model.row(segment).points
+    page.get_by_role("button", name="Split").click()
+    wait(lambda: len(viewer.model.selected) == 2)
+    parts = [viewer.model.row(part) for part in viewer.model.selected]
+    assert sum(part.points for part in parts) == points
+    wait(lambda: all(f"segment {part.key}: {part.points} points" in panel(page) for part in parts))
+    page.get_by_role("button", name="Undo").click()
+    wait(lambda: f"segment {viewer.model.key(segment)}: {points} points" in panel(page))
+    name = page.locator("xpath=//*[text()='Name']/following::input[1]")
+    name.click()
+    page.keyboard.type("table top", delay=30)
+    wait(lambda: "table top" in panel(page))
+    page.get_by_role("button", name="Undo").click()
+    wait(lambda: "table" not in panel(page) and name.input_value() == "")  # the whole name, in the field, too
+    page.get_by_role("button", name="Clear selection").click()
+    wait(lambda: "Click a segment" in panel(page))
+    name.fill("nobody")
+    wait(lambda: "select one segment, got 0" in page.inner_text("body"))
+    wait(lambda: name.input_value() == "")
+    before = pixels(page)
+    page.get_by_role("checkbox", name="Cameras").uncheck()
+    wait(lambda: (np.abs(pixels(page) - before).max(2) > 60).sum() > 300)
+
+
 def test_the_granularity_slider_and_the_frame_slider(viewer, page):
     before = len(np.unique(viewer.model.table))
     slider = page.get_by_role("slider").first

@@ -10,10 +10,12 @@ import torchjoint as tj
 from torchjoint.results.confidence import confidence
 from torchjoint.results.edits import Edit, Edits, read_edits, write_edits
 from torchjoint.results.parts import Parts, edited
+from torchjoint.results.splits import place_to_split
 from torchjoint.scene import Hierarchy
 from torchjoint.viewer.cloud import blocks_of
 from torchjoint.viewer.model import Model
 from torchjoint.viewer.pick import pick_point
+from torchjoint.viewer.selection import export_selected
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -94,6 +96,60 @@ def test_a_split_goes_down_the_tree():
     assert confidence(hierarchy, 0.5).tolist() == pytest.approx([0.6, 0.6, 0.6, 0.6, 0.9])
 
 
+def test_a_split_leaves_crumbs_where_they_are():
+    # Pieces of 50, 40 and 1 points; the crumb is merged last, with the piece of 50.
+    merges, heights = torch.tensor([[0, 1], [0, 2]]), torch.tensor([0.3, 0.7], dtype=torch.float64)
+    hierarchy = Hierarchy(torch.arange(3), merges, heights)
+    table, sizes = np.zeros(3, dtype=np.int64), np.array([50, 40, 1])
+    assert place_to_split(table, 1, sizes, hierarchy) == (1, 0, 1)
+    step = Edit("split", (1, 0, 1))
+    assert Edits(3, None, (step,)).apply(table, hierarchy).tolist() == [0, 1, 0]
+    assert Edits(3, None, (step,)).apply(np.arange(3), hierarchy).tolist() == [0, 1, 2]  # a finer level has it already
+    assert place_to_split(table, 0, np.array([50, 4, 1]), hierarchy) == (0, 0, 1)  # of 55, 4 are enough
+    assert place_to_split(table, 0, np.array([500, 4, 1]), hierarchy) == (0, 0, 2)  # crumbs only: the last merge
+    with pytest.raises(ValueError, match="split: pieces 1 and 2 are no merge"):
+        Edits(3, None, (Edit("split", (0, 1, 2)),)).apply(table, hierarchy)
+
+
+def test_both_parts_of_a_split_are_selected_and_written(model, tmp_path):
+    (segment,) = largest(model, 1)
+    model.select((segment,))
+    model.split()
+    parts = [model.row(part).points for part in model.selected]
+    assert len(parts) == 2
+    assert min(parts) >= 0.05 * sum(parts)
+    write_edits(tmp_path, model.edits)
+    assert read_edits(tmp_path, model.parts.count) == model.edits
+    assert model.undo()
+    assert model.selected == (segment,)
+
+
+def test_the_selection_as_coco(model, tmp_path):
+    pytest.importorskip("pycocotools", reason="COCO needs pycocotools")
+    (segment,) = largest(model, 1)
+    model.select((segment,))
+    model.split()
+    keys = {model.key(part) for part in model.selected}
+    assert max(keys) >= model.result.num_point_segments  # one of both is new
+    found = json.loads(export_selected(model, tmp_path, "COCO").read_text())["annotations"]
+    assert {one["segment_id"] for one in found} == keys
+    assert all(one["in_cloud"] for one in found)
+
+
+def test_what_one_click_did_is_undone_at_once(model):
+    segments = largest(model, 3)
+    start = model.table.copy()
+    model.select(tuple(segments))
+    model.join()
+    for name in ("b", "be", "bed"):  # as it is typed
+        model.name(name)
+    assert model.undo()
+    assert model.names() == {}
+    assert model.undo()
+    np.testing.assert_array_equal(model.table, start)
+    assert not model.undo()
+
+
 def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
     first, second = largest(model)
     edits = Edits(model.parts.count, None, (Edit("join", (first, second)), Edit("name", (first,), "Tisch <ö>")))
@@ -123,6 +179,7 @@ def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
         ('{"pieces": PIECES, "granularity": null, "edits": [{"kind": "burn", "pieces": [1]}]}', "unknown edit"),
         ('{"pieces": PIECES, "granularity": null, "edits": [{"kind": "join", "pieces": [1]}]}', "unknown edit"),
         ('{"pieces": PIECES, "granularity": null, "edits": [{"kind": "split", "pieces": [-1]}]}', "out of range"),
+        ('{"pieces": PIECES, "granularity": null, "edits": [{"kind": "split", "pieces": [0, 1]}]}', "unknown edit"),
     ],
 )
 def test_damaged_corrections(model, tmp_path, text, message):

@@ -10,6 +10,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, NamedTuple
 
+from torchjoint.datasets.ros_packing import bound_unpacking
 from torchjoint.runtime.extras import needed_for
 
 #: Of a file, and of the files that a ROS 2 recording's folder lists.
@@ -102,6 +103,7 @@ def _open(path: Path) -> Any:
         from rosbags.typesys import Stores, get_typestore
     if not path.exists():
         raise FileNotFoundError(f"{path}: missing; expected a ROS recording")
+    bound_unpacking()
     # Recordings of ROS 2 before Iron do not say what their messages hold.
     reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
     reader.open()

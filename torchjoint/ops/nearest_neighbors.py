@@ -7,6 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from torchjoint.ops._call import call
 from torchjoint.ops._checks import FLOATING, check_number, check_tensor
 
 
@@ -45,7 +46,7 @@ def nearest_neighbors(points: Tensor, count: int, num_distances: int | None = No
     if num_distances is None:
         num_distances = count
     check_number("num_distances", num_distances, (int,))
-    found = torch.ops.torchjoint.nearest_neighbors.default(points.detach(), count, num_distances)
+    found = call(torch.ops.torchjoint.nearest_neighbors.default, points.detach(), count, num_distances)
     return cast(tuple[Tensor, Tensor], found)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass
 
 import torch
@@ -54,10 +55,10 @@ def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, mar
         at most `k` crops; fewer if fewer frames see the segment.
 
     Raises:
-        ValueError: an unknown id, k < 1, a negative margin, or a result without images.
+        TypeError: the id is no integer.
+        ValueError: an unknown id, k < 1, a negative margin, or a scene without the frames of the result.
     """
-    if not 0 <= segment < result.num_point_segments:
-        raise ValueError(f"segment: expected an id from 0 to {result.num_point_segments - 1}, got {segment}")
+    segment = check_segment(segment, result.num_point_segments)
     if k < 1 or not margin >= 0:
         raise ValueError(f"k and margin: expected k >= 1 and margin >= 0, got {k} and {margin}")
     if len(result.images) != len(scene.frames):
@@ -72,6 +73,22 @@ def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, mar
     values = [pixels * share**2 for pixels, share in scores]
     best = [index for index in sorted(range(len(values)), key=lambda i: -values[i]) if scores[index][0]]
     return [_crop(scene, result, segment, index, scores[index][1], margin) for index in best[:k]]
+
+
+def check_segment(segment: int, count: int) -> int:
+    """An id of a segment of the cloud, of which there are `count`.
+
+    Raises:
+        TypeError: not an integer.
+        ValueError: out of range.
+    """
+    try:
+        number = operator.index(segment)
+    except TypeError:
+        raise TypeError(f"segment: expected an id, an integer, got {segment!r}") from None
+    if not 0 <= number < count:
+        raise ValueError(f"segment: expected an id from 0 to {count - 1}, got {number}")
+    return number
 
 
 def _share_inside(points: Tensor, frame: Frame) -> float:

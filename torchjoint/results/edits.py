@@ -14,9 +14,8 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from torchjoint.results.splits import split
 from torchjoint.runtime.files import write_text
 from torchjoint.scene import Hierarchy
 
@@ -30,8 +29,9 @@ class Edit:
 
     Attributes:
         kind: join: the segments of two pieces become one; split: the segment of a piece falls in two, at its last
-            merge; name: the segment of a piece gets a name ("" takes it away).
-        pieces: one piece, or the two of a join.
+            merge, or, with three pieces, at the merge of the other two; name: the segment of a piece gets a name (""
+            takes it away).
+        pieces: one piece, the two of a join, or the three of a split at a merge.
         name: of a segment.
     """
 
@@ -65,7 +65,7 @@ class Edits:
             [P] the segment of each piece, which has the number of its first piece.
 
         Raises:
-            ValueError: a split without a hierarchy, or of a single piece.
+            ValueError: a split without a hierarchy, of a single piece, or at a merge that does not exist.
         """
         table = first_pieces(table)
         for step in self.steps:
@@ -73,7 +73,7 @@ class Edits:
                 ends = [table[piece] for piece in step.pieces]
                 table[np.isin(table, ends)] = min(ends)
             elif step.kind == "split":
-                table = _split(table, step.pieces[0], hierarchy)
+                table = split(table, step.pieces, hierarchy)
         return table
 
     def names(self, table: Table) -> dict[int, str]:
@@ -86,29 +86,6 @@ def first_pieces(table: Table) -> Table:
     """Numbers each segment by its first piece: [P] any numbers -> [P]."""
     _, first, inverse = np.unique(table, return_index=True, return_inverse=True)
     return first[inverse].astype(np.int64)
-
-
-def _split(table: Table, piece: int, hierarchy: Hierarchy | None) -> Table:
-    if hierarchy is None:
-        raise ValueError("split: the result has no hierarchy; only point_segments.method learned makes one")
-    inside = table == table[piece]
-    if inside.sum() < 2:
-        raise ValueError(f"split: segment {int(table[piece])} is one piece, the smallest part there is")
-    merges, heights = hierarchy.merges.numpy(), hierarchy.heights.numpy()
-    own = np.nonzero(inside[merges].all(axis=1))[0]
-    parts = _parts(merges[own], len(table))
-    if len(np.unique(parts[inside])) == 1:  # undo the last merge; of equal heights the later one
-        last = len(own) - 1 - int(np.argmax(heights[own][::-1]))
-        parts = _parts(np.delete(merges[own], last, axis=0), len(table))
-    rest = inside & (parts != parts[table[piece]])
-    table = table.copy()
-    table[rest] = np.nonzero(rest)[0][0]
-    return table
-
-
-def _parts(merges: npt.NDArray[np.int64], count: int) -> npt.NDArray[Any]:
-    graph = coo_array((np.ones(len(merges), dtype=bool), (merges[:, 0], merges[:, 1])), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1])
 
 
 def write_edits(folder: Path, edits: Edits) -> None:
@@ -143,7 +120,7 @@ def read_edits(folder: Path, num_pieces: int) -> Edits:
 
 def _parse(step: Mapping[str, Any], num_pieces: int) -> Edit:
     kind, pieces = step["kind"], tuple(int(piece) for piece in step["pieces"])
-    if kind not in ("join", "split", "name") or len(pieces) != (2 if kind == "join" else 1):
+    if len(pieces) not in {"join": (2,), "split": (1, 3), "name": (1,)}.get(kind, ()):
         raise ValueError(f"unknown edit {dict(step)}")
     if not all(0 <= piece < num_pieces for piece in pieces):
         raise ValueError(f"piece out of range in {dict(step)}")

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
 from torchjoint.config import Config
-from torchjoint.results.crops import Crop, best_crops
+from torchjoint.results.crops import Crop, best_crops, check_segment
 from torchjoint.results.objects import SegmentRecord, segment_records
 from torchjoint.scene import Scene, Segmentation
 
@@ -49,10 +49,10 @@ class Result(Segmentation):
         """The segment's own points, with their colours; a scene without frames.
 
         Raises:
+            TypeError: the id is no integer.
             ValueError: an unknown id.
         """
-        if not 0 <= segment < self.num_point_segments:
-            raise ValueError(f"segment: expected an id from 0 to {self.num_point_segments - 1}, got {segment}")
+        segment = check_segment(segment, self.num_point_segments)
         cloud = Scene(self.scene.points, colors=self.scene.colors, name=f"{self.scene.name} {segment}".strip())
         return cloud.select_points(self.points == segment)
 
@@ -65,6 +65,7 @@ class Result(Segmentation):
             margin: added around the segment, as a share of its longer side in the image.
 
         Raises:
+            TypeError: the id is no integer.
             ValueError: an unknown id, k < 1, or a negative margin; or the result's frames are not there.
         """
         return best_crops(self.scene, self, segment, k, margin)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -80,6 +81,7 @@ class Hierarchy:
             ValueError: a number outside [0, 1].
         """
         check_granularity(granularity)
+        granularity = float(granularity)  # NumPy's float32 would round the height
         if granularity >= 0.5:
             return 2 * self.default * (1 - granularity)
         return 1 - 2 * (1 - self.default) * granularity
@@ -133,7 +135,8 @@ class Hierarchy:
 
 def check_granularity(granularity: float, name: str = "granularity") -> None:
     """Raises TypeError if it is no number, ValueError if it is outside [0, 1]; the message calls it `name`."""
-    if isinstance(granularity, bool) or not isinstance(granularity, (int, float)):
+    given: object = granularity
+    if isinstance(given, bool) or not isinstance(given, numbers.Real):
         raise TypeError(f"{name}: expected a number from 0 (coarse) to 1 (fine), got {type(granularity).__name__}")
     if not 0 <= granularity <= 1:
         raise ValueError(f"{name}: expected a number from 0 (coarse) to 1 (fine), got {granularity}")

@@ -13,7 +13,7 @@ from torch.nn.functional import normalize
 from torchjoint.results.edits import write_edits
 from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction
-from torchjoint.viewer.cameras import add_frustum, add_frustums, viewpoint
+from torchjoint.viewer.cameras import Cameras, viewpoint
 from torchjoint.viewer.cloud import CloudView
 from torchjoint.viewer.html import PREFIX, image_html, note_html, panel_html, table_html
 from torchjoint.viewer.model import Model
@@ -90,7 +90,8 @@ class Viewer:
             edits = shown.edits(result)
             self._shown = shown
             self.model = self.model.of_result(result, edits)
-            self._add_panel(self._frame_index() if self._has_frames else 0)
+            where = (self._frame_index(), self._panel.cameras.value) if self._has_frames else ()
+            self._add_panel(*where)
         self._count_frames()
 
     def tell(self, note: str) -> None:
@@ -111,9 +112,9 @@ class Viewer:
         """Ends the page."""
         self.server.stop()
 
-    def _add_panel(self, frame: int = 0) -> None:
+    def _add_panel(self, frame: int = 0, cameras: bool = True) -> None:
         """Builds the panel anew, and says what each element does."""
-        panel = self._panel = Panel(self.server.gui, self.model, self._shown, frame)
+        panel = self._panel = Panel(self.server.gui, self.model, self._shown, frame, cameras)
 
         def then(action: Any) -> Any:
             return lambda _: self._guarded(action)
@@ -133,15 +134,15 @@ class Viewer:
             panel.compute.on_click(then(self._on_parameters))
         if self._has_frames:
             panel.frame.on_update(then(self._on_frame))
+            panel.cameras.on_update(then(lambda: self._cameras.show(panel.cameras.value)))
             panel.opacity.on_update(then(self._draw_image))
             panel.stand.on_click(lambda event: self._stand_at(self._frame_index(), event.client))
         self._draw()
 
     def _connect_scene(self, distance: float) -> None:
-        self._camera_size = 0.02 * distance
-        add_frustums(self.server, self.result.scene, self._camera_size, self._stand_at)
         if self._has_frames:
-            self._draw_camera()
+            self._cameras = Cameras(self.server, self.result.scene, 0.02 * distance, self._stand_at)
+            self._cameras.mark(0)
 
         for modifier in (None, "shift"):
             self.server.scene.on_click(modifier=modifier)(
@@ -193,7 +194,6 @@ class Viewer:
 
     def _select(self, segments: tuple[int, ...]) -> None:
         self.model.select(segments)
-        self._panel.name.value = self.model.names().get(segments[0], "") if len(segments) == 1 else ""
         self._draw()
 
     def _on_parameters(self) -> None:
@@ -217,13 +217,19 @@ class Viewer:
 
     def _on_frame(self) -> None:
         self._draw_image()
-        self._draw_camera()
+        self._cameras.mark(self._frame_index())
 
     def _on_name(self) -> None:
-        selected = self.model.selected
-        if len(selected) == 1 and self._panel.name.value != self.model.names().get(selected[0], ""):
-            self.model.name(self._panel.name.value)
+        if self._panel.name.value != self._selected_name():
+            try:
+                self.model.name(self._panel.name.value)
+            finally:
+                self._panel.name.value = self._selected_name()
             self._draw_lists()
+
+    def _selected_name(self) -> str:
+        selected = self.model.selected
+        return self.model.names().get(selected[0], "") if len(selected) == 1 else ""
 
     def _on_correct(self) -> None:
         action = self._panel.correct.value
@@ -260,6 +266,7 @@ class Viewer:
 
     def _draw(self) -> None:
         self._cloud.recolor(self.model.point_colors())
+        self._panel.name.value = self._selected_name()
         self._draw_lists()
         if self._has_frames:
             self._draw_image()
@@ -280,11 +287,6 @@ class Viewer:
         index = self._frame_index()
         painted = self.model.painted(index, self._panel.opacity.value)
         self._panel.image.content = image_html(painted, self.result.names[index])
-
-    def _draw_camera(self) -> None:
-        """Marks the camera of the frame that is shown."""
-        frame = self.result.scene.frames[self._frame_index()]
-        add_frustum(self.server, "/camera", frame, 1.6 * self._camera_size, (230, 90, 0))
 
     def _count_frames(self) -> None:
         """Counts what each frame sees, while the page can already be used."""

@@ -42,23 +42,8 @@ def start(scene: Scene, up: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.flo
     return position, center
 
 
-def add_frustum(server: Any, name: str, frame: Frame, size: float, color: tuple[int, int, int]) -> Any:
-    """Draws the camera of a frame; one of the same name is replaced. `size` is its depth in metres."""
-    view = viewpoint(frame)
-    return server.scene.add_camera_frustum(
-        name,
-        fov=view.fov,
-        aspect=view.aspect,
-        scale=size,
-        line_width=1.5,
-        color=color,
-        wxyz=view.wxyz,
-        position=view.position,
-    )
-
-
-def add_frustums(server: Any, scene: Scene, size: float, on_click: Callable[[int, Any], None]) -> None:
-    """Draws cameras, evenly spread over the frames.
+class Cameras:
+    """The cameras in the cloud: grey ones to click, evenly spread over the frames, and the one whose image is shown.
 
     Args:
         server: viser.ViserServer.
@@ -66,6 +51,36 @@ def add_frustums(server: Any, scene: Scene, size: float, on_click: Callable[[int
         size: of a drawn camera, metres.
         on_click: called with the frame's index and the browser's client.
     """
-    for index in evenly_spaced_indices(len(scene.frames), MOST):
-        handle = add_frustum(server, f"/cameras/{index}", scene.frames[index], size, (90, 90, 90))
-        handle.on_click(lambda event, index=index: on_click(index, event.client))
+
+    def __init__(self, server: Any, scene: Scene, size: float, on_click: Callable[[int, Any], None]) -> None:
+        self._server, self._frames, self._size = server, scene.frames, size
+        self._is_visible = True
+        self._handles = []
+        for index in evenly_spaced_indices(len(scene.frames), MOST):
+            handle = self._add(f"/cameras/{index}", index, size, (90, 90, 90))
+            handle.on_click(lambda event, index=index: on_click(index, event.client))
+            self._handles.append(handle)
+
+    def mark(self, index: int) -> None:
+        """Marks the camera of the frame whose image is shown."""
+        self._mark = self._add("/camera", index, 1.6 * self._size, (230, 90, 0))  # replaces one of the same name
+        self._mark.visible = self._is_visible
+
+    def show(self, is_visible: bool) -> None:
+        """Shows or hides all cameras."""
+        self._is_visible = is_visible
+        for handle in (*self._handles, self._mark):
+            handle.visible = is_visible
+
+    def _add(self, name: str, index: int, size: float, color: tuple[int, int, int]) -> Any:
+        view = viewpoint(self._frames[index])
+        return self._server.scene.add_camera_frustum(
+            name,
+            fov=view.fov,
+            aspect=view.aspect,
+            scale=size,
+            line_width=1.5,
+            color=color,
+            wxyz=view.wxyz,
+            position=view.position,
+        )

@@ -13,7 +13,8 @@ from html import escape
 
 from PIL import Image
 
-from torchjoint.viewer.model import Bytes, Row
+from torchjoint.viewer.measures import Row
+from torchjoint.viewer.model import Bytes
 
 PREFIX = "torchjoint:"
 #: Finds the text field, whatever the page looks like, and writes into it as a person would.
@@ -26,6 +27,7 @@ _SEND = (
 HIDE_FIELD = f"<style>.mantine-Flex-root:has(input[value^='{PREFIX}']){{display:none}}</style>"
 #: Style of text that stands where viser puts elements with a margin.
 _TEXT = "font-size:12px;padding:0 8px"
+NOTHING = "Click a segment, in the cloud or in the image; with shift several."
 COLUMNS = ("id", "name", "points", "size", "frames")
 
 
@@ -41,16 +43,17 @@ def image_html(image: Bytes, caption: str) -> str:
     )
     return (
         f'<img id="tj-image" alt="{escape(caption)}" title="{escape(caption)}" src="data:image/jpeg;base64,{data}" '
-        f'style="width:100%;cursor:crosshair;display:block" onclick="{position}{_SEND}">'
+        f'style="width:100%;cursor:crosshair;display:block;margin-bottom:8px" onclick="{position}{_SEND}">'
     )
 
 
 def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[int]) -> str:
     """The table of segments; a click sends `row KEY SHIFT`, one on a head `sort COLUMN`."""
+    has_frames = any(row.frames is not None for row in rows)  # not without images, and not until they were counted
     heads = "".join(
         f'<th style="text-align:left;cursor:pointer" onclick="const line=\'sort {column}\';{_SEND}">'
         f"{column}{' ▾' if column == order else ''}</th>"
-        for column in COLUMNS
+        for column in COLUMNS[: None if has_frames else -1]
     )
     lines = []
     for row in rows:
@@ -58,7 +61,7 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
         size = " × ".join(f"{value:.2f}" for value in row.size)
         cells = "".join(
             f"<td>{cell}</td>"
-            for cell in (row.key, escape(row.name), row.points, size, "" if row.frames is None else row.frames)
+            for cell in (row.key, escape(row.name), row.points, size, *([row.frames] if has_frames else []))
         )
         send = f"const line='row {row.key} '+(event.shiftKey?1:0);{_SEND}"
         lines.append(f'<tr data-key="{row.key}" style="cursor:pointer;{style}" onclick="{send}">{cells}</tr>')
@@ -79,7 +82,7 @@ def note_html(note: str) -> str:
 def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
     """What is known of the selected segments; `frames`: names and pixels of those that see the first."""
     if not rows:
-        return f'<div id="tj-panel" style="{_TEXT}">Click a segment, in the cloud or in the image.</div>'
+        return f'<div id="tj-panel" style="{_TEXT}">{NOTHING}</div>'
     parts = []
     for row in rows:
         size = " × ".join(f"{value:.2f}" for value in row.size)

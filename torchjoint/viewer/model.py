@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -13,27 +12,16 @@ import torch
 from torchjoint.results.confidence import confidence
 from torchjoint.results.edits import Edit, Edits, Table
 from torchjoint.results.label_colors import label_colors
-from torchjoint.results.oriented_box import oriented_box
 from torchjoint.results.overlays import borders
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
-from torchjoint.runtime.threads import parallel_map
+from torchjoint.results.splits import place_to_split
+from torchjoint.viewer.measures import Measures, Row
 
 Bytes = npt.NDArray[np.uint8]
 Mode = Literal["segments", "colours", "confidence", "initial", "truth"]
 #: What is not selected keeps this share of its colour; the rest is the light grey of the background.
 FADED, PALE = 0.15, 235.0
-
-
-@dataclass(frozen=True)
-class Row:
-    """One segment in the table."""
-
-    key: int  #: see :class:`~torchjoint.results.parts.Parts`
-    name: str
-    points: int
-    size: tuple[float, float, float]  #: metres, of its upright box
-    frames: int | None  #: that see it; None until all frames were read
 
 
 class Model:
@@ -52,8 +40,9 @@ class Model:
         self.selected: tuple[int, ...] = ()  # first pieces of segments
         self.mode: Mode = "segments"
         self._table = self.parts.table(edits)
-        self._frames: list[tuple[Table, Table]] | None = None  # per frame: pieces, and the pixels of each
-        self._rows: dict[int, Row] = {}
+        self._before: list[tuple[Edit, ...]] = []  # the corrections before each change, for undo
+        self._measures = Measures(self.parts, up)
+        self._measures.of_table(self._table)
 
     def of_result(self, result: Result, edits: Edits | None = None) -> Model:
         """The same view of another result of the scene: what was selected still is, as far as it is the same.
@@ -71,6 +60,8 @@ class Model:
         here, there = self._table[self.parts.of_point], model.table[parts.of_point]
         same_place = [int(np.bincount(there[here == segment]).argmax()) for segment in self.selected]
         model.select(tuple(same_place))
+        if model.edits.steps == self.edits.steps:
+            model._before = self._before
         return model
 
     # What is shown
@@ -129,26 +120,35 @@ class Model:
         self._add(*(Edit("join", (first, other)) for other in others))
 
     def split(self) -> None:
-        """Splits the selected segment at its last merge.
+        """Splits the selected segment where :func:`place_to_split` says, and selects both parts.
 
         Raises:
             ValueError: none or several are selected, or it cannot be split.
         """
-        self._add(Edit("split", (self._the_selected("split"),)))
+        segment = self._the_selected("split")
+        sizes = np.bincount(self.parts.of_point, minlength=self.parts.count)
+        of_piece = self._table == segment
+        self._add(Edit("split", place_to_split(self._table, segment, sizes, self.result.hierarchy)))
+        self.select(tuple(int(part) for part in np.unique(self._table[of_piece])))
 
     def name(self, name: str) -> None:
-        """Names the selected segment; an empty name takes its name away.
+        """Names the selected segment; an empty name takes its name away. Names that follow each other are one change.
 
         Raises:
             ValueError: none or several are selected.
         """
-        self._add(Edit("name", (self._the_selected("name"),), name))
+        segment = self._the_selected("name")
+        step, steps = Edit("name", (segment,), name), self.edits.steps
+        if self._before and steps and steps[-1].kind == "name" and steps[-1].pieces == step.pieces:
+            self._edit(replace(self.edits, steps=(*steps[:-1], step)))  # a name that is being typed
+        else:
+            self._add(step)
 
     def undo(self) -> bool:
-        """Takes the last correction back; returns False if there is none."""
+        """Takes the last change back, or the last correction of edits.json; returns False if there is none."""
         if not self.edits.steps:
             return False
-        self._edit(replace(self.edits, steps=self.edits.steps[:-1]))
+        self._edit(replace(self.edits, steps=self._before.pop() if self._before else self.edits.steps[:-1]))
         return True
 
     def _the_selected(self, action: str) -> int:
@@ -157,7 +157,9 @@ class Model:
         return self.selected[0]
 
     def _add(self, *steps: Edit) -> None:
-        self._edit(replace(self.edits, steps=(*self.edits.steps, *steps)))
+        before = self.edits.steps
+        self._edit(replace(self.edits, steps=(*before, *steps)))
+        self._before.append(before)
 
     def _edit(self, edits: Edits) -> None:
         before = self._table
@@ -165,7 +167,7 @@ class Model:
         self.edits = edits
         if not np.array_equal(before, self._table):
             self.selected = tuple(dict.fromkeys(int(self._table[segment]) for segment in self.selected))
-            self._rows.clear()
+            self._measures.of_table(self._table)
 
     # Colours
 
@@ -237,36 +239,15 @@ class Model:
 
     def read_frames(self) -> None:
         """Counts the pixels of each piece in all frames; until then no frame sees anything."""
-
-        def count(index: int) -> tuple[Table, Table]:
-            pieces, pixels = np.unique(self.parts.image(index), return_counts=True)
-            return pieces[pieces >= 0], pixels[pieces >= 0]
-
-        self._frames = parallel_map(count, range(len(self.result.images)))
-        self._rows.clear()
+        self._measures.read_frames()
 
     def frames_of(self, segment: int) -> list[tuple[int, int]]:
         """(frame, pixels) of the frames that see a segment, most pixels first."""
-        found = []
-        for index, (pieces, pixels) in enumerate(self._frames or []):
-            of_segment = int(pixels[self._table[pieces] == segment].sum())
-            if of_segment:
-                found.append((index, of_segment))
-        return sorted(found, key=lambda one: (-one[1], one[0]))
+        return self._measures.frames_of(segment)
 
     def row(self, segment: int) -> Row:
         """What the table says of a segment."""
-        if segment not in self._rows:
-            points = self._points[self._table[self.parts.of_point] == segment]
-            size = oriented_box(points, self.up).size
-            self._rows[segment] = Row(
-                self.key(segment),
-                self.names().get(segment, ""),
-                len(points),
-                (float(size[0]), float(size[1]), float(size[2])),
-                None if self._frames is None else len(self.frames_of(segment)),
-            )
-        return replace(self._rows[segment], name=self.names().get(segment, ""))
+        return self._measures.row(segment, self.names().get(segment, ""))
 
     def rows(self, search: str = "", order: str = "points", most: int = 100) -> tuple[list[Row], int]:
         """Rows of the table: the first of those that fit, and how many fit.
@@ -276,24 +257,4 @@ class Model:
             order: points, id, name, size or frames.
             most: largest number of rows.
         """
-        firsts, counts = np.unique(self._table[self.parts.of_point], return_counts=True)
-        names = self.names()
-        found = [
-            (int(first), int(count))
-            for first, count in zip(firsts, counts, strict=True)
-            if not search or search.lower() in names.get(int(first), "").lower() or search == str(self.key(int(first)))
-        ]
-        if order in ("size", "frames"):
-            rows = [self.row(first) for first, _ in found]
-            rows.sort(key=lambda row: (-((row.frames or 0) if order == "frames" else np.prod(row.size)), row.key))
-            return rows[:most], len(rows)
-        sort = {
-            "id": lambda one: (0, self.key(one[0])),
-            "name": lambda one: (names.get(one[0], "\uffff").lower(), self.key(one[0])),
-        }.get(order, lambda one: (-one[1], self.key(one[0])))
-        found.sort(key=sort)
-        return [self.row(first) for first, _ in found[:most]], len(found)
-
-    @cached_property
-    def _points(self) -> npt.NDArray[np.float64]:
-        return self.result.scene.points.double().numpy()
+        return self._measures.rows(self.names(), search, order, most)

@@ -18,9 +18,10 @@ class Panel:
         model: what is shown.
         shown: where it is from.
         frame: index of the frame to begin with.
+        cameras: whether cameras are drawn.
     """
 
-    def __init__(self, gui: Any, model: Model, shown: Shown, frame: int = 0) -> None:
+    def __init__(self, gui: Any, model: Model, shown: Shown, frame: int = 0, cameras: bool = True) -> None:
         gui.reset()
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         self.bridge = gui.add_text("events", PREFIX)  # what html.py's elements send
@@ -31,13 +32,16 @@ class Panel:
         if model.result.hierarchy is not None:
             stored = None if shown.folder is None else read_granularity(shown.folder)
             at = next(level for level in (model.edits.granularity, stored, 0.5) if level is not None)
-            self.level = gui.add_slider("Granularity", min=0.0, max=1.0, step=0.01, initial_value=at)
+            self.level = gui.add_slider(
+                "Granularity", min=0.0, max=1.0, step=0.01, initial_value=at, hint="0: coarse, 1: fine"
+            )
         self.size = gui.add_slider("Point size", min=0.2, max=4.0, step=0.1, initial_value=1.0)
         if len(model.result.scene.frames):
+            self.cameras = gui.add_checkbox("Cameras", cameras, hint="click one to stand there")
             self._add_image(gui, len(model.result.scene.frames), frame)
         with gui.add_folder("Selection"):
             self.selection = gui.add_html(panel_html((), ()))
-            self._add_buttons(gui, not shown.is_running, shown.folder is not None)
+            self._add_buttons(gui, shown.folder is not None)
         self.parameters: dict[str, Any] = {}
         if shown.run is not None:
             with gui.add_folder("Parameters"):
@@ -49,14 +53,28 @@ class Panel:
 
     def _add_image(self, gui: Any, count: int, frame: int) -> None:
         with gui.add_folder("Images"):
-            self.frame = gui.add_slider("Frame", min=0, max=max(count - 1, 1), step=1, initial_value=frame)
-            self.opacity = gui.add_slider("Labels", min=0.0, max=1.0, step=0.05, initial_value=0.5)
+            self.frame = gui.add_slider(
+                "Frame", min=0, max=max(count - 1, 1), step=1, initial_value=frame, visible=count > 1
+            )
+            self.opacity = gui.add_slider(
+                "Labels", min=0.0, max=1.0, step=0.05, initial_value=0.5, hint="0: the image alone, 1: the labels alone"
+            )
             self.image = gui.add_html("")
             self.stand = gui.add_button("Stand at this camera")
 
-    def _add_buttons(self, gui: Any, can_correct: bool, can_write: bool) -> None:
-        self.name = gui.add_text("Name", "", hint="of the selected segment", visible=can_correct)
-        self.correct = gui.add_button_group("Correct", ("Join", "Split", "Undo"), visible=can_correct)
-        self.export = gui.add_button_group("Export", ("PLY", "PNG", "COCO"), visible=can_write)
-        self.save = gui.add_button("Save corrections", visible=can_write)
+    def _add_buttons(self, gui: Any, can_save: bool) -> None:
+        self.name = gui.add_text("Name", "", hint="of the selected segment", visible=can_save)
+        self.correct = gui.add_button_group(
+            "Correct",
+            ("Join", "Split", "Undo"),
+            visible=can_save,
+            hint="join the selected segments; split the selected one in two; undo joins, splits and names",
+        )
+        self.export = gui.add_button_group(
+            "Export",
+            ("PLY", "PNG", "COCO"),
+            visible=can_save,
+            hint="what is selected, to the folder `selection`: its points, its masks, or its masks as JSON",
+        )
+        self.save = gui.add_button("Save corrections", visible=can_save, hint="to edits.json; the labels stay")
         self.clear = gui.add_button("Clear selection")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,9 +33,10 @@ def export_selected(model: Model, folder: Path, kind: str) -> Path:
         raise ValueError("export: select a segment first")
     folder.mkdir(exist_ok=True)
     name = "-".join(str(model.key(segment)) for segment in model.selected[:5])
+    name += f"-and-{len(model.selected) - 5}-more" if len(model.selected) > 5 else ""
     result, keys = model.result, _keys_of_pieces(model)
+    labels = torch.from_numpy(keys[model.parts.of_point])
     if kind == "PLY":
-        labels = torch.from_numpy(keys[model.parts.of_point])
         chosen = result.scene.select_points(labels >= 0)
         write_cloud(folder / f"{name}.ply", chosen.points, chosen.colors, labels[labels >= 0])
         return folder / f"{name}.ply"
@@ -42,7 +44,8 @@ def export_selected(model: Model, folder: Path, kind: str) -> Path:
     if kind == "PNG":
         return _write_masks(folder / f"{name}-masks", images, result.names)
 
-    export_coco(folder / f"{name}.json", replace(result, images=images, hierarchy=None, piece_images=()))
+    selection = replace(result, points=labels, images=images, hierarchy=None, piece_images=())
+    export_coco(folder / f"{name}.json", selection)
     return folder / f"{name}.json"
 
 
@@ -57,8 +60,11 @@ def _labels(model: Model, keys: np.ndarray[tuple[int], np.dtype[np.int64]], inde
 
 
 def _write_masks(folder: Path, images: Sequence[Tensor], names: Sequence[str]) -> Path:
-    folder.mkdir(exist_ok=True)
+    partial = folder.with_name(f".{folder.name}.partial")
+    for old in (partial, folder):  # masks of frames that no longer see anything
+        shutil.rmtree(old, ignore_errors=True)
+    partial.mkdir()
     for name, labels in zip(names, images, strict=True):
         if bool((labels >= 0).any()):
-            Image.fromarray(((labels >= 0) * 255).numpy().astype(np.uint8)).save(folder / f"{name}.png")
-    return folder
+            Image.fromarray(((labels >= 0) * 255).numpy().astype(np.uint8)).save(partial / f"{name}.png")
+    return partial.rename(folder)

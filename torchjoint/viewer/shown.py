@@ -16,9 +16,10 @@ class Shown:
     """What belongs to a result that is shown.
 
     Attributes:
-        folder: where corrections are read, saved (edits.json), and selections are exported; None: nowhere.
+        folder: where corrections are read, saved (edits.json), and selections are exported; None: nowhere, so nothing
+            can be corrected.
         run: the run that made the result, if it is still in memory: its parameters can then be changed on the page.
-        is_running: the frames are still coming: segments can be looked at, and not corrected, for they will change.
+        is_running: the frames are still coming, and segments will change.
     """
 
     folder: Path | None = None

@@ -1,0 +1,73 @@
+"""Packed ROS recordings: what they hold is read, and what becomes too much is an error before it fills the memory."""
+
+import bz2
+
+import pytest
+from lz4 import frame as lz4
+from rosbags import rosbag1, rosbag2
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.typesys import Stores, get_typestore
+
+from torchjoint.datasets import ros_packing
+from torchjoint.datasets.ros_bag import Bag
+from torchjoint.datasets.ros_packing import unpack
+from torchjoint.runtime import archives
+
+TEXT = "a" * 300_000  # packs well
+TYPE = "std_msgs/msg/String"
+
+
+def ros_1(path, compression):
+    store = get_typestore(Stores.ROS1_NOETIC)
+    writer = rosbag1.Writer(path)
+    writer.set_compression(compression)
+    with writer:
+        topic = writer.add_connection("/text", TYPE, typestore=store)
+        writer.write(topic, 0, store.serialize_ros1(store.types[TYPE](TEXT), TYPE))
+
+
+def ros_2(path, mode, storage):
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    writer = rosbag2.Writer(path, version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        topic = writer.add_connection("/text", TYPE, typestore=store)
+        writer.write(topic, 0, store.serialize_cdr(store.types[TYPE](TEXT), TYPE))
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "arguments"),
+    [
+        ("walk.bag", ros_1, (rosbag1.Writer.CompressionFormat.BZ2,)),
+        ("walk.bag", ros_1, (rosbag1.Writer.CompressionFormat.LZ4,)),
+        ("walk", ros_2, (CompressionMode.STORAGE, StoragePlugin.MCAP)),
+        ("walk", ros_2, (CompressionMode.MESSAGE, StoragePlugin.SQLITE3)),
+    ],
+)
+def test_packed_recordings(name, write, arguments, tmp_path, monkeypatch):
+    write(tmp_path / name, *arguments)
+    assert Bag(tmp_path / name).first("/text").data == TEXT
+    monkeypatch.setattr(archives, "FREE", 100_000)
+    monkeypatch.setattr(archives, "RATIO", 1)
+    with pytest.raises(
+        ValueError, match=r"walk.*: not a whole ROS recording: .* packed bytes become more than 10\d{4}"
+    ):
+        Bag(tmp_path / name).first("/text")
+
+
+@pytest.mark.parametrize(
+    ("pack", "make"), [(bz2.compress, bz2.BZ2Decompressor), (lz4.compress, lz4.LZ4FrameDecompressor)]
+)
+@pytest.mark.parametrize("step", [1000, 1 << 24])
+def test_the_bound_is_exact(pack, make, step, monkeypatch):
+    monkeypatch.setattr(ros_packing, "STEP", step)
+    packed = pack(bytes(5000)) + pack(b"ab")  # two streams
+    assert unpack(make, packed) == bytes(5000) + b"ab"
+    monkeypatch.setattr(archives, "RATIO", 0)
+    monkeypatch.setattr(archives, "FREE", 5002)
+    assert len(unpack(make, packed)) == 5002
+    monkeypatch.setattr(archives, "FREE", 5001)
+    with pytest.raises(ValueError, match=f"^{len(packed)} packed bytes become more than 5001"):
+        unpack(make, packed)
+    with pytest.raises(ValueError, match="packed bytes are cut"):
+        unpack(make, pack(bytes(4000))[:-3])

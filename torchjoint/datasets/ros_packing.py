@@ -1,0 +1,59 @@
+"""Packed parts of ROS recordings are unpacked up to a bound: rosbags itself unpacks them whatever they become."""
+
+from __future__ import annotations
+
+import bz2
+import sys
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+from torchjoint.runtime import archives
+
+#: Bytes that are unpacked at a time: lz4 allocates them beforehand.
+STEP = 1 << 24
+
+
+def unpack(make: Callable[[], Any], packed: bytes) -> bytes:
+    """What packed bytes become.
+
+    Args:
+        make: makes an unpacker, such as bz2.BZ2Decompressor; each stream of the bytes gets one of its own.
+        packed: a chunk of a recording, or a message.
+
+    Raises:
+        ValueError: the bytes are cut, or become so many that they must have been made for that.
+    """
+    most = archives.RATIO * len(packed) + archives.FREE
+    parts, count, left = [], 0, packed
+    while left:
+        unpacker = make()
+        while not unpacker.eof:
+            parts.append(unpacker.decompress(left, max_length=min(STEP, most + 1 - count)))
+            count, left = count + len(parts[-1]), b""
+            if count > most:
+                raise ValueError(f"{len(packed)} packed bytes become more than {most}")
+            if unpacker.needs_input and not unpacker.eof:
+                raise ValueError("packed bytes are cut")
+        left = unpacker.unused_data or b""
+    return b"".join(parts)
+
+
+def bound_unpacking() -> None:
+    """Puts :func:`unpack` in the places of rosbags where it unpacks chunks (ROS 1, MCAP) and messages (ROS 2)."""
+    from lz4.frame import LZ4FrameDecompressor
+    from rosbags.rosbag1 import reader as ros_1
+    from rosbags.rosbag2 import reader as ros_2
+    from rosbags.rosbag2 import storage_mcap as mcap
+
+    if sys.version_info >= (3, 14):
+        from compression import zstd
+    else:
+        from backports import zstd
+
+    ros_1.decompressors["bz2"] = lambda packed: unpack(bz2.BZ2Decompressor, packed)
+    ros_1.decompressors["lz4"] = lambda packed: unpack(LZ4FrameDecompressor, packed)
+    mcap.DECOMPRESSORS["lz4"] = lambda packed, _: unpack(LZ4FrameDecompressor, packed)
+    mcap.DECOMPRESSORS["zstd"] = lambda packed, _: unpack(zstd.ZstdDecompressor, packed)
+    messages: Any = SimpleNamespace(open=zstd.open, decompress=lambda packed: unpack(zstd.ZstdDecompressor, packed))
+    ros_2.zstd = messages

@@ -1,0 +1,106 @@
+"""What the viewer's table says of the segments: points, size, frames that see them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from torchjoint.results.edits import Table
+from torchjoint.results.oriented_box import oriented_box
+from torchjoint.results.parts import Parts
+from torchjoint.runtime.threads import parallel_map
+
+
+@dataclass(frozen=True)
+class Row:
+    """One segment in the table."""
+
+    key: int  #: see :class:`~torchjoint.results.parts.Parts`
+    name: str
+    points: int
+    size: tuple[float, float, float]  #: metres, of its upright box
+    frames: int | None  #: that see it; None until all frames were read, and without frames
+
+
+class Measures:
+    """Measures the segments of a table when they are asked for, and keeps what it measured.
+
+    Args:
+        parts: pieces of the points and images.
+        up: [3] upward direction, unit length.
+    """
+
+    def __init__(self, parts: Parts, up: npt.NDArray[np.float64]) -> None:
+        self._parts, self._up = parts, up
+        self._frames: list[tuple[Table, Table]] | None = None  # per frame: pieces, and the pixels of each
+
+    def of_table(self, table: Table) -> None:
+        """Measures the segments of this table, [P], from now on."""
+        self._table = table
+        self._rows: dict[int, Row] = {}
+        of_point = table[self._parts.of_point]
+        self._order = np.argsort(of_point, kind="stable")
+        self._firsts, self._starts, self._counts = np.unique(
+            of_point[self._order], return_index=True, return_counts=True
+        )
+
+    def read_frames(self) -> None:
+        """Counts the pixels of each piece in all frames; until then no frame sees anything."""
+
+        def count(index: int) -> tuple[Table, Table]:
+            pieces, pixels = np.unique(self._parts.image(index), return_counts=True)
+            return pieces[pieces >= 0], pixels[pieces >= 0]
+
+        self._frames = parallel_map(count, range(len(self._parts.result.images)))
+        self._rows.clear()
+
+    def frames_of(self, segment: int) -> list[tuple[int, int]]:
+        """(frame, pixels) of the frames that see a segment, most pixels first."""
+        found = []
+        for index, (pieces, pixels) in enumerate(self._frames or []):
+            of_segment = int(pixels[self._table[pieces] == segment].sum())
+            if of_segment:
+                found.append((index, of_segment))
+        return sorted(found, key=lambda one: (-one[1], one[0]))
+
+    def row(self, segment: int, name: str) -> Row:
+        """What is known of a segment."""
+        if segment not in self._rows:
+            place = int(np.searchsorted(self._firsts, segment))
+            start, count = int(self._starts[place]), int(self._counts[place])
+            size = oriented_box(self._points[self._order[start : start + count]], self._up).size
+            self._rows[segment] = Row(
+                int(self._parts.keys[segment]),
+                name,
+                count,
+                (float(size[0]), float(size[1]), float(size[2])),
+                len(self.frames_of(segment)) if self._frames else None,
+            )
+        return replace(self._rows[segment], name=name)
+
+    def rows(self, names: Mapping[int, str], search: str, order: str, most: int) -> tuple[list[Row], int]:
+        """See :meth:`~torchjoint.viewer.model.Model.rows`; `names`: by segment."""
+        keys = self._parts.keys
+        found = [
+            (first, count)
+            for first, count in zip(self._firsts.tolist(), self._counts.tolist(), strict=True)
+            if not search or search.lower() in names.get(first, "").lower() or search == str(keys[first])
+        ]
+        if order in ("size", "frames"):
+            rows = [self.row(first, names.get(first, "")) for first, _ in found]
+            rows.sort(key=lambda row: (-((row.frames or 0) if order == "frames" else np.prod(row.size)), row.key))
+            return rows[:most], len(rows)
+        sort = {
+            "id": lambda one: (0, keys[one[0]]),
+            "name": lambda one: (names.get(one[0], "\uffff").lower(), keys[one[0]]),
+        }.get(order, lambda one: (-one[1], keys[one[0]]))
+        found.sort(key=sort)
+        return [self.row(first, names.get(first, "")) for first, _ in found[:most]], len(found)
+
+    @cached_property
+    def _points(self) -> npt.NDArray[np.float64]:
+        return self._parts.result.scene.points.double().numpy()
