@@ -90,8 +90,7 @@ class Viewer:
             edits = shown.edits(result)
             self._shown = shown
             self.model = self.model.of_result(result, edits)
-            where = (self._frame_index(), self._panel.cameras.value) if self._has_frames else ()
-            self._add_panel(*where)
+            self._add_panel(*((self._frame_index(), self._panel.cameras.value) if self._has_frames else ()))
         self._count_frames()
 
     def tell(self, note: str) -> None:
@@ -280,8 +279,7 @@ class Viewer:
 
     def _draw_table(self) -> None:
         rows, count = self.model.rows(self._panel.search.value, self._order)
-        selected = [self.model.key(segment) for segment in self.model.selected]
-        self._panel.table.content = table_html(rows, count, self._order, selected)
+        self._panel.table.content = table_html(rows, count, self._order, [*map(self.model.key, self.model.selected)])
 
     def _draw_image(self) -> None:
         index = self._frame_index()
