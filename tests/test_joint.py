@@ -65,6 +65,7 @@ class TestSameLabels:
         assert other.names[0] == synthetic.scene.frames[4].name
         assert_same(result, other)
 
+    @pytest.mark.slow
     def test_from_unnamed_frames_in_another_order(self, synthetic, config):
         order = (4, 0, 5, 2, 1, 3)
         frames = [dataclasses.replace(frame, name="") for frame in synthetic.scene.frames]
@@ -483,7 +484,9 @@ class TestPoseCheck:
                 check_poses(dataclasses.replace(synthetic.scene, frames=frames), spacing, CONFIG.visibility)
             assert any("the depth images and the cloud disagree" in str(one.message) for one in caught) == warns
 
-    @pytest.mark.parametrize("axis", range(3))
+    @pytest.mark.parametrize(
+        "axis", [pytest.param(0, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.slow), 2]
+    )
     def test_a_cloud_shifted_by_half_a_metre(self, synthetic, axis):
         frames = [dataclasses.replace(frame, depth=None) for frame in synthetic.scene.frames]
         assert self.warnings_of(dataclasses.replace(synthetic.scene, frames=frames)) == []

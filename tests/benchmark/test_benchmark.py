@@ -393,7 +393,8 @@ class TestSuites:
             run("benchmark", "sparse", "-o", tmp_path / "other", "--tuning", 1, 1)
 
     #: Two of them in every run, all of them among the slow tests.
-    @pytest.mark.parametrize("methods", [("joint", "ransac_dbscan"), pytest.param(METHODS, marks=pytest.mark.slow)])
+    @pytest.mark.slow
+    @pytest.mark.parametrize("methods", [("joint", "ransac_dbscan"), METHODS])
     def test_the_command(self, methods, data, run, tmp_path, capsys):
         page = tmp_path / "page.md"
         page.write_text("# Page\n\n<!-- benchmark scannet -->\nold\n<!-- end benchmark scannet -->\nrest\n")

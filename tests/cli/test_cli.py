@@ -76,6 +76,7 @@ def test_the_cloud_opens_elsewhere_with_colours_and_labels(out):
     assert t.io.read_point_cloud(str(out / "points.ply")).point.label.numpy().ravel().tolist() == labels.tolist()
 
 
+@pytest.mark.slow
 def test_a_recording_far_from_the_origin(recording, synthetic, out, run, tmp_path):
     """Coordinates of a map, with a cloud of doubles: the same labels to the last bit."""
     offset = np.array([500_000.0, 5_400_000.0, 100.0])
@@ -226,6 +227,7 @@ def test_an_error_that_is_no_one_s_fault_is_one_line(recording, run, tmp_path, m
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
     """After making room the run goes on where it was, also at the default interval, with the same result."""
     again = tmp_path / "out"

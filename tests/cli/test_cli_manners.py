@@ -99,6 +99,7 @@ def test_superpoints_of_numpy_arrays_are_a_numpy_array(scene_of, dtype):
     np.testing.assert_array_equal(labels, tj.superpoints(torch.tensor(points), torch.from_numpy(colors)))
 
 
+@pytest.mark.slow
 def test_python_m_torchjoint_is_the_command() -> None:
     command = [sys.executable, "-m", "torchjoint", "--version"]
     printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout

@@ -100,6 +100,7 @@ class OddError(Exception):
         super().__init__(one)
 
 
+@pytest.mark.slow
 def test_what_travels(tmp_path):
     """Shared values travel once; what cannot travel is told, and stops nothing."""
 

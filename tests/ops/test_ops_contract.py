@@ -837,6 +837,7 @@ print(calls({times}) - before)
     assert int(result.stdout) < 2**20  # a leak of one of the graphs would be 15 MB or more
 
 
+@pytest.mark.slow
 def test_a_source_folder_without_binary_says_what_to_type(tmp_path: Path) -> None:
     """As after `git clone`, where Python finds the folder before an installed package."""
     root, checkout = Path(__file__).parents[2], tmp_path / "my checkout"
@@ -857,6 +858,7 @@ import torchjoint
     assert re.search(rf"pip install -e ['\"]?{re.escape(str(checkout))}['\"]?$", error)
 
 
+@pytest.mark.slow
 def test_missing_binary_is_explained() -> None:
     code = "import sys; sys.modules['torchjoint._C'] = None\nimport torchjoint.ops"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

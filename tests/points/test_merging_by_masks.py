@@ -94,6 +94,7 @@ def test_parts_that_do_not_touch_join_in_one_mask() -> None:
     assert share_of_one_label(segments(points, [halves()] * 2)) < 0.6
 
 
+@pytest.mark.slow
 def test_frames_in_any_order_and_in_parts_give_the_same_labels(scene_of) -> None:
     scene = tj.synthetic.with_network_masks(scene_of(seed=0).scene, "hard", seed=3)
     whole = tj.JointSegmenter()(scene)

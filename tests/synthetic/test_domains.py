@@ -90,7 +90,7 @@ def same(a: SyntheticScene, b: SyntheticScene) -> bool:
     return all(torch.equal(x, y) for x, y in tensors)
 
 
-@pytest.mark.parametrize("domain", ["bin", "street"])
+@pytest.mark.parametrize("domain", ["bin", pytest.param("street", marks=pytest.mark.slow)])
 def test_equal_arguments_give_equal_scenes(domain: str) -> None:
     assert same(scene_of(domain), make_domain_scene(domain, 3, num_views=2, num_points=4000))
 

@@ -44,6 +44,7 @@ def of_others(world: World, instance: int) -> o3d.t.geometry.RaycastingScene:
     return scene
 
 
+@pytest.mark.slow
 class TestUnchanged:
     """Other figures rest on the rooms as they were. Rounded, for another processor may round otherwise."""
 

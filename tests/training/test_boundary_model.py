@@ -112,6 +112,7 @@ def test_evidence_on_disk(prepared, tmp_path):
         load_evidence(path)
 
 
+@pytest.mark.slow
 def test_from_scenes_to_segments(prepared, tmp_path, set_threads):
     reports = []
     model = fit_boundary_model(prepared, QUICK, report=reports.append)
