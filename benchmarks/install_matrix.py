@@ -2,7 +2,7 @@
 
     pip install uv
     .ci/wheels dist
-    python benchmarks/install_matrix.py dist/*.whl --state matrix.json --page docs/installation.md \
+    python benchmarks/install_matrix.py dist/*.whl --state matrix.json --pages README.md docs/installation.md \
         --python python3.11 --python "chroot /srv/sid python3.14" --torch 2.10.0 --torch 2.15.0
 
 A Python may be a command that runs it elsewhere: what stands before its last word is put before all commands. The
@@ -87,7 +87,7 @@ def main() -> None:
     parser.add_argument("--python", action="append", default=[])
     parser.add_argument("--torch", action="append", default=[])
     parser.add_argument("--state", type=Path, required=True)
-    parser.add_argument("--page", type=Path)
+    parser.add_argument("--pages", type=Path, nargs="+", default=[])
     parser.add_argument("--uv", default="uv")
     parser.add_argument("--quick", action="store_true")
     arguments = parser.parse_args()
@@ -107,8 +107,8 @@ def main() -> None:
                 write_text(arguments.state, json.dumps(state, indent=1))
     text = table({one["key"]: one["found"] for one in done.values()})
     print(text)
-    if arguments.page is not None:
-        fill(arguments.page, text)
+    for page in arguments.pages:
+        fill(page, text)
 
 
 if __name__ == "__main__":
