@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -110,6 +111,14 @@ def test_evidence_on_disk(prepared, tmp_path):
     write_checked(path, content.getvalue())
     with pytest.raises(ValueError, match="expected the evidence of a scene, got dict"):
         load_evidence(path)
+
+
+def test_evidence_is_read_by_several_threads(prepared, tmp_path):
+    path = tmp_path / "scene.pt"
+    save_evidence(path, prepared[0])
+    with ThreadPoolExecutor(4) as pool:
+        for again in pool.map(load_evidence, [path] * 40):
+            assert torch.equal(again.instance, prepared[0].instance)
 
 
 @pytest.mark.slow

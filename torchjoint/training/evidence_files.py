@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from threading import Lock
 from typing import overload
 
 import torch
@@ -19,6 +20,9 @@ from torchjoint.training.boundary_examples import LabelledEvidence
 
 #: The types that a file may contain besides tensors and numbers; none of them runs code when it is made.
 _TYPES = (LabelledEvidence, Evidence, BoundaryEdges, Measure, RegionStatistics, ImageEvidence, Occlusions)
+
+#: torch keeps the types that are safe for the whole process: the first of two threads to end takes them from the other.
+_ONE_AT_A_TIME = Lock()
 
 
 def save_evidence(path: Path, prepared: LabelledEvidence) -> None:
@@ -35,7 +39,7 @@ def load_evidence(path: Path) -> LabelledEvidence:
         ValueError: the file is damaged, or contains something else.
     """
     try:
-        with torch.serialization.safe_globals(list(_TYPES)):
+        with _ONE_AT_A_TIME, torch.serialization.safe_globals(list(_TYPES)):
             prepared = torch.load(io.BytesIO(read_checked(path)), weights_only=True)
         if not isinstance(prepared, LabelledEvidence) or not isinstance(prepared.evidence, Evidence):
             raise TypeError(f"expected the evidence of a scene, got {type(prepared).__name__}")
