@@ -192,7 +192,8 @@ def outvoted_markers_reference(
     pixel = torch.nonzero(markers >= 0)
     row, column = pixel.T
     label, place = markers[row, column], torch.cat([pixel.T, color_weight * colors[:, row, column]]).double()
-    side = max(1, math.ceil(near * math.sqrt(markers.numel() / max(len(label), 1))))
+    side = near * math.sqrt(markers.numel() / max(len(label), 1))
+    side = max(1, math.ceil(min(side, max(markers.shape))))  # larger cells say nothing new
     for i in range(len(label)):
         same = label == label[i]
         if same[((pixel // side - pixel[i] // side).abs() <= 1).all(1)].all():
