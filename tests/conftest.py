@@ -76,6 +76,14 @@ def seen() -> Callable[..., Observation]:
         labels[0, : len(point)] = torch.tensor(image_labels, dtype=torch.int32)
         row, depth = torch.zeros_like(column), column + 1.0
         visible = Visible(point, row, column, column.float(), row.float(), depth)
-        return Observation("", labels, visible, torch.zeros(3, *labels.shape).byte(), torch.zeros(labels.shape).byte())
+        return Observation(
+            "",
+            labels,
+            visible,
+            torch.eye(3),
+            torch.eye(4),
+            torch.zeros(3, *labels.shape).byte(),
+            torch.zeros(labels.shape).byte(),
+        )
 
     return observation

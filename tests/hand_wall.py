@@ -41,5 +41,5 @@ def wall_behind_a_strip(
     visible = Visible(point, row, column, column.float(), row.float(), z)
     size = (WIDTH, HEIGHT) if turned else (HEIGHT, WIDTH)
     image = torch.zeros(3, *size, dtype=torch.uint8)
-    seen = Observation("", torch.zeros(size, dtype=torch.int32), visible, image, image[0])
+    seen = Observation("", torch.zeros(size, dtype=torch.int32), visible, torch.eye(3), torch.eye(4), image, image[0])
     return segment, Planes(points, normal), [seen]

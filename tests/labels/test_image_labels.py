@@ -24,7 +24,7 @@ def seen_at(pixels: list[tuple[int, int]], image: Tensor, initial: Tensor, depth
     row, column = torch.tensor(pixels, dtype=torch.int64).reshape(-1, 2).T
     z = torch.tensor(depth or [1.0] * len(pixels))
     visible = Visible(torch.arange(len(pixels)), row, column, column.float(), row.float(), z)
-    return Observation("", initial, visible, image, torch.zeros(image.shape[1:], dtype=torch.uint8))
+    return Observation("", initial, visible, torch.eye(3), torch.eye(4), image, torch.zeros(image.shape[1:]).byte())
 
 
 def test_labels_meet_at_the_image_s_edge() -> None:

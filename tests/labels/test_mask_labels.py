@@ -28,7 +28,7 @@ def labelled(masks: list[Tensor], points: list[tuple[int, int, int]]) -> tuple[T
     visible = Visible(torch.arange(len(row)), row, column, column.float(), row.float(), torch.ones(len(row)))
     found = Masks.from_stack(torch.stack(masks))
     image, boundary = torch.full((3, *SIZE), 128, dtype=torch.uint8), (outlines(found.atom) * 255).byte()
-    seen = Observation("", found.atom, visible, image, boundary, found)
+    seen = Observation("", found.atom, visible, torch.eye(3), torch.eye(4), image, boundary, found)
     return label_image(seen, label, torch.bincount(label, minlength=5), Config())
 
 

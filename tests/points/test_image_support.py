@@ -64,7 +64,9 @@ def test_a_point_is_looked_up_where_it_is_seen():
         torch.zeros(5), torch.zeros(5), torch.ones(5),
     )  # fmt: skip
     labels = torch.tensor([[9, 0, 9], [1, 1, 1]], dtype=torch.int32)
-    observation = Observation("", labels, visible, torch.zeros(3, 2, 3).byte(), torch.zeros(2, 3).byte())
+    observation = Observation(
+        "", labels, visible, torch.eye(3), torch.eye(4), torch.zeros(3, 2, 3).byte(), torch.zeros(2, 3).byte()
+    )
     assert overlaps([0, 0, 0, 0, 1, 1, 1, 1, 0, 0], observation) == [0, 1]
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor
@@ -14,7 +16,7 @@ from torchjoint.views.observation import Observation
 
 
 def with_masks(seen: Observation, masks: Masks) -> Observation:
-    return Observation(seen.name, masks.atom, seen.visible, seen.image, seen.boundary, masks)
+    return replace(seen, labels=masks.atom, masks=masks)
 
 
 def test_points_of_pieces_in_masks(seen) -> None:

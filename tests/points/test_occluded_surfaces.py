@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 import torchjoint as tj
 from torchjoint.points import occluded_surfaces
-from torchjoint.points.occluded_surfaces import Occlusions, continued_surfaces, lines_across
+from torchjoint.points.occluded_surfaces import Occlusions, _is_seen_through, continued_surfaces, lines_across
 from torchjoint.points.region_statistics import RegionStatistics
 from torchjoint.scene import Frame, Scene
+from torchjoint.views.observation import Observation
 from torchjoint.views.visibility import Visible
 
 DEPTHS = [None, 1.0, 1.5, 1.6, 2.0, 2.01, 3.0]
@@ -119,7 +120,7 @@ def test_lines_of_pieces_add_up():
     occlusions = Occlusions(
         pairs=torch.tensor([[0, 1, 0, 0, 4], [2, 3, 4, 5, 5]]),
         num_lines=torch.tensor([3, 2, 9, 9, 3]),
-        in_plane=torch.tensor([True, False, True, True, True]),
+        may_continue=torch.tensor([True, False, True, True, True]),
         between=torch.tensor([[-1, -1, -1, 3, -1]] * 3),
     )
     same = statistics([grey] * 6)
@@ -139,6 +140,45 @@ def test_lines_of_pieces_add_up():
     assert continued_surfaces(occlusions, same._replace(color=None), of_piece)[0].tolist() == [[], []]
 
 
+def places_seen_through(seen, places, step=0.0):
+    ways = torch.tensor(places, dtype=torch.float64)[None]
+    return _is_seen_through(ways, torch.full((len(places),), step, dtype=torch.float64), seen)[0].tolist()
+
+
+def looking_along_z(*rows, shift=0.0):
+    """A frame of focal length 1 pixel from x = -shift, whose rows of depths are seen as they are written."""
+    visible, pose = visible_of(rows), torch.eye(4)
+    pose[0, 3] = shift
+    empty = torch.zeros(3, len(rows), max(map(len, rows))).byte()
+    return Observation("", empty[0].int(), visible, torch.eye(3), pose, empty, empty[0])
+
+
+def test_free_space_is_what_is_seen_through():
+    row = [2.0] * 3 + [1.0] * 3
+    seen = looking_along_z(*[row] * 3)
+    pixels = [(0, 1), (1, 1), (2, 1), (4, 1), (7, 1), (-2, 1)]
+    # Column 0 and 1 show 2 m, column 2 has a neighbour 1 m away, columns 7 and -2 are not in the image.
+    at = {z: [[u * z, v * z, z] for u, v in pixels] for z in (0.5, 1.0, 1.9, 2.0, 2.5)}
+    assert places_seen_through([seen], at[0.5]) == [True, True, True, True, False, False]
+    assert places_seen_through([seen], at[1.0]) == [True, True, False, False, False, False]
+    assert places_seen_through([seen], at[1.9]) == [True, True, False, False, False, False]
+    assert places_seen_through([seen], at[1.9], step=0.11) == [False] * 6
+    assert places_seen_through([seen], at[2.0]) == places_seen_through([seen], at[2.5]) == [False] * 6
+    assert places_seen_through([seen], [[0, 0, -1.0], [0, 0, 0.0]]) == [False, False]  # behind the camera
+    assert places_seen_through([looking_along_z([])], at[1.0]) == [False] * 6  # it sees nothing
+
+
+def test_frames_vote_on_free_space():
+    free, there, hidden = (looking_along_z(*[[z] * 3] * 3) for z in (2.0, 1.0, 0.5))
+    place = [[1.0, 1, 1]]
+    assert places_seen_through([free, hidden, hidden], place) == [True]
+    assert places_seen_through([free, there], place) == [False]
+    assert places_seen_through([free, there, free], place) == [True]
+    # From 2 m to the left, the place is 3 columns to the right: outside.
+    assert places_seen_through([looking_along_z(*[[2.0] * 3] * 3, shift=2.0)], place) == [False]
+    assert places_seen_through([looking_along_z(*[[2.0] * 4] * 3, shift=2.0)], place) == [True]
+
+
 def room_with_a_post(right=2.0, right_color=0.6, colors=True, images=True):
     """A wall 2 m away that a post 1 m away divides, seen by one camera; the right part can be at another depth."""
     height, width, focal = 96, 128, 120.0
@@ -154,6 +194,46 @@ def room_with_a_post(right=2.0, right_color=0.6, colors=True, images=True):
     frame = Frame(color.T.reshape(3, height, width), intrinsics, torch.eye(4))
     wall = (~is_post & (column < 52), is_post & (column > 58) & (column < 69), ~is_post & (column > 76))
     return Scene(points, [frame] if images else [], colors=color if colors else None), wall
+
+
+def panels_with_a_post(step_aside):
+    """Two panels 2 m away with free space between them, a wall behind, and a post that hides the gap from one camera.
+
+    Another camera that steps aside looks past the post, through the gap.
+
+    Returns:
+        The most frequent labels of the panels.
+    """
+    height, width, focal = 96, 128, 120.0
+    things = (  # depth, grey, and where it is
+        (1.0, 0.1, lambda x: x.abs() < 0.14),
+        (2.0, 0.6, lambda x: (x.abs() > 0.2) & (x.abs() < 0.7)),
+        (3.0, 0.9, lambda x: x.abs() < 2),
+    )
+    generator = torch.Generator().manual_seed(0)
+    x, y = torch.meshgrid(torch.arange(-2, 2, 0.015), torch.arange(-1.2, 1.2, 0.015), indexing="ij")
+    parts = [torch.stack([x, y, z + 0 * x], 2)[is_there(x)] for z, _, is_there in things]
+    gray = torch.tensor([grey for _, grey, _ in things]).repeat_interleave(torch.tensor([len(part) for part in parts]))
+    colors = (gray[:, None] + 0.01 * torch.randn(len(gray), 3, generator=generator)).clamp(0, 1)
+    points = torch.cat(parts) + 0.001 * torch.randn(len(gray), 3, generator=generator)
+    intrinsics = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    frames = []
+    for shift in (0.0, step_aside):
+        image, pose = torch.zeros(width), torch.eye(4)
+        pose[0, 3] = -shift
+        for z, grey, is_there in reversed(things):
+            image[is_there((torch.arange(width) - width / 2) / focal * z + shift)] = grey
+        frames.append(Frame(image.expand(3, height, width), intrinsics, pose))
+    labels = tj.JointSegmenter()(Scene(points, frames, colors=colors)).points
+    side, panels = torch.sign(points[:, 0]), gray == 0.6
+    return [labels[panels & (side == sign)].mode().values.item() for sign in (-1, 1)]
+
+
+def test_a_frame_that_looks_through_the_gap_keeps_two_panels_apart():
+    left, right = panels_with_a_post(step_aside=0.0)
+    assert left == right
+    left, right = panels_with_a_post(step_aside=0.6)
+    assert left != right
 
 
 def labels_of(**options):

@@ -23,12 +23,14 @@ def observation(seed, *, masks=False, size=(12, 16)):
     visible = Visible(point, row, column, *torch.randn(3, count, generator=generator))
     image = torch.randint(256, (3, height, width), dtype=torch.uint8, generator=generator)
     labels = torch.randint(-1, 9, size, dtype=torch.int32, generator=generator)
-    return Observation(f"{seed}", found.atom if masks else labels, visible, image, image[0], found if masks else None)
+    camera = torch.randn(3, 3, generator=generator), torch.randn(4, 4, generator=generator)
+    masked = found if masks else None
+    return Observation(f"{seed}", found.atom if masks else labels, visible, *camera, image, image[0], masked)
 
 
 def assert_same(one, other):
     assert one.name == other.name
-    for field in ("labels", "image", "boundary"):
+    for field in ("labels", "image", "boundary", "intrinsics", "world_to_camera"):
         first, second = getattr(one, field), getattr(other, field)
         assert first.dtype == second.dtype
         assert torch.equal(first, second)

@@ -54,9 +54,10 @@ def observe(
         contours = None
         if cloud.method == "learned" and segments.masks is None:
             contours = edge_contours(graph.adjacency, graph.edge_index, visible, boundary)
-    return FrameEvidence(
-        Observation(frame.name, labels, visible, image, boundary, segments.masks), facing, overlaps, contours
+    observation = Observation(
+        frame.name, labels, visible, frame.intrinsics.float(), pose.float(), image, boundary, segments.masks
     )
+    return FrameEvidence(observation, facing, overlaps, contours)
 
 
 def add_evidence(state: JointState, seen: Sequence[FrameEvidence]) -> None:

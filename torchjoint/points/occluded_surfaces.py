@@ -1,8 +1,8 @@
 """Step 6, method learned: joins regions of one surface whose middle something nearer hides.
 
 Follow a row or a column of an image. Where the depth falls by a step and later rises by a step, something nearer lies
-between two ends. If both ends lie in one plane, the line votes for joining the regions of its ends. Such regions do not
-touch, so the model of boundaries never judges them.
+between two ends. If both ends lie in one plane, and no frame sees through the place between them, the line votes for
+joining the regions of its ends. Such regions do not touch, so the model of boundaries never judges them.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from torchjoint.points.region_statistics import RegionStatistics, color_contrast
 from torchjoint.points.scales import Scales
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.views.observation import Observation
+from torchjoint.views.projection import nearest_pixel, project
 from torchjoint.views.visibility import Visible
 
 # These numbers were chosen on table-tops of mOSD and on generated scenes (seeds 0 to 3). DEPTH_STEP was set by looking
@@ -37,7 +38,7 @@ SQUARE = 8
 OFF_PLANE, OFF_IN_NOISE = 0.1, 4.0
 #: Cosine of the largest angle between the normals at the two ends, 26 degrees.
 SAME_DIRECTION = 0.9
-#: Where on the way between the ends a third region is looked for.
+#: Where on the way between the ends a third region, or free space, is looked for.
 PLACES = (0.25, 0.5, 0.75)
 #: It is there if its nearest point is nearer than so many spacings of the points, or multiples of their noise.
 NEAR, NEAR_IN_NOISE = 2.0, 8.0
@@ -52,8 +53,30 @@ class Occlusions(NamedTuple):
 
     pairs: Tensor  #: [2, K] int64, pieces a < b, ascending
     num_lines: Tensor  #: [K] int64, of all images
-    in_plane: Tensor  #: [K] bool, whether the two pieces lie in one plane
+    may_continue: (
+        Tensor  #: [K] bool, whether the two pieces lie in one plane, and no frame sees through it between them
+    )
     between: Tensor  #: [len(PLACES), K] int64, the piece on the way, -1 = none, or not in one plane
+
+
+class _NearestDepths(NamedTuple):
+    """What one frame sees, in cells."""
+
+    cell: int  #: side of the cells, pixels
+    point: Tensor  #: [h, w] int64, the nearest of the visible points in each cell, in their order; -1 = no point
+
+    @classmethod
+    def of(cls, visible: Visible) -> _NearestDepths:
+        """Of equally near points, the first is the nearest."""
+        cell = _cell_size(visible)
+        row, column = visible.row // cell, visible.column // cell
+        height, width = int(row.max()) + 1, int(column.max()) + 1
+        nearest = torch.full((height * width,), torch.iinfo(torch.int64).max)
+        # Depths are positive, so their bits ascend with them.
+        rank = (visible.z.view(torch.int32).long() << 32) + torch.arange(len(visible.z))
+        nearest.scatter_reduce_(0, row * width + column, rank, "amin")
+        point = torch.where(nearest == torch.iinfo(torch.int64).max, -1, nearest & 0xFFFFFFFF)
+        return cls(cell, point.view(height, width))
 
 
 def find_occlusions(
@@ -77,11 +100,15 @@ def find_occlusions(
     low, high = torch.minimum(one, other), torch.maximum(one, other)
     key, num_lines = torch.unique((low * num_pieces + high)[low < high], return_counts=True)
     a, b = key // max(num_pieces, 1), key % max(num_pieces, 1)
-    in_plane = _in_one_plane(statistics, a, b)
+    may_continue = _in_one_plane(statistics, a, b)
     between = torch.full((len(PLACES), len(key)), -1)
-    if in_plane.any():
-        between[:, in_plane] = _between(piece, statistics, points, scales, a[in_plane], b[in_plane])
-    return Occlusions(torch.stack([a, b]), num_lines, in_plane, between)
+    if may_continue.any():
+        one, other = a[may_continue], b[may_continue]
+        ways = torch.stack([torch.lerp(statistics.mean[one], statistics.mean[other], place) for place in PLACES])
+        between[:, may_continue] = _nearest_pieces(ways, piece, points, scales)
+        step = STEP_IN_NOISE * torch.maximum(statistics.noise[one], statistics.noise[other])
+        may_continue[may_continue.clone()] = ~_is_seen_through(ways, step, observations).any(0)
+    return Occlusions(torch.stack([a, b]), num_lines, may_continue, between)
 
 
 def continued_surfaces(occlusions: Occlusions, statistics: RegionStatistics, of_piece: Tensor) -> tuple[Tensor, Tensor]:
@@ -104,7 +131,7 @@ def continued_surfaces(occlusions: Occlusions, statistics: RegionStatistics, of_
     apart = low != high
     key, of_pair = torch.unique((low * num_regions + high)[apart], return_inverse=True)
     lines = sum_by(of_pair, occlusions.num_lines[apart], len(key))
-    votes = sum_by(of_pair, (occlusions.num_lines * (occlusions.in_plane & is_free))[apart], len(key))
+    votes = sum_by(of_pair, (occlusions.num_lines * (occlusions.may_continue & is_free))[apart], len(key))
     share = votes.double() / lines
     pairs = torch.stack([key // num_regions, key % num_regions])
     joined = (votes >= MIN_LINES) & (share >= SHARE)
@@ -125,14 +152,7 @@ def lines_across(visible: Visible, noise: Tensor) -> Tensor:
     """
     if not len(visible.point):
         return torch.empty(2, 0, dtype=torch.int64)
-    cell = _cell_size(visible)
-    row, column = visible.row // cell, visible.column // cell
-    height, width = int(row.max()) + 1, int(column.max()) + 1
-    # The nearest point of each cell, of equally near ones the first: depths are positive, so their bits ascend, too.
-    nearest = torch.full((height * width,), torch.iinfo(torch.int64).max)
-    rank = (visible.z.view(torch.int32).long() << 32) + torch.arange(len(visible.z))
-    nearest.scatter_reduce_(0, row * width + column, rank, "amin")
-    nearest = torch.where(nearest == torch.iinfo(torch.int64).max, -1, nearest & 0xFFFFFFFF).view(height, width)
+    nearest = _NearestDepths.of(visible).point
     of_noise = STEP_IN_NOISE * noise[visible.point]
     found = [_ends_of_gaps(grid, visible.z, of_noise) for grid in (nearest, nearest.T)]
     return visible.point[torch.cat(found, 1)]
@@ -201,10 +221,48 @@ def _in_one_plane(pieces: RegionStatistics, a: Tensor, b: Tensor) -> Tensor:
     return in_planes & (dot(normal[a], normal[b]) >= SAME_DIRECTION)
 
 
-def _between(piece: Tensor, pieces: RegionStatistics, points: Tensor, scales: Scales, a: Tensor, b: Tensor) -> Tensor:
-    """The pieces [len(PLACES), K] on the straight ways between pairs of pieces, -1 = none."""
-    ways = torch.stack([torch.lerp(pieces.mean[a], pieces.mean[b], place) for place in PLACES])
+def _nearest_pieces(ways: Tensor, piece: Tensor, points: Tensor, scales: Scales) -> Tensor:
+    """The pieces [L, K] at places [L, K, 3] between pairs of pieces, -1 = none."""
     distance, nearest = cKDTree(points.double().numpy()).query(ways.numpy())
     found = torch.from_numpy(nearest)
     near = torch.maximum(NEAR * scales.spacing[found], NEAR_IN_NOISE * scales.noise[found])
     return torch.where(torch.from_numpy(distance) < near, piece[found], -1)
+
+
+def _is_seen_through(ways: Tensor, step: Tensor, observations: Sequence[Observation]) -> Tensor:
+    """Whether places between pairs of pieces are free: more frames see through a place than see something there.
+
+    A surface that an occluder hides from one frame may be seen by another one. Where it is not, the space is free.
+
+    Args:
+        ways: [L, K, 3] float64 metres.
+        step: [K] metres, smallest difference of the depths at a place of what lies there and what lies behind it.
+        observations: the frames.
+
+    Returns:
+        [L, K] bool.
+    """
+    places, steps = ways.reshape(-1, 3).float(), step.repeat(len(ways))
+    votes = torch.zeros(len(places), dtype=torch.int64)
+    for vote in parallel_map(lambda seen: _votes_for_free_space(places, steps, seen), observations):
+        votes += vote
+    return (votes > 0).view(ways.shape[:2])
+
+
+def _votes_for_free_space(places: Tensor, step: Tensor, seen: Observation) -> Tensor:
+    """[M] int8: 1 where the frame sees something behind a place [M, 3], -1 where it sees something there, else 0."""
+    vote = torch.zeros(len(places), dtype=torch.int8)
+    if not seen.num_points:
+        return vote
+    cell, nearest = _NearestDepths.of(seen.visible)
+    depth = torch.where(nearest >= 0, seen.visible.z[nearest], torch.inf)
+    # The nearest of nine cells: whoever looks through a gap sees something far in all of them.
+    depth = -torch.nn.functional.max_pool2d(-depth[None], 3, stride=1, padding=1)[0]
+    height, width = (cell * side for side in depth.shape)
+    at = project(places, seen.intrinsics, seen.world_to_camera, (height, width))
+    in_cell = depth[nearest_pixel(at.v) // cell, nearest_pixel(at.u) // cell]
+    enough = torch.maximum(DEPTH_STEP * in_cell, step[at.point])
+    behind = in_cell - at.z
+    vote[at.point] = (behind > enough).to(torch.int8) - (behind.abs() <= enough).to(torch.int8)
+    vote[at.point[in_cell.isinf()]] = 0  # nothing is seen
+    return vote

@@ -15,6 +15,7 @@ from torchjoint.scene import Masks
 from torchjoint.views.visibility import Visible
 
 _OF_POINTS = ("row", "column", "u", "v", "z")
+_WHOLE = ("labels", "image", "boundary", "intrinsics", "world_to_camera")
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,8 @@ class Observation:
     name: str
     labels: Tensor  #: [H, W] int32, the initial segmentation, labels 0, 1, ... without gaps, -1 = none; or masks' atoms
     visible: Visible
+    intrinsics: Tensor  #: [3, 3] float32 pixels
+    world_to_camera: Tensor  #: [4, 4] float32, of the prepared cloud's own frame
     image: Tensor  #: [3, H, W] uint8
     boundary: Tensor  #: [H, W] uint8, boundary strength x 255
     masks: Masks | None = None
@@ -41,7 +44,7 @@ class Observation:
     @property
     def num_bytes(self) -> int:
         """Memory that the tensors take; masks share their atoms with the labels."""
-        tensors = [self.labels, self.image, self.boundary, *self.visible]
+        tensors = [*(getattr(self, name) for name in _WHOLE), *self.visible]
         if self.masks is not None:
             tensors += [self.masks.pairs, self.masks.scores]
         return sum(tensor.numel() * tensor.element_size() for tensor in tensors)
@@ -59,7 +62,7 @@ class Observation:
     def pack(self) -> PackedObservation:
         """The same, much smaller."""
         steps = torch.diff(self.visible.point, prepend=torch.zeros(1, dtype=torch.int64))  # ascending: small numbers
-        tensors = {"labels": self.labels, "image": self.image, "boundary": self.boundary, "point_steps": steps}
+        tensors = {name: getattr(self, name) for name in _WHOLE} | {"point_steps": steps}
         tensors |= {name: getattr(self.visible, name) for name in _OF_POINTS}
         if self.masks is not None:
             tensors |= {"mask_pairs": self.masks.pairs, "mask_scores": self.masks.scores}
@@ -142,6 +145,14 @@ class _Opened(Observation):
     def visible(self) -> Visible:
         row, column, u, v, z = (self._part(name) for name in _OF_POINTS)
         return Visible(self._part("point_steps").cumsum(0), row, column, u, v, z)
+
+    @cached_property
+    def intrinsics(self) -> Tensor:
+        return self._part("intrinsics")
+
+    @cached_property
+    def world_to_camera(self) -> Tensor:
+        return self._part("world_to_camera")
 
     @cached_property
     def image(self) -> Tensor:

@@ -54,13 +54,14 @@ def project(
     return Projection(*ops.project(points, *camera, NEAREST, FARTHEST, *size, margin * size[1]))
 
 
-def _nearest_pixel(coordinate: Tensor) -> Tensor:
+def nearest_pixel(coordinate: Tensor) -> Tensor:
+    """The rows or columns, int64, of the pixels that contain coordinates; pixel centres have integer coordinates."""
     return torch.floor(coordinate + 0.5).to(torch.int64)
 
 
 def _inside(u: Tensor, v: Tensor, size: tuple[int, int]) -> Tensor:
     height, width = size
-    column, row = _nearest_pixel(u), _nearest_pixel(v)
+    column, row = nearest_pixel(u), nearest_pixel(v)
     return (column >= 0) & (column < width) & (row >= 0) & (row < height)
 
 

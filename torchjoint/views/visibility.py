@@ -11,7 +11,7 @@ from torchjoint import ops
 from torchjoint.config import VisibilityConfig
 from torchjoint.scene.camera import camera_center
 from torchjoint.views.hidden_point_removal import hidden_point_removal
-from torchjoint.views.projection import Projection, _inside, _nearest_pixel, project
+from torchjoint.views.projection import Projection, _inside, nearest_pixel, project
 
 #: Largest half width of a splat, pixels: larger splats, of points just in front of the camera, would take most of the
 #: time and hide whole objects.
@@ -67,7 +67,7 @@ def visible_points(
         projected = projected.select(_inside(projected.u, projected.v, size))
     else:
         projected = projected.select(zbuffer_visible(projected, spacing, float(intrinsics[0, 0]), size, config))
-    row, column = (_nearest_pixel(values) for values in (projected.v, projected.u))
+    row, column = (nearest_pixel(values) for values in (projected.v, projected.u))
     return Visible(projected.point, row, column, projected.u, projected.v, projected.z)
 
 
@@ -91,7 +91,7 @@ def zbuffer_visible(
     """
     width = spacing[projected.point]
     reach = (config.footprint * width * focal / projected.z).round().clamp(max=MAX_FOOTPRINT).to(torch.int64)
-    row, column = _nearest_pixel(projected.v), _nearest_pixel(projected.u)
+    row, column = nearest_pixel(projected.v), nearest_pixel(projected.u)
     nearest = ops.splat_depth(row, column, projected.z, reach, *size)
     tolerance = config.depth_tolerance * projected.z + SLANT_TOLERANCE * width
     return projected.z <= nearest[row, column] + tolerance
