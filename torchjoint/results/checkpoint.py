@@ -29,7 +29,7 @@ INTERVAL = 20.0
 SHARE = 0.05
 
 #: Version of the files.
-FORMAT = 3
+FORMAT = 4
 
 
 class Checkpoint:
