@@ -148,7 +148,7 @@ def _join_behind_occluders(
     """
     of_piece = evidence.regions_of_pieces(region)
     num_regions = int(region.max()) + 1
-    pairs, against = continued_surfaces(occlusions, evidence.statistics, of_piece)
+    pairs, against = continued_surfaces(occlusions, evidence.statistics, evidence.pairs, of_piece)
     joined, height = ops.region_merges(pairs, against, num_regions, threshold)
     merges.add(of_piece, joined, torch.full_like(height, threshold), threshold)
     return ops.felzenszwalb(joined, torch.zeros(len(height), dtype=torch.float32), num_regions, scale=1.0)[region]

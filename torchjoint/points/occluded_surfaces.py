@@ -111,12 +111,17 @@ def find_occlusions(
     return Occlusions(torch.stack([a, b]), num_lines, may_continue, between)
 
 
-def continued_surfaces(occlusions: Occlusions, statistics: RegionStatistics, of_piece: Tensor) -> tuple[Tensor, Tensor]:
+def continued_surfaces(
+    occlusions: Occlusions, statistics: RegionStatistics, touching: Tensor, of_piece: Tensor
+) -> tuple[Tensor, Tensor]:
     """The pairs of regions that are one surface behind an occluder.
+
+    Regions that touch are not among them: the model of boundaries has judged their boundary.
 
     Args:
         occlusions: of the pieces.
         statistics: of the pieces.
+        touching: [2, T] int64, the pairs of pieces that touch.
         of_piece: [P] int64, region of each piece, 0 ... R - 1.
 
     Returns:
@@ -125,11 +130,12 @@ def continued_surfaces(occlusions: Occlusions, statistics: RegionStatistics, of_
     """
     num_regions = int(of_piece.max()) + 1
     first, second = of_piece[occlusions.pairs]
-    low, high = torch.minimum(first, second), torch.maximum(first, second)
+    of_regions = _keys(first, second, num_regions)
     hidden = torch.where(occlusions.between >= 0, of_piece[occlusions.between], -1)
     is_free = ((hidden < 0) | (hidden == first) | (hidden == second)).all(0)
-    apart = low != high
-    key, of_pair = torch.unique((low * num_regions + high)[apart], return_inverse=True)
+    one, other = of_piece[touching]
+    apart = (first != second) & ~torch.isin(of_regions, _keys(one, other, num_regions))
+    key, of_pair = torch.unique(of_regions[apart], return_inverse=True)
     lines = sum_by(of_pair, occlusions.num_lines[apart], len(key))
     votes = sum_by(of_pair, (occlusions.num_lines * (occlusions.may_continue & is_free))[apart], len(key))
     share = votes.double() / lines
@@ -138,6 +144,11 @@ def continued_surfaces(occlusions: Occlusions, statistics: RegionStatistics, of_
     contrast = color_contrasts(pooled(statistics, of_piece, num_regions), *pairs)
     joined &= contrast <= MAX_CONTRAST  # NaN without colours: not joined
     return pairs[:, joined], (1 - share[joined]).float()
+
+
+def _keys(a: Tensor, b: Tensor, num_regions: int) -> Tensor:
+    """One number for each unordered pair of regions."""
+    return torch.minimum(a, b) * num_regions + torch.maximum(a, b)
 
 
 def lines_across(visible: Visible, noise: Tensor) -> Tensor:
