@@ -38,7 +38,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("results", type=Path)
     parser.add_argument("--mosd", type=Path, help="folder of mOSD's learn half")
-    parser.add_argument("--seeds", type=int, nargs=2, default=(30, 34), help="of the generated scenes")
+    parser.add_argument("--seeds", type=int, nargs=2, default=(34, 42), help="of the generated scenes")
     arguments = parser.parse_args()
     lines = arguments.results.read_text().splitlines() if arguments.results.is_file() else []
     done = {record["scene"]: record for record in map(json.loads, lines)}
