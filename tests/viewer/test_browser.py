@@ -11,11 +11,13 @@ import warnings
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import torchjoint as tj
 from torchjoint.results.folder import write_result
+from torchjoint.results.label_colors import label_colors
 
 pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
 sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need playwright")
@@ -97,17 +99,14 @@ def on_screen(viewer, points):
     return eye.image_width / 2 + focal * x / z, eye.image_height / 2 + focal * y / z, z
 
 
-def place_of(viewer, segment):
-    """A pixel in the midst of what is seen of a segment, whose neighbours all show it."""
-    model = viewer.model
-    points = model.result.scene.points.numpy()
-    u, v, z = on_screen(viewer, points)
-    of_point = model.table[model.parts.of_point]
+def place_of(viewer, label, of_point):
+    """A pixel in the midst of what is seen of the points with a label, whose neighbours all have it."""
+    u, v, z = on_screen(viewer, viewer.result.scene.points.numpy())
     inside = (u > 20) & (u < 840) & (v > 180) & (v < 980) & (z > 0)
     best, place = 0, None
-    for index in np.nonzero(inside & (of_point == segment))[0]:
+    for index in np.nonzero(inside & (of_point == label))[0]:
         near = inside & (np.hypot(u - u[index], v - v[index]) < 15)
-        pure = (of_point[near] == segment).all()
+        pure = (of_point[near] == label).all()
         if pure and near.sum() > best:
             best, place = int(near.sum()), (float(u[index]), float(v[index]))
     return place
@@ -116,8 +115,8 @@ def place_of(viewer, segment):
 def visible_segments(viewer):
     """Segments with a place to click, largest first."""
     model = viewer.model
-    found = [(model.segment_of_key(row.key)) for row in model.rows()[0]]
-    return [(segment, place) for segment in found if (place := place_of(viewer, segment)) is not None]
+    found, of_point = [model.segment_of_key(row.key) for row in model.rows()[0]], model.table[model.parts.of_point]
+    return [(segment, place) for segment in found if (place := place_of(viewer, segment, of_point)) is not None]
 
 
 def color_at(page, place):
@@ -239,6 +238,32 @@ def test_the_granularity_slider_and_the_frame_slider(viewer, page):
     # What the camera saw is now drawn where its image has it.
     u, v, _ = on_screen(viewer, viewer.result.scene.points.numpy())
     assert ((u > 0) & (u < 1280) & (v > 0) & (v < 1000)).sum() > 300
+
+
+def test_the_truth_beside_a_prediction(browser, out, scene_of):
+    from torchjoint.viewer.app import Viewer
+    from torchjoint.viewer.truth import with_truth
+
+    synthetic = scene_of(3)
+    viewer = Viewer(with_truth(tj.load_result(out), synthetic.scene), port=8955)
+    page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    page.goto(viewer.url)
+    page.wait_for_selector("#tj-image")
+    wait(lambda: drawn(page) > 1000)
+    wait(lambda: camera(viewer) is not None)
+    image = page.get_attribute("#tj-image", "src")
+    page.locator("xpath=//*[text()='Colour by']/following::input[1]").click()
+    page.get_by_role("option", name="truth").click()
+    wait(lambda: page.get_attribute("#tj-image", "src") != image)
+    instances, sizes = synthetic.point_labels.unique(return_counts=True)
+    places = [(i, place_of(viewer, i, synthetic.point_labels.numpy())) for i in instances[sizes.argsort()].tolist()]
+    seen = [(instance, place) for instance, place in places if place is not None][-3:]
+    for instance, place in seen:
+        color = label_colors(torch.tensor([instance]))[0].numpy() * 255
+        wait(lambda place=place, color=color: np.abs(color_at(page, place) - color).max() < 12)
+    assert len({instance for instance, _ in seen}) == 3
+    page.close()
+    viewer.stop()
 
 
 def test_parameters_of_a_run_in_memory(browser, out, scene_of):
