@@ -5,6 +5,7 @@ from deadly_batches import CONFIG, OPTIONS, TESTS, contents
 from folder_files import write_scans
 
 import torchjoint as tj
+from torchjoint.results.figures import overview
 
 
 @pytest.fixture(scope="module")
@@ -19,5 +20,6 @@ def expected(scans, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TORCHJOINT_TEST_DEATHS", str(out))
         patch.syspath_prepend(TESTS)
+        patch.setattr("torchjoint.results.folder.overview", overview)  # as the workers have it
         tj.recordings.segment_recording(scans / "a", out / "a", CONFIG, OPTIONS)
     return dict.fromkeys("abc", contents(out / "a"))
