@@ -3,9 +3,11 @@
 import os
 from pathlib import Path
 
+import pytest
 import yaml
 
 import torchjoint as tj
+from torchjoint.results.figures import overview
 
 TESTS = Path(__file__).parent
 CONFIG = tj.Config().set(["boundary.detector=deadly_boundary:DeadlyBoundary"])
@@ -30,3 +32,13 @@ def assert_complete(out, expected):
     assert {path.name for path in out.iterdir()} == {*expected, "batch.yaml", "summary.csv"}
     for name, files in expected.items():
         assert contents(out / name) == files
+
+
+def undisturbed(scans, out):
+    """What :func:`contents` says of each scene after a run that nothing disturbs; the scenes are copies."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TORCHJOINT_TEST_DEATHS", str(out))
+        patch.syspath_prepend(TESTS)
+        patch.setattr("torchjoint.results.folder.overview", overview)  # as the workers have it
+        tj.recordings.segment_recording(scans / "a", out / "a", CONFIG, OPTIONS)
+    return dict.fromkeys("abc", contents(out / "a"))

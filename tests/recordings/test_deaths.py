@@ -14,7 +14,8 @@ from pathlib import Path
 
 import psutil
 import pytest
-from deadly_batches import CONFIG, ENGINES, OPTIONS, assert_complete, make_known
+from deadly_batches import CONFIG, ENGINES, OPTIONS, assert_complete, make_known, undisturbed
+from folder_files import write_scans
 
 import torchjoint as tj
 
@@ -22,6 +23,16 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning", "ignore::FutureWarning"),
 ]
+
+
+@pytest.fixture(scope="module")
+def scans(scene_of, tmp_path_factory):
+    return write_scans(tmp_path_factory.mktemp("scans") / "scans", scene_of(2))
+
+
+@pytest.fixture(scope="module")
+def expected(scans, tmp_path_factory):
+    return undisturbed(scans, tmp_path_factory.mktemp("expected"))
 
 
 @pytest.fixture

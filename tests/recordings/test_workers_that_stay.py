@@ -5,7 +5,8 @@ import warnings
 
 import pytest
 import torch
-from deadly_batches import CONFIG, ENGINES, OPTIONS, assert_complete, make_known
+from deadly_batches import CONFIG, ENGINES, OPTIONS, assert_complete, make_known, undisturbed
+from folder_files import write_scans
 from las_town import town, write_las
 
 import torchjoint as tj
@@ -18,6 +19,16 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning", "ignore::FutureWarning"),
 ]
+
+
+@pytest.fixture(scope="module")
+def scans(scene_of, tmp_path_factory):
+    return write_scans(tmp_path_factory.mktemp("scans") / "scans", scene_of(2))
+
+
+@pytest.fixture(scope="module")
+def expected(scans, tmp_path_factory):
+    return undisturbed(scans, tmp_path_factory.mktemp("expected"))
 
 
 @pytest.fixture(scope="module")
