@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import report
 import torch
@@ -112,54 +113,74 @@ def _dots(picture: Tensor, row: Tensor, column: Tensor, colors: Tensor) -> None:
 
 def draw_images() -> Figure:
     """Initial segments, and visible points, for values of parameters that are too low, the default, and too high."""
-    scene = tj.synthetic.make_domain_scene("desk", seed=40, num_views=6, num_points=30_000).scene
+    figure = Figure(figsize=(10, 6.9), layout="constrained")
+    rows = figure.subplots(3, 4)
+    _draw_initial_segments(rows[:2])
+    _draw_visible_points(rows[2])
+    for axis in rows.flat:
+        axis.set(xticks=[], yticks=[])
+    return figure
+
+
+def _draw_initial_segments(rows: Any) -> None:
+    """A table with a printed cloth."""
+    scene = tj.synthetic.make_domain_scene("table", seed=40, num_views=4, num_points=20_000).scene
     frame = scene.frames[0]
     values = {"image_segments.scale": (0.1, 3.0, 100.0), "image_segments.min_size": (5, 100, 3000)}
-    figure = Figure(figsize=(10, 6.6), layout="constrained")
-    rows = figure.subplots(3, 4)
-    for axes, (name, three) in zip(rows, values.items(), strict=False):
+    for axes, (name, three) in zip(rows, values.items(), strict=True):
         axes[0].imshow(frame.image.permute(1, 2, 0).numpy())
         axes[0].set_ylabel(name)
         for axis, value in zip(axes[1:], three, strict=True):
             segmenter = tj.JointSegmenter(tj.Config().set([f"{name}={value}"]))
             segmenter.reset(scene.points, scene.colors)
             segmenter.update(frame)
-            axis.imshow(label_colors(segmenter.state.observations[0].labels).numpy())
-            axis.set_title(str(value))
-    rows[2, 0].imshow(frame.image.permute(1, 2, 0).numpy())
-    rows[2, 0].set_ylabel("visibility.depth_tolerance")
+            labels = segmenter.state.observations[0].labels
+            axis.imshow(label_colors(labels).numpy())
+            axis.set_title(f"{value}: {len(labels.unique())} segments")
+
+
+def _draw_visible_points(axes: Any) -> None:
+    """A screen in front of a wall: points that each tolerance loses or adds, beside those of the default, are red."""
+    scene = tj.synthetic.make_domain_scene("desk", seed=40, num_views=6, num_points=30_000).scene
+    frame = scene.frames[0]
     spacing = nearest_neighbors(scene.points, 4).spacing
-    for axis, value in zip(rows[2, 1:], (0.0005, 0.01, 0.3), strict=True):
+    axes[0].imshow(frame.image.permute(1, 2, 0).numpy())
+    axes[0].set_ylabel("visibility.depth_tolerance")
+
+    def seen(value: float) -> Visible:
         config = VisibilityConfig(depth_tolerance=value)
-        seen = visible_points(scene.points, spacing, frame.intrinsics, frame.world_to_camera, frame.size, config)
-        axis.imshow(_by_distance(frame, seen).numpy())
-        axis.set_title(f"{value}: {len(seen.point):,} points")
-    for axis in rows.flat:
-        axis.set(xticks=[], yticks=[])
-    return figure
+        return visible_points(scene.points, spacing, frame.intrinsics, frame.world_to_camera, frame.size, config)
+
+    low, usual, high = map(seen, (0.0005, 0.01, 0.3))
+    lost, added = ~torch.isin(usual.point, low.point), ~torch.isin(high.point, usual.point)
+    for axis, title, points, red in (
+        (axes[1], f"0.0005: {int(lost.sum())} points are lost", usual, lost),
+        (axes[2], f"0.01: {len(usual.point):,} points", usual, torch.zeros_like(lost)),
+        (axes[3], f"0.3: {int(added.sum()):,} points are added", high, added),
+    ):
+        axis.imshow(_marked(frame, points, red).numpy())
+        axis.set_title(title)
 
 
-def _by_distance(frame: tj.Frame, seen: Visible) -> Tensor:
-    """The image in grey, its visible points in colours of their distance."""
+def _marked(frame: tj.Frame, seen: Visible, red: Tensor) -> Tensor:
+    """The image in grey, its visible points in blue, some [M] of them red and over the others."""
     picture = (0.5 + 0.5 * frame.image.mean(0))[..., None].repeat(1, 1, 3)
-    low, high = seen.z.quantile(torch.tensor([0.02, 0.98])).tolist()
-    near = ((high - seen.z) / (high - low)).clamp(0, 1)
-    order = seen.z.argsort(descending=True)
-    _dots(picture, seen.row[order], seen.column[order], torch.stack([near, 0.2 + 0 * near, 1 - near], 1)[order])
+    order = red.int().argsort(stable=True)
+    colors = torch.where(red[order, None], torch.tensor([0.9, 0.0, 0.0]), torch.tensor([0.45, 0.6, 0.85]))
+    _dots(picture, seen.row[order], seen.column[order], colors)
     return picture
 
 
 def draw_scan() -> Figure:
-    """Segments of a scan for values of parameters that are too low, the default, and too high."""
-    scene = tj.synthetic.make_domain_scene("street", seed=40).scene
-    near = scene.points[:, :2].norm(dim=1) < 25
-    scene = tj.Scene(scene.points[near])
+    """Segments of scans for values of parameters that are too low, the default, and too high."""
+    streets = {"object_height": (43, 16), "gap": (40, 25)}  # seed, and metres around the sensor
     values = {"object_height": (0.02, 0.25, 1.5), "gap": (0.03, 0.2, 1.5)}
-    figure = Figure(figsize=(10, 5.4), layout="constrained")
-    for axes, (name, three) in zip(figure.subplots(2, 3), values.items(), strict=True):
-        for axis, value in zip(axes, three, strict=True):
-            config = tj.Config().set([f"scan.{name}={value}"]).scan
-            labels = segment_scan(scene.points, config)
+    figure = Figure(figsize=(10, 5.6), layout="constrained")
+    for axes, (name, (seed, radius)) in zip(figure.subplots(2, 3), streets.items(), strict=True):
+        points = tj.synthetic.make_domain_scene("street", seed=seed).scene.points
+        scene = tj.Scene(points[points[:, :2].norm(dim=1) < radius])
+        for axis, value in zip(axes, values[name], strict=True):
+            labels = segment_scan(scene.points, tj.Config().set([f"scan.{name}={value}"]).scan)
             axis.imshow(render_cloud(scene, label_colors(labels), (330, 440)).numpy())
             axis.set(title=f"scan.{name} {value}: {int(labels.max()) + 1} segments", xticks=[], yticks=[])
     return figure

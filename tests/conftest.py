@@ -6,12 +6,14 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from hypothesis import HealthCheck, settings
 
 from torchjoint.cli.main import main
+from torchjoint.scene import Scene, Segmentation
 from torchjoint.synthetic import SyntheticScene, make_scene
 from torchjoint.views.observation import Observation
 from torchjoint.views.visibility import Visible
@@ -27,6 +29,20 @@ def no_cache() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TORCHJOINT_CACHE", "")
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def small_overviews() -> Iterator[None]:
+    """Results have an overview of one inch: a whole one takes a second, and what looks at it draws it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("torchjoint.results.folder.overview", _small_overview)
+        yield
+
+
+def _small_overview(scene: Scene, result: Segmentation) -> Any:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(1, 1))
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ from PIL import Image
 
 import torchjoint as tj
 from torchjoint.datasets.ply import write_cloud
+from torchjoint.results.figures import overview
 from torchjoint.results.folder import read_points
 from torchjoint.results.output_folder import output_folder
 
@@ -32,7 +33,9 @@ def recording(tmp_path_factory, synthetic):
 @pytest.fixture(scope="module")
 def out(recording, run):
     folder = recording.parent / "out"
-    run("segment", recording, "-o", folder, *SMALL, "propagation.weight=0.2")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("torchjoint.results.folder.overview", overview)
+        run("segment", recording, "-o", folder, *SMALL, "propagation.weight=0.2")
     return folder
 
 
@@ -195,12 +198,13 @@ def test_show_of_something_else(run, tmp_path):
         run("show", tmp_path)
 
 
-def test_demo(monkeypatch, tmp_path, capsys, run):
-    small = tj.synthetic.make_scene
-    monkeypatch.setattr("torchjoint.synthetic.make_scene", lambda seed, **_: small(seed=seed, size="small"))
+def test_demo(monkeypatch, tmp_path, capsys, run, scene_of):
+    monkeypatch.setattr("torchjoint.synthetic.make_scene", lambda seed, **_: scene_of(seed))
     run("demo", "-o", tmp_path / "demo", *SMALL)
     assert (tmp_path / "demo" / "overview.png").is_file()
     assert "against the truth, in 3D: covering 0." in capsys.readouterr().out
+    run("show", tmp_path / "demo", "--truth", "--static", tmp_path / "page.html")  # the scene is made again
+    assert '"label":"truth"' in (tmp_path / "page.html").read_text(encoding="utf-8")
     with pytest.raises(SystemExit, match="demo: exists already"):
         run("demo", "-o", tmp_path / "demo", *SMALL)
 

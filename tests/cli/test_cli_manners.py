@@ -9,6 +9,7 @@ import torch
 from folder_files import write_folder
 
 import torchjoint as tj
+from torchjoint.results.crops import Crop
 
 PROGRAM = "import sys; from torchjoint.cli import main; sys.argv = ['torchjoint', *sys.argv[1:]]; main()"
 
@@ -79,10 +80,13 @@ def test_reprs_are_short(scene_of):
     assert repr(scene) == f"Scene({scene.name!r}: 6000 points, 6 frames, colors)".replace(
         "colors)", "colors, truth)" if scene.truth is not None else "colors)"
     )
+    assert repr(synthetic) == f"SyntheticScene({scene!r}, {len(synthetic.instance_names)} instances)"
     assert repr(scene.frames[0]).startswith("Frame('frame-000000': 160 x 120 pixels")
     segmentation = tj.Segmentation(torch.tensor([0, 0, 1]), ())
     assert repr(segmentation) == "Segmentation(3 points in 2 segments, 0 images)"
     assert repr(tj.Result.of(segmentation, tj.Scene(torch.rand(3, 3)))).startswith("Result(3 points in 2 segments")
+    crop = Crop(torch.rand(3, 4, 5), torch.ones(4, 5).bool(), (0, 0, 5, 4), 0, "a", pixels=20, whole=0.5)
+    assert repr(crop) == "Crop('a': 5 x 4 pixels, 20 of the segment, 50% whole)"
 
 
 def test_completion_offers_the_public_names():

@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -139,38 +137,6 @@ def test_never_more_threads_than_cores(caplog):
     assert "too many" in caplog.text
     with open_engine("loky", threads=cores) as engine:
         assert engine.slots() == 1
-
-
-HEAD = """
-import sys, time
-from torchjoint.engine import open_engine
-
-def wait(folder, number):
-    import os, pathlib, time
-    pathlib.Path(folder, f"worker-{os.getpid()}").touch()
-    time.sleep(600)
-
-if __name__ == "__main__":
-    with open_engine(sys.argv[1]) as engine:
-        list(engine.run(wait, range(4), sys.argv[2]))
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ENGINES)
-def test_no_orphans_of_a_killed_head(name, tmp_path):
-    script = tmp_path / "head.py"
-    script.write_text(HEAD)
-    head = subprocess.Popen([sys.executable, str(script), name, str(tmp_path)], stdout=-3, stderr=-3)
-    while not list(tmp_path.glob("worker-*")):
-        assert head.poll() is None
-        time.sleep(0.1)
-    workers = {int(file.name.removeprefix("worker-")) for file in tmp_path.glob("worker-*")}
-    # Two of ray's own watchers wait a minute for the head, by a constant of theirs, before they end.
-    processes = workers if name.startswith("ray") else workers | processes_below(head.pid)
-    head.kill()
-    head.wait()
-    assert still_running(processes) == set()
 
 
 def grows(_, number):

@@ -9,13 +9,12 @@ import subprocess
 import sys
 import threading
 import time
-import warnings
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
 import pytest
-import yaml
+from deadly_batches import CONFIG, ENGINES, OPTIONS, assert_complete, make_known, undisturbed
 from folder_files import write_scans
 
 import torchjoint as tj
@@ -25,15 +24,15 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning", "ignore::FutureWarning"),
 ]
 
-TESTS = Path(__file__).parents[1]
-CONFIG = tj.Config().set(["boundary.detector=deadly_boundary:DeadlyBoundary"])
-OPTIONS = tj.RecordingOptions(max_frames=2, thin=0.1)
-ENGINES = ["loky:2", "dask:2", "ray:2"]
-
 
 @pytest.fixture(scope="module")
 def scans(scene_of, tmp_path_factory):
     return write_scans(tmp_path_factory.mktemp("scans") / "scans", scene_of(2))
+
+
+@pytest.fixture(scope="module")
+def expected(scans, tmp_path_factory):
+    return undisturbed(scans, tmp_path_factory.mktemp("expected"))
 
 
 @pytest.fixture
@@ -41,34 +40,19 @@ def deaths(tmp_path, monkeypatch):
     """The folder of the deaths to come; workers know it, and find the detector."""
     folder = tmp_path / "deaths"
     folder.mkdir()
-    monkeypatch.setenv("TORCHJOINT_TEST_DEATHS", str(folder))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")]))
+    make_known(folder, monkeypatch)
     return folder
 
 
-@pytest.fixture(scope="module")
-def expected(scans, tmp_path_factory):
-    """The files of each scene after a run that nothing disturbs; the scenes are copies."""
-    out = tmp_path_factory.mktemp("expected")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TORCHJOINT_TEST_DEATHS", str(out))
-        patch.syspath_prepend(TESTS)
-        tj.recordings.segment_recording(scans / "a", out / "a", CONFIG, OPTIONS)
-    return dict.fromkeys("abc", contents(out / "a"))
+@pytest.fixture(scope="session")
+def watchers():
+    """Processes of ray that wait a minute for a head that was killed, by a constant of theirs, before they end.
 
-
-def contents(folder):
-    """All files of a result; run.yaml without the seconds and the path of the recording."""
-    files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    record = yaml.safe_load(files.pop("run.yaml"))
-    return files, record["counts"], record["config"]
-
-
-def assert_complete(out, expected):
-    """Exactly the expected results, the tables, and nothing half-written."""
-    assert {path.name for path in out.iterdir()} == {*expected, "batch.yaml", "summary.csv"}
-    for name, files in expected.items():
-        assert contents(out / name) == files
+    They have this minute while other tests run; none is left when all have run.
+    """
+    processes = set()
+    yield processes
+    wait_for(lambda: not any(map(is_running, processes)), 90.0)
 
 
 def wait_for(condition, seconds=120.0):
@@ -86,22 +70,8 @@ def is_running(process):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_worker_is_killed_and_one_has_too_little_memory(engine, scans, deaths, expected, tmp_path):
-    out = tmp_path / "out"
-    (deaths / "kill").touch()
-    (deaths / "memory").touch()
-    first = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS)
-    assert list(deaths.iterdir()) == []  # both have come
-    (failed,) = first.failures  # the scene of the killed worker went on where it was
-    assert "out of memory" in first.failures[failed]
-    again = tj.batch(scans, out, engine="loky:2", config=CONFIG, options=OPTIONS)
-    assert sorted(again.skipped) == sorted(set(expected) - {failed})
-    assert_complete(out, expected)
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_the_head_is_killed(engine, scans, deaths, expected, tmp_path):
-    """No process is left, and the same command ends with the same files."""
+def test_the_head_is_killed(engine, scans, deaths, expected, tmp_path, watchers):
+    """While its workers are inside tasks: no process is left, and the same command ends with the same files."""
     out = tmp_path / "out"
     arguments = [str(scans), "-o", str(out), "--set", "boundary.detector=deadly_boundary:DeadlyBoundary"]
     script = tmp_path / "command.py"  # as pip installs it: dask imports it again in its workers
@@ -118,35 +88,12 @@ def test_the_head_is_killed(engine, scans, deaths, expected, tmp_path):
         head.wait()
     assert not (out / "a").exists()
     (deaths / "wait").unlink()
-    again = subprocess.run([*command, "loky:2"], capture_output=True, text=True, check=False)
+    again = subprocess.run([*command, "loky:1"], capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
     assert "3 segmented, 0 were done before, 0 failed" in again.stdout
     assert_complete(out, expected)
-    # Two of ray's own watchers wait a minute for the head, by a constant of theirs, before they end.
-    wait_for(lambda: not any(is_running(process) for process in processes), 90.0 if engine == "ray:2" else 30.0)
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_full_disk(engine, scans, deaths, expected, tmp_path):
-    """Scenes fail with a clear reason; after making room the command goes on."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", disk], capture_output=True, check=False)
-    if mounted.returncode:
-        pytest.skip(f"needs the right to mount a small tmpfs: {mounted.stderr.decode().strip()}")
-    try:
-        out = disk / "out"
-        with warnings.catch_warnings():  # whether there is room for the tables depends on what was written last
-            warnings.filterwarnings("ignore", ".*not up to date: the disk is full")
-            first = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS)
-        assert first.failures
-        assert all("the disk is full" in reason for reason in first.failures.values())
-        subprocess.run(["mount", "-o", "remount,size=200m", disk], check=True)
-        again = tj.batch(scans, out, engine="loky:2", config=CONFIG, options=OPTIONS)
-        assert again.failures == {}
-        assert_complete(out, expected)
-    finally:
-        subprocess.run(["umount", disk], check=True)
+    wait_for(lambda: sum(map(is_running, processes)) <= (2 if engine == "ray:2" else 0), 30.0)
+    watchers.update(filter(is_running, processes))
 
 
 class Wire:

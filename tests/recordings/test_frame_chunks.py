@@ -5,7 +5,6 @@ import torch
 from test_batch import HereEngine
 
 import torchjoint as tj
-from torchjoint.engine import open_engine
 from torchjoint.recordings.frame_chunks import segment_over
 from torchjoint.results.checkpoint import Checkpoint
 
@@ -61,11 +60,3 @@ def test_an_error_of_a_frame_is_raised(scene_of):
     segmenter.begin(scene)
     with pytest.raises(OSError, match=r"frame.png: damaged"):
         list(tj.recordings.frame_chunks._in_order(HereEngine(), segmenter, Damaged(scene.frames), 0))
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning", "ignore::FutureWarning")
-@pytest.mark.parametrize("name", ["loky:2", "dask:2", "ray:2"])
-def test_real_workers(name, whole, scene_of):
-    with open_engine(name) as engine:
-        assert_same(segment_over(engine, tj.JointSegmenter(QUICK), scene_of(2).scene), whole)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 from copc_files import write_copc
+from las_town import town, write_las
 
 import torchjoint as tj
 from torchjoint.config import SuperpointsConfig
@@ -17,43 +18,10 @@ from torchjoint.tiles.stitching import matching_superpoints, stitch
 from torchjoint.tiles.survey import Survey
 from torchjoint.tiles.tile import OwnLabels, SharedLabels, TileTask, read_shared, segment_tile
 
-#: UTM: float32 keeps half a metre of the northing.
-ORIGIN = np.array([691_000.0, 5_334_000.0, 500.0])
-
-
-def town(num_points, side, seed=0):
-    """A floor with boxes on it, some of which the edges of tiles cross; points in random order."""
-    rng = np.random.default_rng(seed)
-    x, y = rng.uniform(0, side, (2, num_points))
-    z = np.zeros(num_points)
-    for column in range(int(side // 5)):
-        for row in range(int(side // 5)):
-            inside = (abs(x - 5 * column - 2) < 1.2) & (abs(y - 5 * row - 3) < 1.5)
-            z[inside] = 0.6 + 0.2 * ((column + row) % 3)
-            edge = inside & (rng.random(num_points) < 0.4)  # some of these points stand on the sides
-            x[edge] = 5 * column + 2 + 1.2 * np.where(x[edge] < 5 * column + 2, -1, 1)
-            z[edge] *= rng.random(edge.sum())
-    return np.stack([x, y, z], 1) + rng.normal(0, 0.002, (num_points, 3))
-
-
-def write(path, points, seed=0):
-    """A file with colours, another program's dimension, times, and a coordinate system."""
-    header = laspy.LasHeader(point_format=7, version="1.4")
-    header.offsets, header.scales = ORIGIN, [0.001] * 3
-    header.add_extra_dim(laspy.ExtraBytesParams("quality", np.int16))
-    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr('PROJCS["WGS 84 / UTM zone 32N"]'))
-    cloud, rng = laspy.LasData(header), np.random.default_rng(seed)
-    cloud.xyz = points + ORIGIN
-    cloud.red = cloud.green = cloud.blue = np.full(len(points), 30000, np.uint16)
-    cloud.gps_time, cloud["quality"] = rng.random(len(points)), rng.integers(-9, 9, len(points))
-    cloud.classification = rng.integers(0, 32, len(points))
-    cloud.write(path)
-    return path
-
 
 @pytest.fixture(scope="module")
 def cloud(tmp_path_factory):
-    return write(tmp_path_factory.mktemp("town") / "town.laz", town(8_000, 12))
+    return write_las(tmp_path_factory.mktemp("town") / "town.laz", town(8_000, 12))
 
 
 def labels_of(path):
@@ -111,9 +79,9 @@ def test_a_run_that_dies_goes_on_tile_by_tile(cloud, tmp_path, monkeypatch):
 def test_a_folder_of_files_is_one_cloud(tmp_path):
     points = town(6_000, 10)
     (tmp_path / "parts").mkdir()
-    write(tmp_path / "parts" / "a.laz", points[:2500])
-    write(tmp_path / "parts" / "b.las", points[2500:])
-    write(tmp_path / "all.las", points)
+    write_las(tmp_path / "parts" / "a.laz", points[:2500])
+    write_las(tmp_path / "parts" / "b.las", points[2500:])
+    write_las(tmp_path / "all.las", points)
     for name, out in (("parts", "out"), ("all.las", "out.las")):
         superpoints_of_files(tmp_path / name, tmp_path / out, tile=5, buffer=1, engine="loky:1")
     parts = [labels_of(tmp_path / "out" / name) for name in ("a.laz", "b.las")]
@@ -138,7 +106,7 @@ def test_the_command(cloud, tmp_path, run, capsys):
 
 def test_copc_is_read_and_its_result_is_not_named_so(tmp_path):
     """The octree goes, the order of the points and the coordinate system stay; laspy takes the result for LAZ."""
-    folder, expected = tmp_path / "parts", write(tmp_path / "town.las", town(4_000, 9))
+    folder, expected = tmp_path / "parts", write_las(tmp_path / "town.las", town(4_000, 9))
     folder.mkdir()
     write_copc(folder / "town.copc.laz", laspy.read(expected))
     superpoints_of_files(expected, tmp_path / "one.las", engine="loky:1")
@@ -149,7 +117,7 @@ def test_copc_is_read_and_its_result_is_not_named_so(tmp_path):
     assert not {"copc"} & {record.user_id for record in (*made.vlrs, *made.evlrs)}
     assert made.vlrs.get("WktCoordinateSystemVlr")
     assert len(tj.load_scene(folder / "town.copc.laz").points) == 4_000
-    write(folder / "town.laz", town(4_000, 9))
+    write_las(folder / "town.laz", town(4_000, 9))
     with pytest.raises(ValueError, match=r"a \.laz and a \.copc\.laz would both become town\.laz"):
         superpoints_of_files(folder, tmp_path / "other", engine="loky:1")
 
@@ -298,18 +266,9 @@ def test_each_tile_gets_the_points_within_its_buffer():
 def test_processes_and_many_tiles(tmp_path):
     """25 tiles in one and in two processes: the same bytes, and nearly the labels of one piece."""
     points = town(120_000, 50)
-    cloud = write(tmp_path / "town.laz", points)
+    cloud = write_las(tmp_path / "town.laz", points)
     superpoints_of_files(cloud, tmp_path / "one.las", tile=10, buffer=1.5, engine="loky:1")
     superpoints_of_files(cloud, tmp_path / "two.las", tile=10, buffer=1.5, engine="loky:2")
     assert (tmp_path / "one.las").read_bytes() == (tmp_path / "two.las").read_bytes()
     whole, labels = tj.superpoints(torch.from_numpy(laspy.read(cloud).xyz.copy())), labels_of(tmp_path / "one.las")
     assert segmentation_covering(labels, whole).symmetric > 0.98
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning", "ignore::FutureWarning")
-@pytest.mark.parametrize("engine", ["dask:2", "ray:2"])
-def test_tiles_on_the_workers_of_an_engine(engine, cloud, tmp_path):
-    superpoints_of_files(cloud, tmp_path / "here.las", tile=7, buffer=1, engine="loky:1")
-    superpoints_of_files(cloud, tmp_path / "there.las", tile=7, buffer=1, engine=engine)
-    assert (tmp_path / "here.las").read_bytes() == (tmp_path / "there.las").read_bytes()

@@ -11,11 +11,14 @@ import warnings
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import torchjoint as tj
 from torchjoint.results.folder import write_result
+from torchjoint.results.label_colors import label_colors
 
 pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
 sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need playwright")
@@ -97,27 +100,24 @@ def on_screen(viewer, points):
     return eye.image_width / 2 + focal * x / z, eye.image_height / 2 + focal * y / z, z
 
 
-def place_of(viewer, segment):
-    """A pixel in the midst of what is seen of a segment, whose neighbours all show it."""
-    model = viewer.model
-    points = model.result.scene.points.numpy()
-    u, v, z = on_screen(viewer, points)
-    of_point = model.table[model.parts.of_point]
+def places(viewer, of_point):
+    """For each label of the points a pixel in the midst of what is seen of it, whose neighbours all have it."""
+    u, v, z = on_screen(viewer, viewer.result.scene.points.numpy())
     inside = (u > 20) & (u < 840) & (v > 180) & (v < 980) & (z > 0)
-    best, place = 0, None
-    for index in np.nonzero(inside & (of_point == segment))[0]:
-        near = inside & (np.hypot(u - u[index], v - v[index]) < 15)
-        pure = (of_point[near] == segment).all()
-        if pure and near.sum() > best:
-            best, place = int(near.sum()), (float(u[index]), float(v[index]))
-    return place
+    at, labels = np.stack([u, v], 1)[inside], of_point[inside]
+    most, found = {}, {}
+    for place, label, near in zip(at.tolist(), labels.tolist(), cKDTree(at).query_ball_point(at, 15), strict=True):
+        if len(near) > most.get(label, 0) and (labels[near] == label).all():
+            most[label], found[label] = len(near), tuple(place)
+    return found
 
 
 def visible_segments(viewer):
     """Segments with a place to click, largest first."""
     model = viewer.model
-    found = [(model.segment_of_key(row.key)) for row in model.rows()[0]]
-    return [(segment, place) for segment in found if (place := place_of(viewer, segment)) is not None]
+    found = places(viewer, model.table[model.parts.of_point])
+    segments = [model.segment_of_key(row.key) for row in model.rows()[0]]
+    return [(segment, found[segment]) for segment in segments if segment in found]
 
 
 def color_at(page, place):
@@ -239,6 +239,30 @@ def test_the_granularity_slider_and_the_frame_slider(viewer, page):
     # What the camera saw is now drawn where its image has it.
     u, v, _ = on_screen(viewer, viewer.result.scene.points.numpy())
     assert ((u > 0) & (u < 1280) & (v > 0) & (v < 1000)).sum() > 300
+
+
+def test_the_truth_beside_a_prediction(browser, out, scene_of):
+    from torchjoint.viewer.app import Viewer
+    from torchjoint.viewer.truth import with_truth
+
+    synthetic = scene_of(3)
+    viewer = Viewer(with_truth(tj.load_result(out), synthetic.scene), port=8955)
+    page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    page.goto(viewer.url)
+    page.wait_for_selector("#tj-image")
+    wait(lambda: drawn(page) > 1000)
+    wait(lambda: camera(viewer) is not None)
+    image = page.get_attribute("#tj-image", "src")
+    page.locator("xpath=//*[text()='Colour by']/following::input[1]").click()
+    page.get_by_role("option", name="truth").click()
+    wait(lambda: page.get_attribute("#tj-image", "src") != image)
+    seen = places(viewer, synthetic.point_labels.numpy())
+    assert len(seen) > 5
+    for instance, place in [*seen.items()][:3]:
+        color = label_colors(torch.tensor([instance]))[0].numpy() * 255
+        wait(lambda place=place, color=color: np.abs(color_at(page, place) - color).max() < 12)
+    page.close()
+    viewer.stop()
 
 
 def test_parameters_of_a_run_in_memory(browser, out, scene_of):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from torchjoint import metrics
+from torchjoint.cli._demo_scene import SOURCE, demo_scene
 from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
@@ -25,18 +26,14 @@ def demo(
         overwrite: replace OUT if it is an earlier result.
         show: show the run, and then the result, in the browser, as `torchjoint segment --show` does.
     """
-    from torchjoint.synthetic import make_scene
-
     view = live_view(show)
-    print("making a synthetic scene ...")
-    synthetic = make_scene(seed=0, size="medium", height=360, width=480, num_points=150_000)
-    config, source = parameters.config(), "synthetic, seed 0"
-    with output_folder(out, source, overwrite=overwrite) as partial:
+    synthetic, config = demo_scene(), parameters.config()
+    with output_folder(out, SOURCE, overwrite=overwrite) as partial:
         assert partial is not None  # without a key there is always something to do
         with printed_log():
             segmenter = JointSegmenter(config)
             result = segmenter(synthetic.scene, progress=True, on_frames=view)
-        write_result(partial, synthetic.scene, result, config, source)
+        write_result(partial, synthetic.scene, result, config, SOURCE)
     summarize(result, out)
     in_3d = metrics.objects_and_parts(result.points, synthetic.point_labels)
     covering = metrics.segmentation_covering(result.points, synthetic.point_labels)

@@ -12,6 +12,8 @@ import torch
 import tyro
 from torch import Tensor
 
+from torchjoint.cli._demo_scene import SOURCE, demo_scene
+from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.edits import read_edits
 from torchjoint.results.folder import read_source
@@ -98,7 +100,18 @@ def _read(out: Path, truth: bool) -> Result:
         return result
     from torchjoint.viewer.truth import with_truth
 
-    return with_truth(result, Path(read_source(out)), next(iter(sorted(out.glob("cloud-*mm.ply"))), None))
+    return with_truth(result, _scene_of(out))
+
+
+def _scene_of(out: Path) -> Scene:
+    """The scene of a result, read or made again; a fused cloud is the one that the result holds."""
+    source = read_source(out)
+    if source == SOURCE:
+        return demo_scene().scene
+    recording = Path(source)
+    if not recording.exists():
+        raise FileNotFoundError(f"--truth: the recording {recording} of this result is no longer there")
+    return load_scene(recording, cloud=next(iter(sorted(out.glob("cloud-*mm.ply"))), None))
 
 
 def _write_static(

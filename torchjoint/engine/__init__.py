@@ -1,10 +1,12 @@
 """Independent tasks on the workers of an existing engine: loky on this machine, dask or ray on a cluster.
 
-with open_engine("loky:2") as engine:
-for outcome in engine.run(divmod, [5, 0], shared=7):
-print(outcome.index, outcome.value, outcome.error)
-# 0 (1, 2) None
-# 1 None integer division or modulo by zero
+::
+
+    with open_engine("loky:2") as engine:
+        for outcome in engine.run(divmod, [5, 0], shared=7):
+            print(outcome.index, outcome.value, outcome.error)
+    # 0 (1, 2) None
+    # 1 None integer division or modulo by zero
 """
 
 from torchjoint.engine.engine import Engine, Outcome, WorkerDied

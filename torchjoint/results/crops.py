@@ -36,6 +36,10 @@ class Crop:
     pixels: int
     whole: float
 
+    def __repr__(self) -> str:
+        _, _, width, height = self.box
+        return f"Crop({self.name!r}: {width} x {height} pixels, {self.pixels} of the segment, {self.whole:.0%} whole)"
+
 
 def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, margin: float = 0.1) -> list[Crop]:
     """The frames that see a segment largest and whole, best first.

@@ -37,7 +37,7 @@ def write_page(path: Path, result: Result, up: Tensor | None = None) -> int:
 
     Args:
         path: file to write.
-        result: the labels, and the scene.
+        result: the labels, and the scene; its truth, if it has one, can be shown in place of the labels.
         up: [3] upward direction; None: as :func:`~torchjoint.results.upright.up_direction`.
 
     Returns:
@@ -72,6 +72,9 @@ def _figure(result: Result, keep: Tensor, up: npt.NDArray[np.float64]) -> Any:
     paints = {"segments": _paint(result.points[keep].numpy(), label_colors(torch.arange(result.num_point_segments)))}
     if scene.colors is not None:
         paints["colours"] = _paint(*_palette((scene.colors[keep].numpy() * 255).round().astype(np.uint8)))
+    if scene.truth is not None and scene.truth.points is not None:
+        instances, index = scene.truth.points[keep].unique(return_inverse=True)
+        paints["truth"] = _paint(index.numpy(), label_colors(instances))
     first = paints["segments"]
     figure = go.Figure()
     figure.add_scatter3d(

@@ -25,11 +25,11 @@ def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640
 
     Args:
         scene: the points; the frames determine the view.
-        colors: [N, 3] RGB in [0, 1].
+        colors: [N, 3] RGB in [0, 1]; of several pictures from one view: [N, 3 k].
         size: (H, W) of the picture, pixels.
 
     Returns:
-        [H, W, 3] RGB in [0, 1], white where there is no point.
+        [H, W, 3] or [H, W, 3 k] RGB in [0, 1], white where there is no point.
     """
     height, width = size
     focal = FOCAL * width
@@ -41,7 +41,7 @@ def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640
     far_first = torch.argsort(seen.z, descending=True, stable=True)
     radius = (0.6 * spacing[seen.point] * focal / seen.z).round().clamp(0, LARGEST).long()[far_first]
     row, column, paint = seen.row[far_first], seen.column[far_first], colors[seen.point[far_first]]
-    picture, depth = torch.ones(height * width, 3, dtype=torch.float32), torch.full((height * width,), -1)
+    picture, depth = torch.ones(height * width, colors.shape[1], dtype=torch.float32), torch.full((height * width,), -1)
     order = torch.arange(len(far_first))
     for down in range(-LARGEST, LARGEST + 1):
         for right in range(-LARGEST, LARGEST + 1):
@@ -49,7 +49,7 @@ def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640
             depth.scatter_reduce_(0, ((row + down) * width + column + right)[here], order[here], "amax")
     drawn = depth >= 0
     picture[drawn] = paint[depth[drawn]]
-    return picture.view(height, width, 3)
+    return picture.view(height, width, -1)
 
 
 def _inside(row: Tensor, column: Tensor, size: tuple[int, int]) -> Tensor:

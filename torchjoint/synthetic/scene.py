@@ -44,6 +44,9 @@ class SyntheticScene:
     triangles: Tensor
     triangle_labels: Tensor
 
+    def __repr__(self) -> str:
+        return f"SyntheticScene({self.scene!r}, {len(self.instance_names)} instances)"
+
 
 class _Size(NamedTuple):
     num_views: int
