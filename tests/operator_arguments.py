@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from torchjoint.ops import (
+    ascending_order,
     boosted_trees,
     felzenszwalb,
     felzenszwalb_image,
@@ -86,7 +87,7 @@ MERGE_REGIONS = {
     "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
 }  # fmt: skip
 GROUP_SUMMARIES = {
-    "values": POSITIONS, "rank": PIXELS, "ascending": POSITIONS, "group": torch.tensor([0, -1, 1]), "num_groups": 2,
+    "values": POSITIONS, "order": PIXELS.int(), "group": torch.tensor([0, -1, 1]), "num_groups": 2,
     "quantiles": torch.tensor([0.5, 1.0]),
 }  # fmt: skip
 REGION_MERGES = {"edge_index": EDGES, "cost": VALUES, "num_regions": 4, "threshold": 0.5}
@@ -133,6 +134,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     propagate_labels: PROPAGATE_LABELS,
     outvoted_markers: OUTVOTED_MARKERS,
     merge_regions: MERGE_REGIONS,
+    ascending_order: {"values": POSITIONS},
     group_summaries: GROUP_SUMMARIES,
     region_merges: REGION_MERGES,
     mask_merges: MASK_MERGES,
