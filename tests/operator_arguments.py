@@ -46,6 +46,7 @@ FELZENSZWALB = {"edge_index": EDGES, "weight": VALUES, "num_nodes": 4, "scale": 
 IMAGES = torch.arange(48.0).view(2, 3, 2, 4) / 48
 POINTS = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]])
 NEIGHBORS = torch.tensor([[1, 2], [0, 2], [0, 1], [1, 2]])
+ROWS = torch.tensor([2, 0, 3, 1], dtype=torch.int32)
 
 EYE = torch.eye(4, dtype=torch.float64)
 PIXELS = torch.tensor([0, 1, 2])
@@ -122,8 +123,8 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     felzenszwalb_image: {"images": IMAGES, "boundaries": IMAGES[:, 0], "scale": 1.0},
     min_cut: {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK},
     nearest_neighbors: {"points": POINTS, "count": 2, "num_distances": 1},
-    neighbor_edges: {"neighbors": NEIGHBORS},
-    fit_normals: {"points": POINTS, "neighbors": NEIGHBORS},
+    neighbor_edges: {"neighbors": NEIGHBORS, "order": ROWS},
+    fit_normals: {"points": POINTS, "neighbors": NEIGHBORS, "order": ROWS},
     project: PROJECT,
     splat_depth: SPLAT_DEPTH,
     window_overlaps: WINDOW_OVERLAPS,
