@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from torchjoint.ops import (
+    ascending_order,
     boosted_trees,
     felzenszwalb,
     felzenszwalb_image,
@@ -45,6 +46,7 @@ FELZENSZWALB = {"edge_index": EDGES, "weight": VALUES, "num_nodes": 4, "scale": 
 IMAGES = torch.arange(48.0).view(2, 3, 2, 4) / 48
 POINTS = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]])
 NEIGHBORS = torch.tensor([[1, 2], [0, 2], [0, 1], [1, 2]])
+ROWS = torch.tensor([2, 0, 3, 1], dtype=torch.int32)
 
 EYE = torch.eye(4, dtype=torch.float64)
 PIXELS = torch.tensor([0, 1, 2])
@@ -86,7 +88,7 @@ MERGE_REGIONS = {
     "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
 }  # fmt: skip
 GROUP_SUMMARIES = {
-    "values": POSITIONS, "rank": PIXELS, "ascending": POSITIONS, "group": torch.tensor([0, -1, 1]), "num_groups": 2,
+    "values": POSITIONS, "order": PIXELS.int(), "group": torch.tensor([0, -1, 1]), "num_groups": 2,
     "quantiles": torch.tensor([0.5, 1.0]),
 }  # fmt: skip
 REGION_MERGES = {"edge_index": EDGES, "cost": VALUES, "num_regions": 4, "threshold": 0.5}
@@ -121,8 +123,8 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     felzenszwalb_image: {"images": IMAGES, "boundaries": IMAGES[:, 0], "scale": 1.0},
     min_cut: {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK},
     nearest_neighbors: {"points": POINTS, "count": 2, "num_distances": 1},
-    neighbor_edges: {"neighbors": NEIGHBORS},
-    fit_normals: {"points": POINTS, "neighbors": NEIGHBORS},
+    neighbor_edges: {"neighbors": NEIGHBORS, "order": ROWS},
+    fit_normals: {"points": POINTS, "neighbors": NEIGHBORS, "order": ROWS},
     project: PROJECT,
     splat_depth: SPLAT_DEPTH,
     window_overlaps: WINDOW_OVERLAPS,
@@ -133,6 +135,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     propagate_labels: PROPAGATE_LABELS,
     outvoted_markers: OUTVOTED_MARKERS,
     merge_regions: MERGE_REGIONS,
+    ascending_order: {"values": POSITIONS},
     group_summaries: GROUP_SUMMARIES,
     region_merges: REGION_MERGES,
     mask_merges: MASK_MERGES,

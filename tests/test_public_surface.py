@@ -32,9 +32,10 @@ PUBLIC = {
         save_masks
     """,
     "torchjoint.ops": """
-        boosted_trees felzenszwalb felzenszwalb_image fit_normals group_summaries mask_merges match_pixels merge_regions
-        min_cut nearest_neighbors neighbor_edges outvoted_markers pair_counts parse_numbers project propagate_labels
-        region_merges region_planes segment_graphs splat_depth structured_forest ultrametric_contours window_overlaps
+        ascending_order boosted_trees felzenszwalb felzenszwalb_image fit_normals group_summaries mask_merges
+        match_pixels merge_regions min_cut nearest_neighbors neighbor_edges outvoted_markers pair_counts parse_numbers
+        project propagate_labels region_merges region_planes segment_graphs splat_depth structured_forest
+        ultrametric_contours window_overlaps
     """,
     "torchjoint.metrics": """
         AchievableSegmentationAccuracyMetric AveragePrecision AveragePrecisionObjectsMetric

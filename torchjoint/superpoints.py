@@ -17,7 +17,7 @@ from torchjoint.config import SuperpointsConfig
 from torchjoint.points.edge_weights import geometric_weights, segmentator_turn
 from torchjoint.points.graph import undirected_edges
 from torchjoint.points.mesh import face_edges, vertex_normals
-from torchjoint.points.neighbors import neighbor_tables
+from torchjoint.points.neighbors import neighbor_tables, order_along_space
 from torchjoint.points.normals import estimate_normals
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Scene
@@ -221,12 +221,13 @@ def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, boo
     for_edges = config.neighbors if edges is None else 0
     for_normals = config.normal_neighbors if normals is None else 0
     table, spacing = neighbor_tables(points, (for_edges, for_normals), config.reach)
+    order = order_along_space(points) if table else None
     if normals is None:
-        normals, oriented = estimate_normals(points, table[for_normals]), False
+        normals, oriented = estimate_normals(points, table[for_normals], order), False
         if cloud.viewpoint is not None:
             normals, oriented = _turned_to(cloud.viewpoint, points, normals), True
     if edges is None:
-        edges = undirected_edges(table[for_edges])
+        edges = undirected_edges(table[for_edges], order)
     return edges, normals, oriented, spacing
 
 

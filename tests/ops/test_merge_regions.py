@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 
 import pytest
 import torch
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from torchjoint.ops import merge_regions
 from torchjoint.ops.reference import merge_regions_reference
+from torchjoint.runtime.threads import one_thread_per_operation
 
 
 def edges_of(*pairs: tuple[int, int]) -> Tensor:
@@ -59,6 +61,22 @@ def test_the_twin_with_more_borders_than_there_is_room_for_at_first(levels, thre
     got = merge_regions(edges, cost, size, threshold, min_size)
     assert got.tolist() == merge_regions_reference(edges, cost, size, threshold, min_size).tolist()
     assert 1 < got.max() < 59
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_separate_graphs_do_not_touch_one_another(threads):
+    """So many edges that they are merged in several pieces of work, whose regions alternate in memory."""
+    copies, levels = 40, 50
+    edges, size = random_regions(seed=3, num_regions=60, num_edges=1000)
+    cost = torch.randint(levels, (1000,), generator=torch.Generator().manual_seed(2)) / (levels - 1)
+    expected = merge_regions_reference(edges, cost, size, 0.1, 4)
+    assert 2 < expected.max() < 30
+    many = torch.cat([edges * copies + copy for copy in range(copies)], 1)
+    with one_thread_per_operation() if threads == 1 else nullcontext():
+        got = merge_regions(many, cost.repeat(copies), size.repeat_interleave(copies), 0.1, 4).view(60, copies)
+    for copy in range(copies):
+        _, numbered = torch.unique(got[:, copy], return_inverse=True)  # in each copy, first regions ascend alike
+        assert numbered.tolist() == expected.tolist()
 
 
 @settings(max_examples=100, derandomize=True)  # costs hardly ever tie, but they may

@@ -32,6 +32,7 @@ from operator_arguments import (
     PROPAGATE_LABELS,
     REGION_MERGES,
     REGION_PLANES,
+    ROWS,
     SINK,
     SOURCE,
     STRUCTURED_FOREST,
@@ -40,6 +41,7 @@ from operator_arguments import (
 )
 
 from torchjoint.ops import (
+    ascending_order,
     boosted_trees,
     felzenszwalb,
     felzenszwalb_image,
@@ -142,9 +144,18 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (neighbor_edges, {"neighbors": changed(NEIGHBORS, 4, 2, 1)}, ValueError, "numbers in [0, 4), got 4 in row 2"),
     (neighbor_edges, {"neighbors": changed(NEIGHBORS, -1, 0, 0).int()}, ValueError, "in [0, 4), got -1 in row 0"),
     (neighbor_edges, {"neighbors": changed(NEIGHBORS, 2**40, 3, 0)}, ValueError, f"got {2**40} in row 3"),
+    (neighbor_edges, {"order": ROWS.long()}, TypeError, "order: expected dtype torch.int32, got torch.int64"),
+    (neighbor_edges, {"order": ROWS[:3]}, ValueError, "order: expected shape [N] = [4], got [3]"),
+    (neighbor_edges, {"order": changed(ROWS, 4, 2)}, ValueError, "order: expected numbers in [0, 4), got 4 at 2"),
+    (fit_normals, {"order": changed(ROWS, 2, 3)}, ValueError, "order: expected a permutation, got 2 again at 3"),
     (fit_normals, {"points": POINTS.long()}, TypeError, "points: expected dtype torch.float32 or torch.float64, got"),
     (fit_normals, {"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [4, 2]"),
-    (fit_normals, {"points": POINTS[:3]}, ValueError, "neighbors: expected shape [N, K] = [3, K], got [4, 2]"),
+    (
+        fit_normals,
+        {"points": POINTS[:3], "order": None},
+        ValueError,
+        "neighbors: expected shape [N, K] = [3, K], got [4, 2]",
+    ),
     (fit_normals, {"neighbors": NEIGHBORS.short()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
     (fit_normals, {"neighbors": changed(NEIGHBORS, 4, 1, 0)}, ValueError, "numbers in [0, 4), got 4 in row 1"),
     (project, {"points": [[0, 0, 1]]}, TypeError, "points: expected a torch.Tensor, got list"),
@@ -318,16 +329,13 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (region_merges, {"threshold": -0.1}, ValueError, "threshold: expected a number >= 0, got -0.1"),
     (region_merges, {"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
     (group_summaries, {"values": POSITIONS.double()}, TypeError, "values: expected dtype torch.float32, got"),
-    (group_summaries, {"rank": PIXELS[:2]}, ValueError, "rank: expected shape [C] = [3], got [2]"),
-    (group_summaries, {"rank": PIXELS + 1}, ValueError, "rank: expected numbers in [0, 3), got 3 at 2"),
-    (group_summaries, {"rank": PIXELS * 0}, ValueError, "rank: expected a permutation, got 0 again at 2"),
-    (group_summaries, {"ascending": POSITIONS + 1}, ValueError, "ascending: expected the value of each rank"),
-    (
-        group_summaries,
-        {"values": POSITIONS.flip(0), "ascending": POSITIONS.flip(0)},
-        ValueError,
-        "ascending: expected ascending numbers, got a smaller one at 2",
-    ),
+    (ascending_order, {"values": POSITIONS.double()}, TypeError, "values: expected dtype torch.float32, got"),
+    (ascending_order, {"values": POSITIONS[None]}, ValueError, "values: expected shape [C], got [1, 3]"),
+    (group_summaries, {"order": PIXELS[:2].int()}, ValueError, "order: expected shape [C] = [3], got [2]"),
+    (group_summaries, {"order": PIXELS}, TypeError, "order: expected dtype torch.int32, got torch.int64"),
+    (group_summaries, {"order": PIXELS.int() + 1}, ValueError, "order: expected numbers in [0, 3), got 3 at 2"),
+    (group_summaries, {"order": PIXELS.int() * 0}, ValueError, "order: expected a permutation, got 0 again at 1"),
+    (group_summaries, {"order": PIXELS.int().flip(0)}, ValueError, "ascending values, got a smaller one at 2"),
     (group_summaries, {"group": PIXELS - 2}, ValueError, "group: expected numbers in [0, 2), got -2 at 0"),
     (group_summaries, {"group": PIXELS + 1}, ValueError, "group: expected numbers in [0, 2), got 2 at 1"),
     (group_summaries, {"num_groups": -1}, ValueError, "num_groups: expected a number >= 0, got -1"),
@@ -528,7 +536,8 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (region_merges, {"num_regions": -1}),
         (region_merges, {"threshold": NAN}),
         (group_summaries, {"values": EDGES}),
-        (group_summaries, {"ascending": POSITIONS[:2]}),
+        (group_summaries, {"order": PIXELS[:2].int()}),
+        (ascending_order, {"values": EDGES}),
         (group_summaries, {"num_groups": -1}),
         (group_summaries, {"quantiles": EYE}),
         (region_planes, {"points": POINTS[:, :2]}),
@@ -757,11 +766,10 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
         return lambda: mask_merges(edges, cost, rows[2], rows, rows, weight, frame_of_mask, 0.6, 0.1, 0.5)
     if op is group_summaries:
         values = torch.rand(int(3_000_000 * share), generator=torch.Generator().manual_seed(0))
-        ascending, order = values.sort()
-        rank = torch.empty_like(order)
-        rank[order] = torch.arange(len(order))
-        group = torch.arange(len(values)) % 1000
-        return lambda: group_summaries(values, rank, ascending, group, 1000, torch.tensor([0.5]))
+        order, group = ascending_order(values), torch.arange(len(values)) % 1000
+        return lambda: group_summaries(values, order, group, 1000, torch.tensor([0.5]))
+    if op is ascending_order:
+        return lambda: ascending_order(torch.arange(int(3_000_000 * share)).float())
     if op is region_merges:
         edges, cost = large_graph(int(100_000 * share))
         return lambda: region_merges(edges, cost, len(cost), 0.4)

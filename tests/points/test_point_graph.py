@@ -11,7 +11,7 @@ from torchjoint.config import PointGraphConfig
 from torchjoint.ops.reference import fit_normals_reference, neighbor_edges_reference
 from torchjoint.points.edge_weights import geometric_weights
 from torchjoint.points.graph import undirected_edges
-from torchjoint.points.neighbors import nearest_neighbors
+from torchjoint.points.neighbors import nearest_neighbors, order_along_space
 from torchjoint.points.normals import angle_between, estimate_normals
 
 
@@ -145,7 +145,7 @@ def test_degenerate_neighbourhoods():
     assert ops.fit_normals(tiny, everyone).tolist() == [[1.0, 0.0, 0.0]] * 3
 
 
-def test_neighbours_normals_and_edges_do_not_depend_on_threads(set_threads):
+def test_neighbours_normals_and_edges_do_not_depend_on_threads_or_order(set_threads):
     points = random_points(5000) ** 3
     results = []
     for threads in (1, 2, 5):
@@ -153,8 +153,19 @@ def test_neighbours_normals_and_edges_do_not_depend_on_threads(set_threads):
         neighbors = nearest_neighbors(points, 12)
         indices = neighbors.indices
         results.append((*neighbors, ops.fit_normals(points, indices), ops.neighbor_edges(indices)))
+    order = torch.randperm(5000, generator=torch.Generator().manual_seed(0)).int()
+    results.append((*neighbors, ops.fit_normals(points, indices, order), ops.neighbor_edges(indices, order)))
     for other in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+
+@pytest.mark.parametrize("extent", [1.0, 1e-30, 1e30, 0.0])
+def test_the_order_along_space_is_one_of_cells(extent, monkeypatch):
+    monkeypatch.setattr("torchjoint.points.neighbors.ORDERED", 2)
+    points = torch.cartesian_prod(*[torch.tensor([0.1, 0.9])] * 3)[:, [2, 1, 0]]  # x changes first
+    shuffled = torch.randperm(8, generator=torch.Generator().manual_seed(0))
+    order = order_along_space(extent * points[shuffled])
+    assert shuffled[order.long()].tolist() == (list(range(8)) if extent else shuffled.tolist())
 
 
 def test_points_are_asked_for_in_pieces(monkeypatch):

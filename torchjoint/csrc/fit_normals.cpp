@@ -16,9 +16,11 @@ bool scatter(const Value* points, int64_t num_points, int64_t i, const Index* ro
 }
 
 template <typename Value, typename Index>
-void fit(const Value* points, const Index* neighbors, int64_t num_points, int64_t row_length, float* normals) {
+void fit(const Value* points, const Index* neighbors, const RowOrder& order, int64_t num_points, int64_t row_length,
+         float* normals) {
   for_blocks_of_rows(neighbors, num_points, row_length, [&](int64_t, int64_t first, int64_t last) {
-    for (int64_t i = first; i < last; ++i) {
+    for (int64_t place = first; place < last; ++place) {
+      const int64_t i = order.row(place);
       Scatter sums;
       if (!scatter(points, num_points, i, neighbors + i * row_length, row_length, sums)) return false;
       const Vector n = row_length < 2 ? kUp : upper(smallest_eigenvector(sums.covariance()));
@@ -30,17 +32,18 @@ void fit(const Value* points, const Index* neighbors, int64_t num_points, int64_
   });
 }
 
-Tensor fit_normals(const Tensor& points, const Tensor& neighbors) {
+Tensor fit_normals(const Tensor& points, const Tensor& neighbors, const std::optional<Tensor>& order) {
   check(points.is_cpu(), "points: expected a CPU tensor");
   check(is_floating(points), "points: expected dtype torch.float32 or torch.float64");
   check(points.dim() == 2 && points.size(1) == 3, "points: expected shape [N, 3]");
   const Tensor table = checked_neighbors(neighbors);
   check(table.size(0) == points.size(0), "neighbors: expected shape [", points.size(0), ", K]");
+  const RowOrder rows(order, points.size(0));
   const Tensor coordinates = torch::stable::contiguous(points);
   Tensor normals = torch::stable::new_empty(coordinates, {points.size(0), 3}, ScalarType::Float);
   with_values(coordinates, [&](const auto* values) {
     with_indices(table, [&](const auto* indices) {
-      fit(values, indices, table.size(0), table.size(1), normals.mutable_data_ptr<float>());
+      fit(values, indices, rows, table.size(0), table.size(1), normals.mutable_data_ptr<float>());
     });
   });
   return normals;
@@ -49,7 +52,7 @@ Tensor fit_normals(const Tensor& points, const Tensor& neighbors) {
 }  // namespace
 
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("fit_normals(Tensor points, Tensor neighbors) -> Tensor");
+  m.def("fit_normals(Tensor points, Tensor neighbors, Tensor? order=None) -> Tensor");
 }
 
 STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {

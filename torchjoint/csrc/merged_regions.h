@@ -16,16 +16,21 @@ namespace torchjoint {
 constexpr double kUnit = 1 << 20;
 constexpr float kLargestCost = 1 << 10;
 
+// The cost of edge e as a whole number; checks the edge.
+inline double checked_cost(const int64_t* edges, const float* cost, int64_t num_edges, int64_t num_regions, int64_t e) {
+  check_node(edges[e], num_regions, e);
+  check_node(edges[num_edges + e], num_regions, e);
+  check(cost[e] >= 0 && cost[e] <= kLargestCost, "cost: expected numbers in [0, ", kLargestCost, "], got ", cost[e],
+        " at edge ", e);
+  return std::nearbyint(cost[e] * kUnit);
+}
+
 inline RegionAdjacencyGraph boundaries_of(const int64_t* edges, const float* cost, int64_t num_edges, int64_t num_regions) {
   RegionAdjacencyGraph graph(num_regions, num_edges);
   for (int64_t e = 0; e < num_edges; ++e) {
+    const double whole = checked_cost(edges, cost, num_edges, num_regions, e);
     const int64_t a = edges[e], b = edges[num_edges + e];
-    check_node(a, num_regions, e);
-    check_node(b, num_regions, e);
-    check(cost[e] >= 0 && cost[e] <= kLargestCost, "cost: expected numbers in [0, ", kLargestCost, "], got ", cost[e],
-          " at edge ", e);
-    if (a == b) continue;
-    graph.add(static_cast<int32_t>(a), static_cast<int32_t>(b), std::nearbyint(cost[e] * kUnit));
+    if (a != b) graph.add(static_cast<int32_t>(a), static_cast<int32_t>(b), whole);
   }
   return graph;
 }

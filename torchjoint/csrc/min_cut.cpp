@@ -323,31 +323,37 @@ double largest_capacity(const Value* capacity, int64_t num_edges) {
   return largest;
 }
 
-std::vector<double> read_terminal(const Tensor& terminal, int64_t num_nodes, const char* name) {
-  std::vector<double> result(num_nodes);
-  with_values(terminal, [&](const auto* values) { std::copy_n(values, num_nodes, result.begin()); });
+// Excess from each node's sink minus drain to its source (the problem is solved backwards, see the top). It is limited to
+// kDecisive, because a terminal never needs more capacity than all edges together.
+template <typename Source, typename Sink>
+std::vector<int64_t> terminal_balances(const Source* source, const Sink* sink, int64_t num_nodes,
+                                       const Quantiser& quantise) {
+  std::vector<int64_t> balance(num_nodes, 0);
   for (int64_t i = 0; i < num_nodes; ++i) {
-    if (!(result[i] >= 0)) [[unlikely]] fail(name, ": expected numbers >= 0, got ", result[i], " at node ", i);
+    if (source[i] == 0 && sink[i] == 0) continue;  // most nodes
+    const double from = source[i], to = sink[i];
+    check(from >= 0, "source_capacity: expected numbers >= 0, got ", from, " at node ", i);
+    check(to >= 0, "sink_capacity: expected numbers >= 0, got ", to, " at node ", i);
+    check(std::isfinite(from) || std::isfinite(to), "source_capacity and sink_capacity: both are infinite at node ", i,
+          ", so no cut is finite");
+    const int64_t magnitude = quantise(std::abs(to - from), kDecisive);
+    balance[i] = to > from ? magnitude : -magnitude;
   }
-  return result;
-}
-
-// Excess from the caller's sink minus drain to the caller's source (the problem is solved backwards, see the top). It
-// is limited to kDecisive, because a terminal never needs more capacity than all edges together.
-int64_t terminal_balance(double source, double sink, const Quantiser& quantise) {
-  const double difference = sink - source;
-  const int64_t magnitude = quantise(std::abs(difference), kDecisive);
-  return difference > 0 ? magnitude : -magnitude;
+  return balance;
 }
 
 template <typename Value>
-double cut_capacity(const int64_t* edge_index, const Value* capacity, int64_t num_edges, const bool* source_side,
-                    const std::vector<double>& source, const std::vector<double>& sink) {
+double cut_edges(const int64_t* edge_index, const Value* capacity, int64_t num_edges, const bool* source_side) {
   double sum = 0;
   for (int64_t e = 0; e < num_edges; ++e) {
     if (source_side[edge_index[e]] != source_side[edge_index[num_edges + e]]) sum += capacity[e];
   }
-  for (size_t i = 0; i < source.size(); ++i) sum += source_side[i] ? sink[i] : source[i];
+  return sum;
+}
+
+template <typename Source, typename Sink>
+double cut_terminals(const Source* source, const Sink* sink, int64_t num_nodes, const bool* source_side, double sum) {
+  for (int64_t i = 0; i < num_nodes; ++i) sum += source_side[i] ? double{sink[i]} : double{source[i]};
   return sum;
 }
 
@@ -360,14 +366,13 @@ std::tuple<Tensor, Tensor> min_cut(
   check(source_capacity.dim() == 1, "source_capacity: expected shape [N]");
   const int64_t num_nodes = source_capacity.size(0);
   check(num_nodes < kMaxCount - 1, "source_capacity: expected fewer than 2^31 - 2 nodes, got ", num_nodes);
-  const auto source =
-      read_terminal(checked_values(source_capacity, num_nodes, "source_capacity"), num_nodes, "source_capacity");
-  const auto sink =
-      read_terminal(checked_values(sink_capacity, num_nodes, "sink_capacity"), num_nodes, "sink_capacity");
-  for (int64_t i = 0; i < num_nodes; ++i) {
-    check(std::isfinite(source[i]) || std::isfinite(sink[i]),
-          "source_capacity and sink_capacity: both are infinite at node ", i, ", so no cut is finite");
-  }
+  const Tensor sources = checked_values(source_capacity, num_nodes, "source_capacity");
+  const Tensor sinks = checked_values(sink_capacity, num_nodes, "sink_capacity");
+  const auto with_terminals = [&](const auto& function) {
+    return with_values(sources, [&](const auto* source) {
+      return with_values(sinks, [&](const auto* sink) { return function(source, sink); });
+    });
+  };
 
   const int64_t* index = edges.const_data_ptr<int64_t>();
   Tensor side = torch::stable::new_empty(edges, {num_nodes}, ScalarType::Bool);
@@ -376,9 +381,8 @@ std::tuple<Tensor, Tensor> min_cut(
 
   with_values(capacities, [&](const auto* values) {
     const Quantiser quantise(largest_capacity(values, num_edges), num_edges);
-    std::vector<int64_t> balance(num_nodes);
-    for (int64_t i = 0; i < num_nodes; ++i) balance[i] = terminal_balance(source[i], sink[i], quantise);
-    Preflow preflow(balance);
+    Preflow preflow(with_terminals(
+        [&](const auto* source, const auto* sink) { return terminal_balances(source, sink, num_nodes, quantise); }));
     for (int64_t e = 0; e < num_edges; ++e) {
       const int64_t u = index[e], v = index[num_edges + e];
       check_node(u, num_nodes, e);
@@ -391,7 +395,10 @@ std::tuple<Tensor, Tensor> min_cut(
     }
     preflow.solve();
     for (int64_t i = 0; i < num_nodes; ++i) source_side[i] = preflow.can_drain(i);
-    *flow.mutable_data_ptr<double>() = cut_capacity(index, values, num_edges, source_side, source, sink);
+    const double cut = cut_edges(index, values, num_edges, source_side);
+    *flow.mutable_data_ptr<double>() = with_terminals([&](const auto* source, const auto* sink) {
+      return cut_terminals(source, sink, num_nodes, source_side, cut);
+    });
   });
   return {side, flow};
 }

@@ -1,6 +1,7 @@
 // The undirected edges of a table of neighbours; each edge once.
 #include "neighbors.h"
 
+#include <bit>
 #include <numeric>
 
 namespace torchjoint {
@@ -9,18 +10,20 @@ namespace {
 template <typename Index>
 class EdgeList {
  public:
-  EdgeList(const Index* neighbors, int64_t num_rows, int64_t row_length)
-      : neighbors_(neighbors), num_rows_(num_rows), row_length_(row_length), words_((row_length + 63) / 64),
+  EdgeList(const Index* neighbors, const RowOrder& order, int64_t num_rows, int64_t row_length)
+      : neighbors_(neighbors), order_(order), num_rows_(num_rows), row_length_(row_length), words_((row_length + 63) / 64),
         kept_(num_rows * words_), start_(num_blocks(num_rows) + 1) {}
 
-  // First the threads mark and count the edges of their rows; the counts then tell each thread where to write.
+  // First the threads mark the edges of their rows, in any order; their numbers then tell each thread where to write.
   int64_t mark() {
-    for_blocks_of_rows(neighbors_, num_rows_, row_length_, [&](int64_t block, int64_t first, int64_t last) {
-      for (int64_t i = first; i < last; ++i) {
-        const int64_t count = mark_row(i);
-        if (count < 0) return false;
-        start_[block + 1] += count;
+    for_blocks_of_rows(neighbors_, num_rows_, row_length_, [&](int64_t, int64_t first, int64_t last) {
+      for (int64_t place = first; place < last; ++place) {
+        if (!mark_row(order_.row(place))) return false;
       }
+      return true;
+    });
+    for_blocks_of_rows(neighbors_, num_rows_, row_length_, [&](int64_t block, int64_t first, int64_t last) {
+      for (int64_t word = first * words_; word < last * words_; ++word) start_[block + 1] += std::popcount(kept_[word]);
       return true;
     });
     std::partial_sum(start_.begin(), start_.end(), start_.begin());
@@ -43,19 +46,17 @@ class EdgeList {
   }
 
  private:
-  // The number of edges that occur first in row i; -1 if one of the row's numbers is outside [0, N).
-  int64_t mark_row(int64_t i) {
+  // Marks the edges that occur first in row i; returns false if one of the row's numbers is outside [0, N).
+  bool mark_row(int64_t i) {
     const Index* row = neighbors_ + i * row_length_;
-    int64_t count = 0;
     for (int64_t k = 0; k < row_length_; ++k) {
       const int64_t j = row[k];
-      if (static_cast<uint64_t>(j) >= static_cast<uint64_t>(num_rows_)) return -1;
+      if (static_cast<uint64_t>(j) >= static_cast<uint64_t>(num_rows_)) return false;
       // An edge to an earlier row already occurred there if that row contains i. A self loop is no edge.
       if (j == i || (j < i && names(j, i))) continue;
       kept_[i * words_ + k / 64] |= uint64_t{1} << (k % 64);
-      ++count;
     }
-    return count;
+    return true;
   }
 
   bool names(int64_t row, int64_t node) const {
@@ -66,15 +67,17 @@ class EdgeList {
   }
 
   const Index* neighbors_;
+  const RowOrder& order_;
   int64_t num_rows_, row_length_, words_;
   std::vector<uint64_t> kept_;  // one bit per entry of the table
   std::vector<int64_t> start_;  // of each block's edges
 };
 
-Tensor neighbor_edges(const Tensor& neighbors) {
+Tensor neighbor_edges(const Tensor& neighbors, const std::optional<Tensor>& order) {
   const Tensor table = checked_neighbors(neighbors);
+  const RowOrder rows(order, table.size(0));
   return with_indices(table, [&](const auto* indices) {
-    EdgeList edges(indices, table.size(0), table.size(1));
+    EdgeList edges(indices, rows, table.size(0), table.size(1));
     const int64_t num_edges = edges.mark();
     Tensor edge_index = torch::stable::new_empty(table, {2, num_edges}, ScalarType::Long);
     int64_t* smaller = edge_index.mutable_data_ptr<int64_t>();
@@ -86,7 +89,7 @@ Tensor neighbor_edges(const Tensor& neighbors) {
 }  // namespace
 
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("neighbor_edges(Tensor neighbors) -> Tensor");
+  m.def("neighbor_edges(Tensor neighbors, Tensor? order=None) -> Tensor");
 }
 
 STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {

@@ -5,10 +5,11 @@
 #include "array.h"
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cstdint>
 #include <functional>
-#include <queue>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -76,6 +77,54 @@ class NumberMap {
   Array<Slot> slots_{0};  // at random places: in huge pages, if they are many
 };
 
+// Boundaries that wait for their merge, by mean and number; the lowest comes first. Means hardly ever fall below that of
+// the last one, so only a few waiting ones must be in order: the others lie in buckets, by the first bits of their means.
+class MergeQueue {
+ public:
+  MergeQueue() { first_.fill(kNone); }
+
+  void push(double mean, int32_t number) {
+    const uint32_t bucket = std::bit_cast<uint32_t>(static_cast<float>(mean)) >> kShift;  // ascends with the mean >= 0
+    if (bucket < open_) {
+      near_.emplace_back(mean, number);
+      std::push_heap(near_.begin(), near_.end(), std::greater<>());
+    } else {
+      far_.push_back({mean, number, std::exchange(first_[bucket], static_cast<int32_t>(far_.size()))});
+    }
+  }
+
+  bool empty() {
+    while (near_.empty() && open_ < kBuckets) {
+      for (int32_t i = first_[open_]; i != kNone; i = far_[i].next) near_.emplace_back(far_[i].mean, far_[i].number);
+      ++open_;
+      std::make_heap(near_.begin(), near_.end(), std::greater<>());
+    }
+    return near_.empty();
+  }
+
+  // The lowest mean and its number; only if the queue is not empty.
+  std::pair<double, int32_t> pop() {
+    std::pop_heap(near_.begin(), near_.end(), std::greater<>());
+    const std::pair<double, int32_t> lowest = near_.back();
+    near_.pop_back();
+    return lowest;
+  }
+
+ private:
+  static constexpr int kShift = 18;  // 32 buckets for each power of two
+  static constexpr uint32_t kBuckets = 1u << (31 - kShift);
+
+  struct Far {
+    double mean;
+    int32_t number, next;  // in the bucket
+  };
+
+  std::array<int32_t, kBuckets> first_;  // of each bucket, in far_
+  std::vector<Far> far_;
+  std::vector<std::pair<double, int32_t>> near_;  // a heap of all those in buckets below the open one
+  uint32_t open_ = 0;
+};
+
 // Of boundaries with equal means the one with the lowest number is merged first. Boundaries are numbered in the order
 // in which they are added; a joined boundary keeps the lower number. Costs must be whole numbers with sums below 2^53:
 // then sums are exact and do not depend on the order.
@@ -105,20 +154,30 @@ class RegionAdjacencyGraph {
   template <typename MayMerge, typename OnMerge>
   void merge_weakest(const MayMerge& may_merge, const OnMerge& on_merge) {
     if (is_gone_.empty()) list_borders();
-    std::vector<Waiting> may;
+    MergeQueue waiting;
+    constexpr double kNever = std::numeric_limits<double>::infinity();
+    Array<double> turn(borders_.size());  // with which mean each boundary waits
+    const auto wait = [&](int32_t number) {
+      turn[number] = borders_[number].mean();
+      waiting.push(turn[number], number);
+    };
     for (size_t number = 0; number < borders_.size(); ++number) {
-      if (!is_gone_[number] && may_merge(borders_[number])) {
-        may.emplace_back(borders_[number].mean(), static_cast<int32_t>(number));
-      }
+      turn[number] = kNever;
+      if (!is_gone_[number] && may_merge(borders_[number])) wait(static_cast<int32_t>(number));
     }
-    Queue waiting(std::greater<>(), std::move(may));
+    // A mean that has risen is not too late when its old turn comes: most change again before.
     const auto on_join = [&](int32_t number) {
-      if (may_merge(borders_[number])) waiting.emplace(borders_[number].mean(), number);
+      if (borders_[number].mean() < turn[number] && may_merge(borders_[number])) wait(number);
     };
     while (!waiting.empty()) {
-      const auto [mean, number] = waiting.top();
-      waiting.pop();
-      if (is_gone_[number] || mean != borders_[number].mean() || !may_merge(borders_[number])) continue;
+      const auto [mean, number] = waiting.pop();
+      if (is_gone_[number] || mean != turn[number]) continue;  // its turn has come before
+      turn[number] = kNever;
+      if (!may_merge(borders_[number])) continue;
+      if (mean != borders_[number].mean()) {
+        wait(number);
+        continue;
+      }
       on_merge(number);
       is_gone_[number] = true;
       merge(borders_[number].region[0], borders_[number].region[1], on_join);
@@ -132,9 +191,6 @@ class RegionAdjacencyGraph {
   }
 
  private:
-  using Waiting = std::pair<double, int32_t>;  // mean and number; outdated if the mean has changed since
-  using Queue = std::priority_queue<Waiting, std::vector<Waiting>, std::greater<>>;
-
   static uint64_t key(int32_t a, int32_t b) {
     return static_cast<uint64_t>(std::min(a, b)) << 32 | static_cast<uint64_t>(std::max(a, b));
   }

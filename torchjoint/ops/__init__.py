@@ -5,6 +5,7 @@ Slow and simple Python versions are in :mod:`torchjoint.ops.reference`.
 """
 
 from torchjoint.ops import _extension  # noqa: F401  must come first: it registers the operators
+from torchjoint.ops.ascending_order import ascending_order
 from torchjoint.ops.boosted_trees import boosted_trees
 from torchjoint.ops.felzenszwalb import felzenszwalb
 from torchjoint.ops.felzenszwalb_image import felzenszwalb_image
@@ -30,6 +31,7 @@ from torchjoint.ops.ultrametric_contours import ultrametric_contours
 from torchjoint.ops.window_overlaps import window_overlaps
 
 __all__ = [
+    "ascending_order",
     "boosted_trees",
     "felzenszwalb",
     "felzenszwalb_image",

@@ -69,3 +69,9 @@ def check_neighbors(neighbors: object, length: int | None) -> None:
     if neighbors.dim() != 2 or (length is not None and neighbors.shape[0] != length):
         expected = "[N, K]" if length is None else f"[N, K] = [{length}, K]"
         raise ValueError(f"neighbors: expected shape {expected}, got {list(neighbors.shape)}")
+
+
+def check_order(order: Tensor | None, length: int) -> None:
+    """Raise unless ``order`` is an int32 CPU tensor ``[length]``, or None."""
+    if order is not None:
+        check_array("order", order, torch.int32, (length,), f"[N] = [{length}]")

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops._call import call
-from torchjoint.ops._checks import FLOATING, check_neighbors, check_tensor
+from torchjoint.ops._checks import FLOATING, check_neighbors, check_order, check_tensor
 
 
-def fit_normals(points: Tensor, neighbors: Tensor) -> Tensor:
+def fit_normals(points: Tensor, neighbors: Tensor, order: Tensor | None = None) -> Tensor:
     """Fit a plane to each point and its neighbours, and return its normal.
 
     The normal is the eigenvector for the smallest eigenvalue of the points' covariance. Covariances are computed in
@@ -22,6 +22,9 @@ def fit_normals(points: Tensor, neighbors: Tensor) -> Tensor:
     Args:
         points: ``[N, 3]`` float32 or float64, finite.
         neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point, without the point itself.
+        order: ``[N]`` int32, a permutation: the order in which the rows are worked on, which changes no result. For a
+            large cloud in no order, one along space (:func:`ascending_order` of its cells) is much faster. Default: 0,
+            1, ...
 
     Returns:
         ``[N, 3]`` float32, unit length. Runs on torch's threads; the result does not depend on the number of threads.
@@ -29,7 +32,7 @@ def fit_normals(points: Tensor, neighbors: Tensor) -> Tensor:
 
     Raises:
         TypeError: an argument of the wrong type or dtype.
-        ValueError: a wrong shape or device, a neighbour outside [0, N).
+        ValueError: a wrong shape or device, a neighbour outside [0, N), an order that is no permutation.
 
     Example:
         >>> import torch
@@ -43,9 +46,10 @@ def fit_normals(points: Tensor, neighbors: Tensor) -> Tensor:
     if points.dim() != 2 or points.shape[1] != 3:
         raise ValueError(f"points: expected shape [N, 3], got {list(points.shape)}")
     check_neighbors(neighbors, points.shape[0])
-    return cast(Tensor, call(torch.ops.torchjoint.fit_normals.default, points.detach(), neighbors))
+    check_order(order, points.shape[0])
+    return cast(Tensor, call(torch.ops.torchjoint.fit_normals.default, points.detach(), neighbors, order))
 
 
 @torch.library.register_fake("torchjoint::fit_normals")
-def _fake(points: Tensor, neighbors: Tensor) -> Tensor:
+def _fake(points: Tensor, neighbors: Tensor, order: Tensor | None = None) -> Tensor:
     return points.new_empty((points.shape[0], 3), dtype=torch.float32)

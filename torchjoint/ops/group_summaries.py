@@ -11,18 +11,17 @@ from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_number
 
 
-def group_summaries(
-    values: Tensor, rank: Tensor, ascending: Tensor, group: Tensor, num_groups: int, quantiles: Tensor
-) -> Tensor:
+def group_summaries(values: Tensor, order: Tensor, group: Tensor, num_groups: int, quantiles: Tensor) -> Tensor:
     """Compute the mean and quantiles of the values in each group; values that are not finite do not count.
 
-    The values are ranked beforehand, once for many groupings. The running time is then linear. A quantile q of n values
-    is the value at place (n - 1) q in ascending order, computed in float32 and rounded half to even.
+    The values are put in order beforehand, once for many groupings. The running time is then linear. A
+    quantile q of n values is the value at place (n - 1) q in ascending order, computed in float32 and rounded half to
+    even.
 
     Args:
         values: ``[C]`` float32.
-        rank: ``[C]`` int64, a permutation: the place of each value in ``ascending``.
-        ascending: ``[C]`` float32, the values in ascending order, with those that are not finite anywhere.
+        order: ``[C]`` int32, a permutation: the places of the values in ascending order, those of values that are not
+            finite anywhere; see :func:`ascending_order`.
         group: ``[C]`` int64, the group of each value, 0 ... G - 1, or -1 = none.
         num_groups: G.
         quantiles: ``[Q]`` float32 in [0, 1].
@@ -33,22 +32,21 @@ def group_summaries(
 
     Raises:
         TypeError: an argument of the wrong type or dtype.
-        ValueError: a wrong shape or device, a rank, group or quantile out of range, ranks that are no permutation, or
-            not those of `ascending`.
+        ValueError: a wrong shape or device, a place, group or quantile out of range, or an order that is no
+            permutation, or not ascending.
 
     Example:
         >>> import torch
+        >>> from torchjoint.ops import ascending_order
         >>> values, group = torch.tensor([5.0, 1.0, 3.0, 7.0]), torch.tensor([0, 0, 0, 1])
-        >>> ascending, order = values.sort()
-        >>> group_summaries(values, order.argsort(), ascending, group, 2, torch.tensor([0.5, 1.0]))
+        >>> group_summaries(values, ascending_order(values), group, 2, torch.tensor([0.5, 1.0]))
         tensor([[3., 3., 5.],
                 [7., 7., 7.]], dtype=torch.float64)
     """
     check_array("values", values, torch.float32, (None,), "[C]")
     count = values.shape[0]
     for name, value, dtype in (
-        ("rank", rank, torch.int64),
-        ("ascending", ascending, torch.float32),
+        ("order", order, torch.int32),
         ("group", group, torch.int64),
     ):
         check_array(name, value, dtype, (count,), f"[C] = [{count}]")
@@ -57,8 +55,7 @@ def group_summaries(
     result = call(
         torch.ops.torchjoint.group_summaries.default,
         values.detach(),
-        rank,
-        ascending.detach(),
+        order,
         group,
         num_groups,
         quantiles.detach(),
@@ -67,5 +64,5 @@ def group_summaries(
 
 
 @torch.library.register_fake("torchjoint::group_summaries")
-def _fake(values: Tensor, rank: Tensor, ascending: Tensor, group: Tensor, num_groups: int, quantiles: Tensor) -> Tensor:
+def _fake(values: Tensor, order: Tensor, group: Tensor, num_groups: int, quantiles: Tensor) -> Tensor:
     return values.new_empty(num_groups, 1 + quantiles.shape[0], dtype=torch.float64)

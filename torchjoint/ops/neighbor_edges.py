@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops._call import call
-from torchjoint.ops._checks import check_neighbors
+from torchjoint.ops._checks import check_neighbors, check_order
 
 
-def neighbor_edges(neighbors: Tensor) -> Tensor:
+def neighbor_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
     """Make a table of neighbours symmetric: i and j have an edge if one is in the other's row; each edge once, i < j.
 
     The edges have the order of their first occurrence in the table. A row that contains its own point gives no edge. A
@@ -19,13 +19,16 @@ def neighbor_edges(neighbors: Tensor) -> Tensor:
 
     Args:
         neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point.
+        order: ``[N]`` int32, a permutation: the order in which the rows are worked on, which changes no result. For a
+            large cloud in no order, one along space (:func:`ascending_order` of its cells) is much faster. Default: 0,
+            1, ...
 
     Returns:
         ``[2, E]`` int64. Runs on torch's threads; the result does not depend on the number of threads.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.
-        ValueError: a wrong shape or device, a neighbour outside [0, N).
+        ValueError: a wrong shape or device, a neighbour outside [0, N), an order that is no permutation.
 
     Example:
         >>> import torch
@@ -34,10 +37,11 @@ def neighbor_edges(neighbors: Tensor) -> Tensor:
                 [1, 2]])
     """
     check_neighbors(neighbors, None)
-    return cast(Tensor, call(torch.ops.torchjoint.neighbor_edges.default, neighbors))
+    check_order(order, neighbors.shape[0])
+    return cast(Tensor, call(torch.ops.torchjoint.neighbor_edges.default, neighbors, order))
 
 
 @torch.library.register_fake("torchjoint::neighbor_edges")
-def _fake(neighbors: Tensor) -> Tensor:
+def _fake(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
     num_edges = torch.library.get_ctx().new_dynamic_size()
     return neighbors.new_empty((2, num_edges), dtype=torch.int64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -18,19 +19,21 @@ EDGES = 1 << 16
 #: w_theta of eq. 3, per radian. Only the ratios of the weights and of k to each other count, so one weight can be 1.
 ANGLE_WEIGHT = 1.0
 
+#: Gives the step p_j - p_i [E, 3] along edges: its rows are far apart in memory, so it is made only where it counts.
+Step = Callable[[], Tensor]
 #: Measures how much a surface turns along an edge: a function of the normals at both ends [E, 3], whether both are
-#: oriented [E], and the step p_j - p_i [E, 3]; returns [E].
-Turn = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
+#: oriented [E], and the step; returns [E].
+Turn = Callable[[Tensor, Tensor, Tensor, Step], Tensor]
 
 
 def discounted_angle(convex_factor: float) -> Turn:
     """The turn theta, multiplied by `convex_factor` where the normals are oriented and the surface is convex."""
 
-    def turn(first: Tensor, second: Tensor, oriented: Tensor, step: Tensor) -> Tensor:
+    def turn(first: Tensor, second: Tensor, oriented: Tensor, step: Step) -> Tensor:
         angle = angle_between(first, second, oriented)
         if convex_factor == 1:
             return angle
-        return torch.where(oriented & is_convex(step, second - first), convex_factor * angle, angle)
+        return torch.where(oriented & is_convex(step(), second - first), convex_factor * angle, angle)
 
     return turn
 
@@ -76,10 +79,10 @@ def geometric_weights(
         i, j = edges
         both_oriented = oriented[i] & oriented[j]
         first, second = rows_of(normals, i), rows_of(normals, j)
-        step = rows_of(points, j) - rows_of(points, i)
+        step = cache(lambda: rows_of(points, j) - rows_of(points, i))
         weight = angle_weight * turn(first, second, both_oriented, step)
         if config.distance_weight > 0:
-            weight = weight + config.distance_weight * length(step)
+            weight = weight + config.distance_weight * length(step())
         if config.color_weight > 0 and colors is not None:
             weight = weight + config.color_weight * length(rows_of(colors, i) - rows_of(colors, j))
         return weight
@@ -107,7 +110,7 @@ def map_edges(weigh: Callable[[Tensor], Tensor], edge_index: Tensor) -> Tensor:
     return weights
 
 
-def segmentator_turn(first: Tensor, second: Tensor, oriented: Tensor, step: Tensor) -> Tensor:
+def segmentator_turn(first: Tensor, second: Tensor, oriented: Tensor, step: Step) -> Tensor:
     """The edge weight of ScanNet's segmentator: 1 - n_i . n_j, squared where the surface is convex.
 
     The surface counts as convex where n_j . (p_j - p_i) > 0; this depends on the edge's direction. Where the normals
@@ -116,12 +119,12 @@ def segmentator_turn(first: Tensor, second: Tensor, oriented: Tensor, step: Tens
     Args:
         first, second: [E, 3] normals n_i and n_j.
         oriented: [E] bool, whether both normals are oriented.
-        step: [E, 3] p_j - p_i, metres.
+        step: gives [E, 3] p_j - p_i, metres.
 
     Returns:
         [E] float32.
     """
     cosine = dot(first, second)
-    convex = oriented & (dot(second, step / rounded_length(step)[:, None]) > 0)
+    convex = oriented & (dot(second, step() / rounded_length(step())[:, None]) > 0)
     weight = 1 - torch.where(oriented, cosine, cosine.abs())
     return torch.where(convex, weight * weight, weight)

@@ -100,11 +100,12 @@ def build_edgeless_graph(cloud: Scene) -> PointGraph:
     )
 
 
-def undirected_edges(neighbors: Tensor) -> Tensor:
+def undirected_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
     """The edges of the symmetrised neighbour graph, each once with i < j (eq. 3).
 
     Args:
         neighbors: [N, K] int32 or int64, the neighbours of each point.
+        order: [N] int32 of :func:`~torchjoint.points.neighbors.order_along_space`; saves time, changes nothing.
 
     Returns:
         [2, E] int64, in the order of their first occurrence in the rows of `neighbors`.
@@ -113,4 +114,4 @@ def undirected_edges(neighbors: Tensor) -> Tensor:
         ValueError: a number outside [0, N).
     """
     with all_threads():
-        return ops.neighbor_edges(neighbors)
+        return ops.neighbor_edges(neighbors, order)

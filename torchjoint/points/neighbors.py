@@ -22,6 +22,10 @@ QUERIES = 1 << 18
 #: Where neighbours do not reach far enough, they are searched among every 2nd, 4th or 8th point.
 SHARES = (2, 4, 8)
 
+#: From so many points on, those of a cloud in no order are far apart in memory.
+ORDERED = 1 << 19
+#: Cells along the longest side of the cloud: so many that float32 tells the numbers of all 2^24 apart.
+CELLS = 1 << 8
 
 #: The spacing of a point is its mean distance to this many nearest neighbours.
 SPACING_NEIGHBORS = 4
@@ -81,6 +85,28 @@ def neighbor_tables(points: Tensor, counts: Iterable[int], reach: float) -> tupl
         return {count: near.indices for count, near in found.items()}, found[counts[-1]].spacing
     nearest = nearest_neighbors(points, counts[-1])
     return {count: nearest.indices[:, :count] for count in counts}, nearest.spacing
+
+
+def order_along_space(points: Tensor) -> Tensor | None:
+    """An order of the points in which neighbours mostly follow one another: that of cells along a Z-shaped curve.
+
+    Args:
+        points: [N, 3] metres, finite.
+
+    Returns:
+        [N] int32; None for clouds that fit in a processor's cache anyway.
+    """
+    if len(points) < ORDERED:
+        return None
+    low, high = points.double().aminmax(dim=0)
+    scale = CELLS / float((high - low).max().clamp(min=torch.finfo(torch.float64).tiny))
+    code = torch.zeros(len(points), dtype=torch.int32)
+    for axis in range(3):
+        cell = ((points[:, axis] - low[axis]) * scale).clamp(0, CELLS - 1).int()
+        for shift, kept in ((8, 0x00F00F), (4, 0x0C30C3), (2, 0x249249)):  # the bits move to every third place
+            cell = (cell | cell << shift) & kept
+        code |= cell << axis
+    return ops.ascending_order(code.float())
 
 
 def _reach_farther(points: Tensor, near: Array, reach: float, indices: Array) -> None:

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.runtime.threads import all_threads
 
 
 def merge(region: Tensor, edge_index: Tensor, cost: Tensor, threshold: float, min_size: int) -> Tensor:
@@ -54,7 +55,5 @@ def join_small(segment: Tensor, edge_index: Tensor, cost: Tensor, stays: Tensor,
 
 
 def _merged(region: Tensor, edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int) -> Tensor:
-    ends = region[edge_index]
-    across = ends[0] != ends[1]
-    segment = ops.merge_regions(ends[:, across], cost[across], size, threshold, min_size)
-    return segment[region]
+    with all_threads():
+        return ops.merge_regions(region[edge_index], cost, size, threshold, min_size)[region]

@@ -23,6 +23,7 @@ from torchjoint.ops.reference.points import (
     window_overlaps_reference,
 )
 from torchjoint.ops.reference.regions import (
+    ascending_order_reference,
     group_summaries_reference,
     mask_merges_reference,
     merge_regions_reference,
@@ -33,6 +34,7 @@ from torchjoint.ops.reference.text import parse_numbers_reference
 from torchjoint.ops.reference.trees import boosted_trees_reference
 
 __all__ = [
+    "ascending_order_reference",
     "boosted_trees_reference",
     "felzenszwalb_reference",
     "fit_normals_reference",

@@ -29,8 +29,8 @@ def nearest_neighbors_reference(points: Tensor, count: int, num_distances: int |
     return order.int(), distances.to(points.dtype)
 
 
-def neighbor_edges_reference(neighbors: Tensor) -> Tensor:
-    """What :func:`torchjoint.ops.neighbor_edges` computes; the arguments are not checked.
+def neighbor_edges_reference(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
+    """What :func:`torchjoint.ops.neighbor_edges` computes; the arguments are not checked, and the order does not count.
 
     Example:
         >>> neighbor_edges_reference(torch.tensor([[1], [0], [1]]))
@@ -49,8 +49,8 @@ def neighbor_edges_reference(neighbors: Tensor) -> Tensor:
     return torch.stack([torch.minimum(i, j), torch.maximum(i, j)])
 
 
-def fit_normals_reference(points: Tensor, neighbors: Tensor) -> Tensor:
-    """What :func:`torchjoint.ops.fit_normals` computes; the arguments are not checked.
+def fit_normals_reference(points: Tensor, neighbors: Tensor, order: Tensor | None = None) -> Tensor:
+    """What :func:`torchjoint.ops.fit_normals` computes; the arguments are not checked, and the order does not count.
 
     If a neighbourhood varies least in more than one direction, the result may be any of these directions.
 

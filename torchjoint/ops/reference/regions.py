@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 
+def ascending_order_reference(values: Tensor) -> Tensor:
+    """What :func:`torchjoint.ops.ascending_order` computes, by comparisons; the argument is not checked."""
+    return torch.tensor(
+        sorted(range(len(values)), key=lambda i: (math.isnan(values[i]), float(values[i].nan_to_num(0)), i)),
+        dtype=torch.int32,
+    )
+
+
 def group_summaries_reference(
-    values: Tensor, rank: Tensor, ascending: Tensor, group: Tensor, num_groups: int, quantiles: Tensor
+    values: Tensor, order: Tensor, group: Tensor, num_groups: int, quantiles: Tensor
 ) -> Tensor:
     """What :func:`torchjoint.ops.group_summaries` computes, by sorting each group; the arguments are not checked."""
     result = torch.full((num_groups, 1 + len(quantiles)), torch.nan, dtype=torch.float64)
