@@ -243,6 +243,7 @@ def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
     with pytest.raises(SystemExit, match="error: the disk is full; make room and start again"):
         run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
     monkeypatch.undo()
+    monkeypatch.setattr("torchjoint.results.folder.overview", overview)
     added = []
     monkeypatch.setattr(tj.JointSegmenter, "add", lambda self, frames: added.append(frames))
     run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
