@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import joblib
@@ -35,8 +36,12 @@ def task(folder, number):
 
 def processes_below(process):
     """All that descend from a process, without Python's that removes semaphores: it ends with its head."""
-    found = psutil.Process(process).children(recursive=True)
-    return {one.pid for one in found if "resource_tracker" not in " ".join(one.cmdline())}
+    found = set()
+    for one in psutil.Process(process).children(recursive=True):
+        with suppress(psutil.NoSuchProcess):  # it has ended meanwhile
+            if "resource_tracker" not in " ".join(one.cmdline()):
+                found.add(one.pid)
+    return found
 
 
 def still_running(processes, seconds=20.0):
