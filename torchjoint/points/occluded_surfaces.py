@@ -53,20 +53,18 @@ class Occlusions(NamedTuple):
 
     pairs: Tensor  #: [2, K] int64, pieces a < b, ascending
     num_lines: Tensor  #: [K] int64, of all images
-    may_continue: (
-        Tensor  #: [K] bool, whether the two pieces lie in one plane, and no frame sees through it between them
-    )
+    may_continue: Tensor  #: [K] bool, whether both lie in one plane, and the space between is not seen to be free
     between: Tensor  #: [len(PLACES), K] int64, the piece on the way, -1 = none, or not in one plane
 
 
-class _NearestDepths(NamedTuple):
-    """What one frame sees, in cells."""
+class _CoarseZBuffer(NamedTuple):
+    """What one frame sees, in cells of some pixels."""
 
     cell: int  #: side of the cells, pixels
     point: Tensor  #: [h, w] int64, the nearest of the visible points in each cell, in their order; -1 = no point
 
     @classmethod
-    def of(cls, visible: Visible) -> _NearestDepths:
+    def of(cls, visible: Visible) -> _CoarseZBuffer:
         """Of equally near points, the first is the nearest."""
         cell = _cell_size(visible)
         row, column = visible.row // cell, visible.column // cell
@@ -97,8 +95,7 @@ def find_occlusions(
         *parallel_map(lambda seen: lines_across(seen.visible, scales.noise), observations),
     ]
     one, other = piece[torch.cat(ends, 1)]
-    low, high = torch.minimum(one, other), torch.maximum(one, other)
-    key, num_lines = torch.unique((low * num_pieces + high)[low < high], return_counts=True)
+    key, num_lines = torch.unique(_keys(one, other, num_pieces)[one != other], return_counts=True)
     a, b = key // max(num_pieces, 1), key % max(num_pieces, 1)
     may_continue = _in_one_plane(statistics, a, b)
     between = torch.full((len(PLACES), len(key)), -1)
@@ -146,9 +143,9 @@ def continued_surfaces(
     return pairs[:, joined], (1 - share[joined]).float()
 
 
-def _keys(a: Tensor, b: Tensor, num_regions: int) -> Tensor:
-    """One number for each unordered pair of regions."""
-    return torch.minimum(a, b) * num_regions + torch.maximum(a, b)
+def _keys(a: Tensor, b: Tensor, count: int) -> Tensor:
+    """One number for each unordered pair of pieces or regions 0 ... count - 1."""
+    return torch.minimum(a, b) * count + torch.maximum(a, b)
 
 
 def lines_across(visible: Visible, noise: Tensor) -> Tensor:
@@ -163,7 +160,7 @@ def lines_across(visible: Visible, noise: Tensor) -> Tensor:
     """
     if not len(visible.point):
         return torch.empty(2, 0, dtype=torch.int64)
-    nearest = _NearestDepths.of(visible).point
+    nearest = _CoarseZBuffer.of(visible).point
     of_noise = STEP_IN_NOISE * noise[visible.point]
     found = [_ends_of_gaps(grid, visible.z, of_noise) for grid in (nearest, nearest.T)]
     return visible.point[torch.cat(found, 1)]
@@ -243,7 +240,9 @@ def _nearest_pieces(ways: Tensor, piece: Tensor, points: Tensor, scales: Scales)
 def _is_seen_through(ways: Tensor, step: Tensor, observations: Sequence[Observation]) -> Tensor:
     """Whether places between pairs of pieces are free: more frames see through a place than see something there.
 
-    A surface that an occluder hides from one frame may be seen by another one. Where it is not, the space is free.
+    An occluder that hides a surface from one frame may not hide it from another one: if this frame sees what lies
+    behind the place instead, there is no surface. Each frame's z-buffer is made a second time: to keep those of long
+    recordings would take memory.
 
     Args:
         ways: [L, K, 3] float64 metres.
@@ -265,7 +264,7 @@ def _votes_for_free_space(places: Tensor, step: Tensor, seen: Observation) -> Te
     vote = torch.zeros(len(places), dtype=torch.int8)
     if not seen.num_points:
         return vote
-    cell, nearest = _NearestDepths.of(seen.visible)
+    cell, nearest = _CoarseZBuffer.of(seen.visible)
     depth = torch.where(nearest >= 0, seen.visible.z[nearest], torch.inf)
     # The nearest of nine cells: whoever looks through a gap sees something far in all of them.
     depth = -torch.nn.functional.max_pool2d(-depth[None], 3, stride=1, padding=1)[0]
