@@ -7,6 +7,7 @@
 #include "merged_regions.h"
 
 #include <algorithm>
+#include <numeric>
 #include <vector>
 
 namespace torchjoint {
