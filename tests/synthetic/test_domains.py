@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from torchjoint import synthetic
-from torchjoint.synthetic import DOMAINS, SyntheticScene, domain_settings, make_domain_scene
+from torchjoint.synthetic import DOMAINS, SyntheticScene, domain_settings, make_domain_scene, mesh
 from torchjoint.synthetic.rigs import Rig
 
 pytest.importorskip("open3d")
@@ -149,3 +149,13 @@ def test_no_camera_stands_in_a_high_heap() -> None:
     poses = rig.poses(np.random.default_rng(0), Tower(), 8)
     eyes = [-pose[:3, :3].T @ pose[:3, 3] for pose in poses]
     assert min(Tower().clearance(eye) for eye in eyes) > 0.15
+
+
+def test_a_tube_skips_points_that_stand_still() -> None:
+    """A cable's path, held back at the edge of a table, stays at one place for several points."""
+    path = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 1e-12, 0], [1, 1, 0]])
+    expected = mesh.tube(path[[0, 1, 4]], 0.1)
+    found = mesh.tube(path, 0.1)
+    for name in ("positions", "normals", "uv"):
+        assert np.isfinite(getattr(expected, name)).all()
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))

@@ -142,7 +142,11 @@ def cup(radius: float, height: float, wall: float, flare: float = 1.0, rounded: 
 
 
 def tube(path: Array, radius: float, segments: int = 8) -> Part:
-    """A round tube along ``path`` [P, 3], open at its ends. Metres."""
+    """A round tube along ``path`` [P, 3], open at its ends. Metres.
+
+    A point at the place of the one before it is left out; at least two must remain.
+    """
+    path = path[np.append(True, np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9)]
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     helper = np.where(np.abs(tangent[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
