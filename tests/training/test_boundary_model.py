@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,9 +25,10 @@ from torchjoint.training import (
     save_boundary_model,
 )
 from torchjoint.training.evidence_files import EvidenceFiles, load_evidence, save_evidence
+from torchjoint.training.mean_model import mean_model
 from torchjoint.training.scene_merging import SceneMerging
 
-QUICK = BoundaryModelOptions(thresholds=(0.2, 0.5), trees=3, leaves=4, folds=2)
+QUICK = BoundaryModelOptions(thresholds=(0.2, 0.5), trees=3, leaves=4, folds=2, members=1)
 
 
 @pytest.fixture(scope="module")
@@ -138,6 +140,19 @@ def test_from_scenes_to_segments(prepared, tmp_path, set_threads):
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
+@pytest.mark.slow
+def test_members_have_seeds_of_their_own(prepared):
+    """The model of two members is the mean of the models of their seeds."""
+    reports = []
+    found = fit_boundary_model(prepared, replace(QUICK, members=2, seed=3), report=reports.append)
+    assert [report.threshold for report in reports] == [0.2, 0.5] * 2
+    expected = mean_model([fit_boundary_model(prepared, replace(QUICK, seed=seed)) for seed in (3, 4)])
+    assert not torch.equal(*expected.rounds[0].threshold.split(QUICK.trees))
+    for trees, wanted in zip(found.rounds, expected.rounds, strict=True):
+        for one, other in zip(trees.arrays(), wanted.arrays(), strict=True):
+            assert torch.equal(one, other)
+
+
 def test_training_without_images_and_colours(scene_of):
     scenes = [scene_of(seed).scene for seed in (0, 1)]
     bare = [labelled_evidence(Scene(scene.points, truth=scene.truth)) for scene in scenes]
@@ -164,6 +179,7 @@ def test_errors():
         ({"trees": 0.5}, "trees: expected a whole number >= 1, got 0.5"),
         ({"learning_rate": 0}, "learning_rate: expected a number in"),
         ({"drop_images_share": 2}, "drop_images_share: expected a number in"),
+        ({"members": 0}, "members: expected a whole number >= 1, got 0"),
         ({"variants": 0}, "variants: expected a whole number >= 1, got 0"),
         ({"noise": math.inf}, "noise: expected a number >= 0, got inf"),
         ({"thresholds": ()}, "thresholds: expected numbers in"),

@@ -38,6 +38,7 @@ def train_boundary_model(
     max_frames: int | None = None,
     trees: int = 60,
     folds: int = 4,
+    members: int = 5,
     seed: int = 0,
     overwrite: bool = False,
 ) -> None:
@@ -53,8 +54,9 @@ def train_boundary_model(
         models: folder of 3D models for the generated scenes, as for `tj.synthetic.make_domain_scene`.
         thin: keep one point of your own scenes in each voxel of this size, metres.
         max_frames: use at most so many frames of each of your own scenes, evenly spread.
-        trees: number of trees in each round of merging.
+        trees: number of trees in each round of merging of each member.
         folds: parts of the scenes; each is judged by trees that were trained on the others.
+        members: number of models, trained with seeds from SEED on, whose mean is written; more are better, and slower.
         seed: of all random choices; the same seed makes the same file.
         overwrite: replace OUT if it exists.
     """
@@ -67,7 +69,7 @@ def train_boundary_model(
         raise FileExistsError(f"{out}: exists already; choose another name with -o, or --overwrite")
     if not out.absolute().parent.is_dir():
         raise FileNotFoundError(f"-o: {out.parent} is no folder")
-    options = training.BoundaryModelOptions(trees=trees, folds=folds, seed=seed)
+    options = training.BoundaryModelOptions(trees=trees, folds=folds, members=members, seed=seed)
     sources = [*_own(scenes, thin, max_frames), *_generated(domains, seeds, models)]
     if len(sources) < 2:
         raise ValueError(f"scenes: expected at least two, in SCENES or by --domains, got {len(sources)}")

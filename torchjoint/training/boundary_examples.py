@@ -55,7 +55,8 @@ class BoundaryModelOptions:
         variants: how often each scene is merged. All merges of a scene but the first have noise in the probabilities:
             the later rounds have few boundaries to learn from, and meet errors that no training scene has.
         noise: standard deviation of this noise, in log odds.
-        seed: of all random choices.
+        members: number of models whose mean the result is: they differ by their random choices, and so by their errors.
+        seed: of all random choices of the first member; the next seed is that of the second, and so on.
     """
 
     thresholds: tuple[float, ...] = (0.15, 0.25, 0.35, 0.5)
@@ -68,6 +69,7 @@ class BoundaryModelOptions:
     drop_colors_share: float = 0.15
     variants: int = 2
     noise: float = 0.3
+    members: int = 5
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -77,6 +79,7 @@ class BoundaryModelOptions:
             ("leaves", 2),
             ("max_boundaries", 1),
             ("variants", 1),
+            ("members", 1),
             ("seed", 0),
         ):
             value = getattr(self, name)

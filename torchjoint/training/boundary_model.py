@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ from torchjoint.training.boundary_examples import (
     join_samples,
     labelled_evidence,
 )
+from torchjoint.training.mean_model import mean_model
 from torchjoint.training.quantile_bins import QuantileBins
 from torchjoint.training.scene_merging import SceneMerging
 
@@ -68,7 +70,7 @@ def train_boundary_model(
         scenes: at least two, with ``truth.points``; each is needed only once, and not kept.
         options: equal scenes and options make equal models, whatever the number of threads.
         config: parameters of the steps 1-5.
-        report: called after each round.
+        report: called after each round of each member.
         progress: show progress bars.
 
     Raises:
@@ -94,15 +96,26 @@ def fit_boundary_model(
     """As :func:`train_boundary_model`, from what :func:`labelled_evidence` returns.
 
     Args:
-        scenes: at least two; the sequence may be lazy, since few scenes are used at a time, each once in each round.
+        scenes: at least two; the sequence may be lazy, since few scenes are used at a time, each once in each round of
+            each member.
         options: of the training.
-        report: called after each round.
+        report: called after each round of each member.
         progress: show progress bars.
     """
     _check_packages()
     options = options or BoundaryModelOptions()
     if len(scenes) < 2:
         raise ValueError(f"scenes: expected at least two, got {len(scenes)}")
+    seeds = range(options.seed, options.seed + options.members)
+    return mean_model([_fit_member(scenes, replace(options, seed=seed), report, progress) for seed in seeds])
+
+
+def _fit_member(
+    scenes: Sequence[LabelledEvidence],
+    options: BoundaryModelOptions,
+    report: Callable[[RoundScores], None] | None,
+    progress: bool,
+) -> BoundaryModel:
     rng = np.random.default_rng(options.seed)
     fold = rng.permutation(len(scenes)) % options.folds
     parts = sorted(set(fold.tolist()))
@@ -112,7 +125,7 @@ def fit_boundary_model(
     calibrations: list[Tensor] = []
     of_parts: list[BoostedTrees] = []
     for number, threshold in enumerate(options.thresholds):
-        name = f"round {number + 1} of {len(options.thresholds)}"
+        name = f"seed {options.seed}, round {number + 1} of {len(options.thresholds)}"
         judges = [(of_parts[parts.index(part)], calibrations[-1]) for part in fold.tolist()] if of_parts else None
         _merge_all(scenes, runs, number, judges, options, f"{name}: features" if progress else None)
         new = [place for place, run in enumerate(runs) if number > 0 or run.variant == 0]
