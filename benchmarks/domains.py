@@ -2,12 +2,13 @@
 
     python benchmarks/domains.py WORK --data ../shared/data [--models FOLDER] [--seeds 5] [--draws 8 --steps 4]
 
-For each kind of data and each training seed, a model is trained on all other kinds, and scored on scenes of the kind
-that it never saw, at the threshold of .5. Beside it: the model that saw scenes of all kinds, the same without images,
-the presets, and the common methods without learning, each at the best setting that a search finds on other scenes of
-the very kind that it is scored on. Also: the final images beside the initial ones. WORK keeps what is done, so that
-an interrupted run continues. The tables are written to benchmarks/README.md, the short one also to README.md and
-docs/evaluation.md. Without 3D models, the generated scenes have built-in shapes only.
+For each kind of data and each training seed, a model is trained on all other kinds; their mean, as in the package, and
+each alone are scored on scenes of the kind that they never saw, at the threshold of .5. Beside it: the model that saw
+scenes of all kinds, the same without images, the presets, and the common methods without learning, each at the best
+setting that a search finds on other scenes of the very kind that it is scored on. Also: the final images beside the
+initial ones. WORK keeps what is done, so that an interrupted run continues. The tables are written to
+benchmarks/README.md, the short one also to README.md and docs/evaluation.md. Without 3D models, the generated scenes
+have built-in shapes only.
 """
 
 from __future__ import annotations
@@ -45,18 +46,19 @@ from torchjoint.training.boundary_examples import (
 )
 from torchjoint.training.boundary_model import fit_boundary_model
 from torchjoint.training.evidence_files import load_evidence, save_evidence
+from torchjoint.training.mean_model import mean_model
 
 DOMAINS = ("table", "shelf", "bin", "desk", "kitchen", "room", "workshop")
 #: Seeds of the generated scenes for training, for tuning the other methods (a part of these), and for scoring. The
 #: things of the scenes for scoring are of kinds that no other scene has (`held_out`).
-TRAINING, TUNING, SCORING = (*range(10), *range(14, 24)), range(4), range(10, 14)
+TRAINING, TUNING, SCORING = (*range(10), *range(14, 24)), range(4), (*range(10, 14), *range(40, 44))
 #: mOSD: every other scene trains, the others score. The real desk is never trained on.
 REAL = ("mosd", "ycb")
 #: What is left out of the training, and what the model is scored on: the real desk is of the kind "desk".
 LEFT_OUT = {**{kind: (kind,) for kind in (*DOMAINS, "mosd")}, "desk": ("desk", "ycb")}
 TITLES = {"mosd": "real table-tops (mOSD)", "ycb": "real desk (YCB-Video)"}
 #: As the model in the package was trained, but for fewer folds and fewer scenes, which take less time.
-OPTIONS = BoundaryModelOptions(folds=2)
+OPTIONS = BoundaryModelOptions(folds=2, members=1)
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", ROOT / "docs" / "evaluation.md")
 PRESETS = ("regions", "indoor", "tabletop")
@@ -87,7 +89,10 @@ def main() -> None:
         prepare(arguments)
         for seed in range(arguments.seeds):
             for kind in LEFT_OUT:
-                score_left_out(work, kind, seed, arguments)
+                score_left_out(work, kind, str(seed), left_out_model(work, kind, seed, arguments), arguments)
+        for kind in LEFT_OUT:
+            members = [left_out_model(work, kind, seed, arguments) for seed in range(arguments.seeds)]
+            score_left_out(work, kind, "mean", mean_model(members), arguments)
         score_packaged(work, kinds, arguments)
     if arguments.part in ("all", "others"):
         for kind in kinds:
@@ -172,19 +177,19 @@ def judged_scenes(kind: str, arguments: argparse.Namespace) -> list[Judged]:
     ]
 
 
-def score_left_out(work: Path, left_out: str, seed: int, arguments: argparse.Namespace) -> None:
-    """Trains a model without a kind of data, and scores it there."""
-    done = [work / f"left-out-{kind}-{seed}.json" for kind in LEFT_OUT[left_out]]
-    if all(path.is_file() for path in done):
-        return
-    model = left_out_model(work, left_out, seed, arguments)
-    for kind, path in zip(LEFT_OUT[left_out], done, strict=True):
+def score_left_out(work: Path, left_out: str, name: str, model: BoundaryModel, arguments: argparse.Namespace) -> None:
+    """Scores a model that was trained without a kind of data on scenes of this kind."""
+    for kind in LEFT_OUT[left_out]:
+        done = work / f"left-out-{kind}-{name}.json"
+        if done.is_file():
+            continue
+        cases = judged_scenes(kind, arguments)
         rows = {
-            name: [scene.scores(model, images) for scene in judged_scenes(kind, arguments)]
-            for name, images in (("learned, left out", True), ("learned, left out, no images", False))
+            row: [case.scores(model, images) for case in cases]
+            for row, images in (("learned, left out", True), ("learned, left out, no images", False))
         }
-        write_text(path, json.dumps(rows))
-        print(kind, seed, {name: np.mean(values, 0).round(3).tolist() for name, values in rows.items()}, flush=True)
+        write_text(done, json.dumps(rows))
+        print(kind, name, {row: np.mean(values, 0).round(3).tolist() for row, values in rows.items()}, flush=True)
 
 
 def left_out_model(work: Path, left_out: str, seed: int, arguments: argparse.Namespace) -> BoundaryModel:
@@ -258,28 +263,33 @@ def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> 
 def write_tables(work: Path, kinds: Sequence[str]) -> None:
     """Writes the tables of what has been scored so far to benchmarks/README.md and PAGES."""
     packaged = json.loads((work / "packaged.json").read_text())
-    short = ["kind of data, scenes", "left out", "default", "preset regions", "best simple method"]
-    columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "default"]
+    short = ["kind of data, scenes", "left out", "one model", "default", "preset regions", "best simple method"]
+    columns = ["kind of data, scenes", "left out", "one model, training seeds", "left out, no images", "default"]
     columns += [*(f"preset {preset}" for preset in PRESETS), "best simple method", "left out - preset regions"]
     rows = []
     for kind in kinds:
-        files = sorted(work.glob(f"left-out-{kind}-*.json"))
-        if not files or not (work / f"others-{kind}.json").is_file():
+        files = sorted(work.glob(f"left-out-{kind}-[0-9]*.json"))
+        mean = work / f"left-out-{kind}-mean.json"
+        if not mean.is_file() or not (work / f"others-{kind}.json").is_file():
             continue
-        runs = [json.loads(file.read_text()) for file in files]
-        left = np.array([run["learned, left out"] for run in runs])  # [seeds, scenes, 2]
-        blind = np.array([run["learned, left out, no images"] for run in runs])
+        single = np.array([json.loads(file.read_text())["learned, left out"] for file in files])  # [seeds, scenes, 2]
+        left, blind = (np.array(scores)[None] for scores in json.loads(mean.read_text()).values())
         others = {n: np.array(v) for n, v in json.loads((work / f"others-{kind}.json").read_text()).items()}
         simple = max(SIMPLE, key=lambda name: float(others[name].mean()))
-        gain = left.mean(0) - others["preset_regions"]
-        cells = [f"{TITLES.get(kind, kind)}, {left.shape[1]}", f"{_both(left)}, {len(runs)}", _both(blind)]
+        gain = left[0] - others["preset_regions"]
+        cells = [
+            f"{TITLES.get(kind, kind)}, {left.shape[1]}",
+            _both(left),
+            f"{_both(single)}, {len(files)}",
+            _both(blind),
+        ]
         cells += [_both(np.array(packaged[kind]["default"])[None])]
         cells += [_both(others[f"preset_{preset}"][None]) for preset in PRESETS]
         cells += [f"{_both(others[simple][None])} ({simple})", difference(gain)]
         rows.append(cells)
     report.write_part("domains", report.table(columns, rows))
     chosen = [columns.index(name) for name in ("preset regions", "best simple method")]
-    brief = [[row[0], row[1].rpartition(",")[0], row[3], *(row[place] for place in chosen)] for row in rows]
+    brief = [[row[0], row[1], row[2].rpartition(",")[0], row[4], *(row[place] for place in chosen)] for row in rows]
     for page in PAGES:
         report.write_part("domains", report.table(short, brief), page)
     rows = []

@@ -9,13 +9,15 @@ namespace {
 // Rows that go through one tree after the other together, so that a tree is in the cache for all of them. The result of
 // a row never depends on it.
 constexpr int64_t kRowsPerBlock = 256;
+// Rows that go down a tree side by side: which way one goes is not predictable, but none waits for another.
+constexpr int64_t kRowsAtOnce = 8;
 
-// A leaf has left < 0. The value is the threshold of an inner node, or the value of a leaf.
+// The value is the threshold of an inner node, or the value of a leaf. Both children of a leaf are the leaf itself.
 struct Node {
   double value;
   int32_t feature;
-  int32_t left, right;
-  bool missing_left;
+  int32_t child[2];  // left, right
+  bool missing_right;
 };
 
 struct Trees {
@@ -28,6 +30,8 @@ struct Trees {
     const int32_t *lefts = left.const_data_ptr<int32_t>(), *rights = right.const_data_ptr<int32_t>();
     const double* values = leaf_value.const_data_ptr<double>();
     nodes.reserve(count * length);
+    depth.reserve(count);
+    std::vector<int32_t> depth_of_node(length);
     for (int64_t i = 0; i < count * length; ++i) {
       const int64_t tree = i / length, place = i % length;
       check(std::isfinite(thresholds[i]), "threshold: expected finite numbers, got ", thresholds[i], " at node ", place,
@@ -40,7 +44,19 @@ struct Trees {
       check_child(rights[i], "right", place, tree);
       check((lefts[i] < 0) == (rights[i] < 0), "right: expected -1 exactly where left is -1, got ", rights[i],
             " at node ", place, " of tree ", tree);
-      nodes.push_back({lefts[i] < 0 ? values[i] : thresholds[i], features[i], lefts[i], rights[i], missing[i]});
+      if (place == 0) {
+        std::fill(depth_of_node.begin(), depth_of_node.end(), 0);
+        depth.push_back(0);
+      }
+      if (lefts[i] < 0) {
+        const int32_t self = static_cast<int32_t>(place);
+        nodes.push_back({values[i], 0, {self, self}, false});
+      } else {
+        nodes.push_back({thresholds[i], features[i], {lefts[i], rights[i]}, !missing[i]});
+        const int32_t below = depth_of_node[place] + 1;
+        for (const int32_t child : nodes.back().child) depth_of_node[child] = std::max(depth_of_node[child], below);
+        depth.back() = std::max(depth.back(), below);
+      }
     }
   }
 
@@ -50,19 +66,25 @@ struct Trees {
           length, ", got ", child, " at node ", place, " of tree ", tree);
   }
 
-  double leaf(int64_t tree, const float* row) const {
+  // Adds the values of the leaves that kRows rows reach in one tree.
+  template <int64_t kRows>
+  void add_leaves(int64_t tree, const float* rows, int64_t num_features, double* sums) const {
     const Node* const root = nodes.data() + tree * length;
-    const Node* node = root;
-    while (node->left >= 0) {
-      const double value = row[node->feature];
-      const bool goes_left = std::isnan(value) ? node->missing_left : value <= node->value;
-      node = root + (goes_left ? node->left : node->right);
+    int32_t at[kRows] = {};
+    for (int32_t level = 0; level < depth[tree]; ++level) {
+      for (int64_t i = 0; i < kRows; ++i) {
+        const Node& node = root[at[i]];
+        const double value = rows[i * num_features + node.feature];
+        // No comparison holds for a missing value, which is NaN.
+        at[i] = node.child[(value > node.value) | (std::isnan(value) & node.missing_right)];
+      }
     }
-    return node->value;
+    for (int64_t i = 0; i < kRows; ++i) sums[i] += root[at[i]].value;
   }
 
   int64_t count, length;
   std::vector<Node> nodes;
+  std::vector<int32_t> depth;  // of each tree, the longest way from its root to a leaf
 };
 
 Tensor boosted_trees(const Tensor& values, const Tensor& feature, const Tensor& threshold, const Tensor& missing_left,
@@ -89,7 +111,11 @@ Tensor boosted_trees(const Tensor& values, const Tensor& feature, const Tensor& 
     for (int64_t block = begin; block < end; ++block) {
       const int64_t first = block * kRowsPerBlock, last = std::min(first + kRowsPerBlock, num_rows);
       for (int64_t tree = 0; tree < trees.count; ++tree) {
-        for (int64_t row = first; row < last; ++row) sums[row] += trees.leaf(tree, data + row * num_features);
+        int64_t row = first;
+        for (; row + kRowsAtOnce <= last; row += kRowsAtOnce) {
+          trees.add_leaves<kRowsAtOnce>(tree, data + row * num_features, num_features, sums + row);
+        }
+        for (; row < last; ++row) trees.add_leaves<1>(tree, data + row * num_features, num_features, sums + row);
       }
     }
   });
