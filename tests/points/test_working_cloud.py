@@ -48,12 +48,23 @@ def test_a_dense_cloud_is_thinned(monkeypatch):
     monkeypatch.setattr(module, "LEAST_POINTS", 300)
     cloud = Scene(sheet(0.003))
     working, scales, of_point = working_cloud(cloud)
-    assert 300 <= len(working.points) < 0.5 * len(cloud.points)
+    assert 300 <= len(working.points) < 0.6 * len(cloud.points)
     assert of_point is not None
     assert torch.equal(of_point.unique(), torch.arange(len(working.points)))
     before = measure_scales(cloud.points)
-    assert scales.spacing.median() > 1.3 * before.spacing.median()
+    assert scales.spacing.median() > 1.2 * before.spacing.median()
     assert working.points[:, 2].std() < cloud.points[:, 2].std()  # means are more exact
+
+
+@pytest.mark.parametrize("side", [0.0213, 0.017, 3.0])
+def test_the_side_of_a_cell_does_not_follow_tiny_changes(side):
+    """The measured spacing moves a little with each point; the borders of cells far from the corner stay."""
+    rounded = module._rounded(side, 7.3)
+    assert side / 2**0.125 < rounded < side * 2**0.125
+    assert module._rounded(side * (1 + 1e-6), 7.3) == rounded
+    assert module._rounded(side * 8, 7.3 * 8) == rounded * 8
+    assert module._rounded(side * 10, 7.3 * 10) == pytest.approx(rounded * 10, rel=1e-12)
+    assert module._rounded(side, 0.0) == side
 
 
 def test_every_given_point_gets_the_label_of_its_working_point(monkeypatch, scene_of):

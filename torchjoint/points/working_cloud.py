@@ -6,6 +6,7 @@ of a small cell is more exact than each of them, and there are fewer of them.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -21,6 +22,8 @@ WANTED_NEIGHBORS = 8
 LEAST_POINTS = 50_000
 #: Cells narrower than this many spacings would hardly thin: the cloud is left as it is.
 NARROWEST = 1.3
+#: Sides of cells between a length and twice this length.
+SIDES_PER_OCTAVE = 4
 #: A cloud with more cells than this (most of them empty) is left as it is: they could not be numbered.
 MOST_CELLS = 2.0**62
 
@@ -44,12 +47,23 @@ def working_cloud(cloud: Scene) -> WorkingCloud:
     # The mean of n points has 1 / sqrt(n) of their noise, and a cell f spacings wide has f^2 points. So noise /
     # spacing, and with it the neighbours that are needed, fall with the square of f.
     width = min(needed / WANTED_NEIGHBORS, len(cloud.points) / LEAST_POINTS) ** 0.5
-    side = width * float(scales.spacing.median())
     extent = (cloud.points.amax(0) - cloud.points.amin(0)).double()
+    side = _rounded(width * float(scales.spacing.median()), float(extent.max()))
     if width < NARROWEST or float((extent / side + 1).prod()) > MOST_CELLS:
         return WorkingCloud(cloud, scales, None)
     of_point, thinned = cell_means(cloud, side)
     return WorkingCloud(thinned, measure_scales(thinned.points), of_point)
+
+
+def _rounded(side: float, extent: float) -> float:
+    """The side of a cell, rounded to the cloud's extent divided by a power of 2 ** (1 / SIDES_PER_OCTAVE).
+
+    Else a change of the measured spacing by a millionth would move the borders of cells far from the grid's corner, and
+    put many points into other cells.
+    """
+    if side <= 0 or extent <= 0:
+        return side
+    return extent * 2.0 ** (-round(SIDES_PER_OCTAVE * math.log2(extent / side)) / SIDES_PER_OCTAVE)
 
 
 def cell_means(cloud: Scene, side: float) -> tuple[Tensor, Scene]:
