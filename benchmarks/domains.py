@@ -2,8 +2,8 @@
 
     python benchmarks/domains.py WORK --data ../shared/data [--models FOLDER] [--seeds 5] [--draws 8 --steps 4]
 
-For each kind of data and each training seed, a model is trained on all other kinds; their mean, as in the package, and
-each alone are scored on scenes of the kind that they never saw, at the threshold of .5. Beside it: the model that saw
+For each kind of data and each training seed, a model is trained on all other kinds; each, and their mean, is scored on
+scenes of the kind that they never saw, at the threshold of .5. Beside it: the model that saw
 scenes of all kinds, the same without images, the presets, and the common methods without learning, each at the best
 setting that a search finds on other scenes of the very kind that it is scored on. Also: the final images beside the
 initial ones. WORK keeps what is done, so that an interrupted run continues. The tables are written to
@@ -263,8 +263,8 @@ def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> 
 def write_tables(work: Path, kinds: Sequence[str]) -> None:
     """Writes the tables of what has been scored so far to benchmarks/README.md and PAGES."""
     packaged = json.loads((work / "packaged.json").read_text())
-    short = ["kind of data, scenes", "left out", "one model", "default", "preset regions", "best simple method"]
-    columns = ["kind of data, scenes", "left out", "one model, training seeds", "left out, no images", "default"]
+    short = ["kind of data, scenes", "left out", "default", "preset regions", "best simple method"]
+    columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "mean of models", "default"]
     columns += [*(f"preset {preset}" for preset in PRESETS), "best simple method", "left out - preset regions"]
     rows = []
     for kind in kinds:
@@ -272,24 +272,22 @@ def write_tables(work: Path, kinds: Sequence[str]) -> None:
         mean = work / f"left-out-{kind}-mean.json"
         if not mean.is_file() or not (work / f"others-{kind}.json").is_file():
             continue
-        single = np.array([json.loads(file.read_text())["learned, left out"] for file in files])  # [seeds, scenes, 2]
-        left, blind = (np.array(scores)[None] for scores in json.loads(mean.read_text()).values())
+        runs = [json.loads(file.read_text()) for file in files]
+        left = np.array([run["learned, left out"] for run in runs])  # [seeds, scenes, 2]
+        blind = np.array([run["learned, left out, no images"] for run in runs])
+        together = np.array(json.loads(mean.read_text())["learned, left out"])[None]
         others = {n: np.array(v) for n, v in json.loads((work / f"others-{kind}.json").read_text()).items()}
         simple = max(SIMPLE, key=lambda name: float(others[name].mean()))
-        gain = left[0] - others["preset_regions"]
-        cells = [
-            f"{TITLES.get(kind, kind)}, {left.shape[1]}",
-            _both(left),
-            f"{_both(single)}, {len(files)}",
-            _both(blind),
-        ]
+        gain = left.mean(0) - others["preset_regions"]
+        cells = [f"{TITLES.get(kind, kind)}, {left.shape[1]}", f"{_both(left)}, {len(runs)}"]
+        cells += [_both(blind), _both(together)]
         cells += [_both(np.array(packaged[kind]["default"])[None])]
         cells += [_both(others[f"preset_{preset}"][None]) for preset in PRESETS]
         cells += [f"{_both(others[simple][None])} ({simple})", difference(gain)]
         rows.append(cells)
     report.write_part("domains", report.table(columns, rows))
     chosen = [columns.index(name) for name in ("preset regions", "best simple method")]
-    brief = [[row[0], row[1], row[2].rpartition(",")[0], row[4], *(row[place] for place in chosen)] for row in rows]
+    brief = [[row[0], row[1].rpartition(",")[0], row[4], *(row[place] for place in chosen)] for row in rows]
     for page in PAGES:
         report.write_part("domains", report.table(short, brief), page)
     rows = []
