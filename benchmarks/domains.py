@@ -58,7 +58,7 @@ REAL = ("mosd", "ycb")
 LEFT_OUT = {**{kind: (kind,) for kind in (*DOMAINS, "mosd")}, "desk": ("desk", "ycb")}
 TITLES = {"mosd": "real table-tops (mOSD)", "ycb": "real desk (YCB-Video)"}
 #: As the model in the package was trained, but for fewer folds and fewer scenes, which take less time.
-OPTIONS = BoundaryModelOptions(folds=2, members=1)
+OPTIONS = BoundaryModelOptions(folds=2)
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", ROOT / "docs" / "evaluation.md")
 PRESETS = ("regions", "indoor", "tabletop")

@@ -28,7 +28,7 @@ from torchjoint.training.evidence_files import EvidenceFiles, load_evidence, sav
 from torchjoint.training.mean_model import mean_model
 from torchjoint.training.scene_merging import SceneMerging
 
-QUICK = BoundaryModelOptions(thresholds=(0.2, 0.5), trees=3, leaves=4, folds=2, members=1)
+QUICK = BoundaryModelOptions(thresholds=(0.2, 0.5), trees=3, leaves=4, folds=2)
 
 
 @pytest.fixture(scope="module")

@@ -69,7 +69,7 @@ class BoundaryModelOptions:
     drop_colors_share: float = 0.15
     variants: int = 2
     noise: float = 0.3
-    members: int = 5
+    members: int = 1
     seed: int = 0
 
     def __post_init__(self) -> None:
