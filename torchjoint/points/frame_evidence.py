@@ -53,7 +53,7 @@ def observe(
         overlaps = edge_overlaps(graph.adjacency, visible, labels, config.propagation.window)
         contours = None
         if cloud.method == "learned" and segments.masks is None:
-            contours = edge_contours(graph.adjacency, graph.edge_index, visible, boundary)
+            contours = edge_contours(graph.adjacency, visible, boundary)
     observation = Observation(
         frame.name, labels, visible, frame.intrinsics.float(), pose.float(), image, boundary, segments.masks
     )
@@ -74,8 +74,8 @@ def add_evidence(state: JointState, seen: Sequence[FrameEvidence]) -> None:
         state.facing[frame.observation.visible.point] += frame.facing
         if frame.contours is not None:
             edges, contours = frame.contours
-            state.contour_sum[edges] += contours
-            state.contour_views[edges] += 1
+            state.contour_sum.index_add_(0, edges, contours.int())
+            state.contour_views.index_add_(0, edges, torch.ones_like(edges, dtype=torch.int32))
 
 
 def _to_8_bits(values: Tensor) -> Tensor:
