@@ -168,8 +168,11 @@ def lines_across(visible: Visible, noise: Tensor) -> Tensor:
 
 def _cell_size(visible: Visible) -> int:
     """Pixels."""
-    squares = torch.unique((visible.row // SQUARE << 32) + visible.column // SQUARE)
-    return max(1, math.ceil(CELL * math.sqrt(len(squares) * SQUARE * SQUARE / len(visible.point))))
+    row, column = visible.row // SQUARE, visible.column // SQUARE
+    width = int(column.max()) + 1
+    is_seen = torch.zeros((int(row.max()) + 1) * width, dtype=torch.bool)
+    is_seen[row * width + column] = True
+    return max(1, math.ceil(CELL * math.sqrt(int(is_seen.sum()) * SQUARE * SQUARE / len(visible.point))))
 
 
 def _ends_of_gaps(grid: Tensor, z: Tensor, of_noise: Tensor) -> Tensor:
