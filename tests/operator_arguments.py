@@ -16,6 +16,7 @@ from torchjoint.ops import (
     felzenszwalb_image,
     fit_normals,
     group_summaries,
+    line_maxima,
     mask_merges,
     match_pixels,
     merge_regions,
@@ -64,6 +65,8 @@ WINDOW_OVERLAPS = {
     "start": torch.tensor([0, 1, 2, 3, 3], dtype=torch.int32), "point": torch.tensor([0, 1, 3]), "row": PIXELS,
     "column": PIXELS, "labels": LABELS, "window": 3,
 }  # fmt: skip
+LINE_MAXIMA = {name: value for name, value in WINDOW_OVERLAPS.items() if name not in ("labels", "window")}
+LINE_MAXIMA |= {"image": LABELS.byte()}
 PAIR_COUNTS = {
     "u": POSITIONS, "v": POSITIONS, "pixel": PIXELS, "segment": torch.tensor([0, 0, -1]),
     "label": torch.tensor([3, 4, 3]), "radius": 2.0,
@@ -128,6 +131,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     project: PROJECT,
     splat_depth: SPLAT_DEPTH,
     window_overlaps: WINDOW_OVERLAPS,
+    line_maxima: LINE_MAXIMA,
     pair_counts: PAIR_COUNTS,
     parse_numbers: PARSE_NUMBERS,
     segment_graphs: SEGMENT_GRAPHS,

@@ -52,16 +52,40 @@ def test_splat_depth(seed: int, count: int, height: int, width: int) -> None:
     assert_same((ops.splat_depth(*arguments),), (reference.splat_depth_reference(*arguments),))
 
 
+def visible_edges(generator: torch.Generator, num_nodes: int, height: int, width: int) -> tuple[Tensor, ...]:
+    """A graph, and the pixels of those of its nodes that an image sees."""
+    edges = CsrAdjacency.of(integers(generator, 0, num_nodes, 2, 4 * num_nodes), num_nodes)
+    point = torch.randperm(num_nodes, generator=generator)[: int(integers(generator, 0, num_nodes + 1, 1))]
+    row, column = integers(generator, 0, height, len(point)), integers(generator, 0, width, len(point))
+    return *edges, point, row, column
+
+
 @given(seed=SEEDS, num_nodes=st.integers(1, 25), window=st.sampled_from([1, 3, 5, 31]), num_labels=st.integers(1, 9))
 def test_window_overlaps(seed: int, num_nodes: int, window: int, num_labels: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     height, width = integers(generator, 1, 12, 2).tolist()
-    edges = CsrAdjacency.of(integers(generator, 0, num_nodes, 2, 4 * num_nodes), num_nodes)
-    point = torch.randperm(num_nodes, generator=generator)[: int(integers(generator, 0, num_nodes + 1, 1))]
-    row, column = integers(generator, 0, height, len(point)), integers(generator, 0, width, len(point))
     labels = integers(generator, -1, num_labels, height, width).int()
-    arguments = (*edges, point, row, column, labels, window)
+    arguments = (*visible_edges(generator, num_nodes, height, width), labels, window)
     assert_same(ops.window_overlaps(*arguments), reference.window_overlaps_reference(*arguments))
+
+
+@given(seed=SEEDS, num_nodes=st.integers(1, 25), height=st.integers(1, 40), width=st.integers(1, 40))
+def test_line_maxima(seed: int, num_nodes: int, height: int, width: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    image = integers(generator, 0, 256, height, width).byte()
+    arguments = (*visible_edges(generator, num_nodes, height, width), image)
+    assert_same(ops.line_maxima(*arguments), reference.line_maxima_reference(*arguments))
+
+
+def test_line_maxima_round_halves_to_even() -> None:
+    """From column 0 to 10: at 2.5, 5 and 7.5, so the columns 2, 5 and 8 are read."""
+    order, other_end, start = (torch.tensor(values).int() for values in ([0], [1], [0, 1, 1]))
+    pixels = torch.tensor([0, 1]), torch.tensor([0, 0]), torch.tensor([0, 10])
+    for column in range(11):
+        image = torch.zeros(1, 11, dtype=torch.uint8)
+        image[0, column] = 9
+        _, maximum = ops.line_maxima(order, other_end, start, *pixels, image)
+        assert maximum.item() == 9 * (column in (0, 2, 5, 8, 10))
 
 
 @few_and_many(

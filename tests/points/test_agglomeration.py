@@ -51,10 +51,10 @@ def evidence(segmenter):
 
 class TestMerging:
     def test_nothing_and_everything(self, evidence):
-        piece, pairs = evidence.piece, evidence.pairs
+        piece, pairs, of_edge = evidence.piece, evidence.pairs, evidence.edges.pair
         half = torch.full((pairs.shape[1],), 0.5, dtype=torch.float64)
-        assert torch.equal(merge_by_probability(evidence, piece, pairs, half, 0.49), piece)
-        merged = merge_by_probability(evidence, piece, pairs, half, 0.5)
+        assert torch.equal(merge_by_probability(piece, pairs, of_edge, half, 0.49), piece)
+        merged = merge_by_probability(piece, pairs, of_edge, half, 0.5)
         assert merged.max() < 20  # only what no edge connects stays apart
         first, second = merged[piece.new_tensor([(piece == p).nonzero()[0, 0] for p in pairs.flatten()])].view(2, -1)
         assert torch.equal(first, second)
@@ -64,7 +64,7 @@ class TestMerging:
             probability = torch.ones(evidence.pairs.shape[1], dtype=torch.float64)
             probability[chosen] = 0.1
             a, b = evidence.pairs[:, chosen].tolist()
-            merged = merge_by_probability(evidence, evidence.piece, evidence.pairs, probability, 0.2)
+            merged = merge_by_probability(evidence.piece, evidence.pairs, evidence.edges.pair, probability, 0.2)
             expected = torch.where(evidence.piece == b, a, evidence.piece)
             assert torch.equal(merged, torch.where(expected > b, expected - 1, expected))
 
@@ -73,10 +73,10 @@ def after_rounds(evidence, model, *rounds):
     """The labels after rounds (number, threshold), by the operator that gives labels instead of merges."""
     region = evidence.piece
     for number, threshold in rounds:
-        pairs, values = boundary_features(evidence, region)
+        pairs, values, of_edge = boundary_features(evidence, region)
         if pairs.shape[1] == 0:
             break
-        region = merge_by_probability(evidence, region, pairs, model.probability(number, values), threshold)
+        region = merge_by_probability(region, pairs, of_edge, model.probability(number, values), threshold)
     return region
 
 
@@ -117,7 +117,7 @@ class TestRounds:
         assert torch.equal(hierarchy.at(1), evidence.piece)
         pairs = evidence.pairs
         together = torch.zeros(pairs.shape[1], dtype=torch.float64)
-        connected = merge_by_probability(evidence, evidence.piece, pairs, together, 1.0)
+        connected = merge_by_probability(evidence.piece, pairs, evidence.edges.pair, together, 1.0)
         assert torch.equal(hierarchy.at(0), connected)
 
     def test_heights_never_fall_on_the_way_up(self, evidence):

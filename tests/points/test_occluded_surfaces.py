@@ -262,3 +262,13 @@ def test_the_wall_is_whole_at_coarser_levels_and_in_parts_at_finer_ones():
     for granularity, joined in ((0.4, True), (0.5, True), (0.55, False)):
         labels = hierarchy.at(granularity)
         assert (labels[left][0] == labels[right][0]) == joined
+
+
+def test_each_frame_brings_its_lines(scene_of):
+    scene, segmenter = scene_of(3).scene, tj.JointSegmenter()
+    segmenter.reset(scene.points, scene.colors)
+    segmenter.update(scene.frames)
+    noise = segmenter.cloud.graph.scales.noise
+    for seen in segmenter.state.observations:
+        assert torch.equal(seen.lines, lines_across(seen.visible, noise))
+    assert any(seen.lines.numel() for seen in segmenter.state.observations)

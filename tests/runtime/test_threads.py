@@ -163,6 +163,18 @@ class TestParallelMap:
             parallel_map(fails, range(items))
         assert torch.get_num_threads() == num_threads() == fresh_count() == COUNT
 
+    def test_of_several_errors_that_of_the_first_item_comes_out(self):
+        later, begun = threading.Event(), []
+
+        def fails(item):
+            begun.append(item)
+            later.set() if item else later.wait(PATIENCE)
+            raise KeyError(f"item {item}")
+
+        with pytest.raises(KeyError, match="item 0"):
+            parallel_map(fails, range(100))
+        assert len(begun) <= COUNT  # after an error nobody begins another item
+
 
 def leave_by_an_error(manager):
     with manager():

@@ -25,12 +25,13 @@ def observation(seed, *, masks=False, size=(12, 16)):
     labels = torch.randint(-1, 9, size, dtype=torch.int32, generator=generator)
     camera = torch.randn(3, 3, generator=generator), torch.randn(4, 4, generator=generator)
     masked = found if masks else None
-    return Observation(f"{seed}", found.atom if masks else labels, visible, *camera, image, image[0], masked)
+    lines = torch.randint(500, (2, seed), generator=generator)
+    return Observation(f"{seed}", found.atom if masks else labels, visible, *camera, image, image[0], masked, lines)
 
 
 def assert_same(one, other):
     assert one.name == other.name
-    for field in ("labels", "image", "boundary", "intrinsics", "world_to_camera"):
+    for field in ("labels", "image", "boundary", "intrinsics", "world_to_camera", "lines"):
         first, second = getattr(one, field), getattr(other, field)
         assert first.dtype == second.dtype
         assert torch.equal(first, second)

@@ -45,11 +45,11 @@ def test_contours_by_hand():
     boundary = torch.tensor([[0, 51, 0, 9, 0], [0, 70, 70, 70, 0]], dtype=torch.uint8)
     edge_index = torch.tensor([[0, 0, 2, 0, 1], [2, 3, 3, 1, 3]])
     edges = CsrAdjacency.of(edge_index, 4)
-    edge, strength = edge_contours(edges, edge_index, visible_at([(0, 0), (0, 1), (0, 4)], [0, 2, 3]), boundary)
+    edge, strength = edge_contours(edges, visible_at([(0, 0), (0, 1), (0, 4)], [0, 2, 3]), boundary)
     assert dict(zip(edge.tolist(), strength.tolist(), strict=True)) == {0: 51, 1: 51, 2: 51}
-    edge, strength = edge_contours(edges, edge_index, visible_at([(1, 0), (0, 2), (0, 4)], [0, 2, 3]), boundary)
+    edge, strength = edge_contours(edges, visible_at([(1, 0), (0, 2), (0, 4)], [0, 2, 3]), boundary)
     assert dict(zip(edge.tolist(), strength.tolist(), strict=True)) == {0: 51, 1: 70, 2: 9}
-    assert not edge_contours(edges, edge_index, visible_at([(1, 1)], [1]), boundary)[0].numel()
+    assert not edge_contours(edges, visible_at([(1, 1)], [1]), boundary)[0].numel()
 
 
 def test_window_of_one_pixel():

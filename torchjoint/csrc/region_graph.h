@@ -81,7 +81,7 @@ class NumberMap {
 // the last one, so only a few waiting ones must be in order: the others lie in buckets, by the first bits of their means.
 class MergeQueue {
  public:
-  MergeQueue() { first_.fill(kNone); }
+  MergeQueue() : far_(kBuckets) {}
 
   void push(double mean, int32_t number) {
     const uint32_t bucket = std::bit_cast<uint32_t>(static_cast<float>(mean)) >> kShift;  // ascends with the mean >= 0
@@ -89,14 +89,13 @@ class MergeQueue {
       near_.emplace_back(mean, number);
       std::push_heap(near_.begin(), near_.end(), std::greater<>());
     } else {
-      far_.push_back({mean, number, std::exchange(first_[bucket], static_cast<int32_t>(far_.size()))});
+      far_[bucket].emplace_back(mean, number);
     }
   }
 
   bool empty() {
     while (near_.empty() && open_ < kBuckets) {
-      for (int32_t i = first_[open_]; i != kNone; i = far_[i].next) near_.emplace_back(far_[i].mean, far_[i].number);
-      ++open_;
+      near_ = std::move(far_[open_++]);
       std::make_heap(near_.begin(), near_.end(), std::greater<>());
     }
     return near_.empty();
@@ -114,14 +113,10 @@ class MergeQueue {
   static constexpr int kShift = 18;  // 32 buckets for each power of two
   static constexpr uint32_t kBuckets = 1u << (31 - kShift);
 
-  struct Far {
-    double mean;
-    int32_t number, next;  // in the bucket
-  };
+  using Waiting = std::vector<std::pair<double, int32_t>>;
 
-  std::array<int32_t, kBuckets> first_;  // of each bucket, in far_
-  std::vector<Far> far_;
-  std::vector<std::pair<double, int32_t>> near_;  // a heap of all those in buckets below the open one
+  std::vector<Waiting> far_;  // bucket by bucket, in no order
+  Waiting near_;              // a heap of all those in buckets below the open one
   uint32_t open_ = 0;
 };
 

@@ -1,5 +1,6 @@
 // Overlap of the label windows at the two ends of an edge (eq. 5), for edges with two visible ends.
 #include "common.h"
+#include "visible_edges.h"
 
 #include <algorithm>
 #include <tuple>
@@ -91,62 +92,24 @@ class Windows {
 std::tuple<Tensor, Tensor> window_overlaps(
     const Tensor& order, const Tensor& other_end, const Tensor& start, const Tensor& point, const Tensor& row,
     const Tensor& column, const Tensor& labels, int64_t window) {
-  const Tensor orders = checked_array(order, ScalarType::Int, {-1}, "order");
-  const int64_t num_edges = orders.size(0);
-  const Tensor other_ends = checked_array(other_end, ScalarType::Int, {num_edges}, "other_end");
-  const Tensor starts = checked_array(start, ScalarType::Int, {-1}, "start");
-  const int64_t num_nodes = starts.size(0) - 1;
-  check(num_nodes >= 0, "start: expected shape [N + 1], got [0]");
-  const Tensor points = checked_array(point, ScalarType::Long, {-1}, "point");
-  const int64_t num_points = points.size(0);
-  const Tensor rows = checked_array(row, ScalarType::Long, {num_points}, "row");
-  const Tensor columns = checked_array(column, ScalarType::Long, {num_points}, "column");
   const Tensor image = checked_array(labels, ScalarType::Int, {-1, -1}, "labels");
   const int64_t height = image.size(0), width = image.size(1);
-  check_image_size(height, width);
   check(window > 0 && window % 2 == 1 && window < 32768, "window: expected an odd number below 32768, got ", window);
+  const VisibleEdges visible(order, other_end, start, point, row, column, height, width);
+  Windows windows(image.const_data_ptr<int32_t>(), height, width, window, visible.num_points);
+  for (int64_t i = 0; i < visible.num_points; ++i) windows.add(visible.rows[i], visible.columns[i]);
 
-  Windows windows(image.const_data_ptr<int32_t>(), height, width, window, num_points);
-  std::vector<int32_t> slot(num_nodes, -1);  // of a node, among the points seen
-  const int64_t* node = points.const_data_ptr<int64_t>();
-  const int64_t* r = rows.const_data_ptr<int64_t>();
-  const int64_t* c = columns.const_data_ptr<int64_t>();
-  for (int64_t i = 0; i < num_points; ++i) {
-    check_index(node[i], num_nodes, "point", i);
-    check_index(r[i], height, "row", i);
-    check_index(c[i], width, "column", i);
-    check(slot[node[i]] < 0, "point: expected every point once, got ", node[i], " again at ", i);
-    slot[node[i]] = static_cast<int32_t>(i);
-    windows.add(r[i], c[i]);
-  }
-
-  const int32_t* first_of = starts.const_data_ptr<int32_t>();
-  int64_t at_most = 0;
-  for (int64_t i = 0; i < num_points; ++i) {
-    const int32_t begin = first_of[node[i]], end = first_of[node[i] + 1];
-    check(begin >= 0 && begin <= end && end <= num_edges, "start: expected ascending numbers in [0, E]");
-    at_most += end - begin;
-  }
-  // Reserve room for all edges of the points; most of them are visible. Growing arrays would cost more than the loop.
-  Tensor edge = torch::stable::new_empty(orders, {at_most}, ScalarType::Long);
-  Tensor overlap = torch::stable::new_empty(orders, {at_most}, ScalarType::Double);
+  Tensor edge = torch::stable::new_empty(image, {visible.at_most}, ScalarType::Long);
+  Tensor overlap = torch::stable::new_empty(image, {visible.at_most}, ScalarType::Double);
   int64_t* const edges = edge.mutable_data_ptr<int64_t>();
   double* const overlaps = overlap.mutable_data_ptr<double>();
-  const int32_t* edge_at = orders.const_data_ptr<int32_t>();
-  const int32_t* other_at = other_ends.const_data_ptr<int32_t>();
   int64_t count = 0;
-  for (int64_t i = 0; i < num_points; ++i) {
-    const int32_t own = static_cast<int32_t>(i), size = windows.size(own);
-    if (size == 0) continue;
-    for (int32_t place = first_of[node[i]]; place < first_of[node[i] + 1]; ++place) {
-      check_index(other_at[place], num_nodes, "other_end", place);
-      const int32_t there = slot[other_at[place]];
-      if (there < 0 || windows.size(there) == 0) continue;
-      edges[count] = edge_at[place];
-      overlaps[count++] =
-          static_cast<double>(windows.intersection(own, there)) / std::min(size, windows.size(there));
-    }
-  }
+  visible.for_each([&](int32_t one, int32_t other, int32_t number) {
+    const int32_t smaller = std::min(windows.size(one), windows.size(other));
+    if (smaller == 0) return;
+    edges[count] = number;
+    overlaps[count++] = static_cast<double>(windows.intersection(one, other)) / smaller;
+  });
   return {torch::stable::narrow(edge, 0, 0, count), torch::stable::narrow(overlap, 0, 0, count)};
 }
 

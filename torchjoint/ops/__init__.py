@@ -11,6 +11,7 @@ from torchjoint.ops.felzenszwalb import felzenszwalb
 from torchjoint.ops.felzenszwalb_image import felzenszwalb_image
 from torchjoint.ops.fit_normals import fit_normals
 from torchjoint.ops.group_summaries import group_summaries
+from torchjoint.ops.line_maxima import line_maxima
 from torchjoint.ops.mask_merges import mask_merges
 from torchjoint.ops.match_pixels import match_pixels
 from torchjoint.ops.merge_regions import merge_regions
@@ -37,6 +38,7 @@ __all__ = [
     "felzenszwalb_image",
     "fit_normals",
     "group_summaries",
+    "line_maxima",
     "mask_merges",
     "match_pixels",
     "merge_regions",

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops._call import call
-from torchjoint.ops._checks import check_array, check_number
+from torchjoint.ops._checks import check_array, check_number, check_visible_edges
 
 
 def window_overlaps(
@@ -53,12 +53,7 @@ def window_overlaps(
         >>> window_overlaps(order, other_end, start, point, row, column, labels, window=3)
         (tensor([1]), tensor([0.6667], dtype=torch.float64))
     """
-    check_array("order", order, torch.int32, (None,), "[E]")
-    check_array("other_end", other_end, torch.int32, (order.shape[0],), f"[E] = [{order.shape[0]}]")
-    check_array("start", start, torch.int32, (None,), "[N + 1]")
-    check_array("point", point, torch.int64, (None,), "[M]")
-    for name, value in (("row", row), ("column", column)):
-        check_array(name, value, torch.int64, (point.shape[0],), f"[M] = [{point.shape[0]}]")
+    check_visible_edges(order, other_end, start, point, row, column)
     check_array("labels", labels, torch.int32, (None, None), "[H, W]")
     check_number("window", window, (int,))
     result = call(

@@ -43,37 +43,31 @@ def merging_steps(thresholds: Sequence[float]) -> list[tuple[int, float]]:
 
 
 def merge_by_probability(
-    evidence: Evidence, region: Tensor, pairs: Tensor, probability: Tensor, threshold: float
+    region: Tensor, pairs: Tensor, of_edge: Tensor, probability: Tensor, threshold: float
 ) -> Tensor:
     """Repeatedly merges the two regions whose boundary has the lowest mean probability, up to the threshold.
 
     The mean is over the edges of the point graph that cross the boundary.
 
     Args:
-        evidence: the edges between pieces.
-        region: [N] int64, 0 ... R - 1, region of each point; each region is a union of pieces.
+        region: [N] int64, 0 ... R - 1, region of each point.
         pairs: [2, B] int64, the pairs of regions a < b that edges connect, in ascending order.
+        of_edge: [C] int64, the pair that each edge connects, -1 = none.
         probability: [B] that the two regions of a pair belong to different objects.
         threshold: largest mean probability of two regions that merge.
 
     Returns:
         [N] int64 regions 0, 1, ..., numbered by their first old regions.
     """
-    ends, cost, num_regions = _crossing_edges(evidence, region, pairs, probability)
-    return ops.merge_regions(ends, cost, torch.ones(num_regions, dtype=torch.int64), threshold)[region]
+    ends, cost = _crossing_edges(pairs, of_edge, probability)
+    size = torch.ones(int(region.max()) + 1, dtype=torch.int64)
+    return ops.merge_regions(ends, cost, size, threshold)[region]
 
 
-def _crossing_edges(
-    evidence: Evidence, region: Tensor, pairs: Tensor, probability: Tensor
-) -> tuple[Tensor, Tensor, int]:
-    """The edges [2, C] int64 between regions, their costs [C] float32, and the number of regions."""
-    num_regions = int(region.max()) + 1
-    first, second = evidence.regions_of_pieces(region)[evidence.pairs]
-    low, high = torch.minimum(first, second), torch.maximum(first, second)
-    ends = torch.stack([low, high])[:, evidence.edges.pair]
-    across = ends[0] != ends[1]
-    place = torch.searchsorted(pairs[0] * num_regions + pairs[1], low * num_regions + high)
-    return ends[:, across], probability.float()[place[evidence.edges.pair[across]]], num_regions
+def _crossing_edges(pairs: Tensor, of_edge: Tensor, probability: Tensor) -> tuple[Tensor, Tensor]:
+    """The edges [2, c] int64 between regions, and their costs [c] float32."""
+    crossing = of_edge[of_edge >= 0]
+    return pairs[:, crossing], probability.float()[crossing]
 
 
 def build_hierarchy(evidence: Evidence, model: BoundaryModel) -> Hierarchy:
@@ -120,10 +114,11 @@ def _merge_in_steps(
     """
     for index, threshold in steps:
         evidence = evidence.between(region)
-        pairs, values = boundary_features(evidence, region)
+        pairs, values, of_edge = boundary_features(evidence, region)
         if pairs.shape[1] == 0 and not far:
             break
-        ends, cost, num_regions = _crossing_edges(evidence, region, pairs, model.probability(index, values))
+        ends, cost = _crossing_edges(pairs, of_edge, model.probability(index, values))
+        num_regions = int(region.max()) + 1
         of_piece = evidence.regions_of_pieces(region)
         if linkage is not None and far:
             ends, cost = _with_far_pairs(ends, cost, pairs, linkage.far_pairs(of_piece), num_regions)

@@ -96,6 +96,7 @@ class BoundaryFeatures(NamedTuple):
 
     pairs: Tensor  #: [2, B] int64, regions a < b
     values: Tensor  #: [B, F] float32, one column for each of FEATURE_NAMES, NaN = missing
+    of_edge: Tensor  #: [C] int64, boundary of each edge of Evidence.edges, -1 = inside a region
 
 
 class _Boundaries(NamedTuple):
@@ -158,7 +159,8 @@ def boundary_features(evidence: Evidence, region: Tensor) -> BoundaryFeatures:
         columns += [image_agreement(images, boundaries.of_piece, boundaries.num_regions, boundaries.pairs)]
         columns += [_in_context(values, boundaries, small, large) for values in (crease, disagreement[:, 0])]
     columns += [_neighborhood(boundaries, small)]
-    return BoundaryFeatures(boundaries.pairs, torch.cat([values.float() for values in columns], 1))
+    values = torch.cat([values.float() for values in columns], 1)
+    return BoundaryFeatures(boundaries.pairs, values, boundaries.of_any_edge)
 
 
 def _find_boundaries(evidence: Evidence, region: Tensor) -> _Boundaries:

@@ -22,7 +22,7 @@ from torchjoint.points.graph import PointGraph
 from torchjoint.points.group_summaries import Measure
 from torchjoint.points.image_evidence import ImageEvidence, segments_of_pieces
 from torchjoint.points.mask_evidence import MaskEvidence, masks_of_pieces
-from torchjoint.points.normals import angle_between, estimate_normals, is_convex
+from torchjoint.points.normals import angle_between, is_convex
 from torchjoint.points.occluded_surfaces import Occlusions, find_occlusions
 from torchjoint.points.orientation import orient_normals
 from torchjoint.points.region_merging import merge
@@ -203,8 +203,8 @@ def _geometry(
     angle = angle_between(one, other, both) * right_angles
     crease = torch.where(both & is_convex(between, other - one), -angle, angle)
     bend = angle_between(rows_of(normals, i), rows_of(normals, j), both) * right_angles
-    wide = estimate_normals(graph.points, graph.neighbors)
-    wide = torch.where(dot(wide, normals)[:, None] < 0, -wide, wide)
+    assert graph.wide_normals is not None  # it has scales
+    wide = torch.where(dot(graph.wide_normals, normals)[:, None] < 0, -graph.wide_normals, graph.wide_normals)
     wide_bend = angle_between(rows_of(wide, i), rows_of(wide, j), both) * right_angles
     off_one, off_other = dot(between, one).abs(), dot(between, other).abs()
     noise = torch.maximum(scales.noise[i], scales.noise[j])

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchjoint.config import Config
 from torchjoint.images.segmenter import ImageSegments
+from torchjoint.points.occluded_surfaces import lines_across
 from torchjoint.points.orientation import orientation_votes
 from torchjoint.points.prepared_cloud import PreparedCloud
 from torchjoint.runtime.stopwatch import Stopwatch
@@ -51,11 +52,13 @@ def observe(
     with stopwatch("propagation"):
         labels = segments.labels.to(torch.int32) if segments.masks is None else segments.masks.atom
         overlaps = edge_overlaps(graph.adjacency, visible, labels, config.propagation.window)
-        contours = None
+        contours, lines = None, torch.empty(2, 0, dtype=torch.int64)
         if cloud.method == "learned" and segments.masks is None:
-            contours = edge_contours(graph.adjacency, graph.edge_index, visible, boundary)
+            assert graph.scales is not None  # method learned has measured them
+            contours = edge_contours(graph.adjacency, visible, boundary)
+            lines = lines_across(visible, graph.scales.noise)
     observation = Observation(
-        frame.name, labels, visible, frame.intrinsics.float(), pose.float(), image, boundary, segments.masks
+        frame.name, labels, visible, frame.intrinsics.float(), pose.float(), image, boundary, segments.masks, lines
     )
     return FrameEvidence(observation, facing, overlaps, contours)
 
@@ -74,8 +77,8 @@ def add_evidence(state: JointState, seen: Sequence[FrameEvidence]) -> None:
         state.facing[frame.observation.visible.point] += frame.facing
         if frame.contours is not None:
             edges, contours = frame.contours
-            state.contour_sum[edges] += contours
-            state.contour_views[edges] += 1
+            state.contour_sum.index_add_(0, edges, contours.int())
+            state.contour_views.index_add_(0, edges, torch.ones_like(edges, dtype=torch.int32))
 
 
 def _to_8_bits(values: Tensor) -> Tensor:

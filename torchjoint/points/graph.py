@@ -38,6 +38,7 @@ class PointGraph(NamedTuple):
     adjacency: CsrAdjacency  #: CSR adjacency of the edges
     neighbors: Tensor  #: [N, K] int32, nearest first; planes are fitted to them
     scales: Scales | None = None  #: noise and spacing, method learned only
+    wide_normals: Tensor | None = None  #: [N, 3] unit length, of planes fitted to `neighbors`, method learned only
 
     @property
     def num_points(self) -> int:
@@ -71,6 +72,7 @@ def build_point_graph(cloud: Scene, config: PointGraphConfig, scales: Scales | N
     if normals is None:
         normals = estimate_normals(cloud.points, table[for_normals])
     edge_index = undirected_edges(table[config.neighbors])
+    around = table[for_planes].contiguous()
     return PointGraph(
         cloud.points,
         cloud.colors,
@@ -79,8 +81,9 @@ def build_point_graph(cloud: Scene, config: PointGraphConfig, scales: Scales | N
         spacing,
         edge_index,
         CsrAdjacency.of(edge_index, len(cloud.points)),
-        table[for_planes].contiguous(),
+        around,
         scales,
+        None if scales is None else estimate_normals(cloud.points, around),
     )
 
 

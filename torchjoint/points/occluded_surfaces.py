@@ -87,12 +87,12 @@ def find_occlusions(
         statistics: of the pieces.
         points: [N, 3] metres.
         scales: noise and spacing of the points.
-        observations: the frames.
+        observations: the frames, with their lines.
     """
     num_pieces = len(statistics.size)
     ends = [
         torch.empty(2, 0, dtype=torch.int64),
-        *parallel_map(lambda seen: lines_across(seen.visible, scales.noise), observations),
+        *(seen.lines for seen in observations),
     ]
     one, other = piece[torch.cat(ends, 1)]
     key, num_lines = torch.unique(_keys(one, other, num_pieces)[one != other], return_counts=True)
@@ -168,8 +168,11 @@ def lines_across(visible: Visible, noise: Tensor) -> Tensor:
 
 def _cell_size(visible: Visible) -> int:
     """Pixels."""
-    squares = torch.unique((visible.row // SQUARE << 32) + visible.column // SQUARE)
-    return max(1, math.ceil(CELL * math.sqrt(len(squares) * SQUARE * SQUARE / len(visible.point))))
+    row, column = visible.row // SQUARE, visible.column // SQUARE
+    width = int(column.max()) + 1
+    is_seen = torch.zeros((int(row.max()) + 1) * width, dtype=torch.bool)
+    is_seen[row * width + column] = True
+    return max(1, math.ceil(CELL * math.sqrt(int(is_seen.sum()) * SQUARE * SQUARE / len(visible.point))))
 
 
 def _ends_of_gaps(grid: Tensor, z: Tensor, of_noise: Tensor) -> Tensor:
@@ -242,7 +245,7 @@ def _is_seen_through(ways: Tensor, step: Tensor, observations: Sequence[Observat
 
     An occluder that hides a surface from one frame may not hide it from another one: if this frame sees what lies
     behind the place instead, there is no surface. Each frame's z-buffer is made a second time: to keep those of long
-    recordings would take memory.
+    recordings, unlike their lines, would take memory.
 
     Args:
         ways: [L, K, 3] float64 metres.

@@ -29,7 +29,7 @@ INTERVAL = 20.0
 SHARE = 0.05
 
 #: Version of the files.
-FORMAT = 4
+FORMAT = 5
 
 
 class Checkpoint:

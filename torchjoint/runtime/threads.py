@@ -15,10 +15,11 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
@@ -79,13 +80,30 @@ def parallel_map(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
         with one_thread_per_operation():
             return [function(item) for item in items]
 
-    def on_one_thread(index: int) -> R:
+    results: list[Any] = [None] * len(items)
+    errors: dict[int, BaseException] = {}
+    left = iter(range(len(items)))  # the threads share it: one task for each item would take time
+
+    def work() -> None:
         _workers.set(1)  # nested calls must not start more threads
         with _thread_limit(1), torch.no_grad():  # the gradient mode is a setting per thread, too
-            return function(items[index])
+            for index in left:
+                try:
+                    results[index] = function(items[index])
+                except BaseException as error:
+                    errors[index] = error
+                    deque(left, maxlen=0)  # nobody begins another item
 
-    with one_thread_per_operation(), ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(on_one_thread, range(len(items))))
+    with one_thread_per_operation(), ThreadPoolExecutor(workers - 1) as pool:
+        for _ in range(workers - 1):
+            pool.submit(work)
+        copy_context().run(work)  # this thread works, too
+    if errors:
+        try:
+            raise errors[min(errors)]  # items begin in their order, so this is the first one that fails
+        finally:
+            errors.clear()  # or the error would hold itself, and all that its frames hold
+    return results
 
 
 @contextmanager

@@ -163,7 +163,7 @@ def boundary_examples(evidence: Evidence, region: Tensor, instance: Tensor) -> B
         return BoundaryExamples(
             torch.empty(2, 0, dtype=torch.int64), torch.empty(0, len(FEATURE_NAMES)), np.empty(0, bool), np.empty(0)
         )
-    pairs, values = boundary_features(evidence, region)
+    pairs, values, _ = boundary_features(evidence, region)
     instances, of_point = torch.unique(instance.clamp(min=-1), return_inverse=True)
     num_regions = int(region.max()) + 1
     counts = torch.bincount(region * len(instances) + of_point, minlength=num_regions * len(instances))

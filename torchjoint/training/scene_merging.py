@@ -83,7 +83,7 @@ class _Judge(NamedTuple):
 
 def _merged(evidence: Evidence, region: Tensor, threshold: float, judge: _Judge) -> Tensor:
     """Merges regions [N] up to a threshold."""
-    pairs, values = boundary_features(evidence, region)
+    pairs, values, of_edge = boundary_features(evidence, region)
     if pairs.shape[1] == 0:
         return region
-    return merge_by_probability(evidence, region, pairs, judge(values), threshold)
+    return merge_by_probability(region, pairs, of_edge, judge(values), threshold)

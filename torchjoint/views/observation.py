@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -15,7 +15,7 @@ from torchjoint.scene import Masks
 from torchjoint.views.visibility import Visible
 
 _OF_POINTS = ("row", "column", "u", "v", "z")
-_WHOLE = ("labels", "image", "boundary", "intrinsics", "world_to_camera")
+_WHOLE = ("labels", "image", "boundary", "intrinsics", "world_to_camera", "lines")
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,8 @@ class Observation:
     image: Tensor  #: [3, H, W] uint8
     boundary: Tensor  #: [H, W] uint8, boundary strength x 255
     masks: Masks | None = None
+    #: [2, V] int64, points at the two ends of lines across something nearer; only method learned, without masks
+    lines: Tensor = field(default_factory=lambda: torch.empty(2, 0, dtype=torch.int64))
 
     def labelled_points(self) -> tuple[Tensor, Tensor]:
         """The visible points in pixels with a label, and these labels, both [L] int64."""
@@ -161,6 +163,10 @@ class _Opened(Observation):
     @cached_property
     def boundary(self) -> Tensor:
         return self._part("boundary")
+
+    @cached_property
+    def lines(self) -> Tensor:
+        return self._part("lines")
 
     @cached_property
     def masks(self) -> Masks | None:

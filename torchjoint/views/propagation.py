@@ -6,7 +6,6 @@ order, and the sums of several processes can be added.
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from torchjoint import ops
@@ -17,9 +16,6 @@ from torchjoint.views.visibility import Visible
 #: Overlaps are rounded to multiples of this before they are summed. Sums of up to 2^29 overlaps are then exact in
 #: float64, so the order of the frames does not change a single bit.
 OVERLAP_RESOLUTION = 2.0**-24
-
-#: Where the boundary strength is read on the line between the pixels of an edge's two ends, 0 = first end, 1 = second.
-STEPS = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 def edge_overlaps(edges: CsrAdjacency, visible: Visible, labels: Tensor, window: int) -> tuple[Tensor, Tensor]:
@@ -42,29 +38,18 @@ def edge_overlaps(edges: CsrAdjacency, visible: Visible, labels: Tensor, window:
     return edge, round_overlaps(overlap)
 
 
-def edge_contours(edges: CsrAdjacency, edge_index: Tensor, visible: Visible, boundary: Tensor) -> tuple[Tensor, Tensor]:
+def edge_contours(edges: CsrAdjacency, visible: Visible, boundary: Tensor) -> tuple[Tensor, Tensor]:
     """The strongest boundary of one image on the line between the two ends of each edge.
 
     Args:
         edges: CSR adjacency of the point graph.
-        edge_index: [2, E] int64, the same edges.
         visible: the points that the image sees.
         boundary: [H, W] uint8, boundary strength x 255.
 
     Returns:
         ([S] int64, [S] uint8): the edges with two visible ends, each once, and the strength x 255.
     """
-    pixels = visible.point, visible.row, visible.column
-    edge, _ = ops.window_overlaps(*edges, *pixels, torch.zeros_like(boundary, dtype=torch.int32), 1)
-    place = torch.zeros(len(edges.start) - 1, dtype=torch.int32)
-    place[visible.point] = torch.arange(len(visible.point), dtype=torch.int32)
-    first, second = (place[ends[edge]].long() for ends in edge_index)
-    ends = [(values[first], values[second]) for values in (visible.row, visible.column)]
-    strength = torch.zeros(len(edge), dtype=torch.uint8)
-    for step in STEPS:
-        row, column = ((one * (1 - step) + other * step).round().long() for one, other in ends)
-        strength = torch.maximum(strength, boundary.reshape(-1)[row * boundary.shape[1] + column])
-    return edge, strength
+    return ops.line_maxima(*edges, visible.point, visible.row, visible.column, boundary)
 
 
 def round_overlaps(overlap: Tensor) -> Tensor:

@@ -15,6 +15,7 @@ from torchjoint.ops.reference.images import (
 )
 from torchjoint.ops.reference.points import (
     fit_normals_reference,
+    line_maxima_reference,
     nearest_neighbors_reference,
     neighbor_edges_reference,
     pair_counts_reference,
@@ -39,6 +40,7 @@ __all__ = [
     "felzenszwalb_reference",
     "fit_normals_reference",
     "group_summaries_reference",
+    "line_maxima_reference",
     "mask_merges_reference",
     "match_pixels_reference",
     "merge_regions_reference",

@@ -133,6 +133,22 @@ def window_overlaps_reference(
     return torch.tensor(edges, dtype=torch.int64), torch.tensor(overlaps, dtype=torch.float64)
 
 
+def line_maxima_reference(
+    order: Tensor, other_end: Tensor, start: Tensor, point: Tensor, row: Tensor, column: Tensor, image: Tensor
+) -> tuple[Tensor, Tensor]:
+    """What :func:`torchjoint.ops.line_maxima` computes; the arguments are not checked."""
+    places = {node: torch.tensor(place) for node, *place in zip(*map(Tensor.tolist, (point, row, column)), strict=True)}
+    edges, maxima = [], []
+    for node in point.tolist():
+        for place in range(int(start[node]), int(start[node + 1])):
+            other = int(other_end[place])
+            if other in places:
+                line = (torch.lerp(places[node].double(), places[other].double(), step / 4) for step in range(5))
+                edges.append(int(order[place]))
+                maxima.append(max(int(image[tuple(pixel.round().long())]) for pixel in line))
+    return torch.tensor(edges, dtype=torch.int64), torch.tensor(maxima, dtype=torch.uint8)
+
+
 def pair_counts_reference(
     u: Tensor, v: Tensor, pixel: Tensor, segment: Tensor, label: Tensor, radius: float
 ) -> tuple[Tensor, Tensor]:
