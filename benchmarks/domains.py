@@ -266,6 +266,7 @@ def write_tables(work: Path, kinds: Sequence[str]) -> None:
     short = ["kind of data, scenes", "left out", "default", "preset regions", "best simple method"]
     columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "mean of models", "default"]
     columns += [*(f"preset {preset}" for preset in PRESETS), "best simple method", "left out - preset regions"]
+    columns += ["left out - best simple method"]
     rows = []
     for kind in kinds:
         files = sorted(work.glob(f"left-out-{kind}-[0-9]*.json"))
@@ -278,12 +279,12 @@ def write_tables(work: Path, kinds: Sequence[str]) -> None:
         together = np.array(json.loads(mean.read_text())["learned, left out"])[None]
         others = {n: np.array(v) for n, v in json.loads((work / f"others-{kind}.json").read_text()).items()}
         simple = max(SIMPLE, key=lambda name: float(others[name].mean()))
-        gain = left.mean(0) - others["preset_regions"]
+        gains = [left.mean(0) - others[name] for name in ("preset_regions", simple)]
         cells = [f"{TITLES.get(kind, kind)}, {left.shape[1]}", f"{_both(left)}, {len(runs)}"]
         cells += [_both(blind), _both(together)]
         cells += [_both(np.array(packaged[kind]["default"])[None])]
         cells += [_both(others[f"preset_{preset}"][None]) for preset in PRESETS]
-        cells += [f"{_both(others[simple][None])} ({simple})", difference(gain)]
+        cells += [f"{_both(others[simple][None])} ({simple})", *map(difference, gains)]
         rows.append(cells)
     report.write_part("domains", report.table(columns, rows))
     chosen = [columns.index(name) for name in ("preset regions", "best simple method")]
