@@ -3,12 +3,11 @@
     python benchmarks/domains.py WORK --data ../shared/data [--models FOLDER] [--seeds 5] [--draws 8 --steps 4]
 
 For each kind of data and each training seed, a model is trained on all other kinds; each, and their mean, is scored on
-scenes of the kind that they never saw, at the threshold of .5. Beside it: the model that saw
-scenes of all kinds, the same without images, the presets, and the common methods without learning, each at the best
-setting that a search finds on other scenes of the very kind that it is scored on. Also: the final images beside the
-initial ones. WORK keeps what is done, so that an interrupted run continues. The tables are written to
-benchmarks/README.md, the short one also to README.md and docs/evaluation.md. Without 3D models, the generated scenes
-have built-in shapes only.
+scenes of the kind that they never saw, at the threshold of .5. Beside it: the model that saw scenes of all kinds, the
+same without images, the presets, and the common methods without learning, each at the best setting that a search finds
+on other scenes of the very kind that it is scored on. Also: the final images beside the initial ones. WORK keeps what
+is done, so that an interrupted run continues. The tables are written to benchmarks/README.md, the short one also to
+README.md and docs/evaluation.md. Without 3D models, the generated scenes have built-in shapes only.
 """
 
 from __future__ import annotations
@@ -92,7 +91,7 @@ def main() -> None:
                 score_left_out(work, kind, str(seed), left_out_model(work, kind, seed, arguments), arguments)
         for kind in LEFT_OUT:
             members = [left_out_model(work, kind, seed, arguments) for seed in range(arguments.seeds)]
-            score_left_out(work, kind, "mean", mean_model(members), arguments)
+            score_left_out(work, kind, f"mean{len(members)}", mean_model(members), arguments)
         score_packaged(work, kinds, arguments)
     if arguments.part in ("all", "others"):
         for kind in kinds:
@@ -270,7 +269,7 @@ def write_tables(work: Path, kinds: Sequence[str]) -> None:
     rows = []
     for kind in kinds:
         files = sorted(work.glob(f"left-out-{kind}-[0-9]*.json"))
-        mean = work / f"left-out-{kind}-mean.json"
+        mean = work / f"left-out-{kind}-mean{len(files)}.json"  # a mean of fewer seeds is another model
         if not mean.is_file() or not (work / f"others-{kind}.json").is_file():
             continue
         runs = [json.loads(file.read_text()) for file in files]
