@@ -86,14 +86,14 @@ def test_the_head_is_killed(engine, scans, deaths, expected, tmp_path, watchers)
         assert processes
         head.send_signal(signal.SIGKILL)
         head.wait()
-    assert not (out / "a").exists()
+    wait_for(lambda: sum(map(is_running, processes)) <= (2 if engine == "ray:2" else 0))
+    watchers.update(filter(is_running, processes))
+    assert not (out / "a").exists()  # the workers ended inside their tasks
     (deaths / "wait").unlink()
     again = subprocess.run([*command, "loky:1"], capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
     assert "3 segmented, 0 were done before, 0 failed" in again.stdout
     assert_complete(out, expected)
-    wait_for(lambda: sum(map(is_running, processes)) <= (2 if engine == "ray:2" else 0), 30.0)
-    watchers.update(filter(is_running, processes))
 
 
 class Wire:
