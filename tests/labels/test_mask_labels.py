@@ -26,7 +26,7 @@ def labelled(masks: list[Tensor], points: list[tuple[int, int, int]]) -> tuple[T
     """The labels of a grey image with masks, and points (row, column, 3D label)."""
     row, column, label = (torch.tensor(values) for values in zip(*points, strict=True))
     visible = Visible(torch.arange(len(row)), row, column, column.float(), row.float(), torch.ones(len(row)))
-    found = Masks.from_stack(torch.stack(masks))
+    found = Masks.from_stack(torch.stack(masks) if masks else torch.zeros(0, *SIZE, dtype=torch.bool))
     image, boundary = torch.full((3, *SIZE), 128, dtype=torch.uint8), (outlines(found.atom) * 255).byte()
     seen = Observation("", found.atom, visible, torch.eye(3), torch.eye(4), image, boundary, found)
     return label_image(seen, label, torch.bincount(label, minlength=5), Config())
@@ -58,6 +58,12 @@ def test_a_mask_without_points_keeps_an_id_of_its_own() -> None:
     labels, next_free = labelled([box(1, 1, 6, 6), unseen], [(r, c, 3) for r in (2, 3) for c in (2, 3, 4)])
     assert next_free == 6
     assert torch.equal(labels == 5, unseen)
+
+
+def test_an_image_in_which_a_network_found_nothing_gets_the_labels_of_its_points() -> None:
+    labels, next_free = labelled([], [(r, c, int(c > 5)) for r in (2, 5) for c in (2, 9)])
+    assert next_free == 5
+    assert set(labels.flatten().tolist()) == {0, 1}
 
 
 def test_a_part_without_points_belongs_to_its_whole() -> None:

@@ -84,7 +84,8 @@ def _labels_of_atoms(seen: Observation, masks: Masks, point_labels: Tensor, firs
     label = torch.where(of_atoms.decides & is_covered, of_atoms.label, -1)
     few = ~of_atoms.decides & (of_atoms.num_points < ENOUGH_POINTS) & is_covered
     around = masks.smallest(of_masks.decides)
-    label = torch.where(few & (around >= 0), of_masks.label[around], label)
+    by_mask = few & (around >= 0)
+    label[by_mask] = of_masks.label[around[by_mask]]
 
     # A mask of which too little is known stays apart: it must not be swallowed by what is around it.
     is_known = ~sparse & (of_masks.decides | (of_masks.num_points >= ENOUGH_POINTS))
