@@ -66,6 +66,27 @@ def test_an_image_in_which_a_network_found_nothing_gets_the_labels_of_its_points
     assert set(labels.flatten().tolist()) == {0, 1}
 
 
+def test_points_from_behind_do_not_give_a_mask_the_label_of_a_thing_of_which_they_are_a_small_part() -> None:
+    """The mask's object is not in the cloud. What lies behind it is seen through the hole."""
+    large, missing = box(0, 0, 8, 8), box(2, 9, 6, 12)
+    of_large = [(r, c, 1) for r in range(8) for c in range(8)] * 2
+    labels, next_free = labelled([large, missing], of_large + [(r, c, 1) for r in (3, 4) for c in (9, 10, 11, 9)])
+    assert torch.equal(labels == 5, missing)
+    assert next_free == 6
+    labels, next_free = labelled([large, missing], of_large + [(r, c, 1) for r in range(2, 6) for c in (9, 10, 11, 9)])
+    assert (labels == 1).all()  # so many points are a part that the network has split off
+    assert next_free == 5
+
+
+def test_points_of_several_things_behind_a_mask_do_not_divide_it() -> None:
+    left, right, missing = box(0, 0, 8, 4), box(0, 8, 8, 12), box(2, 5, 6, 7)
+    behind = [(r, 5, 1) for r in range(2, 6)] * 2 + [(r, 6, 2) for r in range(2, 6)] * 2
+    things = [(r, c, 1) for r in range(8) for c in range(4)] + [(r, c, 2) for r in range(8) for c in range(8, 12)]
+    labels, next_free = labelled([left, right, missing], things + behind)
+    assert torch.equal(labels == 5, missing)
+    assert next_free == 6
+
+
 def test_a_part_without_points_belongs_to_its_whole() -> None:
     labels, next_free = labelled([box(1, 1, 7, 9), box(5, 6, 7, 9)], [(r, c, 3) for r in (2, 3) for c in (2, 3, 4)])
     assert next_free == 5

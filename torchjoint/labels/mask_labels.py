@@ -27,6 +27,11 @@ MIN_POINTS = 3
 #: So many points decide that a mask is a part of something of which the image shows more elsewhere. Fewer may be points
 #: of what lies behind the mask's object: a cloud has holes.
 ENOUGH_POINTS = 8
+#: A mask with a smaller share of the points that the image shows of its most frequent 3D label is foreign to it: these
+#: points lie behind the mask's object, which the cloud does not have. A part that a network split off is larger.
+LEAST_PART = 0.1
+#: The same for a mask whose points have several labels. If it is no mask of two objects, it holds a small part of each.
+LEAST_PART_OF_SEVERAL = 0.3
 
 
 class _Winners(NamedTuple):
@@ -35,6 +40,7 @@ class _Winners(NamedTuple):
     label: Tensor  #: [K] int64; -1 without points
     num_points: Tensor  #: [K] int64
     decides: Tensor  #: [K] bool: the part is one object, and which one is known
+    foreign: Tensor  #: [K] bool: the points lie behind the part's object, which is in none of these 3D segments
 
 
 def label_masks(
@@ -43,9 +49,9 @@ def label_masks(
     """Labels an image by its masks and the points that it sees.
 
     An atom whose points agree gets their label as a whole. An atom with too few points gets the label of the smallest
-    mask around it whose points agree. Masks with next to no points, or with a few that are no proof, keep ids of their
-    own, from `num_segments` on. What is left, atoms whose points disagree and pixels without a mask, gets labels by
-    geodesic label propagation, where outlines of masks count as boundaries.
+    mask around it whose points agree. Masks with next to no points, with a few that are no proof, or with points of
+    what lies behind them, keep ids of their own, from `num_segments` on. What is left, atoms whose points disagree and
+    pixels without a mask, gets labels by geodesic label propagation, where outlines of masks count as boundaries.
 
     Args:
         seen: the frame.
@@ -72,23 +78,24 @@ def label_masks(
 def _labels_of_atoms(seen: Observation, masks: Masks, point_labels: Tensor, first_free: int) -> tuple[Tensor, int]:
     """The label of each atom, [K] int64, -1 if it is not one object; and the number of masks with ids of their own."""
     atom = masks.atom[seen.visible.row, seen.visible.column].long()
-    of_atoms = _winners(atom, point_labels, masks.num_atoms)
+    shown = torch.bincount(point_labels)
+    of_atoms = _winners(atom, point_labels, masks.num_atoms, shown)
     # Each point counts for all masks in which it lies.
     member = torch.zeros(masks.num_atoms, len(masks), dtype=torch.bool)
     member[masks.pairs[0], masks.pairs[1]] = True
     point, mask = member[atom].nonzero(as_tuple=True)
-    of_masks = _winners(mask, point_labels[point], len(masks))
+    of_masks = _winners(mask, point_labels[point], len(masks), shown)
     is_covered = member.any(1)
 
     sparse = _is_sparse(masks, mask, seen.visible.z[point])
     label = torch.where(of_atoms.decides & is_covered, of_atoms.label, -1)
-    few = ~of_atoms.decides & (of_atoms.num_points < ENOUGH_POINTS) & is_covered
+    few = ~of_atoms.decides & (of_atoms.foreign | (of_atoms.num_points < ENOUGH_POINTS)) & is_covered
     around = masks.smallest(of_masks.decides)
     by_mask = few & (around >= 0)
     label[by_mask] = of_masks.label[around[by_mask]]
 
     # A mask of which too little is known stays apart: it must not be swallowed by what is around it.
-    is_known = ~sparse & (of_masks.decides | (of_masks.num_points >= ENOUGH_POINTS))
+    is_known = ~sparse & (of_masks.decides | (~of_masks.foreign & (of_masks.num_points >= ENOUGH_POINTS)))
     alone = is_covered & ((masks.smallest(~sparse) < 0) | (few & (label < 0) & (masks.smallest(is_known) < 0)))
     own = masks.smallest(torch.ones(len(masks), dtype=torch.bool))[alone]
     kept, number = torch.unique(own, return_inverse=True)
@@ -119,18 +126,30 @@ def _is_sparse(masks: Masks, mask: Tensor, depth: Tensor) -> Tensor:
     return sparse
 
 
-def _winners(part: Tensor, label: Tensor, num_parts: int) -> _Winners:
-    """The most frequent label of points in each part; `part` and `label` are those of the points."""
+def _winners(part: Tensor, label: Tensor, num_parts: int, shown: Tensor) -> _Winners:
+    """The most frequent label of points in each part.
+
+    Args:
+        part: [P] int64, part of each point, 0 ... K - 1.
+        label: [P] int64, 3D label of each point.
+        num_parts: K.
+        shown: [L] int64, number of points of each label in the whole image.
+    """
     num_points = torch.bincount(part, minlength=num_parts)
-    num_labels = int(label.max()) + 1 if label.numel() else 1
+    num_labels = max(1, len(shown))
     key, count = torch.unique(part * num_labels + label, return_counts=True)
     of_part = key // num_labels
     most = torch.zeros(num_parts, dtype=torch.int64).scatter_reduce_(0, of_part, count, "amax")
     is_most = count == most[of_part]
     winner = torch.full((num_parts,), num_labels)
     winner.scatter_reduce_(0, of_part[is_most], (key % num_labels)[is_most], "amin")
-    decides = (num_points >= MIN_POINTS) & (most >= ONE_OBJECT * num_points)
-    chosen = winner.clamp(max=num_labels - 1)
+    winner = torch.where(num_points > 0, winner, -1)
+
+    is_one = most >= ONE_OBJECT * num_points
+    share = most / torch.cat([shown, torch.ones(1)])[winner]
+    foreign = (num_points > 0) & (share < torch.where(is_one, LEAST_PART, LEAST_PART_OF_SEVERAL))
+    decides = (num_points >= MIN_POINTS) & is_one & ~foreign
+    chosen = winner.clamp(min=0)
     strongest = torch.zeros(num_labels, dtype=torch.int64).scatter_reduce_(0, chosen, most * decides, "amax")
     decides &= (num_points >= ENOUGH_POINTS) | (most == strongest[chosen])
-    return _Winners(torch.where(num_points > 0, winner, -1), num_points, decides)
+    return _Winners(winner, num_points, decides, foreign)
