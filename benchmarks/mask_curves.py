@@ -1,8 +1,9 @@
 """Masks of a network: what each part of the merging contributes, and what views and pose errors do.
 
 `python benchmarks/mask_curves.py WORK [--scenes 2] [--noise-seeds 1]`. Scores are F for objects and parts / mean best
-IoU of the points, means over generated rooms, table-tops and shelves (seeds from 80 on) with masks of one level. WORK
-keeps the scores of each run, so that an interrupted command goes on. Writes its part of benchmarks/README.md.
+IoU of the points, means over generated rooms, table-tops and shelves (seeds from 80 on) with masks of one level; in
+parentheses their differences to the scores of the unchanged method, run by run, with standard errors. WORK keeps the
+scores of each run, so that an interrupted command goes on. Writes its part of benchmarks/README.md.
 """
 
 import argparse
@@ -18,14 +19,15 @@ import torch
 
 import torchjoint as tj
 from torchjoint.evaluation.scores import score
+from torchjoint.evaluation.table import standard_error
 from torchjoint.points import agglomeration, mask_merging
 from torchjoint.runtime.files import write_text
 from torchjoint.scene import Scene
 
-VIEWS = {"room": 60, "table": 20, "shelf": 20}
+DOMAINS = ("room", "table", "shelf")
 FIRST_SEED = 80
 LEVELS = ("sam-like", "hard")
-NUM_VIEWS = (1, 2, 4, 8, 15, 20)
+NUM_VIEWS = (1, 2, 4, 8, 15, 30, 60)
 POSE_ERRORS = (0.0, 0.5, 1.0, 2.0, 3.0)  # cm
 #: Views of the ablation and of the pose errors.
 USUAL_VIEWS = 15
@@ -61,7 +63,7 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     scores: dict[str, list[tuple[float, float]]] = {}
-    for domain, most in VIEWS.items():
+    for domain in DOMAINS:
         for seed in range(FIRST_SEED, FIRST_SEED + arguments.scenes):
             made: list[Scene] = []
             for level in LEVELS:
@@ -70,7 +72,7 @@ def main() -> None:
                     known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
                     for key, run in jobs(level):
                         if key not in known:
-                            made = made or [tj.synthetic.make_domain_scene(domain, seed, num_views=most).scene]
+                            made = made or [tj.synthetic.make_domain_scene(domain, seed, num_views=NUM_VIEWS[-1]).scene]
                             known[key] = run(made[0], noise)
                             write_text(path, json.dumps(known))
                         scores.setdefault(key, []).append(tuple(known[key]))
@@ -148,11 +150,7 @@ def patched(patches: Sequence[Patch]) -> Iterator[None]:
 
 def write(scores: dict[str, list[tuple[float, float]]]) -> None:
     def row(name: str) -> list[str]:
-        cells = []
-        for level in LEVELS:
-            f, iou = (fmean(values) for values in zip(*scores[f"{level}|{name}"], strict=True))
-            cells.append(f"{f:.3f} / {iou:.3f}")
-        return [name, *cells]
+        return [name, *(cell(scores[f"{level}|{name}"], scores[f"{level}|all"]) for level in LEVELS)]
 
     count = len(scores[f"{LEVELS[0]}|all"])
     columns = [f"{count} runs", *LEVELS]
@@ -162,6 +160,18 @@ def write(scores: dict[str, list[tuple[float, float]]]) -> None:
         report.table(columns, [["0 cm", *row("all")[1:]], *(row(f"{error} cm") for error in POSE_ERRORS[1:])]),
     ]
     report.write_part("mask curves", "\n\n".join(tables))
+
+
+def cell(scores: list[tuple[float, float]], usual: list[tuple[float, float]]) -> str:
+    """Mean F and best IoU, and the differences to the usual ones with their standard errors."""
+    f, iou = (fmean(values) for values in zip(*scores, strict=True))
+    if scores == usual:
+        return f"{f:.3f} / {iou:.3f}"
+    gains = []
+    for place in (0, 1):
+        differences = [one[place] - other[place] for one, other in zip(scores, usual, strict=True)]
+        gains.append(f"{fmean(differences):+.3f} ± {standard_error(differences):.3f}")
+    return f"{f:.3f} / {iou:.3f} ({' / '.join(gains)})"
 
 
 if __name__ == "__main__":
