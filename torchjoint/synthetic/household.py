@@ -59,7 +59,7 @@ def tin(rng: Rng, style: Style) -> Item:
 
 
 def mug(rng: Rng, style: Style) -> Item:
-    """A mug or cup, flared or straight, with a handle or without, its inside of another colour now and then."""
+    """A mug or cup, flared or straight, with a handle or without, empty or with a drink in it."""
     r, h = rng.uniform(0.03, 0.055), rng.uniform(0.05, 0.13)
     coat = style.package((6.28 * r, h)) if rng.random() < 0.3 else style.body(0.5)
     parts = [(cup(r, h, 0.004, flare=rng.uniform(1.0, 1.35), rounded=rng.random() < 0.2), coat)]
