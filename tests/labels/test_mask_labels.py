@@ -78,6 +78,14 @@ def test_points_from_behind_do_not_give_a_mask_the_label_of_a_thing_of_which_the
     assert next_free == 5
 
 
+def test_a_small_mask_of_a_thing_that_the_network_splits_is_a_part_of_it() -> None:
+    parts = [box(0, 0, 4, 8), box(4, 0, 8, 8), box(2, 9, 6, 12)]
+    of_parts = [(r, c, 1) for r in range(8) for c in range(8)] * 2
+    labels, next_free = labelled(parts, of_parts + [(r, c, 1) for r in (3, 4) for c in (9, 10, 11, 9)])
+    assert (labels == 1).all()
+    assert next_free == 5
+
+
 def test_points_of_several_things_behind_a_mask_do_not_divide_it() -> None:
     left, right, missing = box(0, 0, 8, 4), box(0, 8, 8, 12), box(2, 5, 6, 7)
     behind = [(r, 5, 1) for r in range(2, 6)] * 2 + [(r, 6, 2) for r in range(2, 6)] * 2

@@ -32,6 +32,9 @@ ENOUGH_POINTS = 8
 LEAST_PART = 0.1
 #: The same for a mask whose points have several labels. If it is no mask of two objects, it holds a small part of each.
 LEAST_PART_OF_SEVERAL = 0.3
+#: Share of the other points of a label that one mask holds, if the label is whole in this image. Only then are the
+#: network's masks of it believed: where it splits things, a small part is nothing strange.
+WHOLE = 0.75
 
 
 class _Winners(NamedTuple):
@@ -41,6 +44,13 @@ class _Winners(NamedTuple):
     num_points: Tensor  #: [K] int64
     decides: Tensor  #: [K] bool: the part is one object, and which one is known
     foreign: Tensor  #: [K] bool: the points lie behind the part's object, which is in none of these 3D segments
+
+
+class _Shown(NamedTuple):
+    """The points of L 3D labels that an image shows."""
+
+    num_points: Tensor  #: [L] int64
+    in_one_mask: Tensor  #: [L] int64, largest number in one mask
 
 
 def label_masks(
@@ -78,13 +88,13 @@ def label_masks(
 def _labels_of_atoms(seen: Observation, masks: Masks, point_labels: Tensor, first_free: int) -> tuple[Tensor, int]:
     """The label of each atom, [K] int64, -1 if it is not one object; and the number of masks with ids of their own."""
     atom = masks.atom[seen.visible.row, seen.visible.column].long()
-    shown = torch.bincount(point_labels)
-    of_atoms = _winners(atom, point_labels, masks.num_atoms, shown)
     # Each point counts for all masks in which it lies.
     member = torch.zeros(masks.num_atoms, len(masks), dtype=torch.bool)
     member[masks.pairs[0], masks.pairs[1]] = True
     point, mask = member[atom].nonzero(as_tuple=True)
+    shown = _shown_labels(mask, point_labels[point], point_labels)
     of_masks = _winners(mask, point_labels[point], len(masks), shown)
+    of_atoms = _winners(atom, point_labels, masks.num_atoms, shown)
     is_covered = member.any(1)
 
     sparse = _is_sparse(masks, mask, seen.visible.z[point])
@@ -126,17 +136,31 @@ def _is_sparse(masks: Masks, mask: Tensor, depth: Tensor) -> Tensor:
     return sparse
 
 
-def _winners(part: Tensor, label: Tensor, num_parts: int, shown: Tensor) -> _Winners:
+def _shown_labels(mask: Tensor, label: Tensor, point_labels: Tensor) -> _Shown:
+    """What an image shows of each 3D label.
+
+    Args:
+        mask: [P] int64, the masks in which points lie.
+        label: [P] int64, the 3D labels of these points.
+        point_labels: [M] int64, the 3D label of each visible point.
+    """
+    num_points = torch.bincount(point_labels)
+    num_labels = max(1, len(num_points))
+    key, count = torch.unique(mask * num_labels + label, return_counts=True)
+    return _Shown(num_points, torch.zeros_like(num_points).scatter_reduce_(0, key % num_labels, count, "amax"))
+
+
+def _winners(part: Tensor, label: Tensor, num_parts: int, shown: _Shown) -> _Winners:
     """The most frequent label of points in each part.
 
     Args:
         part: [P] int64, part of each point, 0 ... K - 1.
         label: [P] int64, 3D label of each point.
         num_parts: K.
-        shown: [L] int64, number of points of each label in the whole image.
+        shown: the labels in the whole image.
     """
     num_points = torch.bincount(part, minlength=num_parts)
-    num_labels = max(1, len(shown))
+    num_labels = max(1, len(shown.num_points))
     key, count = torch.unique(part * num_labels + label, return_counts=True)
     of_part = key // num_labels
     most = torch.zeros(num_parts, dtype=torch.int64).scatter_reduce_(0, of_part, count, "amax")
@@ -146,8 +170,9 @@ def _winners(part: Tensor, label: Tensor, num_parts: int, shown: Tensor) -> _Win
     winner = torch.where(num_points > 0, winner, -1)
 
     is_one = most >= ONE_OBJECT * num_points
-    share = most / torch.cat([shown, torch.ones(1)])[winner]
-    foreign = (num_points > 0) & (share < torch.where(is_one, LEAST_PART, LEAST_PART_OF_SEVERAL))
+    all_points, in_one_mask = (torch.cat([values, torch.ones(1)])[winner] for values in shown)
+    is_small = most < torch.where(is_one, LEAST_PART, LEAST_PART_OF_SEVERAL) * all_points
+    foreign = (num_points > 0) & is_small & (in_one_mask >= WHOLE * (all_points - most))
     decides = (num_points >= MIN_POINTS) & is_one & ~foreign
     chosen = winner.clamp(min=0)
     strongest = torch.zeros(num_labels, dtype=torch.int64).scatter_reduce_(0, chosen, most * decides, "amax")
