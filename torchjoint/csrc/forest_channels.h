@@ -262,7 +262,8 @@ class ForestChannels {
       for (int64_t down = 0; down < cell; ++down) {
         for (int64_t right = 0; right < cell; ++right) {
           const int64_t place = down * width + cell * x + right;
-          sum += orientation[place] == turn ? value[place] * (1.0f / (cell * cell)) : 0.0f;
+          const float share = value[place] * (1.0f / (cell * cell));  // read in any case: no branch
+          sum += orientation[place] == turn ? share : 0.0f;
         }
       }
       out[x] = sum;
