@@ -71,7 +71,7 @@ class TestStructuredForest:
         # A feature within rounding of a threshold is as good as impossible with few, random trees.
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)
 
-    @pytest.mark.parametrize("size", [(480, 64), (66, 50), (38, 36), (20, 22), (2, 2)])
+    @pytest.mark.parametrize("size", [(480, 64), (64, 480), (66, 50), (38, 36), (20, 22), (2, 2)])
     @pytest.mark.parametrize("stride", [2, 4])
     def test_it_is_opencvs(self, tmp_path, size, stride):
         forest = read_forest(MODEL)

@@ -6,7 +6,7 @@ import torch
 import torchjoint.points.graph as graph_module
 from torchjoint.config import PointGraphConfig
 from torchjoint.points.graph import build_point_graph
-from torchjoint.points.scales import NEIGHBORS_PER_NOISE, NORMAL_NEIGHBORS, measure_scales
+from torchjoint.points.scales import NEIGHBORS_PER_NOISE, NOISE_QUANTILE, NORMAL_NEIGHBORS, low_quantile, measure_scales
 from torchjoint.scene import Scene
 
 STEP = 0.01
@@ -25,6 +25,12 @@ def test_the_noise_of_a_plane(noise):
     # The quantile 0.3 of |error| is 0.385 standard deviations; the fit takes a part of the error.
     assert scales.noise.median().item() == pytest.approx(0.385 * noise, rel=0.15)
     assert scales.noise.dtype == scales.spacing.dtype == torch.float32
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 11, 24])
+def test_the_quantile_is_torchs(count):
+    values = torch.rand(500, count, generator=torch.Generator().manual_seed(count))
+    assert torch.equal(low_quantile(values), values.quantile(NOISE_QUANTILE, dim=1))
 
 
 def test_more_noise_takes_more_neighbours():

@@ -155,15 +155,13 @@ class ForestChannels {
   ForestChannels(int64_t height, int64_t width)
       : rows(height / 2 + kPadding + height % 2), columns(width / 2 + kPadding + width % 2), height_(height),
         width_(width), padded_height_(2 * rows), padded_width_(2 * columns),
-        memory_(plane() * (4 * 6 + kChannels + 2 * kChannels + 1)),
-        values_(memory_.data() + plane() * (4 * 6 + kChannels)) {
-    std::fill_n(values_ + 2 * kChannels * plane(), plane(), 0.0f);
-  }
+        memory_(plane() * (4 * 6 + kChannels + 2 * kChannels)),
+        values_(memory_.data() + plane() * (4 * 6 + kChannels)) {}
 
   int64_t plane() const { return rows * columns; }
 
-  // [27, rows, columns]: the channels weakly smoothed, for features that are single values; strongly smoothed, for
-  // features that are differences; and zeros, so that a single value is a difference, too.
+  // [26, rows, columns]: the channels weakly smoothed, for features that are single values; then strongly smoothed, for
+  // features that are differences.
   const float* values() const { return values_; }
 
   // Computes values() of an image [3, height, width] of finite numbers; an odd side is mirrored by one more pixel.
@@ -264,7 +262,8 @@ class ForestChannels {
       for (int64_t down = 0; down < cell; ++down) {
         for (int64_t right = 0; right < cell; ++right) {
           const int64_t place = down * width + cell * x + right;
-          sum += orientation[place] == turn ? value[place] * (1.0f / (cell * cell)) : 0.0f;
+          const float share = value[place] * (1.0f / (cell * cell));  // read in any case: no branch
+          sum += orientation[place] == turn ? share : 0.0f;
         }
       }
       out[x] = sum;

@@ -1,26 +1,21 @@
 // The trees of a structured forest, checked and laid out for walks from the root to a leaf.
 #pragma once
 
-#include <array>
 #include <cmath>
 
 #include "array.h"
 #include "common.h"
-#include "forest_channels.h"
+#include "forest_tile.h"
 
 namespace torchjoint {
 
-// Side of a patch in cells of the channels, two pixels wide; side of the square of pixels that a leaf votes for.
-constexpr int64_t kPatch = 16, kVotes = 16;
-// Features: single values (channel, column, row), then differences of a channel between two cells of a 5 x 5 grid.
-constexpr int64_t kGrid = 5, kPairs = kGrid * kGrid * (kGrid * kGrid - 1) / 2;
-constexpr int64_t kSingle = kChannels * kPatch * kPatch, kFeatures = kSingle + kChannels * kPairs;
-constexpr std::array<int64_t, kGrid> kGridCells{1, 4, 8, 11, 14};
+// Side of the square of pixels that a leaf votes for.
+constexpr int64_t kVotes = 16;
 
 // An inner node. A child >= 0 is an inner node of the same tree; of a leaf it is the complement of the leaf's number.
 struct Node {
   float threshold;
-  int32_t feature;
+  Feature feature;
   int32_t child[2];  // left, right
 };
 
@@ -33,21 +28,24 @@ struct Forest {
     const int64_t length = children.size(1), total = num_trees * length, num_pixels = pixels.size(0);
     const int32_t* const count = counts.const_data_ptr<int32_t>();
     int64_t end = 0;
+    int32_t signs = 0;
     for (int64_t i = 0; i < total; ++i) {
-      if (count[i] < 0) [[unlikely]] {
-        fail("boundary_counts: expected counts >= 0, got ", count[i], " at node ", i % length, " of tree ", i / length);
-      }
-      start[i] = static_cast<int32_t>(std::min(end, num_pixels));
+      signs |= count[i];
+      start[i] = static_cast<int32_t>(end);
       end += count[i];
+    }
+    for (int64_t i = 0; signs < 0 && i < total; ++i) {
+      check(count[i] >= 0, "boundary_counts: expected counts >= 0, got ", count[i], " at node ", i % length, " of tree ",
+            i / length);
     }
     check(end == num_pixels, "boundary_counts: expected counts of ", num_pixels, " pixels in all, got ", end);
     start[total] = static_cast<int32_t>(end);
-    std::vector<int32_t> number(length);
+    Scratch scratch(length);
     int32_t used = 0;
     for (int64_t tree = 0; tree < num_trees; ++tree) {
       const int64_t first = tree * length;
       used = add_tree({children.const_data_ptr<int32_t>() + first, features.const_data_ptr<int32_t>() + first,
-                       thresholds.const_data_ptr<float>() + first, length}, tree, used, number);
+                       thresholds.const_data_ptr<float>() + first, static_cast<int32_t>(length)}, tree, used, scratch);
     }
   }
 
@@ -55,38 +53,45 @@ struct Forest {
   struct Given {
     const int32_t *child, *feature;
     const float* threshold;
-    int64_t length;
+    int32_t length;
 
-    bool fits(int64_t place) const {
-      // A child comes after its parent, so there are no circles.
-      const bool inside = (child[place] > place + 1) & (child[place] < length);
-      const bool known = (feature[place] >= 0) & (feature[place] < kFeatures);
-      const bool finite = std::abs(threshold[place]) <= std::numeric_limits<float>::max();
+    // Whether the node is a leaf, or in order. A child comes after its parent, so there are no circles.
+    int32_t fits(int32_t place) const {
+      const int32_t inside = (child[place] > place + 1) & (child[place] < length);
+      const int32_t known = static_cast<uint32_t>(feature[place]) < static_cast<uint32_t>(kFeatures);
+      const int32_t finite = std::abs(threshold[place]) <= std::numeric_limits<float>::max();
       return (child[place] == 0) | (inside & known & finite);
     }
   };
 
+  // The inner nodes of a tree, in order, and by place the number of each inner node and the complement of each leaf's.
+  struct Scratch {
+    explicit Scratch(int64_t length) : inner(length), number(length) {}
+    std::vector<int32_t> inner, number;
+  };
+
   // Appends the inner nodes to `nodes`, of which the first `used` are taken; returns how many are then. No branch
   // depends on what is a leaf, because it would be predicted wrongly half of the time.
-  int32_t add_tree(const Given& given, int64_t tree, int32_t used, std::vector<int32_t>& number) {
-    const int32_t first_leaf = static_cast<int32_t>(tree * given.length);
-    int32_t inner = 0;
-    bool fits = true;
-    for (int64_t place = 0; place < given.length; ++place) {
-      const bool is_inner = given.child[place] != 0;
-      number[place] = is_inner ? inner : ~static_cast<int32_t>(first_leaf + place);
-      inner += is_inner;
-      fits &= given.fits(place);
-    }
+  int32_t add_tree(const Given& given, int64_t tree, int32_t used, Scratch& scratch) {
+    int32_t fits = 1;
+    for (int32_t place = 0; place < given.length; ++place) fits &= given.fits(place);
     if (!fits) fail_at(given, tree);
-    root.push_back({used, number[0]});
-    for (int64_t place = 0; place < given.length; ++place) {
-      const int32_t child = std::max(given.child[place], 1);
-      const int32_t right = number[std::min<int64_t>(child, given.length - 1)];
-      nodes[used] = {given.threshold[place], given.feature[place], {number[child - 1], right}};
-      used += given.child[place] != 0;
+    const auto& [inner, number] = scratch;
+    int32_t num_inner = 0;
+    for (int32_t place = 0; place < given.length; ++place) {
+      scratch.inner[num_inner] = place;
+      num_inner += given.child[place] != 0;
     }
-    return used;
+    const int32_t first_leaf = static_cast<int32_t>(tree * given.length);
+    for (int32_t place = 0; place < given.length; ++place) scratch.number[place] = ~(first_leaf + place);
+    for (int32_t i = 0; i < num_inner; ++i) scratch.number[inner[i]] = i;
+    root.push_back({used, number[0]});
+    const std::array<Feature, kFeatures>& features = tile_features();
+    for (int32_t i = 0; i < num_inner; ++i) {
+      const int32_t place = inner[i], right = given.child[place];
+      nodes[used + i] = {given.threshold[place], features[given.feature[place]], {number[right - 1], number[right]}};
+    }
+    return used + num_inner;
   }
 
   [[noreturn]] static void fail_at(const Given& given, int64_t tree) {
@@ -103,13 +108,10 @@ struct Forest {
     fail("children: expected a tree");
   }
 
-  // Whether a tree votes at a site whose row and column add up to `turn`, modulo turns(): neighbouring sites ask
-  // different trees.
+  // Whether a tree votes at a site whose row and column add up to `turn`: neighbouring sites ask different trees.
   bool votes(int64_t tree, int64_t turn) const {
-    return ((tree - turn) % num_trees + num_trees) % num_trees < per_site;
+    return (tree - turn % (2 * per_site) + 2 * num_trees) % num_trees < per_site;
   }
-
-  int64_t turns() const { return 2 * per_site; }
 
   struct Root {
     int32_t first, node;  // where the tree's inner nodes begin, and where its walks do

@@ -6,8 +6,10 @@ spacing.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -31,7 +33,7 @@ NORMAL_NEIGHBORS = (16, 64)
 #: Smallest noise and spacing, in multiples of the cloud's median spacing: clouds without noise exist, and both are
 #: divisors.
 SMALLEST = 1e-3
-#: Number of points processed at a time, because torch.quantile accepts at most 2^24 numbers.
+#: Number of points processed at a time, on one of the threads.
 POINTS = 1 << 16
 
 
@@ -63,11 +65,21 @@ def measure_scales(points: Tensor) -> Scales:
     residual = dot(points - mean, normal).abs()
 
     def noise_at(start: int) -> Tensor:
-        around = residual[indices[start : start + POINTS].long()]
-        return around.quantile(NOISE_QUANTILE, dim=1)
+        return low_quantile(residual[indices[start : start + POINTS].long()])
 
     noise = torch.cat(parallel_map(noise_at, range(0, len(points), POINTS)))
     smallest = SMALLEST * float(spacing.median()) or torch.finfo(torch.float32).tiny
     noise, spacing = noise.clamp(min=smallest), spacing.clamp(min=smallest)
     needed = float((NEIGHBORS_PER_NOISE * noise / spacing).median())
     return Scales(noise, spacing, min(many, max(few, round(needed))))
+
+
+def low_quantile(values: Tensor) -> Tensor:
+    """The NOISE_QUANTILE of each row, [N, K] finite float32 -> [N], as torch.quantile interpolates it.
+
+    torch.quantile takes eight times as long, because of its sort.
+    """
+    ascending = torch.from_numpy(np.sort(values.numpy(), axis=1))
+    rank = torch.tensor(NOISE_QUANTILE) * (values.shape[1] - 1)
+    below = int(rank)
+    return torch.lerp(ascending[:, below], ascending[:, math.ceil(rank)], rank - below)

@@ -20,6 +20,8 @@ SHIFTS = [
 
 #: Smallest number of points to compare.
 LEAST_POINTS = 30
+#: Of more points every second, third, ... is compared: the mean of 10,000 colours errs by a hundredth of their spread.
+MOST_POINTS = 10_000
 
 
 class ColorAgreement(NamedTuple):
@@ -41,6 +43,8 @@ def color_agreement(colors: Tensor, image: Tensor, row: Tensor, column: Tensor) 
     """
     if len(colors) < LEAST_POINTS:
         return ColorAgreement()
+    step = math.ceil(len(colors) / MOST_POINTS)
+    colors, row, column = colors[::step], row[::step], column[::step]
     height, width = image.shape[1:]
     seen = image[:, row, column].T
     shifted = []
