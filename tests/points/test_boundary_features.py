@@ -261,4 +261,4 @@ def test_edges_inside_regions_do_not_count():
 
 
 def test_names_are_unique():
-    assert len(set(FEATURE_NAMES)) == len(FEATURE_NAMES) == 84
+    assert len(set(FEATURE_NAMES)) == len(FEATURE_NAMES) == 94

@@ -18,6 +18,7 @@ from torchjoint.points.image_agreement import NUM_VALUES, image_agreement
 from torchjoint.points.region_statistics import (
     RegionStatistics,
     axes,
+    bulge_of_unions,
     color_contrasts,
     covariance_of_unions,
     pooled,
@@ -28,6 +29,8 @@ from torchjoint.runtime.threads import parallel_map
 TINY = 1e-30
 #: A boundary without a value counts as this among the boundaries of a region.
 TYPICAL = 0.3
+#: Smallest texture (units of Lab) and roughness (right angles) that steps of colour and bends are compared with.
+SMALLEST_TEXTURE, SMALLEST_ROUGHNESS = 0.5, 0.02
 #: Sides of a boundary: the region with fewer points, and the other.
 SIDES = ("small", "large")
 
@@ -88,6 +91,16 @@ FEATURE_NAMES: tuple[str, ...] = (
     *_context("disagreement"),
     "perimeter_share_small",
     "log_neighbors_small",
+    "bulge_small",
+    "bulge_large",
+    "bulge_union",
+    "bulge_growth",
+    "roughness_small",
+    "roughness_large",
+    "bend_above_roughness",
+    "texture_small",
+    "texture_large",
+    "color_step_above_texture",
 )
 
 
@@ -158,7 +171,8 @@ def boundary_features(evidence: Evidence, region: Tensor) -> BoundaryFeatures:
         columns += [boundaries.mean(edges.views > 0)[:, None], boundaries.mean(edges.views).log1p()[:, None]]
         columns += [image_agreement(images, boundaries.of_piece, boundaries.num_regions, boundaries.pairs)]
         columns += [_in_context(values, boundaries, small, large) for values in (crease, disagreement[:, 0])]
-    columns += [_neighborhood(boundaries, small)]
+    columns += [_neighborhood(boundaries, small), _bulges(statistics, small, large)]
+    columns += [_textures(statistics, small, large, bend=geometry[1][:, 2], color_step=color_step[:, 2])]
     values = torch.cat([values.float() for values in columns], 1)
     return BoundaryFeatures(boundaries.pairs, values, boundaries.of_any_edge)
 
@@ -257,3 +271,32 @@ def _neighborhood(boundaries: _Boundaries, small: Tensor) -> Tensor:
     perimeter = sum_by(ends, boundaries.num_edges.repeat(2), boundaries.num_regions)
     neighbors = torch.bincount(ends, minlength=boundaries.num_regions).double()
     return torch.stack([boundaries.num_edges / perimeter[small], neighbors[small].log()], 1)
+
+
+def _bulges(regions: RegionStatistics, small: Tensor, large: Tensor) -> Tensor:
+    """How far both regions and their union bulge out of their surface, relative to their extents: [B, 4].
+
+    The last column is the union's bulge less the mean of both: a whole thing bulges more than its sides.
+    """
+    bulge = regions.bulge / _extent(regions.covariance)
+    union = bulge_of_unions(regions, small, large) / _extent(covariance_of_unions(regions, small, large))
+    share = regions.size[small] / (regions.size[small] + regions.size[large])
+    mean = share * bulge[small] + (1 - share) * bulge[large]
+    return torch.stack([bulge[small], bulge[large], union, union - mean], 1)
+
+
+def _extent(covariance: Tensor) -> Tensor:
+    """Root mean square distances [R] from the means, metres, of covariances [R, 3, 3]."""
+    return torch.diagonal(covariance, dim1=1, dim2=2).sum(1).sqrt().clamp(min=TINY)
+
+
+def _textures(regions: RegionStatistics, small: Tensor, large: Tensor, bend: Tensor, color_step: Tensor) -> Tensor:
+    """Roughness and texture of both regions, and the bend and colour step [B] of the boundary above them: [B, 6]."""
+    roughness = [regions.roughness[small], regions.roughness[large]]
+    if regions.texture is None:
+        texture = [torch.full_like(roughness[0], torch.nan)] * 2
+    else:
+        texture = [regions.texture[small], regions.texture[large]]
+    bend_above = bend.double() / (torch.maximum(*roughness) + SMALLEST_ROUGHNESS)
+    step_above = color_step.double() / (torch.maximum(*texture) + SMALLEST_TEXTURE)
+    return torch.stack([*roughness, bend_above, *texture, step_above], 1)

@@ -26,7 +26,7 @@ from torchjoint.points.normals import angle_between, is_convex
 from torchjoint.points.occluded_surfaces import Occlusions, find_occlusions
 from torchjoint.points.orientation import orient_normals
 from torchjoint.points.region_merging import merge
-from torchjoint.points.region_statistics import RegionStatistics, statistics_of_points
+from torchjoint.points.region_statistics import InnerEdges, RegionStatistics, Surface, statistics_of_points
 from torchjoint.points.regions import SMOOTH_REGIONS, Planes, one_sided_planes, small_regions
 from torchjoint.points.scales import Scales
 from torchjoint.runtime.threads import parallel_map
@@ -55,6 +55,8 @@ SMALLEST_TYPICAL = 0.5
 THRESHOLD = 0.05
 #: Smallest piece, points.
 MIN_SIZE = 8
+#: Right angles in one radian.
+RIGHT_ANGLES = 2 / math.pi
 
 
 class BoundaryEdges(NamedTuple):
@@ -159,6 +161,10 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
         r = torch.where(state.views[across] > 0, r[across], torch.nan)
     else:
         r = None
+    surface = Surface(graph.points, planes.normal, oriented, scales.noise, scales.spacing, lab)
+    statistics = statistics_of_points(
+        piece, surface, _inner_edges(piece, graph.edge_index, normals, oriented, color_step)
+    )
     if color_step is not None:
         color_step = color_step[across]
     optional = (color_step, r, contour)
@@ -167,7 +173,6 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
     rest = iter(ranked)
     color, overlap, strength = (None if values is None else next(rest) for values in optional)
     unoriented = ~(oriented[ends[0]] & oriented[ends[1]])
-    statistics = statistics_of_points(piece, graph.points, planes.normal, scales.noise, scales.spacing, lab)
     return Evidence(
         piece,
         torch.stack([key // num_pieces, key % num_pieces]),
@@ -180,6 +185,17 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
         masks_of_pieces(piece, seen),
         find_occlusions(piece, statistics, graph.points, scales, observations) if observations else None,
     )
+
+
+def _inner_edges(
+    piece: Tensor, edge_index: Tensor, normals: Tensor, oriented: Tensor, color_step: Tensor | None
+) -> InnerEdges:
+    """The edges inside the pieces [N], with the angles between normals [N, 3], and colour steps [E]."""
+    i, j = edge_index
+    inner = torch.nonzero(piece[i] == piece[j]).squeeze(1)
+    i, j = i[inner], j[inner]
+    turn = angle_between(rows_of(normals, i), rows_of(normals, j), oriented[i] & oriented[j])
+    return InnerEdges(piece[i], turn * RIGHT_ANGLES, None if color_step is None else color_step[inner])
 
 
 def _edge_costs(crease: Tensor, r: Tensor | None, color_step: Tensor | None, median: float | None) -> Tensor:
@@ -197,15 +213,14 @@ def _geometry(
     """The measures crease, bend, wide_bend, offset, larger_offset and gap of BoundaryEdges, each [C] float32."""
     i, j = edge_index
     both = oriented[i] & oriented[j]
-    right_angles = 2 / math.pi
     one, other = rows_of(planes.normal, i), rows_of(planes.normal, j)
     between = rows_of(planes.mean, j) - rows_of(planes.mean, i)
-    angle = angle_between(one, other, both) * right_angles
+    angle = angle_between(one, other, both) * RIGHT_ANGLES
     crease = torch.where(both & is_convex(between, other - one), -angle, angle)
-    bend = angle_between(rows_of(normals, i), rows_of(normals, j), both) * right_angles
+    bend = angle_between(rows_of(normals, i), rows_of(normals, j), both) * RIGHT_ANGLES
     assert graph.wide_normals is not None  # it has scales
     wide = torch.where(dot(graph.wide_normals, normals)[:, None] < 0, -graph.wide_normals, graph.wide_normals)
-    wide_bend = angle_between(rows_of(wide, i), rows_of(wide, j), both) * right_angles
+    wide_bend = angle_between(rows_of(wide, i), rows_of(wide, j), both) * RIGHT_ANGLES
     off_one, off_other = dot(between, one).abs(), dot(between, other).abs()
     noise = torch.maximum(scales.noise[i], scales.noise[j])
     spacing = torch.maximum(scales.spacing[i], scales.spacing[j])

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.points._vectors import length
+from torchjoint.points._vectors import dot, length
 from torchjoint.points.group_summaries import sum_by
 
 #: Added to the spread of colours before a division, units of Lab: colours of one surface differ by about as much.
@@ -29,28 +29,53 @@ class RegionStatistics(NamedTuple):
     spacing: Tensor  #: [R] metres, mean
     color: Tensor | None  #: [R, 3] mean Lab colour
     color_variance: Tensor | None  #: [R, 3] of each channel of Lab
+    outward: Tensor  #: [R, 3] mean of the oriented unit normals, 0 where a point's normal is not oriented
+    bulge: Tensor  #: [R] metres, mean of (point - mean) . oriented normal: > 0 if convex, < 0 if hollow
+    roughness: Tensor  #: [R] right angles, mean angle between the normals of neighbours
+    texture: Tensor | None  #: [R] Lab, mean difference of the colours of neighbours
 
 
-def statistics_of_points(
-    region: Tensor, points: Tensor, normals: Tensor, noise: Tensor, spacing: Tensor, lab: Tensor | None
-) -> RegionStatistics:
+class Surface(NamedTuple):
+    """What the points of a cloud say about their surface."""
+
+    points: Tensor  #: [N, 3] metres
+    normals: Tensor  #: [N, 3] unit length
+    oriented: Tensor  #: [N] bool, the normal points out of the surface
+    noise: Tensor  #: [N] metres
+    spacing: Tensor  #: [N] metres
+    lab: Tensor | None  #: [N, 3] Lab colours
+
+
+class InnerEdges(NamedTuple):
+    """Edges between neighbouring points of the same region."""
+
+    region: Tensor  #: [E] int64
+    turn: Tensor  #: [E] right angles, angle between the normals
+    color_step: Tensor | None  #: [E] Lab, difference of the colours
+
+
+def statistics_of_points(region: Tensor, surface: Surface, inner: InnerEdges) -> RegionStatistics:
     """The statistics of each region of points.
 
     Args:
         region: [N] int64, 0 ... R - 1, each with at least one point.
-        points: [N, 3] metres.
-        normals: [N, 3] unit length.
-        noise, spacing: [N] metres.
-        lab: [N, 3] Lab colours, or None.
+        surface: of the points.
+        inner: edges inside the regions; a region without edges has roughness and texture 0.
     """
     size = int(region.max()) + 1
+    lab = surface.lab
     count = torch.bincount(region, minlength=size).double()
 
     def mean_of(values: Tensor) -> Tensor:
         return sum_by(region, values.double(), size) / count.view(-1, *[1] * (values.ndim - 1))
 
-    mean = mean_of(points)
-    away = points.double() - mean[region]
+    def mean_inside(values: Tensor) -> Tensor:
+        edges = torch.bincount(inner.region, minlength=size).clamp(min=1)
+        return sum_by(inner.region, values.double(), size) / edges
+
+    mean = mean_of(surface.points)
+    away = surface.points.double() - mean[region]
+    outward = torch.where(surface.oriented[:, None], surface.normals.double(), 0.0)
     color = variance = None
     if lab is not None:
         color = mean_of(lab)
@@ -59,11 +84,15 @@ def statistics_of_points(
         count,
         mean,
         mean_of(_outer(away)),
-        mean_of(normals),
-        mean_of(noise),
-        mean_of(spacing),
+        mean_of(surface.normals),
+        mean_of(surface.noise),
+        mean_of(surface.spacing),
         color,
         variance,
+        mean_of(outward),
+        mean_of(dot(away, outward)),
+        mean_inside(inner.turn),
+        None if inner.color_step is None else mean_inside(inner.color_step),
     )
 
 
@@ -89,7 +118,12 @@ def pooled(parts: RegionStatistics, of_part: Tensor, num_regions: int) -> Region
         color = mean_of(parts.color)
         variance = mean_of(parts.color_variance + (parts.color - color[of_part]).square())
     normal, noise, spacing = (mean_of(values) for values in (parts.normal, parts.noise, parts.spacing))
-    return RegionStatistics(count, mean, covariance, normal, noise, spacing, color, variance)
+    bulge = mean_of(parts.bulge + dot(parts.mean - mean[of_part], parts.outward))
+    outward, roughness = mean_of(parts.outward), mean_of(parts.roughness)
+    texture = None if parts.texture is None else mean_of(parts.texture)
+    return RegionStatistics(
+        count, mean, covariance, normal, noise, spacing, color, variance, outward, bulge, roughness, texture
+    )
 
 
 def covariance_of_unions(regions: RegionStatistics, first: Tensor, second: Tensor) -> Tensor:
@@ -106,6 +140,15 @@ def covariance_of_unions(regions: RegionStatistics, first: Tensor, second: Tenso
     total = one + other
     within = (one * regions.covariance[first] + other * regions.covariance[second]) / total
     return within + one * other / total.square() * _outer(regions.mean[first] - regions.mean[second])
+
+
+def bulge_of_unions(regions: RegionStatistics, first: Tensor, second: Tensor) -> Tensor:
+    """The bulge of each union of two regions, [B] float64 metres; arguments as in :func:`covariance_of_unions`."""
+    one, other = regions.size[first], regions.size[second]
+    total = one + other
+    within = (one * regions.bulge[first] + other * regions.bulge[second]) / total
+    between = dot(regions.mean[first] - regions.mean[second], regions.outward[first] - regions.outward[second])
+    return within + one * other / total.square() * between
 
 
 def axes(covariance: Tensor) -> Tensor:

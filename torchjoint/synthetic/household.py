@@ -8,7 +8,7 @@ from torchjoint.synthetic import materials as paint
 from torchjoint.synthetic.arrays import Rng
 from torchjoint.synthetic.making import Maker, log_uniform, made
 from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part, ball, box, cup, cylinder, lathe, tube
+from torchjoint.synthetic.mesh import Part, ball, box, cup, cup_sides, cylinder, lathe, tube
 from torchjoint.synthetic.solids import blob, euler, ring, rod, rounded_box, slab, turned
 from torchjoint.synthetic.style import Style
 from torchjoint.synthetic.world import Item
@@ -58,11 +58,23 @@ def tin(rng: Rng, style: Style) -> Item:
     )
 
 
+def _lined(
+    rng: Rng, coat: Material, radius: float, height: float, wall: float, flare: float, rounded: bool
+) -> list[tuple[Part, Material]]:
+    """A cup or bowl; its inside has another colour in half of the cases, mostly white."""
+    outside, inside = cup_sides(radius, height, wall, flare, rounded)
+    own = rng.spawn(1)[0]
+    if own.random() < 0.5:
+        return [(outside, coat), (inside, coat)]
+    color = np.array([0.93, 0.92, 0.88]) if own.random() < 0.6 else own.uniform(0.05, 0.95, 3)
+    return [(outside, coat), (inside, paint.plain(own, color, own.uniform(0.05, 0.6)))]
+
+
 def mug(rng: Rng, style: Style) -> Item:
-    """A mug or cup, flared or straight, with a handle or without, empty or with a drink in it."""
+    """A mug or cup, flared or straight, with a handle or without, empty or with a drink in it; see :func:`_lined`."""
     r, h = rng.uniform(0.03, 0.055), rng.uniform(0.05, 0.13)
     coat = style.package((6.28 * r, h)) if rng.random() < 0.3 else style.body(0.5)
-    parts = [(cup(r, h, 0.004, flare=rng.uniform(1.0, 1.35), rounded=rng.random() < 0.2), coat)]
+    parts = _lined(rng, coat, r, h, 0.004, flare=rng.uniform(1.0, 1.35), rounded=rng.random() < 0.2)
     if rng.random() < 0.8:
         turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 10)
         reach, rise = rng.uniform(0.25, 0.45) * h, rng.uniform(0.25, 0.38) * h
@@ -79,7 +91,8 @@ def bowl(rng: Rng, style: Style) -> Item:
     r = rng.uniform(0.05, 0.16)
     h = r * rng.uniform(0.3, 1.2)
     coat = style.body(0.4) if rng.random() < 0.7 else style.wood()
-    parts = [(cup(r, h, rng.uniform(0.003, 0.008), rounded=rng.random() < 0.75, flare=rng.uniform(1, 1.4)), coat)]
+    wall = rng.uniform(0.003, 0.008)
+    parts = _lined(rng, coat, r, h, wall, rounded=rng.random() < 0.75, flare=rng.uniform(1, 1.4))
     return made("bowl", parts, hollow=True)
 
 

@@ -131,6 +131,22 @@ def cup(radius: float, height: float, wall: float, flare: float = 1.0, rounded: 
         flare: rim radius / foot radius; ignored if ``rounded``.
         rounded: makes a bowl; its foot radius is 0.35 of the rim radius.
     """
+    outer, inner = _profiles(radius, height, wall, flare, rounded)
+    return lathe([*outer, *inner])
+
+
+def cup_sides(
+    radius: float, height: float, wall: float, flare: float = 1.0, rounded: bool = False
+) -> tuple[Part, Part]:
+    """The outside and the inside (with the rim) of a :func:`cup`, so that they can have different materials."""
+    outer, inner = _profiles(radius, height, wall, flare, rounded)
+    return lathe(outer), lathe([outer[-1], *inner])
+
+
+def _profiles(
+    radius: float, height: float, wall: float, flare: float, rounded: bool
+) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """(radius, z) of a cup's outside from the middle of its foot to the rim, and of its inside from the rim on."""
     if rounded:
         arc = np.linspace(np.arcsin(0.35), np.pi / 2, 9)
         bottom = 1 - np.cos(arc[0])
@@ -138,7 +154,7 @@ def cup(radius: float, height: float, wall: float, flare: float = 1.0, rounded: 
     else:
         outer = [(radius / flare, 0.0), (radius, height)]
     inner = [(max(r - wall, 1e-3), max(z, wall)) for r, z in reversed(outer)]
-    return lathe([(0.0, 0.0), *outer, *inner, (0.0, wall)])
+    return [(0.0, 0.0), *outer], [*inner, (0.0, wall)]
 
 
 def tube(path: Array, radius: float, segments: int = 8) -> Part:

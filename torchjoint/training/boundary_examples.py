@@ -26,7 +26,7 @@ IMAGE_FEATURES = (
 )  # fmt: skip
 
 
-COLOR_FEATURES = ("color_", "lightness_difference", "chroma_difference")
+COLOR_FEATURES = ("color_", "lightness_difference", "chroma_difference", "texture_")
 
 
 #: Number of frames held in memory at a time.
