@@ -14,14 +14,22 @@ from torchjoint.points.graph import build_point_graph
 from torchjoint.points.group_summaries import Measure, summarize
 from torchjoint.points.image_agreement import image_agreement
 from torchjoint.points.image_evidence import segments_of_pieces
-from torchjoint.points.region_statistics import axes, covariance_of_unions, pooled, statistics_of_points
+from torchjoint.points.region_statistics import (
+    InnerEdges,
+    Surface,
+    axes,
+    bulge_of_unions,
+    covariance_of_unions,
+    pooled,
+    statistics_of_points,
+)
 from torchjoint.points.scales import measure_scales
 from torchjoint.scene import Scene
 from torchjoint.views.state import JointState
 
 LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
 OF_COLORS = {"lightness_difference", "chroma_difference", "color_contrast"} | {
-    name for name in FEATURE_NAMES if name.startswith(("color_spread", "color_step"))
+    name for name in FEATURE_NAMES if name.startswith(("color_spread", "color_step", "texture"))
 }
 OF_IMAGES = {"seen_share", "log_views", "overlap_gain", "better_overlap", "worse_overlap"} | {
     name for name in FEATURE_NAMES if name.startswith(("disagreement", "contour", "agreement"))
@@ -65,6 +73,7 @@ class TestCorner:
         assert features.values.dtype == torch.float32
         side, step = 20, 0.01
         deviations = [step * math.sqrt((count**2 - 1) / 12) for count in (side, 2 * side)]
+        extent = math.hypot(*deviations, side / 4 * step * math.sqrt(2))  # of floor and wall together
         expected = {
             **{f"{name}_{part}": 1 for name in ("crease", "bend") for part in ("mean", "low", "median", "high")},
             "unoriented_share": 0,
@@ -83,6 +92,10 @@ class TestCorner:
             "log_neighbors_small": 0,
             "crease_above_mean_of_small": 0,
             "crease_above_least_of_large": 0,
+            **dict.fromkeys(("bulge_small", "bulge_large", "roughness_small", "roughness_large"), 0),
+            "bulge_union": -side / 4 * step / extent,  # hollow: the room is inside
+            "bulge_growth": -side / 4 * step / extent,
+            "bend_above_roughness": 1 / 0.02,
         }
         assert {name: value(features, name) for name in expected} == pytest.approx(expected, abs=2e-3)
         count = len(evidence.edges.pair)
@@ -103,6 +116,8 @@ class TestCorner:
         assert difference == pytest.approx(value(features, "color_step_mean"), rel=1e-5)
         assert value(features, "color_contrast") == pytest.approx(difference / 2, rel=1e-3)
         assert value(features, "color_step_ratio") == pytest.approx(difference / 0.5, rel=1e-5)  # most steps are 0
+        assert value(features, "texture_small") == value(features, "texture_large") == 0
+        assert value(features, "color_step_above_texture") == pytest.approx(difference / 0.5, rel=1e-5)
 
     def test_one_region_has_no_boundary(self):
         evidence = evidence_of(*corner())
@@ -124,17 +139,40 @@ class TestSummaries:
     def test_regions_of_pieces_are_regions_of_points(self):
         generator = torch.Generator().manual_seed(0)
         points, normals, lab = (torch.randn(60, 3, generator=generator) for _ in range(3))
-        noise, spacing = torch.rand(2, 60, generator=generator)
+        noise, spacing, oriented = torch.rand(3, 60, generator=generator)
+        surface = Surface(points + 100, normals, oriented > 0.3, noise, spacing, lab)
         piece = torch.arange(60) % 12
         of_piece = torch.arange(12) // 4
-        pieces = statistics_of_points(piece, points + 100, normals, noise, spacing, lab)
-        expected = statistics_of_points(of_piece[piece], points + 100, normals, noise, spacing, lab)
+        of_edge = piece.repeat(4)  # each piece has as many edges for a point
+        turn, step = torch.rand(2, 240, generator=generator)
+        pieces = statistics_of_points(piece, surface, InnerEdges(of_edge, turn, step))
+        expected = statistics_of_points(of_piece[piece], surface, InnerEdges(of_piece[of_edge], turn, step))
         for found, wanted in zip(pooled(pieces, of_piece, 3), expected, strict=True):
             torch.testing.assert_close(found, wanted)
         union = covariance_of_unions(expected, torch.tensor([0]), torch.tensor([2]))
         both = (points + 100)[of_piece[piece] != 1].double()
         torch.testing.assert_close(union[0], torch.cov(both.T, correction=0))
         torch.testing.assert_close(axes(union)[0, 2].square(), torch.linalg.eigvalsh(union[0])[-1])
+        outward = torch.where(surface.oriented[:, None], normals, 0.0)[of_piece[piece] != 1].double()
+        bulge = bulge_of_unions(expected, torch.tensor([0]), torch.tensor([2]))
+        torch.testing.assert_close(bulge[0], ((both - both.mean(0)) * outward).sum(1).mean())
+
+    def test_bulges_and_roughness_by_hand(self):
+        """A ball, a hollow ball, a plane, and points without oriented normals."""
+        directions = torch.nn.functional.normalize(torch.randn(200, 3, generator=torch.Generator().manual_seed(1)))
+        directions = torch.cat([directions, -directions])  # the mean is the centre
+        flat = torch.cat([directions[:, :2], torch.zeros(400, 1)], 1)
+        up = torch.tensor([0.0, 0, 1]).expand(400, 3)
+        points = torch.cat([0.3 * directions, 0.3 * directions, flat, 0.3 * directions])
+        normals = torch.cat([directions, -directions, up, directions])
+        region, ones = torch.arange(4).repeat_interleave(400), torch.ones(1600)
+        surface = Surface(points, normals, region < 3, ones, ones, None)
+        inner = InnerEdges(torch.tensor([0, 0, 1]), torch.tensor([0.25, 0.5, 1.0]), None)
+        found = statistics_of_points(region, surface, inner)
+        assert found.bulge.tolist() == pytest.approx([0.3, -0.3, 0, 0], abs=1e-6)
+        assert found.outward.abs().amax(1).tolist() == pytest.approx([0, 0, 1, 0], abs=1e-6)
+        assert found.roughness.tolist() == [0.375, 1, 0, 0]
+        assert found.texture is None
 
 
 #: Piece 0 has points 0-3, piece 1 has 4-9, piece 2 has 10-12.

@@ -61,7 +61,7 @@ def test_probability_by_hand(model):
     expected = torch.tensor([0.5 - 1 + 0.25, 0.5 + 2 + 0.25], dtype=torch.float64).sigmoid()
     torch.testing.assert_close(plain.probability(0, values), expected, rtol=0, atol=1e-15)
     torch.testing.assert_close(model.probability(0, values), calibrated(expected, KNOTS))
-    with pytest.raises(ValueError, match=r"values: expected shape \[B, 84\], got \[2, 83\]"):
+    with pytest.raises(ValueError, match=r"values: expected shape \[B, 94\], got \[2, 93\]"):
         model.probability(0, values[:, 1:])
 
 
@@ -109,7 +109,7 @@ HEADER = b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape
     [
         ({"format": np.array([2])}, r"format: expected \[1\], got \[2\]; from another version"),
         ({"format": None}, "format: missing"),
-        ({"feature_names": np.array(FEATURE_NAMES[:-1])}, "feature_names: trained on other features .*83 instead of"),
+        ({"feature_names": np.array(FEATURE_NAMES[:-1])}, "feature_names: trained on other features .*93 instead of"),
         (
             {"feature_names": np.array(FEATURE_NAMES[::-1])},
             f"number 0 is '{FEATURE_NAMES[-1]}' instead of 'crease_mean'",
@@ -123,7 +123,7 @@ HEADER = b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape
         ({"round1_left": np.ones((2, 3), np.int64)}, "round1_left: expected dtype torch.int32, got torch.int64"),
         ({"round0_threshold": np.ones((2, 2))}, r"round0_threshold: expected shape \[T, M\] = \[2, 3\], got \[2, 2\]"),
         ({"round0_threshold": np.full((2, 3), np.inf)}, "round0_threshold: expected finite numbers, got inf"),
-        ({"round0_feature": np.full((2, 3), 84, np.int32)}, r"round0_feature: expected numbers in \[0, 84\), got 84"),
+        ({"round0_feature": np.full((2, 3), 94, np.int32)}, r"round0_feature: expected numbers in \[0, 94\), got 94"),
         ({"round0_calibration": np.zeros((2, 1))}, r"round0_calibration: expected shape \[2, C\]"),
         ({"round0_calibration": np.zeros((2, 3))}, "round0_calibration: expected ascending x"),
         ({"round0_calibration": np.array([[0, 1], [0, 1.5]])}, r"round0_calibration: expected numbers in \[0, 1\]"),

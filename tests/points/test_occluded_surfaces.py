@@ -109,8 +109,9 @@ def statistics(colors, spread=3.0):
     ones, color = torch.ones(count, dtype=torch.float64), torch.tensor(colors, dtype=torch.float64)
     vectors = torch.zeros(count, 3, dtype=torch.float64)
     variance = torch.full((count, 3), spread**2 / 3, dtype=torch.float64)
+    squares = torch.zeros(count, 3, 3, dtype=torch.float64)
     return RegionStatistics(
-        ones, vectors, torch.zeros(count, 3, 3, dtype=torch.float64), vectors, ones, ones, color, variance
+        ones, vectors, squares, vectors, ones, ones, color, variance, vectors, 0 * ones, 0 * ones, None
     )
 
 
