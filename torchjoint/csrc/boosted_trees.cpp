@@ -8,9 +8,9 @@ namespace {
 
 // Rows that go through one tree after the other together, so that a tree is in the cache for all of them. The result of
 // a row never depends on it.
-constexpr int64_t kRowsPerBlock = 256;
+constexpr int64_t kRowsPerBlock = 64;
 // Rows that go down a tree side by side: which way one goes is not predictable, but none waits for another.
-constexpr int64_t kRowsAtOnce = 8;
+constexpr int64_t kRowsAtOnce = 16;
 
 // The value is the threshold of an inner node, or the value of a leaf. Both children of a leaf are the leaf itself.
 struct Node {
