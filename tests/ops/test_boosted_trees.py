@@ -49,7 +49,7 @@ def random_rows(seed: int, rows: int, features: int) -> Tensor:
     40,
     300,
     seed=st.integers(0, 2**32 - 1),
-    rows=st.integers(0, 12),
+    rows=st.integers(0, 12) | st.integers(13, 150),  # more than go side by side, more than a block
     trees=st.integers(0, 4),
     nodes=st.integers(1, 15),
     features=st.integers(1, 5),

@@ -157,6 +157,20 @@ class TestSummaries:
         bulge = bulge_of_unions(expected, torch.tensor([0]), torch.tensor([2]))
         torch.testing.assert_close(bulge[0], ((both - both.mean(0)) * outward).sum(1).mean())
 
+    def test_the_origin_does_not_matter(self):
+        generator = torch.Generator().manual_seed(3)
+        points, normals = torch.randn(2, 60, 3, generator=generator)
+        piece, of_piece, ones = torch.arange(60) % 12, torch.arange(12) // 4, torch.ones(60)
+        inner = InnerEdges(torch.empty(0, dtype=torch.int64), torch.empty(0), None)
+
+        def bulges(shift):
+            surface = Surface(points.double() + torch.tensor(shift), normals, ones > 0, ones, ones, None)
+            regions = pooled(statistics_of_points(piece, surface, inner), of_piece, 3)
+            union = bulge_of_unions(regions, torch.tensor([0, 1]), torch.tensor([2, 2]))
+            return torch.cat([regions.bulge, union])
+
+        torch.testing.assert_close(bulges([512.0, -256, 1]), bulges([0.0, 0, 0]), rtol=0, atol=1e-9)
+
     def test_bulges_and_roughness_by_hand(self):
         """A ball, a hollow ball, a plane, and points without oriented normals."""
         directions = torch.nn.functional.normalize(torch.randn(200, 3, generator=torch.Generator().manual_seed(1)))

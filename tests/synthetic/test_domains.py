@@ -70,6 +70,13 @@ class TestEveryDomain:
         assert any(settings.cropped for settings in drawn)
 
 
+@pytest.mark.parametrize(("domain", "least", "most"), [("room", 90, 100), ("kitchen", 90, 100), ("desk", 50, 60)])
+def test_some_scenes_have_many_views(domain: str, least: int, most: int) -> None:
+    views = [domain_settings(domain, seed).num_views for seed in range(120)]
+    assert least < max(views) <= most
+    assert min(views) < 12
+
+
 def _first(camera: torch.Tensor, row: torch.Tensor, column: torch.Tensor, shape: torch.Size) -> torch.Tensor:
     """Which points are the nearest of their 8 x 8 pixels, within 2 %."""
     cell = (row // 8) * (shape[1] // 8 + 1) + column // 8

@@ -30,9 +30,10 @@ class RegionStatistics(NamedTuple):
     color: Tensor | None  #: [R, 3] mean Lab colour
     color_variance: Tensor | None  #: [R, 3] of each channel of Lab
     outward: Tensor  #: [R, 3] mean of the oriented unit normals, 0 where a point's normal is not oriented
-    bulge: Tensor  #: [R] metres, mean of (point - mean) . oriented normal: > 0 if convex, < 0 if hollow
-    roughness: Tensor  #: [R] right angles, mean angle between the normals of neighbours
-    texture: Tensor | None  #: [R] Lab, mean difference of the colours of neighbours
+    bulge: Tensor  #: [R] metres, mean of (point - mean) . outward normal: > 0 if convex, < 0 if hollow
+    #: [R] right angles, mean angle between the normals of neighbours; of a union the mean of its parts by their points
+    roughness: Tensor
+    texture: Tensor | None  #: [R] Lab, mean difference of the colours of neighbours; of a union as the roughness
 
 
 class Surface(NamedTuple):
