@@ -1,4 +1,4 @@
-"""Step 6, method learned: statistics of the points of each region: shape, normal, noise, spacing and colour.
+"""Step 6, method learned: statistics of the points of each region: shape, bulge, noise, spacing, colour and texture.
 
 They are computed once from the points of small pieces. A region is a union of pieces, so its statistics follow from
 those of its pieces.

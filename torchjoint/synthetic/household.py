@@ -63,7 +63,7 @@ def _lined(
 ) -> list[tuple[Part, Material]]:
     """A cup or bowl; its inside has another colour in half of the cases, mostly white."""
     outside, inside = cup_sides(radius, height, wall, flare, rounded)
-    own = rng.spawn(1)[0]
+    own = rng.spawn(1)[0]  # so that nothing else in the scene changes
     if own.random() < 0.5:
         return [(outside, coat), (inside, coat)]
     color = np.array([0.93, 0.92, 0.88]) if own.random() < 0.6 else own.uniform(0.05, 0.95, 3)
@@ -71,7 +71,7 @@ def _lined(
 
 
 def mug(rng: Rng, style: Style) -> Item:
-    """A mug or cup, flared or straight, with a handle or without, empty or with a drink in it; see :func:`_lined`."""
+    """A mug or cup, flared or straight, with a handle or without, empty or with a drink, sometimes lined."""
     r, h = rng.uniform(0.03, 0.055), rng.uniform(0.05, 0.13)
     coat = style.package((6.28 * r, h)) if rng.random() < 0.3 else style.body(0.5)
     parts = _lined(rng, coat, r, h, 0.004, flare=rng.uniform(1.0, 1.35), rounded=rng.random() < 0.2)
