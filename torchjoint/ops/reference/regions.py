@@ -10,10 +10,10 @@ from torch import Tensor
 
 def ascending_order_reference(values: Tensor) -> Tensor:
     """What :func:`torchjoint.ops.ascending_order` computes, by comparisons; the argument is not checked."""
-    return torch.tensor(
-        sorted(range(len(values)), key=lambda i: (math.isnan(values[i]), float(values[i].nan_to_num(0)), i)),
-        dtype=torch.int32,
-    )
+    numbers = values.tolist()
+    missing = [math.isnan(number) for number in numbers]
+    order = sorted(range(len(numbers)), key=lambda i: (missing[i], 0.0 if missing[i] else numbers[i], i))
+    return torch.tensor(order, dtype=torch.int32)
 
 
 def group_summaries_reference(
