@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 import torchjoint as tj
+from torchjoint.points import mask_majority
 from torchjoint.points.mask_evidence import masks_of_pieces
 from torchjoint.points.mask_majority import move_to_majority
 from torchjoint.scene import Hierarchy, Masks
@@ -158,3 +159,10 @@ def test_a_point_moves_only_to_a_neighbour_and_no_piece_is_lost(seen) -> None:
     apart = torch.tensor([[0, 1, 2, 4], [1, 2, 3, 5]])
     assert moved(seen, [0, 0, 0, 0, 1, 1], [HALVES], apart) == [0, 0, 0, 0, 1, 1]
     assert moved(seen, [0, 0, 0, 1, 2, 2], [HALVES]) == [0, 0, 0, 1, 2, 2]
+
+
+def test_a_piece_that_only_a_lost_one_would_fill_is_not_lost(seen, monkeypatch) -> None:
+    # Point 2, all of piece 1, would go to piece 2, and point 3, all of piece 2, to piece 3.
+    wanted = torch.tensor([-1, -1, 2, 3, -1, -1])
+    monkeypatch.setattr(mask_majority, "_wanted_regions", lambda *_: wanted)
+    assert moved(seen, [0, 0, 1, 2, 3, 3], [HALVES]) == [0, 0, 1, 2, 3, 3]

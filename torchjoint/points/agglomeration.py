@@ -82,7 +82,7 @@ def build_hierarchy(evidence: Evidence, model: BoundaryModel) -> Hierarchy:
     """
     steps = merging_steps(model.thresholds)
     (last, _), default = steps[-1], max(model.thresholds)
-    linkage = MaskLinkage.of(evidence)
+    linkage = MaskLinkage.of(evidence.masks, evidence.statistics.size)
     if linkage is not None:  # a first time, to see how far the masks contradict each other
         region = _merge_in_steps(evidence, model, steps, linkage, evidence.piece, _Merges(evidence))
         linkage = linkage.calibrated(evidence.regions_of_pieces(region))

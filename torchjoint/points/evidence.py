@@ -22,6 +22,7 @@ from torchjoint.points.graph import PointGraph
 from torchjoint.points.group_summaries import Measure
 from torchjoint.points.image_evidence import ImageEvidence, segments_of_pieces
 from torchjoint.points.mask_evidence import MaskEvidence, masks_of_pieces
+from torchjoint.points.mask_pieces import cut_by_masks
 from torchjoint.points.normals import angle_between, is_convex
 from torchjoint.points.occluded_surfaces import Occlusions, find_occlusions
 from torchjoint.points.orientation import orient_normals
@@ -147,6 +148,7 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
         median = float(color_step.median()) if len(color_step) else 0.0
     cost = _edge_costs(crease_costs(graph.edge_index, planes, oriented, CONVEX_FACTOR), r, color_step, median)
     piece = merge(torch.arange(graph.num_points), graph.edge_index, cost, THRESHOLD, MIN_SIZE)
+    piece = cut_by_masks(piece, graph.edge_index, seen)
     first, second = piece[graph.edge_index]
     across = torch.nonzero(first != second).squeeze(1)
     num_pieces = int(piece.max()) + 1

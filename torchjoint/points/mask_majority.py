@@ -46,8 +46,10 @@ def move_to_majority(
     source = torch.full((num_points,), num_points).scatter_reduce_(0, one, other, "amin")
     stays = torch.arange(num_points)
     source = torch.where(source < num_points, source, stays)
-    is_lost = torch.bincount(hierarchy.piece[source], minlength=hierarchy.num_pieces) == 0
-    return hierarchy.transferred(torch.where(is_lost[hierarchy.piece], stays, source))[0]
+    # Points that stay, so that their piece is not lost, may be the only ones that another piece would have got.
+    while (is_lost := torch.bincount(hierarchy.piece[source], minlength=hierarchy.num_pieces) == 0).any():
+        source = torch.where(is_lost[hierarchy.piece], stays, source)
+    return hierarchy.transferred(source)[0]
 
 
 def _wanted_regions(region: Tensor, region_of_mask: Tensor, observations: Sequence[Observation]) -> Tensor:

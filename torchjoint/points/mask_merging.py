@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.points.evidence import Evidence
 from torchjoint.points.group_summaries import sum_by
 from torchjoint.points.mask_evidence import MaskEvidence
 from torchjoint.runtime.sorted_groups import find, members_of_groups
@@ -52,9 +51,9 @@ class MaskLinkage:
     prior_weight: float = FIRST_PRIOR_WEIGHT
 
     @classmethod
-    def of(cls, evidence: Evidence) -> MaskLinkage | None:
+    def of(cls, masks: MaskEvidence | None, size: Tensor) -> MaskLinkage | None:
         """None if there are no masks."""
-        return None if evidence.masks is None else cls(evidence.masks, evidence.statistics.size.long())
+        return None if masks is None else cls(masks, size.long())
 
     def merges(self, of_piece: Tensor, ends: Tensor, cost: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
         """As :func:`torchjoint.ops.region_merges`, with masks.
@@ -99,21 +98,22 @@ class MaskLinkage:
             of_piece: [P] int64, regions that were merged by these masks.
         """
         size, in_mask, in_frame, *_ = self._tables(of_piece)
-        noise = _share_against(self.masks, in_mask, in_frame, size)
+        share = shares_against(self.masks, in_mask, in_frame, len(size))
+        size = size[~share.isnan()]
+        noise = float((share[~share.isnan()] * size).sum() / size.sum()) if len(size) else 0.0
         return replace(self, prior_weight=max(LEAST_PRIOR_WEIGHT, PRIOR_WEIGHT_OF_NOISE * noise))
 
 
-def _share_against(masks: MaskEvidence, in_mask: Tensor, in_frame: Tensor, size: Tensor) -> float:
-    """The share of the votes within regions that are against them, mean over the regions with votes, by points."""
+def shares_against(masks: MaskEvidence, in_mask: Tensor, in_frame: Tensor, num_regions: int) -> Tensor:
+    """The share of the votes within each region that are against it: [R] float64, NaN for regions without votes.
+
+    Arguments as those of :func:`overlaps`.
+    """
     region, mask, count = in_mask
     weight = masks.weight[mask]  # whole numbers: sums in any order are the same
-    together = sum_by(region, weight * count * count, len(size))
-    total = sum_by(region, weight * count * _seen_with(masks, in_mask, in_frame), len(size))
-    has_votes = total > 0
-    if not has_votes.any():
-        return 0.0
-    against = 1 - together[has_votes].double() / total[has_votes]
-    return float((against * size[has_votes]).sum() / size[has_votes].sum())
+    together = sum_by(region, weight * count * count, num_regions)
+    total = sum_by(region, weight * count * _seen_with(masks, in_mask, in_frame), num_regions)
+    return 1 - together.double() / total  # 0 / 0 is NaN
 
 
 def overlaps(masks: MaskEvidence, in_mask: Tensor, in_frame: Tensor) -> Tensor:
