@@ -16,7 +16,8 @@ from torchjoint.points.mask_evidence import MaskEvidence, masks_of_pieces
 from torchjoint.points.mask_merging import APART_WEIGHT, shares_against
 from torchjoint.views.observation import Observation
 
-# These numbers were chosen as those in mask_merging.
+# These numbers were chosen on generated rooms, table-tops and shelves with perfect, SAM-like and hard masks. None of
+# these scenes serves for scores.
 
 #: A piece is cut if more than this share of the votes of its pairs of points is against it.
 MIXED = 0.1
