@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <new>
 
@@ -10,6 +11,18 @@
 #endif
 
 namespace torchjoint {
+
+constexpr size_t kHugePage = size_t{2} << 20;
+
+// Random access to many small pages is slow, and so is the first access to each page: asks for huge pages for memory that
+// is not yet written, if it is large. Memory may begin and end anywhere.
+inline void use_huge_pages([[maybe_unused]] void* data, [[maybe_unused]] size_t bytes) {
+#ifdef __linux__
+  const auto begin = reinterpret_cast<uintptr_t>(data), first = (begin + kHugePage - 1) / kHugePage * kHugePage;
+  const uintptr_t last = (begin + bytes) / kHugePage * kHugePage;
+  if (last > first) madvise(reinterpret_cast<void*>(first), last - first, MADV_HUGEPAGE);
+#endif
+}
 
 template <typename T>
 class Array {
@@ -25,9 +38,6 @@ class Array {
  private:
   static_assert(std::is_trivially_copyable_v<T> && std::is_trivially_destructible_v<T>);
 
-  // Random access to many small pages is slow, and so is the first access to each page: ask for huge pages if large.
-  static constexpr size_t kHugePage = size_t{2} << 20;
-
   static size_t alignment(size_t bytes) { return bytes >= 2 * kHugePage ? kHugePage : 64; }
 
   struct Free {
@@ -37,9 +47,7 @@ class Array {
 
   static std::unique_ptr<T, Free> allocate(size_t bytes) {
     void* data = ::operator new(bytes, std::align_val_t{alignment(bytes)});
-#ifdef __linux__
-    if (bytes >= 2 * kHugePage) madvise(data, bytes, MADV_HUGEPAGE);
-#endif
+    if (bytes >= 2 * kHugePage) use_huge_pages(data, bytes);
     return {static_cast<T*>(data), Free{bytes}};
   }
 

@@ -1,10 +1,12 @@
 // Minimum s-t cut by preflow-push: A. Goldberg, R. Tarjan, "A New Approach to the Maximum-Flow Problem", J. ACM 1988,
 // with highest-label selection, global relabelling and the gap heuristic (B. Cherkassky, A. Goldberg, "On
-// Implementing Push-Relabel Method for the Maximum Flow Problem", Algorithmica 1997). Two additions make it fast:
+// Implementing Push-Relabel Method for the Maximum Flow Problem", Algorithmica 1997). Three additions make it fast:
 //
 // - Parking: if the label of a node has risen by more than `slack_` since the last global relabelling, the node waits
 //   for the next one. Otherwise excess that is cut off would climb step by step, in quadratic time on long thin graphs.
 //   Labels stay near the exact distances, as in the incremental breadth-first search of A. Goldberg et al. (ESA 2011).
+// - Each global relabelling also pushes all excess along its search tree, as far as the tree's arcs allow: one push a node.
+//   The first one is repeated at once. If the only way to the drains is narrow, it is full now, and nothing is left to do.
 // - Seeds become part of their terminals, and leaves are pruned until there are none: trees need no search at all.
 //
 // Only the first phase is run, which finds the cut but not the flow. A maximum preflow tells which nodes can still
@@ -110,12 +112,12 @@ class Preflow {
     level_size_.assign(num_nodes_ + 1, 0);
     active_first_.assign(num_nodes_ + 1, kNone);
     queue_ = std::make_unique_for_overwrite<int32_t[]>(num_nodes_ + 1);
-    relabel_globally();
-    while (highest_active_ > 0) {
+    bool can_flow = relabel_globally() && relabel_globally();
+    while (can_flow) {
       do {
         discharge_active();
       } while (work_ < little_work && unpark());
-      relabel_globally();
+      can_flow = relabel_globally();
     }
     restore_leaves();
   }
@@ -144,8 +146,12 @@ class Preflow {
   // A leaf sends its excess to its neighbour, as far as the edge's capacity allows, or takes as much as it can drain.
   // After that the rest of the graph does not need the leaf.
   void prune_leaves() {
+    const auto num_arcs = [&](int32_t i) { return nodes_[i + 1].first_arc - nodes_[i].first_arc; };
+    int32_t num_leaves = 0;
+    for (int32_t i = 0; i < num_nodes_; ++i) num_leaves += num_arcs(i) == 1;
+    if (num_leaves == 0) return;
     std::vector<int32_t> degree(num_nodes_);
-    for (int32_t i = 0; i < num_nodes_; ++i) degree[i] = nodes_[i + 1].first_arc - nodes_[i].first_arc;
+    for (int32_t i = 0; i < num_nodes_; ++i) degree[i] = num_arcs(i);
     for (int32_t i = 0; i < num_nodes_; ++i) {
       for (int32_t leaf = i; degree[leaf] == 1;) {
         int32_t a = nodes_[leaf].first_arc;
@@ -182,8 +188,9 @@ class Preflow {
     highest_active_ = std::max(highest_active_, label);
   }
 
-  // Exact distances, breadth first from the draining nodes against the residual arcs.
-  void relabel_globally() {
+  // Exact distances, breadth first from the draining nodes against the residual arcs. Then excess goes along the tree of
+  // this search. Returns false if no excess can reach a draining node.
+  bool relabel_globally() {
     std::fill_n(level_size_.begin(), highest_level_ + 1, 0);
     std::fill_n(active_first_.begin(), highest_level_ + 1, kNone);
     highest_active_ = 0;
@@ -202,17 +209,32 @@ class Preflow {
       const int32_t index = queue_[front];
       Node& node = nodes_[index];
       highest_level_ = node.exact_label = label_[index];
-      node.current_arc = node.first_arc;
       ++level_size_[highest_level_];
-      if (node.balance > 0) activate(index);
       const int32_t end = nodes_[index + 1].first_arc;
       for (int32_t a = node.first_arc; a < end; ++a) {
         const int32_t neighbour = arcs_[a].head();
         if (label_[neighbour] != cut_off() || !arcs_[a].twin_open()) continue;
         label_[neighbour] = highest_level_ + 1;
+        nodes_[neighbour].current_arc = arcs_[a].twin;  // until push_along_tree: the arc of the tree
         queue_[back++] = neighbour;
       }
     }
+    return push_along_tree(back);
+  }
+
+  // From the farthest node of the queue to the nearest, so each node also sends on what it gets. What is left is active.
+  // Returns false if there was no excess.
+  bool push_along_tree(int32_t queue_length) {
+    bool any_excess = false;
+    for (int32_t i = queue_length; i-- > 0;) {
+      const int32_t index = queue_[i];
+      Node& node = nodes_[index];
+      any_excess |= node.balance > 0;
+      if (node.balance > 0 && label_[index] > 1) move(node, arcs_[node.current_arc]);
+      if (node.balance > 0) activate(index);
+      node.current_arc = node.first_arc;
+    }
+    return any_excess;
   }
 
   void discharge_active() {
@@ -256,6 +278,13 @@ class Preflow {
   }
 
   void push(Node& from, Arc& arc) {
+    const bool was_active = nodes_[arc.head()].balance > 0;
+    move(from, arc);
+    if (!was_active && nodes_[arc.head()].balance > 0) activate(arc.head());
+  }
+
+  // Moves as much of the excess as the arc allows.
+  void move(Node& from, Arc& arc) {
     const int64_t flow = std::min(from.balance, arc.residual);
     Arc& twin = arcs_[arc.twin];
     arc.residual -= flow;
@@ -263,10 +292,7 @@ class Preflow {
     arc.head_and_flag |= kTwinOpen;
     if (arc.residual == 0) twin.head_and_flag &= ~kTwinOpen;
     from.balance -= flow;
-    Node& to = nodes_[arc.head()];
-    const bool was_active = to.balance > 0;
-    to.balance += flow;
-    if (!was_active && to.balance > 0) activate(arc.head());
+    nodes_[arc.head()].balance += flow;
   }
 
   // Returns false if the node must not be discharged further for now.

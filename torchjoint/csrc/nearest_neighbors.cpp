@@ -270,6 +270,8 @@ std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count
       check(std::isfinite(values[i]), "points: expected finite coordinates, got ", values[i], " in row ", i / 3);
     }
     if (count == 0) return;
+    use_huge_pages(indices.mutable_data_ptr<int32_t>(), num_points * count * sizeof(int32_t));
+    use_huge_pages(distances.mutable_data_ptr<Value>(), num_points * num_distances * sizeof(Value));
     search_all(values, num_points, count, num_distances, indices.mutable_data_ptr<int32_t>(),
                distances.mutable_data_ptr<Value>());
   });
