@@ -3,7 +3,8 @@
 `python benchmarks/mask_curves.py WORK [--scenes 3] [--noise-seeds 1]`. Scores are F for objects and parts / mean best
 IoU of the points, means over generated rooms, table-tops and shelves (seeds from 116 on) with masks of one level; in
 parentheses their differences to the scores of the unchanged method, run by run, with standard errors. WORK keeps the
-scores of each run, so that an interrupted command goes on. Writes its part of benchmarks/README.md.
+scores of each run, so that an interrupted command goes on. Writes its part of benchmarks/README.md, and draws
+mask_curves.png.
 """
 
 import argparse
@@ -26,6 +27,7 @@ from torchjoint.scene import Scene
 
 DOMAINS = ("room", "table", "shelf")
 FIRST_SEED = 116
+PLOT = Path(__file__).parent / "mask_curves.png"
 LEVELS = ("sam-like", "hard")
 NUM_VIEWS = (1, 2, 4, 8, 15, 30, 60)
 POSE_ERRORS = (0.0, 0.5, 1.0, 2.0, 3.0)  # cm
@@ -161,6 +163,34 @@ def write(scores: dict[str, list[tuple[float, float]]]) -> None:
         report.table(columns, [["0 cm", *row("all")[1:]], *(row(f"{error} cm") for error in POSE_ERRORS[1:])]),
     ]
     report.write_part("mask curves", "\n\n".join(tables))
+    plot(scores)
+
+
+def plot(scores: dict[str, list[tuple[float, float]]]) -> None:
+    """Draws the scores against the number of views and against the errors of the cameras' positions."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    curves = {
+        "views": (NUM_VIEWS, [f"{views} views" for views in NUM_VIEWS]),
+        "error of the cameras' positions, cm": (POSE_ERRORS, ["all", *(f"{error} cm" for error in POSE_ERRORS[1:])]),
+    }
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.5), layout="constrained", sharey=True)
+    for axis, (label, (places, names)) in zip(axes, curves.items(), strict=True):
+        for level, color in zip(LEVELS, ("C0", "C1"), strict=True):
+            f, iou = zip(*(map(fmean, zip(*scores[f"{level}|{name}"], strict=True)) for name in names), strict=True)
+            axis.plot(places, f, "o-", color=color, label=f"{level}, F")
+            axis.plot(places, iou, "o--", color=color, label=f"{level}, best IoU")
+        axis.set_xlabel(label)
+        axis.grid(alpha=0.3)
+    axes[0].set_xscale("log")
+    axes[0].set_xticks(NUM_VIEWS, [str(views) for views in NUM_VIEWS])
+    axes[0].minorticks_off()
+    axes[0].set_ylabel("score of the points")
+    axes[1].legend(fontsize=8)
+    figure.savefig(PLOT, dpi=100)
 
 
 def cell(scores: list[tuple[float, float]], usual: list[tuple[float, float]]) -> str:
