@@ -33,9 +33,9 @@ def test_differences_are_paired_by_scene_with_noise_seeds_averaged_first():
 def test_perfect_masks_have_one_noise_seed():
     todo = masks.runs("checking", 2, 3, ("table",))
     assert [(run.scene, run.level, run.noise) for run in todo[:7]] == [
-        (70, "perfect", 0),
-        *((70, "sam-like", noise) for noise in range(3)),
-        *((70, "hard", noise) for noise in range(3)),
+        (100, "perfect", 0),
+        *((100, "sam-like", noise) for noise in range(3)),
+        *((100, "hard", noise) for noise in range(3)),
     ]
     assert len(todo) == 14
 
@@ -51,14 +51,14 @@ def test_the_command_measures_once(tmp_path, monkeypatch, scene_of, capsys):
     monkeypatch.setattr(masks, "make_domain_scene", make)
     chosen = {"domains": ("table",), "scenes": 1, "noise_seeds": 1, "out": tmp_path}
     benchmark("masks", **chosen, methods=("sai3d", "vote"))
-    assert made == [("table", 70)]
-    file = tmp_path / "runs" / "table-70-perfect-0.json"
+    assert made == [("table", 100)]
+    file = tmp_path / "runs" / "table-100-perfect-0.json"
     found = json.loads(file.read_text())
     assert set(found) == {"sai3d", "vote"}
     assert found["vote"]["2D"][1:] == [1.0, 1.0]  # perfect masks
     file.write_text(json.dumps(found | {"vote": record(0.123, 0.4)}))
     benchmark("masks", **chosen, methods=("sai3d", "vote", "sam3d", "mask_clustering", "ours"))
-    assert made == [("table", 70)] * 2
+    assert made == [("table", 100)] * 2
     assert "0.500 / 0.123 / 0.400" in (tmp_path / "table.md").read_text()
     assert "MaskClustering" in capsys.readouterr().out
     assert set(json.loads(file.read_text())) == set(masks.TITLES)

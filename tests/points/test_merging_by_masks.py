@@ -28,13 +28,13 @@ def test_points_of_pieces_in_masks(seen) -> None:
     evidence = masks_of_pieces(torch.tensor([0, 0, 1]), [plain, one, one])
     assert evidence is not None
     assert evidence.weight.tolist() == [256, 128, 256, 128]
-    assert evidence.frame_of_mask.tolist() == [0, 0, 1, 1]
+    assert evidence.frame_of_mask.tolist() == [1, 1, 2, 2]  # the first frame has no masks
     rows = sorted(evidence.in_mask.t().tolist())
     assert rows == [[0, 0, 2], [0, 1, 1], [0, 2, 2], [0, 3, 1]]
-    assert sorted(evidence.in_frame.t().tolist()) == [[0, 0, 2], [0, 1, 2], [1, 0, 1], [1, 1, 1]]
+    assert sorted(evidence.in_frame.t().tolist()) == [[0, 1, 2], [0, 2, 2], [1, 1, 1], [1, 2, 1]]
     in_mask, in_frame = evidence.of_regions(torch.tensor([0, 0]))
     assert in_mask.t().tolist() == rows
-    assert in_frame.t().tolist() == [[0, 0, 3], [0, 1, 3]]
+    assert in_frame.t().tolist() == [[0, 1, 3], [0, 2, 3]]
     assert masks_of_pieces(torch.tensor([0, 0, 1]), [plain]) is None
 
 

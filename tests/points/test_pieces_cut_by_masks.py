@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 import torchjoint as tj
+from torchjoint.points import mask_pieces
 from torchjoint.points.mask_pieces import cut_by_masks
 from torchjoint.scene import Masks
 from torchjoint.views.observation import Observation
@@ -61,6 +62,16 @@ def test_points_that_no_frame_sees_stay_with_their_neighbours(seen) -> None:
     piece = cut_by_masks(torch.zeros(6, dtype=torch.int64), CHAIN, [frame]).tolist()
     assert piece[0] == piece[1] != piece[4] == piece[5]
     assert set(piece) == {0, 1}
+
+
+def test_only_the_frames_that_see_most_of_a_piece_count(cut, monkeypatch) -> None:
+    monkeypatch.setattr(mask_pieces, "MAX_FRAMES", 2)
+    # All frames see as many points, so the first two count.
+    assert cut([0] * 6, [HALVES] * 2 + [[WHOLE]] * 7) == [0, 0, 0, 1, 1, 1]
+    assert cut([0] * 6, [[WHOLE]] * 2 + [HALVES]) == [0] * 6
+    in_frame = torch.tensor([[0, 0, 0, 1, 1], [0, 1, 2, 1, 2], [3, 5, 4, 1, 1]])  # pieces, frames, points
+    most = mask_pieces._frames_that_see_most(in_frame, 3, 3)
+    assert most.tolist() == [[False, False, False], [True, True, False], [True, True, False]]
 
 
 def test_without_masks_nothing_changes(seen) -> None:

@@ -25,6 +25,8 @@ MIXED = 0.1
 PRIOR_WEIGHT = 0.1
 #: Largest cost of two parts that merge again.
 THRESHOLD = 0.5
+#: Of each piece only so many frames count, those that see most of it: single points in all frames would take gigabytes.
+MAX_FRAMES = 32
 
 
 def cut_by_masks(piece: Tensor, edge_index: Tensor, observations: Sequence[Observation]) -> Tensor:
@@ -52,9 +54,24 @@ def cut_by_masks(piece: Tensor, edge_index: Tensor, observations: Sequence[Obser
     region = torch.unique(torch.where(single, number, first[piece]), return_inverse=True)[1]
     i, j = edge_index
     ends = region[edge_index[:, single[i] & (piece[i] == piece[j])]]
-    joined = _merges_of_parts(ends, torch.bincount(region), masks_of_pieces(region, observations))
+    counts = _frames_that_see_most(masks.in_frame, num_pieces, len(observations))
+    of_points = masks_of_pieces(region, observations, lambda frame, point: counts[frame, piece[point]])
+    joined = _merges_of_parts(ends, torch.bincount(region), of_points)
     # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect, and numbers by first appearance.
     return ops.felzenszwalb(joined, torch.zeros(joined.shape[1]), int(region.max()) + 1, scale=1.0)[region]
+
+
+def _frames_that_see_most(in_frame: Tensor, num_pieces: int, num_frames: int) -> Tensor:
+    """The MAX_FRAMES frames with most points of each piece, of equal ones the first: [F, P] bool."""
+    piece, frame, num_points = in_frame[:, torch.argsort(in_frame[1], stable=True)]
+    order = torch.argsort(num_points, descending=True, stable=True)
+    order = order[torch.argsort(piece[order], stable=True)]
+    count = torch.bincount(piece, minlength=num_pieces)
+    rank = torch.arange(len(order)) - (count.cumsum(0) - count)[piece[order]]
+    chosen = order[rank < MAX_FRAMES]
+    most = torch.zeros(num_frames, num_pieces, dtype=torch.bool)
+    most[frame[chosen], piece[chosen]] = True
+    return most
 
 
 def _merges_of_parts(edge_index: Tensor, size: Tensor, masks: MaskEvidence | None) -> Tensor:
