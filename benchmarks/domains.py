@@ -45,7 +45,6 @@ from torchjoint.training.boundary_examples import (
 )
 from torchjoint.training.boundary_model import fit_boundary_model
 from torchjoint.training.evidence_files import load_evidence, save_evidence
-from torchjoint.training.mean_model import mean_model
 
 DOMAINS = ("table", "shelf", "bin", "desk", "kitchen", "room", "workshop")
 #: Seeds of the generated scenes for training, for tuning the other methods (a part of these), and for scoring. The
@@ -91,7 +90,7 @@ def main() -> None:
                 score_left_out(work, kind, str(seed), left_out_model(work, kind, seed, arguments), arguments)
         for kind in LEFT_OUT:
             members = [left_out_model(work, kind, seed, arguments) for seed in range(arguments.seeds)]
-            score_left_out(work, kind, f"mean{len(members)}", mean_model(members), arguments)
+            score_left_out(work, kind, f"mean{len(members)}", BoundaryModel.mean_of(members), arguments)
         score_packaged(work, kinds, arguments)
     if arguments.part in ("all", "others"):
         for kind in kinds:

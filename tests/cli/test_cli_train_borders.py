@@ -39,9 +39,9 @@ def test_an_interrupted_run_goes_on(small_scenes, tmp_path, run, capsys, monkeyp
     assert small_scenes == [0, 4]  # the evidence was on disk
     printed = capsys.readouterr().out
     assert "merging up to 0.15: " in printed
-    assert "4 rounds from 2 scenes in " in printed
+    assert "2 models of 4 rounds from 2 scenes in " in printed
     assert list(tmp_path.iterdir()) == [out]
-    assert len(load_boundary_model(out).rounds) == len(boundary_examples.BoundaryModelOptions().thresholds)
+    assert len(load_boundary_model(out).thresholds) == len(boundary_examples.BoundaryModelOptions().thresholds)
     with pytest.raises(SystemExit, match=r"model\.npz: exists already"):
         run(*arguments)
 

@@ -17,6 +17,7 @@ from torchjoint.points.boundary_features import FEATURE_NAMES
 from torchjoint.points.boundary_model import (
     BoostedTrees,
     BoundaryModel,
+    MemberModel,
     calibrated,
     load_boundary_model,
     save_boundary_model,
@@ -28,7 +29,9 @@ KNOTS = torch.tensor([[0.2, 0.4, 0.8], [0.0, 0.5, 0.6]], dtype=torch.float64)
 
 @pytest.fixture
 def model():
-    return BoundaryModel((0.25, 0.5), FEATURE_NAMES, (TREES, replace(TREES, baseline=0.0)), (KNOTS, KNOTS))
+    member = MemberModel((0.25, 0.5), FEATURE_NAMES, (TREES, replace(TREES, baseline=0.0)), (KNOTS, KNOTS))
+    other = MemberModel((0.25, 0.5), FEATURE_NAMES, (replace(TREES, baseline=-1.0), TREES))
+    return BoundaryModel((member, other))
 
 
 @pytest.fixture
@@ -57,12 +60,23 @@ def test_probability_by_hand(model):
     values = torch.zeros(2, len(FEATURE_NAMES))
     values[:, 0] = torch.tensor([0.5, 0.6])
     values[:, 1] = torch.tensor([2.0, torch.nan])
-    plain = BoundaryModel((0.5,), FEATURE_NAMES, (TREES,))
-    expected = torch.tensor([0.5 - 1 + 0.25, 0.5 + 2 + 0.25], dtype=torch.float64).sigmoid()
+    plain = BoundaryModel((MemberModel((0.5,), FEATURE_NAMES, (TREES,)),))
+    log_odds = torch.tensor([0.5 - 1 + 0.25, 0.5 + 2 + 0.25], dtype=torch.float64)
+    expected = log_odds.sigmoid()
     torch.testing.assert_close(plain.probability(0, values), expected, rtol=0, atol=1e-15)
-    torch.testing.assert_close(model.probability(0, values), calibrated(expected, KNOTS))
+    mean = (calibrated(expected, KNOTS) + (log_odds - 1.5).sigmoid()) / 2
+    torch.testing.assert_close(model.probability(0, values), mean, rtol=0, atol=1e-15)
     with pytest.raises(ValueError, match=r"values: expected shape \[B, 94\], got \[2, 93\]"):
         model.probability(0, values[:, 1:])
+
+
+def test_members_fit_together(model):
+    assert BoundaryModel.mean_of([model, model]).members == model.members * 2
+    with pytest.raises(ValueError, match="members: expected 1 to 100, got 0"):
+        BoundaryModel(())
+    other = MemberModel((0.3, 0.5), FEATURE_NAMES, (TREES, TREES))
+    with pytest.raises(ValueError, match="members: number 1 has other thresholds or features than number 0"):
+        BoundaryModel((model.members[0], other))
 
 
 def test_calibration_by_hand():
@@ -107,7 +121,7 @@ HEADER = b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"format": np.array([2])}, r"format: expected \[1\], got \[2\]; from another version"),
+        ({"format": np.array([1])}, r"format: expected \[2\], got \[1\]; from another version"),
         ({"format": None}, "format: missing"),
         ({"feature_names": np.array(FEATURE_NAMES[:-1])}, "feature_names: trained on other features .*93 instead of"),
         (
@@ -116,18 +130,39 @@ HEADER = b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape
         ),
         ({"feature_names": np.zeros(80)}, "feature_names: expected 1 dimensions of kind 'U', got float64"),
         ({"thresholds": np.array([0.25, 1.5])}, r"thresholds: expected numbers in \[0, 1\]"),
-        ({"thresholds": np.array([0.25])}, "baselines: expected one for each of 1 rounds, got 2"),
-        ({"baselines": np.array([0.25, np.nan])}, "round1_baseline: expected a finite number, got nan"),
-        ({"round1_left": None}, "round1_left: missing"),
-        ({"round1_left": np.ones((2, 3), np.int32)}, "round1_left: expected -1 or places after the node's"),
-        ({"round1_left": np.ones((2, 3), np.int64)}, "round1_left: expected dtype torch.int32, got torch.int64"),
-        ({"round0_threshold": np.ones((2, 2))}, r"round0_threshold: expected shape \[T, M\] = \[2, 3\], got \[2, 2\]"),
-        ({"round0_threshold": np.full((2, 3), np.inf)}, "round0_threshold: expected finite numbers, got inf"),
-        ({"round0_feature": np.full((2, 3), 94, np.int32)}, r"round0_feature: expected numbers in \[0, 94\), got 94"),
-        ({"round0_calibration": np.zeros((2, 1))}, r"round0_calibration: expected shape \[2, C\]"),
-        ({"round0_calibration": np.zeros((2, 3))}, "round0_calibration: expected ascending x"),
-        ({"round0_calibration": np.array([[0, 1], [0, 1.5]])}, r"round0_calibration: expected numbers in \[0, 1\]"),
-        ({"round2_left": np.zeros((1, 1))}, "round2_left: unexpected array"),
+        ({"thresholds": np.array([0.25])}, r"baselines: expected \[members, rounds\] for 1 rounds, got \[2, 2\]"),
+        (
+            {"baselines": np.array([[0.25, 0.0], [0.25, np.nan]])},
+            "member1_round1_baseline: expected a finite number, got nan",
+        ),
+        ({"member0_round1_left": None}, "member0_round1_left: missing"),
+        (
+            {"member0_round1_left": np.ones((2, 3), np.int32)},
+            "member0_round1_left: expected -1 or places after the node's",
+        ),
+        (
+            {"member0_round1_left": np.ones((2, 3), np.int64)},
+            "member0_round1_left: expected dtype torch.int32, got torch.int64",
+        ),
+        (
+            {"member0_round0_threshold": np.ones((2, 2))},
+            r"member0_round0_threshold: expected shape \[T, M\] = \[2, 3\], got \[2, 2\]",
+        ),
+        (
+            {"member0_round0_threshold": np.full((2, 3), np.inf)},
+            "member0_round0_threshold: expected finite numbers, got inf",
+        ),
+        (
+            {"member0_round0_feature": np.full((2, 3), 94, np.int32)},
+            r"member0_round0_feature: expected numbers in \[0, 94\), got 94",
+        ),
+        ({"member0_round0_calibration": np.zeros((2, 1))}, r"round0_calibration: expected shape \[2, C\]"),
+        ({"member0_round0_calibration": np.zeros((2, 3))}, "round0_calibration: expected ascending x"),
+        (
+            {"member0_round0_calibration": np.array([[0, 1], [0, 1.5]])},
+            r"member0_round0_calibration: expected numbers in \[0, 1\]",
+        ),
+        ({"member0_round2_left": np.zeros((1, 1))}, "round2_left: unexpected array"),
         ({"thresholds": b"nothing"}, "thresholds: "),
         ({"thresholds": (HEADER % b"9" * 1).ljust(127) + b"\n"}, r"thresholds: expected \[9\] of float64"),
         ({"thresholds": (HEADER % b"99999999999999").ljust(127) + b"\n"}, r"thresholds: expected \[99999999999999\]"),

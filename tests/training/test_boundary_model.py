@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from torchjoint.points.agglomeration import build_hierarchy
-from torchjoint.points.boundary_features import FEATURE_NAMES
+from torchjoint.points.boundary_features import FEATURE_NAMES, boundary_features
 from torchjoint.points.boundary_model import calibrated, load_boundary_model
 from torchjoint.runtime.checked_files import write_checked
 from torchjoint.scene import Scene, Truth
@@ -25,7 +25,6 @@ from torchjoint.training import (
     save_boundary_model,
 )
 from torchjoint.training.evidence_files import EvidenceFiles, load_evidence, save_evidence
-from torchjoint.training.mean_model import mean_model
 from torchjoint.training.scene_merging import SceneMerging
 
 QUICK = BoundaryModelOptions(thresholds=(0.2, 0.5), trees=3, leaves=4, folds=2)
@@ -146,11 +145,12 @@ def test_members_have_seeds_of_their_own(prepared):
     reports = []
     found = fit_boundary_model(prepared, replace(QUICK, members=2, seed=3), report=reports.append)
     assert [report.threshold for report in reports] == [0.2, 0.5] * 2
-    expected = mean_model([fit_boundary_model(prepared, replace(QUICK, seed=seed)) for seed in (3, 4)])
-    assert not torch.equal(*expected.rounds[0].threshold.split(QUICK.trees))
-    for trees, wanted in zip(found.rounds, expected.rounds, strict=True):
-        for one, other in zip(trees.arrays(), wanted.arrays(), strict=True):
-            assert torch.equal(one, other)
+    first, second = (fit_boundary_model(prepared, replace(QUICK, seed=seed)) for seed in (3, 4))
+    values = boundary_features(prepared[0].evidence, prepared[0].evidence.piece).values
+    for number in range(2):
+        one, other = first.probability(number, values), second.probability(number, values)
+        assert not torch.equal(one, other)
+        assert torch.equal(found.probability(number, values), torch.stack([one, other]).mean(0))
 
 
 def test_training_without_images_and_colours(scene_of):
@@ -158,7 +158,7 @@ def test_training_without_images_and_colours(scene_of):
     bare = [labelled_evidence(Scene(scene.points, truth=scene.truth)) for scene in scenes]
     model = fit_boundary_model(bare, QUICK)
     columns = boundary_examples.feature_columns(boundary_examples.IMAGE_FEATURES + boundary_examples.COLOR_FEATURES)
-    used = {int(column) for trees in model.rounds for column in trees.feature[trees.left >= 0]}
+    used = {int(column) for trees in model.members[0].rounds for column in trees.feature[trees.left >= 0]}
     assert used
     assert not used & set(columns)
 
@@ -193,12 +193,12 @@ def test_bad_options(change, message):
 
 def test_variants_of_a_merging_differ_by_noise_only(prepared):
     scene = prepared[0]
-    model = load_boundary_model()
+    member = load_boundary_model().members[0]
 
     def regions(variant, noise):
         merging = SceneMerging(0, variant)
         merging.start(scene)
-        merging.advance(scene, 1, model.rounds[0], model.calibrations[0], BoundaryModelOptions(noise=noise))
+        merging.advance(scene, 1, member.rounds[0], member.calibrations[0], BoundaryModelOptions(noise=noise))
         assert (merging.examples.pairs < int(merging.region.max()) + 1).all()
         return merging.region
 

@@ -80,8 +80,8 @@ def train_boundary_model(
     training.load_boundary_model(out)
     shutil.rmtree(folder)
     print(
-        f"{len(model.rounds)} rounds from {len(sources)} scenes in {time.perf_counter() - begin:.0f} s: {out}, "
-        f"{out.stat().st_size / 1e6:.1f} MB"
+        f"{len(model.members)} models of {len(model.thresholds)} rounds from {len(sources)} scenes "
+        f"in {time.perf_counter() - begin:.0f} s: {out}, {out.stat().st_size / 1e6:.1f} MB"
     )
 
 

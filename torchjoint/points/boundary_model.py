@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import math
 import zipfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import as_file, files
@@ -28,8 +29,8 @@ PACKAGED = "boundaries.npz"
 #: A model's file is refused if its arrays take more than so many bytes; the packaged model takes less than 2 MB.
 LARGEST = 1 << 28
 #: The version of the file's layout, stored in the file.
-_FORMAT = 1
-_MOST_ROUNDS = 100
+_FORMAT = 2
+_MOST_ROUNDS = _MOST_MEMBERS = 100
 _DTYPES = {
     "feature": torch.int32,
     "threshold": torch.float64,
@@ -76,8 +77,8 @@ def no_calibration() -> Tensor:
 
 
 @dataclass(frozen=True, eq=False)
-class BoundaryModel:
-    """A model for K rounds of merging.
+class MemberModel:
+    """The model of one training seed, for K rounds of merging.
 
     Attributes:
         thresholds: K numbers in [0, 1]; a round merges regions up to this mean probability.
@@ -133,6 +134,50 @@ class BoundaryModel:
         return calibrated(torch.sigmoid(self.rounds[number].score(values)), self.calibrations[number])
 
 
+@dataclass(frozen=True, eq=False)
+class BoundaryModel:
+    """The mean of M models of several training seeds: it errs less than each, since each has random errors of its own.
+
+    Attributes:
+        members: M models with the same thresholds and features.
+
+    Raises:
+        ValueError: there is no member, or the members are for other rounds.
+    """
+
+    members: tuple[MemberModel, ...]
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.members) <= _MOST_MEMBERS:
+            raise ValueError(f"members: expected 1 to {_MOST_MEMBERS}, got {len(self.members)}")
+        for number, member in enumerate(self.members):
+            if (member.thresholds, member.feature_names) != (self.thresholds, self.feature_names):
+                raise ValueError(f"members: number {number} has other thresholds or features than number 0")
+
+    @classmethod
+    def mean_of(cls, models: Iterable[BoundaryModel]) -> BoundaryModel:
+        """The mean of all members of the models."""
+        return cls(tuple(member for model in models for member in model.members))
+
+    @property
+    def thresholds(self) -> tuple[float, ...]:
+        """K numbers in [0, 1]; a round merges regions up to this mean probability."""
+        return self.members[0].thresholds
+
+    @property
+    def feature_names(self) -> tuple[str, ...]:
+        """The F features of a boundary, in the order of the columns."""
+        return self.members[0].feature_names
+
+    def probability(self, number: int, values: Tensor) -> Tensor:
+        """The mean of the members' probabilities [B] float64; arguments and errors as :meth:`MemberModel.probability`.
+
+        Each member is calibrated by itself. The mean of their log odds, with one calibration for all, is worse
+        (benchmarks/README.md, *Does it carry over?*).
+        """
+        return torch.stack([member.probability(number, values) for member in self.members]).mean(0)
+
+
 def calibrated(probability: Tensor, calibration: Tensor) -> Tensor:
     """Maps probabilities [B] float64 by a calibration [2, C] float64: linear between its knots, constant beyond."""
     x, y = calibration
@@ -148,12 +193,13 @@ def save_boundary_model(path: Path, model: BoundaryModel) -> None:
         "format": np.array([_FORMAT]),
         "feature_names": np.array(model.feature_names, dtype=np.str_),
         "thresholds": np.array(model.thresholds, dtype=np.float64),
-        "baselines": np.array([trees.baseline for trees in model.rounds], dtype=np.float64),
+        "baselines": np.array([[trees.baseline for trees in member.rounds] for member in model.members], np.float64),
     }
-    for number, (trees, calibration) in enumerate(zip(model.rounds, model.calibrations, strict=True)):
-        for name, array in zip(_DTYPES, trees.arrays(), strict=True):
-            arrays[f"round{number}_{name}"] = array.numpy()
-        arrays[f"round{number}_calibration"] = calibration.numpy()
+    for place, member in enumerate(model.members):
+        for number, (trees, calibration) in enumerate(zip(member.rounds, member.calibrations, strict=True)):
+            for name, array in zip(_DTYPES, trees.arrays(), strict=True):
+                arrays[f"member{place}_round{number}_{name}"] = array.numpy()
+            arrays[f"member{place}_round{number}_calibration"] = calibration.numpy()
     with atomic_write(path) as partial, zipfile.ZipFile(partial, "w") as archive:
         for name, values in arrays.items():
             content = io.BytesIO()
@@ -216,20 +262,28 @@ def _model(arrays: dict[str, NDArray[Any]]) -> BoundaryModel:
     if names != FEATURE_NAMES:
         raise ValueError(_other_features(names))
     thresholds = tuple(take("thresholds", "f", 1).tolist())
-    baselines = take("baselines", "f", 1).tolist()
-    if not 1 <= len(thresholds) <= _MOST_ROUNDS or len(baselines) != len(thresholds):
-        raise ValueError(f"baselines: expected one for each of {len(thresholds)} rounds, got {len(baselines)}")
-    rounds, calibrations = [], []
-    for number, baseline in enumerate(baselines):
-        of_round = {}
-        for name, dtype in _DTYPES.items():
-            kind = "b" if dtype == torch.bool else "f" if dtype.is_floating_point else "i"
-            of_round[name] = torch.from_numpy(take(f"round{number}_{name}", kind, 2))
-        rounds.append(BoostedTrees(**of_round, baseline=baseline))
-        calibrations.append(torch.from_numpy(take(f"round{number}_calibration", "f", 2)))
+    baselines = take("baselines", "f", 2)
+    if not 1 <= len(thresholds) <= _MOST_ROUNDS or baselines.shape[1] != len(thresholds):
+        raise ValueError(
+            f"baselines: expected [members, rounds] for {len(thresholds)} rounds, got {list(baselines.shape)}"
+        )
+    members = []
+    for place, of_member in enumerate(baselines.tolist()):
+        rounds, calibrations = [], []
+        for number, baseline in enumerate(of_member):
+            of_round = {}
+            for name, dtype in _DTYPES.items():
+                kind = "b" if dtype == torch.bool else "f" if dtype.is_floating_point else "i"
+                of_round[name] = torch.from_numpy(take(f"member{place}_round{number}_{name}", kind, 2))
+            rounds.append(BoostedTrees(**of_round, baseline=baseline))
+            calibrations.append(torch.from_numpy(take(f"member{place}_round{number}_calibration", "f", 2)))
+        try:
+            members.append(MemberModel(thresholds, names, tuple(rounds), tuple(calibrations)))
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"member{place}_{error}") from error
     if arrays:
         raise ValueError(f"{min(arrays)}: unexpected array")
-    return BoundaryModel(thresholds, names, tuple(rounds), tuple(calibrations))
+    return BoundaryModel(tuple(members))
 
 
 def _other_features(names: tuple[str, ...]) -> str:

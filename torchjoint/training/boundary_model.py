@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from torchjoint.config import Config
 from torchjoint.points.boundary_features import FEATURE_NAMES
-from torchjoint.points.boundary_model import BoostedTrees, BoundaryModel, no_calibration
+from torchjoint.points.boundary_model import BoostedTrees, BoundaryModel, MemberModel, no_calibration
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene
@@ -31,7 +31,6 @@ from torchjoint.training.boundary_examples import (
     join_samples,
     labelled_evidence,
 )
-from torchjoint.training.mean_model import mean_model
 from torchjoint.training.quantile_bins import QuantileBins
 from torchjoint.training.scene_merging import SceneMerging
 
@@ -107,7 +106,8 @@ def fit_boundary_model(
     if len(scenes) < 2:
         raise ValueError(f"scenes: expected at least two, got {len(scenes)}")
     seeds = range(options.seed, options.seed + options.members)
-    return mean_model([_fit_member(scenes, replace(options, seed=seed), report, progress) for seed in seeds])
+    members = [_fit_member(scenes, replace(options, seed=seed), report, progress) for seed in seeds]
+    return BoundaryModel(tuple(members))
 
 
 def _fit_member(
@@ -115,7 +115,7 @@ def _fit_member(
     options: BoundaryModelOptions,
     report: Callable[[RoundScores], None] | None,
     progress: bool,
-) -> BoundaryModel:
+) -> MemberModel:
     rng = np.random.default_rng(options.seed)
     fold = rng.permutation(len(scenes)) % options.folds
     parts = sorted(set(fold.tolist()))
@@ -144,7 +144,7 @@ def _fit_member(
         calibrations.append(_calibration(probability[known], is_border[known], weight[known]))
         if report is not None:
             report(_scores(threshold, probability[known], is_border[known], weight[known]))
-    return BoundaryModel(options.thresholds, FEATURE_NAMES, tuple(rounds), tuple(calibrations))
+    return MemberModel(options.thresholds, FEATURE_NAMES, tuple(rounds), tuple(calibrations))
 
 
 def _check_packages() -> None:
