@@ -31,7 +31,8 @@ from torchjoint.benchmark.methods import METHODS
 from torchjoint.benchmark.search import Budget, run_scores, search
 from torchjoint.evaluation.scores import score, score_images
 from torchjoint.points.agglomeration import build_hierarchy
-from torchjoint.points.boundary_model import BoundaryModel, load_boundary_model
+from torchjoint.points.boundary_model import BoundaryModel
+from torchjoint.points.boundary_model_file import load_boundary_model
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene

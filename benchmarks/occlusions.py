@@ -23,7 +23,7 @@ from domains import DOMAINS, difference, load_thinned
 import torchjoint as tj
 from torchjoint.evaluation.scores import score
 from torchjoint.points.agglomeration import build_hierarchy
-from torchjoint.points.boundary_model import load_boundary_model
+from torchjoint.points.boundary_model_file import load_boundary_model
 from torchjoint.points.evidence import gather_evidence
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene

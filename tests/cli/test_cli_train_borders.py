@@ -8,7 +8,7 @@ import pytest
 
 from torchjoint import training
 from torchjoint.cli import train_boundary_model as command
-from torchjoint.points.boundary_model import load_boundary_model
+from torchjoint.points.boundary_model_file import load_boundary_model
 from torchjoint.training import boundary_examples
 
 

@@ -7,7 +7,7 @@ import torchjoint as tj
 from torchjoint.points import segments
 from torchjoint.points.agglomeration import COARSER, HEIGHT_STEP, build_hierarchy, merge_by_probability, merging_steps
 from torchjoint.points.boundary_features import FEATURE_NAMES, boundary_features
-from torchjoint.points.boundary_model import load_boundary_model
+from torchjoint.points.boundary_model_file import load_boundary_model
 from torchjoint.points.evidence import gather_evidence
 from torchjoint.views.state import JointState
 

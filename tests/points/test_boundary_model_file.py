@@ -12,16 +12,10 @@ import pytest
 import torch
 from operator_arguments import BOOSTED_TREES
 
-from torchjoint.points import boundary_model
+from torchjoint.points import boundary_model_file
 from torchjoint.points.boundary_features import FEATURE_NAMES
-from torchjoint.points.boundary_model import (
-    BoostedTrees,
-    BoundaryModel,
-    MemberModel,
-    calibrated,
-    load_boundary_model,
-    save_boundary_model,
-)
+from torchjoint.points.boundary_model import BoostedTrees, BoundaryModel, MemberModel, calibrated
+from torchjoint.points.boundary_model_file import load_boundary_model, save_boundary_model
 
 TREES = BoostedTrees(**{name: array for name, array in BOOSTED_TREES.items() if name != "values"}, baseline=0.5)
 KNOTS = torch.tensor([[0.2, 0.4, 0.8], [0.0, 0.5, 0.6]], dtype=torch.float64)
@@ -177,7 +171,7 @@ def test_damaged_arrays_are_named(path, changes, message):
 
 
 def test_too_large(path, monkeypatch):
-    monkeypatch.setattr(boundary_model, "LARGEST", 1 << 10)
+    monkeypatch.setattr(boundary_model_file, "LARGEST", 1 << 10)
     with pytest.raises(ValueError, match="expected arrays of at most"):
         load_boundary_model(path)
 
@@ -185,15 +179,15 @@ def test_too_large(path, monkeypatch):
 def test_missing_files(tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError, match=r"no\.npz: missing; expected a model"):
         load_boundary_model(tmp_path / "no.npz")
-    boundary_model._packaged_model.cache_clear()
-    monkeypatch.setattr(boundary_model, "PACKAGED", "no.npz")
+    boundary_model_file._packaged_model.cache_clear()
+    monkeypatch.setattr(boundary_model_file, "PACKAGED", "no.npz")
     with pytest.raises(FileNotFoundError, match="this installation has no trained model"):
         load_boundary_model()
 
 
 def test_the_packaged_model_is_read_once(path, tmp_path, monkeypatch):
-    boundary_model._packaged_model.cache_clear()
-    monkeypatch.setattr(boundary_model, "files", lambda package: path.parent)
-    monkeypatch.setattr(boundary_model, "PACKAGED", path.name)
+    boundary_model_file._packaged_model.cache_clear()
+    monkeypatch.setattr(boundary_model_file, "files", lambda package: path.parent)
+    monkeypatch.setattr(boundary_model_file, "PACKAGED", path.name)
     assert load_boundary_model() is load_boundary_model()
-    boundary_model._packaged_model.cache_clear()
+    boundary_model_file._packaged_model.cache_clear()

@@ -13,7 +13,8 @@ import torch
 
 from torchjoint.points.agglomeration import build_hierarchy
 from torchjoint.points.boundary_features import FEATURE_NAMES, boundary_features
-from torchjoint.points.boundary_model import calibrated, load_boundary_model
+from torchjoint.points.boundary_model import calibrated
+from torchjoint.points.boundary_model_file import load_boundary_model
 from torchjoint.runtime.checked_files import write_checked
 from torchjoint.scene import Scene, Truth
 from torchjoint.training import (

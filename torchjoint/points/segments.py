@@ -8,7 +8,7 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.config import Config
 from torchjoint.points.agglomeration import build_hierarchy
-from torchjoint.points.boundary_model import load_boundary_model
+from torchjoint.points.boundary_model_file import load_boundary_model
 from torchjoint.points.edge_costs import combined_costs, crease_costs
 from torchjoint.points.edge_weights import geometric_weights
 from torchjoint.points.evidence import gather_evidence
