@@ -66,16 +66,21 @@ class Voters {
  public:
   explicit Voters(int64_t count) : most_(count + 1) { near_.reserve(most_ + 1); }
 
-  void search(const Cells& cells, const Marker& marker) {
+  // Whether fewer than half of the voters, and of the `others` with the marker's label, have its label. Of equally far
+  // last ones all vote, or none.
+  bool outvote(const Cells& cells, const Marker& marker, int64_t others) {
     near_.clear();
+    const int64_t enough = std::min<int64_t>(most_ - 1, others);
     const int64_t side = cells.side(), row = cells.row_of(marker), column = cells.column_of(marker);
     const auto ask = [&](const Marker& other) { take(marker, other); };
     cells.for_each(row, column, column, ask);
     const int64_t above = marker.row - row * side + 1, below = (row + 1) * side - marker.row;
     const int64_t left = marker.column - column * side + 1, right = (column + 1) * side - marker.column;
+    const int64_t nearest_side = std::min({above, below, left, right});
     bool is_done = false;
     for (int64_t ring = 1; !is_done; ++ring) {  // of cells; each side of it is left out once it is too far
       is_done = true;
+      if (2 * agreeing(marker, nearest_side + (ring - 1) * side) >= enough) return false;  // however others vote
       const int64_t closer = (ring - 1) * side;
       const auto is_near = [&](int64_t gap, bool is_inside) {
         const bool found = is_inside && static_cast<double>(gap + closer) * (gap + closer) < farthest();
@@ -91,11 +96,6 @@ class Voters {
         for (int64_t r = row - ring + 1; r < row + ring; ++r) cells.for_each(r, column + ring, column + ring, ask);
       }
     }
-  }
-
-  // Whether fewer than half of the voters, and of the `others` with the marker's label, have its label. Of equally far
-  // last ones all vote, or none.
-  bool outvote(const Marker& marker, int64_t others) const {
     const double limit = farthest();
     int64_t votes = 0, agree = 0;
     for (const Near& one : near_) {
@@ -111,6 +111,17 @@ class Voters {
     double distance;  // squared
     int32_t label;
   };
+
+  // How many voters with the marker's label lie within a distance of pixels: if all nearer markers are known, all vote.
+  int64_t agreeing(const Marker& marker, int64_t within) const {
+    const double limit = std::min(farthest(), static_cast<double>(within) * within);
+    int64_t count = 0;
+    for (const Near& one : near_) {
+      if (!(one.distance < limit)) break;
+      count += one.label == marker.label;
+    }
+    return count;
+  }
 
   // Squared distance of the last of the markers; infinite if there may be more.
   double farthest() const {
@@ -213,12 +224,11 @@ Tensor outvoted_markers(
   for (const Marker& one : all) ++num_markers[one.label];
   const Cells wide(all, height, width, side_of(near, num_pixels, all.size()));
   const LabelRanges ranges(wide);
-  const Cells cells(all, height, width, side_of(2, num_pixels, all.size()));
+  const Cells cells(all, height, width, side_of(1, num_pixels, all.size()));
   Voters voters(std::min<int64_t>(num_voters, all.size()));
   for (const Marker& one : all) {
     if (!ranges.differ(wide.row_of(one), wide.column_of(one))) continue;
-    voters.search(cells, one);
-    out[one.row * width + one.column] = voters.outvote(one, num_markers[one.label] - 1);
+    out[one.row * width + one.column] = voters.outvote(cells, one, num_markers[one.label] - 1);
   }
   return outvoted;
 }
