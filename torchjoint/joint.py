@@ -238,8 +238,8 @@ class JointSegmenter(nn.Module):
 
         Args:
             points: [N, 3] metres, world frame.
-            colors: optional [N, 3] RGB in [0, 1], used only by method learned, and by method edges with a
-                color_weight > 0.
+            colors: optional [N, 3] RGB in [0, 1], used only by method learned, which takes those of the frames if
+                absent, and by method edges with a color_weight > 0.
             normals: optional [N, 3], estimated if absent; a normal is turned to the cameras that see its point.
 
         Raises:

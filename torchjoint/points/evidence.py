@@ -20,6 +20,7 @@ from torchjoint.points.edge_costs import combined_costs, crease_costs
 from torchjoint.points.edge_weights import map_edges
 from torchjoint.points.graph import PointGraph
 from torchjoint.points.group_summaries import Measure
+from torchjoint.points.image_colors import image_colors
 from torchjoint.points.image_evidence import ImageEvidence, segments_of_pieces
 from torchjoint.points.mask_evidence import MaskEvidence, masks_of_pieces
 from torchjoint.points.mask_pieces import cut_by_masks
@@ -129,6 +130,8 @@ class Evidence:
 def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config: Config) -> Evidence:
     """Groups the points into pieces, and measures the edges between the pieces.
 
+    A cloud without colours has those of the images.
+
     Args:
         graph: the point graph.
         scales: noise and spacing of the points.
@@ -141,7 +144,8 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
     # Masks are told apart from other segments: what two masks say weighs far more (see mask_merges).
     observations = seen.without_masks()
     r = disagreement(state.views, state.overlap_sum, len(seen), config.propagation) if seen else None
-    lab = None if graph.colors is None else _to_lab(graph.colors)
+    colors = image_colors(graph.points, seen) if graph.colors is None else graph.colors
+    lab = None if colors is None else _to_lab(colors)
     color_step = median = None
     if lab is not None:
         color_step = _color_steps(lab, graph.edge_index)

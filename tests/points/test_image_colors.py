@@ -1,0 +1,114 @@
+"""Step 6, learned: a cloud without colours gets those of the images."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+import torchjoint as tj
+from torchjoint.points.image_colors import image_colors
+from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observations
+from torchjoint.views.visibility import Visible
+
+HEIGHT, WIDTH = 3, 4
+
+
+def observation(image, points, pixels):
+    """A frame that sees points in pixels, numbered row by row."""
+    pixel = torch.tensor(pixels, dtype=torch.int64)
+    row, column = pixel // WIDTH, pixel % WIDTH
+    visible = Visible(
+        torch.tensor(points, dtype=torch.int64), row, column, column.float(), row.float(), torch.ones(len(pixel))
+    )
+    nothing = torch.zeros(HEIGHT, WIDTH)
+    return Observation("", nothing.int(), visible, torch.eye(3), torch.eye(4), image, nothing.byte())
+
+
+def random_image(seed):
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randint(0, 256, (3, HEIGHT, WIDTH), generator=generator, dtype=torch.uint8)
+
+
+def by_hand(points, frames):
+    """The same, point by point."""
+    seen = {}
+    for image, of_points, pixels in frames:
+        for point, pixel in zip(of_points, pixels, strict=True):
+            seen.setdefault(point, []).append(image[:, pixel // WIDTH, pixel % WIDTH].double() / 255)
+    if not seen:
+        return None
+    colors = []
+    for one in points.double():
+        nearest = min(sorted(seen), key=lambda other: float((points[other].double() - one).square().sum().sqrt()))
+        colors.append(torch.stack(seen[nearest]).mean(0))
+    return torch.stack(colors).float()
+
+
+@given(st.data())
+def test_by_hand(data):
+    number = data.draw(st.integers(1, 12), label="points")
+    places = st.lists(st.integers(0, 2), min_size=3, max_size=3)  # of a grid: many are equally near, or the same
+    points = torch.tensor(data.draw(st.lists(places, min_size=number, max_size=number)), dtype=torch.float32)
+    frames = []
+    for seed in range(data.draw(st.integers(0, 10), label="frames")):
+        of_points = data.draw(st.lists(st.integers(0, number - 1), unique=True))
+        pixels = [data.draw(st.integers(0, HEIGHT * WIDTH - 1)) for _ in of_points]
+        frames.append((random_image(seed), of_points, pixels))
+    observations = [observation(*frame) for frame in frames]
+    found, expected = image_colors(points, Observations(observations)), by_hand(points, frames)
+    if expected is None:
+        assert found is None
+        return
+    same_place = (points[:, None] == points[None]).all(2).sum(1).max()
+    if same_place == 1:  # else more points than are asked for may be equally near
+        torch.testing.assert_close(found, expected)
+    assert torch.equal(found, image_colors(points, Observations(observations[::-1])))
+
+
+def scene_of(colors):
+    """A small room with images, and with colours of the points or without."""
+    made = tj.synthetic.make_scene(0, "small").scene
+    return tj.Scene(made.points, frames=list(made.frames), colors=made.colors if colors else None)
+
+
+def test_colors_of_the_images_are_close_to_those_of_the_points():
+    scene = scene_of(colors=True)
+    segmenter = tj.JointSegmenter()
+    segmenter.reset(scene.points)
+    segmenter.update(scene.frames)
+    found = image_colors(segmenter.cloud.graph.points, segmenter.state.observations)
+    difference = (found - scene.colors).abs().mean(1)
+    assert float(difference.median()) < 0.05
+
+
+def test_a_cloud_without_colors_has_those_of_the_images(monkeypatch):
+    scene = scene_of(colors=False)
+    asked = []
+
+    def spy(points, observations):
+        asked.append(len(observations))
+        return image_colors(points, observations)
+
+    monkeypatch.setattr("torchjoint.points.evidence.image_colors", spy)
+    filled = tj.JointSegmenter()(scene)
+    assert asked == [len(scene.frames)]
+    monkeypatch.setattr("torchjoint.points.evidence.image_colors", lambda points, observations: None)
+    assert not torch.equal(filled.points, tj.JointSegmenter()(scene).points)
+
+
+@pytest.mark.parametrize("change", [[], ["propagation.weight=0"]])
+def test_given_colors_stay(monkeypatch, change):
+    def fail(points, observations):
+        raise AssertionError("not asked for")
+
+    monkeypatch.setattr("torchjoint.points.evidence.image_colors", fail)
+    tj.JointSegmenter(tj.Config().set(change))(scene_of(colors=True))
+
+
+def test_frames_in_a_file_give_the_same(tmp_path):
+    scene = scene_of(colors=False)
+    labels = [tj.JointSegmenter(memory=memory)(scene).points for memory in (None, "1kB")]
+    assert torch.equal(*labels)
