@@ -123,7 +123,7 @@ def test_a_part_in_its_whole_is_a_finer_level() -> None:
     frames = [tj.Frame(image, INTRINSICS, pose, masks=masks, name=str(i)) for i in range(3)]
     result = tj.JointSegmenter()(tj.Scene(points, frames))
     assert share_of_one_label(result.points) > 0.97
-    finer = result.at(0.78).points
+    finer = result.at(0.86).points
     left, right = finer[points[:, 0] < -0.02], finer[points[:, 0] > 0.02]
     assert share_of_one_label(left) > 0.9
     assert share_of_one_label(right) > 0.9

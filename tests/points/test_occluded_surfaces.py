@@ -252,7 +252,21 @@ def test_a_wall_behind_a_post_is_one_segment():
     assert left == right != post
 
 
-@pytest.mark.parametrize("options", [{"right": 2.4}, {"right_color": 0.95}, {"colors": False}, {"images": False}])
+def test_a_wall_without_colors_has_those_of_its_images():
+    left, post, right = labels_of(colors=False)
+    assert left == right != post
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"right": 2.4},
+        {"right_color": 0.95},
+        {"right_color": 0.95, "colors": False},
+        {"images": False},
+        {"images": False, "colors": False},
+    ],
+)
 def test_other_walls_stay_apart(options):
     assert len(set(labels_of(**options))) == 3
 
