@@ -238,8 +238,8 @@ class JointSegmenter(nn.Module):
 
         Args:
             points: [N, 3] metres, world frame.
-            colors: optional [N, 3] RGB in [0, 1], used only by method learned, which takes those of the frames if
-                absent, and by method edges with a color_weight > 0.
+            colors: optional [N, 3] RGB in [0, 1], used only by method learned, which takes those of the frames if they
+                are absent or all the same, and by method edges with a color_weight > 0.
             normals: optional [N, 3], estimated if absent; a normal is turned to the cameras that see its point.
 
         Raises:
@@ -250,7 +250,7 @@ class JointSegmenter(nn.Module):
         with one_thread_per_operation(), self.stopwatch("point graph"):
             self._cloud = prepare_cloud(cloud, self.config, self.merge_within)
             if logger.isEnabledFor(logging.INFO):
-                logger.info(describe(len(cloud.points), self._cloud.graph, self._cloud.definite))
+                logger.info(describe(cloud, self._cloud.graph, self._cloud.definite))
         self._state = self._no_evidence(Observations(budget=self._memory, folder=self._spill))
         self._check = self._new_check()
 

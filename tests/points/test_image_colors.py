@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import pytest
 import torch
 from hypothesis import given
@@ -11,6 +13,7 @@ import torchjoint as tj
 from torchjoint.points.image_colors import image_colors
 from torchjoint.views.observation import Observation
 from torchjoint.views.observations import Observations
+from torchjoint.views.pose_check import PoseWarning
 from torchjoint.views.visibility import Visible
 
 HEIGHT, WIDTH = 3, 4
@@ -112,3 +115,35 @@ def test_frames_in_a_file_give_the_same(tmp_path):
     scene = scene_of(colors=False)
     labels = [tj.JointSegmenter(memory=memory)(scene).points for memory in (None, "1kB")]
     assert torch.equal(*labels)
+
+
+@pytest.mark.parametrize("color", [0.0, 0.7, 1.0])
+def test_colors_that_are_all_the_same_are_none(color):
+    """Many programs write white or grey for a cloud that has no colours."""
+    scene = scene_of(colors=False)
+    same = tj.Scene(scene.points, frames=scene.frames, colors=torch.full_like(scene.points, color))
+    expected = tj.JointSegmenter()(scene)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", PoseWarning)  # no colour of an image fits
+        found = tj.JointSegmenter()(same)
+    assert torch.equal(found.points, expected.points)
+    assert all(map(torch.equal, found.images, expected.images))
+
+
+def test_the_log_says_which_colors_count(caplog):
+    scene = scene_of(colors=True)
+    lines = []
+    for colors in (scene.colors, None, torch.ones_like(scene.points)):
+        caplog.clear()
+        with caplog.at_level("INFO", logger="torchjoint.joint"):
+            tj.JointSegmenter().reset(scene.points, colors)
+        lines.append(caplog.messages[0])
+    assert "colour" not in lines[0]
+    assert "no colours (those of images count)" in lines[1]
+    assert "all of one colour (those of images count)" in lines[2]
+
+
+def test_a_weight_of_colors_takes_colors_that_are_all_the_same():
+    scene = scene_of(colors=True)
+    config = tj.Config.from_preset("paper").set(["point_graph.color_weight=1"])
+    tj.JointSegmenter(config).reset(scene.points, torch.ones_like(scene.points))

@@ -117,13 +117,13 @@ class TestLine:
     def test_of_another_cloud(self, caplog, room):
         found = self.line(caplog, AUTO, room.points)
         assert found.startswith("points: 6000, spacing ")
-        assert found.endswith(" neighbours; step 6 by method learned")
+        assert found.endswith(" neighbours, no colours (those of images count); step 6 by method learned")
         assert " mm, noise " in found
 
     def test_of_given_normals(self, caplog, room):
         normals = torch.zeros_like(room.points)
         normals[:, 2] = 1
-        assert ", normals given; step 6 by method learned" in self.line(caplog, AUTO, room.points, normals)
+        assert ", normals given, no colours" in self.line(caplog, AUTO, room.points, normals)
 
     def test_of_the_other_methods(self, caplog, room):
         assert (

@@ -7,6 +7,7 @@ from torch import Tensor
 from torchjoint.config import Config
 from torchjoint.points.graph import PointGraph
 from torchjoint.points.lidar.recognition import find_rings
+from torchjoint.scene import Scene
 
 
 def with_method(config: Config, points: Tensor) -> Config:
@@ -22,16 +23,16 @@ def with_method(config: Config, points: Tensor) -> Config:
     return config.replace({"point_segments": {"method": method}})
 
 
-def describe(num_points: int, graph: PointGraph, config: Config) -> str:
+def describe(cloud: Scene, graph: PointGraph, config: Config) -> str:
     """One line that says what was measured of a cloud, and which method segments it.
 
     Args:
-        num_points: of the cloud as it came.
+        cloud: as it came.
         graph: of the cloud.
         config: with the method of step 6 that :func:`with_method` returned.
     """
-    method, what = config.point_segments.method, f"points: {num_points}"
-    if graph.num_points < num_points:
+    method, what = config.point_segments.method, f"points: {len(cloud.points)}"
+    if graph.num_points < len(cloud.points):
         what += f", much denser than their noise: thinned to {graph.num_points}"
     if method == "scan":
         rings = find_rings(graph.points)
@@ -40,4 +41,6 @@ def describe(num_points: int, graph: PointGraph, config: Config) -> str:
         spacing, noise = (1000 * float(of_points.median()) for of_points in (graph.scales.spacing, graph.scales.noise))
         normals = "given" if graph.has_given_normals else f"from {graph.scales.normal_neighbors} neighbours"
         what += f", spacing {spacing:.2g} mm, noise {noise:.2g} mm, normals {normals}"
+    if method == "learned" and graph.colors is None:
+        what += f", {'no colours' if cloud.colors is None else 'all of one colour'} (those of images count)"
     return f"{what}; step 6 by method {method}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 from torch import Tensor
@@ -60,6 +61,8 @@ class PreparedCloud(NamedTuple):
 def prepare_cloud(cloud: Scene, config: Config, merge_within: float) -> PreparedCloud:
     """Leaves copies out, chooses the method of step 6 if it is auto, centres and thins the cloud, and builds its graph.
 
+    Methods learned and scan leave colours out, too, if they are all the same.
+
     Args:
         cloud: the given points, with colours and normals if there are any.
         config: all parameters.
@@ -71,6 +74,8 @@ def prepare_cloud(cloud: Scene, config: Config, merge_within: float) -> Prepared
     distinct, of_point = without_copies(cloud)
     definite = with_method(config, distinct.points.float())
     method = definite.point_segments.method
+    if method in ("learned", "scan"):
+        distinct = _without_empty_colors(distinct)
     # A scan's sensor is at the origin, so its coordinates stay.
     frame = LocalFrame.of_world() if method == "scan" else LocalFrame.of(distinct.points)
     local, rounded = without_copies(frame.cloud(distinct))
@@ -87,3 +92,13 @@ def prepare_cloud(cloud: Scene, config: Config, merge_within: float) -> Prepared
         graph = build_point_graph(local, config.point_graph)
     warn_of_rounding(cloud.points, graph.spacing)
     return PreparedCloud(graph, frame, composed(of_point, rounded, merged, thinned), distinct.points, definite)
+
+
+def _without_empty_colors(cloud: Scene) -> Scene:
+    """The cloud without colours, if they are all the same, as many programs write them for a cloud that has none.
+
+    To the model they would say that no boundary has a step of colour, and to the check of poses that none fits.
+    """
+    if cloud.colors is None or not (cloud.colors == cloud.colors[0]).all():
+        return cloud
+    return replace(cloud, colors=None)
