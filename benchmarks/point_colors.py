@@ -1,6 +1,7 @@
 """What are colours of the images worth to a cloud without colours? With models that never saw the kind of data.
 
-    python benchmarks/point_colors.py WORK RESULTS --data DATA [--models FOLDER] [--seeds FIRST END] [--kinds KIND ...]
+    python benchmarks/point_colors.py WORK RESULTS --data DATA [--models FOLDER] [--seeds FIRST END] [--frames N]
+        [--kinds KIND ...]
 
 WORK is the folder of benchmarks/domains.py after `--part left-out`, DATA holds mosd/ and ycb/. Each scene's scores are
 kept in the folder RESULTS, so several processes can share the work: each takes other kinds or seeds. The table of all
@@ -49,6 +50,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="folder with mosd/ and ycb/")
     parser.add_argument("--models", type=Path, help="folder of 3D models for the generated scenes")
     parser.add_argument("--seeds", type=int, nargs=2, default=(120, 136), help="of the generated scenes")
+    parser.add_argument("--frames", type=int, help="only the first ones of each scene")
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     arguments = parser.parse_args()
     arguments.results.mkdir(parents=True, exist_ok=True)
@@ -58,7 +60,7 @@ def main() -> None:
         for name, load in scenes_of(kind, arguments):
             done = arguments.results / f"{name}.json"
             if not done.is_file():
-                write_text(done, json.dumps(scores(load(), model)))
+                write_text(done, json.dumps(scores(load(), model, arguments.frames)))
                 print(name, json.loads(done.read_text()), flush=True)
     write_table(arguments.results)
 
@@ -72,18 +74,19 @@ def scenes_of(kind: str, arguments: argparse.Namespace) -> Iterator[Named]:
 
 
 @torch.no_grad()
-def scores(scene: Scene, model: BoundaryModel) -> list[tuple[float, float]]:
+def scores(scene: Scene, model: BoundaryModel, num_frames: int | None) -> list[tuple[float, float]]:
     """F and best IoU with no colours, with those of the images, and with the cloud's own."""
     segmenter = tj.JointSegmenter(learned_config())
     segmenter.reset(scene.points, scene.colors, scene.normals)
-    for start in range(0, len(scene.frames), FRAMES):
-        segmenter.update([scene.frames[i] for i in range(start, min(start + FRAMES, len(scene.frames)))])
+    frames = scene.frames[:num_frames]
+    for start in range(0, len(frames), FRAMES):
+        segmenter.update([frames[i] for i in range(start, min(start + FRAMES, len(frames)))])
     graph, state = segmenter.cloud.graph, segmenter.state
     assert graph.scales is not None
     assert scene.truth is not None
     assert scene.truth.points is not None
     found = []
-    for given in (None, image_colors(graph.points, state.observations), graph.colors):
+    for given in (None, image_colors(graph.num_points, state.observations), graph.colors):
         with one_thread_per_operation(), patch.object(evidence_of_points, "image_colors", return_value=None):
             evidence = gather_evidence(graph._replace(colors=given), graph.scales, state, segmenter.config)
             labels = build_hierarchy(evidence, model).at()

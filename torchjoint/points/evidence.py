@@ -72,7 +72,7 @@ class BoundaryEdges(NamedTuple):
     larger_offset: Measure  #: the larger one
     gap: Measure  #: length, in multiples of the spacing
     unoriented: Tensor  #: [C] bool, whether the normal of an end is not oriented
-    color_step: Measure | None  #: distance of the colours of the two ends, units of Lab
+    color_step: Measure | None  #: distance of the colours of the two ends, units of Lab, missing where one has none
     disagreement: Measure | None  #: r of eq. 6, missing if no image has evidence
     contour: Measure | None  #: strength of the images' boundaries across the edge, mean over those that see both ends
     views: Tensor | None  #: [C] int64, number of images that see both ends
@@ -130,7 +130,7 @@ class Evidence:
 def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config: Config) -> Evidence:
     """Groups the points into pieces, and measures the edges between the pieces.
 
-    A cloud without colours has those of the images.
+    A cloud without colours has those of the images, as far as these see it.
 
     Args:
         graph: the point graph.
@@ -144,12 +144,13 @@ def gather_evidence(graph: PointGraph, scales: Scales, state: JointState, config
     # Masks are told apart from other segments: what two masks say weighs far more (see mask_merges).
     observations = seen.without_masks()
     r = disagreement(state.views, state.overlap_sum, len(seen), config.propagation) if seen else None
-    colors = image_colors(graph.points, seen) if graph.colors is None else graph.colors
+    colors = image_colors(graph.num_points, seen) if graph.colors is None else graph.colors
     lab = None if colors is None else _to_lab(colors)
     color_step = median = None
     if lab is not None:
         color_step = _color_steps(lab, graph.edge_index)
-        median = float(color_step.median()) if len(color_step) else 0.0
+        known = color_step[color_step.isfinite()]
+        median = float(known.median()) if len(known) else 0.0
     cost = _edge_costs(crease_costs(graph.edge_index, planes, oriented, CONVEX_FACTOR), r, color_step, median)
     piece = merge(torch.arange(graph.num_points), graph.edge_index, cost, THRESHOLD, MIN_SIZE)
     piece = cut_by_masks(piece, graph.edge_index, seen)
@@ -210,7 +211,7 @@ def _edge_costs(crease: Tensor, r: Tensor | None, color_step: Tensor | None, med
     if color_step is None or median is None:
         return cost
     large = LARGE_COLOR_STEP * max(median, SMALLEST_MEDIAN)
-    return cost + COLOR_WEIGHT * (1 - crease) * (color_step / large).clamp(max=1)
+    return cost + COLOR_WEIGHT * (1 - crease) * (color_step / large).clamp(max=1).nan_to_num()
 
 
 def _geometry(

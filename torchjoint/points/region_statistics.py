@@ -34,6 +34,7 @@ class RegionStatistics(NamedTuple):
     #: [R] right angles, mean angle between the normals of neighbours; of a union the mean of its parts by their points
     roughness: Tensor
     texture: Tensor | None  #: [R] Lab, mean difference of the colours of neighbours; of a union as the roughness
+    colored: Tensor | None = None  #: [R] points that have a colour; None: all. Without any, what is of colours is NaN
 
 
 class Surface(NamedTuple):
@@ -44,7 +45,7 @@ class Surface(NamedTuple):
     oriented: Tensor  #: [N] bool, the normal points out of the surface
     noise: Tensor  #: [N] metres
     spacing: Tensor  #: [N] metres
-    lab: Tensor | None  #: [N, 3] Lab colours
+    lab: Tensor | None  #: [N, 3] Lab colours, NaN = none
 
 
 class InnerEdges(NamedTuple):
@@ -52,7 +53,7 @@ class InnerEdges(NamedTuple):
 
     region: Tensor  #: [E] int64
     turn: Tensor  #: [E] right angles, angle between the normals
-    color_step: Tensor | None  #: [E] Lab, difference of the colours
+    color_step: Tensor | None  #: [E] Lab, difference of the colours, NaN if an end has none
 
 
 def statistics_of_points(region: Tensor, surface: Surface, inner: InnerEdges) -> RegionStatistics:
@@ -77,10 +78,18 @@ def statistics_of_points(region: Tensor, surface: Surface, inner: InnerEdges) ->
     mean = mean_of(surface.points)
     away = surface.points.double() - mean[region]
     outward = torch.where(surface.oriented[:, None], surface.normals.double(), 0.0)
-    color = variance = None
+    color = variance = colored = texture = None
     if lab is not None:
-        color = mean_of(lab)
-        variance = mean_of((lab.double() - color[region]).square())
+        has_color = lab[:, 0].isfinite()
+        if not has_color.all():
+            colored = torch.bincount(region[has_color], minlength=size).double()
+        color = _mean_of_known(lab.double(), has_color, region, size)
+        variance = _mean_of_known((lab.double() - color[region]).square(), has_color, region, size)
+    if inner.color_step is not None:
+        known = inner.color_step.isfinite()
+        edges = torch.bincount(inner.region[known], minlength=size).clamp(min=1)
+        texture = sum_by(inner.region[known], inner.color_step[known].double(), size) / edges
+        texture = texture if colored is None else torch.where(colored > 0, texture, torch.nan)
     return RegionStatistics(
         count,
         mean,
@@ -93,8 +102,16 @@ def statistics_of_points(region: Tensor, surface: Surface, inner: InnerEdges) ->
         mean_of(outward),
         mean_of(dot(away, outward)),
         mean_inside(inner.turn),
-        None if inner.color_step is None else mean_inside(inner.color_step),
+        texture,
+        colored,
     )
+
+
+def _mean_of_known(values: Tensor, is_known: Tensor, region: Tensor, size: int) -> Tensor:
+    """The mean [R, ...] of the known ones of the values [N, ...] of each region; NaN where none is."""
+    region = region[is_known]
+    count = torch.bincount(region, minlength=size)
+    return sum_by(region, values[is_known], size) / count.view(-1, *[1] * (values.ndim - 1))
 
 
 def pooled(parts: RegionStatistics, of_part: Tensor, num_regions: int) -> RegionStatistics:
@@ -114,16 +131,25 @@ def pooled(parts: RegionStatistics, of_part: Tensor, num_regions: int) -> Region
     mean = mean_of(parts.mean)
     # Squares relative to the mean: sums of squares of coordinates would cancel out for flat regions.
     covariance = mean_of(parts.covariance + _outer(parts.mean - mean[of_part]))
-    color = variance = None
+    color = variance = texture = colored = None
     if parts.color is not None and parts.color_variance is not None:
-        color = mean_of(parts.color)
-        variance = mean_of(parts.color_variance + (parts.color - color[of_part]).square())
+        weight = parts.size if parts.colored is None else parts.colored
+        of_colors = count if parts.colored is None else sum_by(of_part, weight, num_regions)
+        colored = None if parts.colored is None else of_colors
+
+        def mean_of_colors(values: Tensor) -> Tensor:
+            ones = [1] * (values.ndim - 1)
+            values = values if parts.colored is None else values.nan_to_num()  # of parts without colours, weight 0
+            return sum_by(of_part, weight.view(-1, *ones) * values, num_regions) / of_colors.view(-1, *ones)
+
+        color = mean_of_colors(parts.color)
+        variance = mean_of_colors(parts.color_variance + (parts.color - color[of_part]).square())
+        texture = None if parts.texture is None else mean_of_colors(parts.texture)
     normal, noise, spacing = (mean_of(values) for values in (parts.normal, parts.noise, parts.spacing))
     bulge = mean_of(parts.bulge + dot(parts.mean - mean[of_part], parts.outward))
     outward, roughness = mean_of(parts.outward), mean_of(parts.roughness)
-    texture = None if parts.texture is None else mean_of(parts.texture)
     return RegionStatistics(
-        count, mean, covariance, normal, noise, spacing, color, variance, outward, bulge, roughness, texture
+        count, mean, covariance, normal, noise, spacing, color, variance, outward, bulge, roughness, texture, colored
     )
 
 
