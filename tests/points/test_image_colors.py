@@ -125,7 +125,10 @@ def test_given_colors_stay(monkeypatch, change):
         raise AssertionError("not asked for")
 
     monkeypatch.setattr("torchjoint.points.evidence.image_colors", fail)
-    tj.JointSegmenter(tj.Config().set(change))(scene_of(colors=True))
+    scene = scene_of(colors=True)
+    segmenter = tj.JointSegmenter(tj.Config().set(change))
+    segmenter(scene)
+    assert torch.equal(segmenter.cloud.graph.colors, scene.colors)
 
 
 def test_frames_in_a_file_give_the_same(tmp_path):
@@ -163,4 +166,6 @@ def test_the_log_says_which_colors_count(caplog):
 def test_a_weight_of_colors_takes_colors_that_are_all_the_same():
     scene = scene_of(colors=True)
     config = tj.Config.from_preset("paper").set(["point_graph.color_weight=1"])
-    tj.JointSegmenter(config).reset(scene.points, torch.ones_like(scene.points))
+    segmenter = tj.JointSegmenter(config)
+    segmenter.reset(scene.points, torch.ones_like(scene.points))
+    assert segmenter.cloud.graph.colors.eq(1).all()
