@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 import report
 import torch
+from torchjoint_lab.datasets.bsds import bsds_images
+from torchjoint_lab.evaluation.boundary_scores import evaluate_boundaries
 
 import torchjoint as tj
 from torchjoint import ops
-from torchjoint.datasets.bsds import bsds_images
-from torchjoint.evaluation.boundary_scores import evaluate_boundaries
 from torchjoint.images.forest import read_forest
 from torchjoint.images.non_maximum_suppression import suppress_non_maxima
 from torchjoint.images.structured_forest import StructuredForestBoundary

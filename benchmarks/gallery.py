@@ -34,7 +34,7 @@ def table_top(data: Path) -> tj.Scene:
 
 
 def shelf(_: Path) -> tj.Scene:
-    return tj.synthetic.make_domain_scene("shelf", seed=41, num_views=10, num_points=30_000).scene
+    return torchjoint_lab.synthetic.make_domain_scene("shelf", seed=41, num_views=10, num_points=30_000).scene
 
 
 def street(data: Path) -> tj.Scene:

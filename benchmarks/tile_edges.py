@@ -32,9 +32,9 @@ from torch import Tensor
 
 import torchjoint as tj
 from torchjoint import ops
-from torchjoint.datasets.las import read_las
+from torchjoint.cloud.neighbors import nearest_neighbors
+from torchjoint.datasets.files.las import read_las
 from torchjoint.metrics import boundary_recall, segmentation_covering
-from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.tiles import superpoints_of_files
 
 #: Metres: what is near an edge, and what is far from any.

@@ -20,20 +20,20 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from torchjoint.config import Config
-from torchjoint.datasets.lazy import LazySequence
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.labels.image_labels import label_images
 from torchjoint.labels.piece_images import PieceImages
-from torchjoint.points.frame_evidence import add_evidence, observe
-from torchjoint.points.method import describe
-from torchjoint.points.point_labels import label_points
-from torchjoint.points.prepared_cloud import PreparedCloud, prepare_cloud
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.ahead import ahead
+from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Frame, Scene, Segmentation
+from torchjoint.segments.method import describe
+from torchjoint.segments.point_labels import label_points
+from torchjoint.segments.prepared_cloud import PreparedCloud, prepare_cloud
+from torchjoint.views.frame_evidence import add_evidence, observe
 from torchjoint.views.observations import Observations
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
 from torchjoint.views.state import JointState

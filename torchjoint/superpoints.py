@@ -13,17 +13,17 @@ import torch
 from torch import Tensor, nn
 
 from torchjoint import ops
+from torchjoint.cloud.edge_weights import geometric_weights, segmentator_turn
+from torchjoint.cloud.graph import undirected_edges
+from torchjoint.cloud.local import LocalFrame, composed, first_of_each, warn_of_rounding, without_copies
+from torchjoint.cloud.mesh import face_edges, vertex_normals
+from torchjoint.cloud.neighbors import neighbor_tables, order_along_space
+from torchjoint.cloud.normals import estimate_normals
 from torchjoint.config import SuperpointsConfig
-from torchjoint.points.edge_weights import geometric_weights, segmentator_turn
-from torchjoint.points.graph import undirected_edges
-from torchjoint.points.mesh import face_edges, vertex_normals
-from torchjoint.points.neighbors import neighbor_tables, order_along_space
-from torchjoint.points.normals import estimate_normals
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import is_double
 from torchjoint.scene.cloud_batch import Cloud, split_batch
-from torchjoint.scene.local_cloud import LocalFrame, composed, first_of_each, warn_of_rounding, without_copies
 
 #: A tensor, or a numpy array.
 Values = TypeVar("Values", Tensor, npt.NDArray[Any])

@@ -11,20 +11,20 @@ from importlib.metadata import version
 from typing import Any
 
 import tyro
+from torchjoint_lab.cli.benchmark import benchmark
+from torchjoint_lab.cli.evaluate_boundaries import evaluate_boundaries
+from torchjoint_lab.cli.paper_tables import paper_tables
+from torchjoint_lab.cli.train_boundary_model import train_boundary_model
+from torchjoint_lab.cli.train_forest import train_boundaries
 
 from torchjoint.cli.batch import batch
-from torchjoint.cli.benchmark import benchmark
 from torchjoint.cli.demo import demo
 from torchjoint.cli.evaluate import evaluate
-from torchjoint.cli.evaluate_boundaries import evaluate_boundaries
 from torchjoint.cli.export import export
-from torchjoint.cli.paper_tables import paper_tables
 from torchjoint.cli.parameters import parameters
 from torchjoint.cli.segment import segment
 from torchjoint.cli.show import show
 from torchjoint.cli.superpoints import superpoints
-from torchjoint.cli.train_boundaries import train_boundaries
-from torchjoint.cli.train_boundary_model import train_boundary_model
 from torchjoint.config import presets, superpoint_presets
 from torchjoint.runtime.messages import in_one_line, is_out_of_memory
 

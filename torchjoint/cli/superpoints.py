@@ -11,9 +11,9 @@ import tyro
 from torch import Tensor
 
 from torchjoint.config import SuperpointsConfig
-from torchjoint.datasets.clouds import read_cloud_file
-from torchjoint.datasets.las import SUFFIXES
-from torchjoint.datasets.ply import write_cloud
+from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.las import SUFFIXES
+from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.runtime.files import atomic_write
 from torchjoint.scene import Scene
 from torchjoint.superpoints import superpoints as segment

@@ -8,17 +8,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from torchjoint.config.images import BoundaryConfig, ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
-from torchjoint.config.labels import RefinementConfig
-from torchjoint.config.parameter import Stage
-from torchjoint.config.points import PointGraphConfig, PointSegmentsConfig
-from torchjoint.config.presets import presets, read_assignment, read_preset, read_yaml
-from torchjoint.config.regions import (
+from torchjoint_lab.regions.config import (
     ImageSupportConfig,
     OcclusionBridgingConfig,
     PiecesConfig,
     RegionMergingConfig,
 )
+
+from torchjoint.config.images import BoundaryConfig, ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
+from torchjoint.config.labels import RefinementConfig
+from torchjoint.config.parameter import Stage
+from torchjoint.config.points import PointGraphConfig, PointSegmentsConfig
+from torchjoint.config.presets import presets, read_assignment, read_preset, read_yaml
 from torchjoint.config.removed import REMOVED
 from torchjoint.config.scan import ScanConfig
 from torchjoint.config.views import PropagationConfig, VisibilityConfig

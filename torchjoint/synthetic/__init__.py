@@ -21,10 +21,11 @@ a scene.
 merged, nested, with outlines that are off.
 """
 
-from torchjoint.synthetic.domains import make_domain_scene
+from torchjoint_lab.synthetic.domains import make_domain_scene
+from torchjoint_lab.synthetic.settings import DOMAINS, DomainSettings, domain_settings
+
 from torchjoint.synthetic.network_masks import MASK_LEVELS, make_network_masks, with_network_masks
 from torchjoint.synthetic.scene import SyntheticScene, make_scene
-from torchjoint.synthetic.settings import DOMAINS, DomainSettings, domain_settings
 
 __all__ = [
     "DOMAINS",

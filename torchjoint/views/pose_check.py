@@ -11,10 +11,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchjoint.cloud.local import LocalFrame
 from torchjoint.config import VisibilityConfig
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Frame, Scene
-from torchjoint.scene.local_cloud import LocalFrame
 from torchjoint.scene.subset import evenly_spaced_indices
 from torchjoint.views.color_agreement import color_agreement
 from torchjoint.views.edge_alignment import EdgeAlignment, combined, edge_correlations

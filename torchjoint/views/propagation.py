@@ -9,8 +9,8 @@ from __future__ import annotations
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.cloud.adjacency import CsrAdjacency
 from torchjoint.config import PropagationConfig
-from torchjoint.views.csr_adjacency import CsrAdjacency
 from torchjoint.views.visibility import Visible
 
 #: Overlaps are rounded to multiples of this before they are summed. Sums of up to 2^29 overlaps are then exact in
