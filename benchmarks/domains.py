@@ -27,6 +27,7 @@ from torch import Tensor
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.methods import METHODS
 from torchjoint_lab.benchmark.search import Budget, run_scores, search
+from torchjoint_lab.synthetic import make_domain_scene
 from torchjoint_lab.training import save_boundary_model
 from torchjoint_lab.training.boundary_examples import (
     BoundaryModelOptions,
@@ -118,7 +119,7 @@ def scenes(kind: str, purpose: str, arguments: argparse.Namespace) -> list[Named
 
 
 def make_scene(domain: str, seed: int, models: Path | None, held_out: bool) -> Scene:
-    return torchjoint_lab.synthetic.make_domain_scene(domain, seed, models=models, held_out=held_out).scene
+    return make_domain_scene(domain, seed, models=models, held_out=held_out).scene
 
 
 def load_thinned(path: Path, kind: str) -> Scene:

@@ -17,6 +17,7 @@ from statistics import fmean
 
 import report
 import torch
+from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
 from torchjoint.evaluation.scores import score
@@ -75,7 +76,7 @@ def main() -> None:
                     known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
                     for key, run in jobs(level):
                         if key not in known:
-                            made = made or [torchjoint_lab.synthetic.make_domain_scene(domain, seed, num_views=NUM_VIEWS[-1]).scene]
+                            made = made or [make_domain_scene(domain, seed, num_views=NUM_VIEWS[-1]).scene]
                             known[key] = run(made[0], noise)
                             write_text(path, json.dumps(known))
                         scores.setdefault(key, []).append(tuple(known[key]))

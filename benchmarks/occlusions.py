@@ -19,6 +19,7 @@ import numpy as np
 import report
 import torch
 from domains import DOMAINS, difference, load_thinned
+from torchjoint_lab.synthetic import make_domain_scene
 from torchjoint_lab.training.boundary_examples import learned_config
 
 import torchjoint as tj
@@ -73,7 +74,7 @@ def scenes(arguments: argparse.Namespace) -> Iterator[tuple[str, str, Callable[[
 
 
 def make_scene(domain: str, seed: int, views: int | None) -> Scene:
-    return torchjoint_lab.synthetic.make_domain_scene(domain, seed, num_views=views).scene
+    return make_domain_scene(domain, seed, num_views=views).scene
 
 
 @torch.no_grad()

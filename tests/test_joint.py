@@ -6,6 +6,7 @@ import warnings
 import pytest
 import torch
 from torch import nn
+from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
 from torchjoint.cloud.neighbors import nearest_neighbors
@@ -185,7 +186,7 @@ class TestOtherSegmentations:
 
     def test_frames_that_bring_labels(self):
         """With true image labels even what geometry cannot see is found."""
-        made = torchjoint_lab.synthetic.make_domain_scene("shelf", 42, num_views=6, num_points=10_000)
+        made = make_domain_scene("shelf", 42, num_views=6, num_points=10_000)
         frames = [
             dataclasses.replace(frame, labels=labels)
             for frame, labels in zip(made.scene.frames, made.image_labels, strict=True)

@@ -18,7 +18,7 @@ from torchjoint_lab.training import (
     labelled_evidence,
     save_boundary_model,
 )
-from torchjoint_lab.training.piece_graph_files import EvidenceFiles, load_evidence, save_evidence
+from torchjoint_lab.training.piece_graph_files import PieceGraphFiles, load_evidence, save_evidence
 from torchjoint_lab.training.scene_merging import SceneMerging
 
 from torchjoint.runtime.checked_files import write_checked
@@ -98,7 +98,7 @@ def test_rows_of_one_kind_make_no_trees():
 def test_evidence_on_disk(prepared, tmp_path):
     path = tmp_path / "scene.pt"
     save_evidence(path, prepared[0])
-    (again,) = EvidenceFiles([path])
+    (again,) = PieceGraphFiles([path])
     assert torch.equal(again.instance, prepared[0].instance)
     expected = boundary_examples.boundary_features(prepared[0].evidence, prepared[0].evidence.piece).values
     found = boundary_examples.boundary_features(again.evidence, again.evidence.piece).values

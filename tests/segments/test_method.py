@@ -6,11 +6,11 @@ import re
 import pytest
 import torch
 from lidar_scans import HEIGHT, scan
+from torchjoint.segments.segments import segment_points
 
 import torchjoint as tj
 from torchjoint.segments.method import with_method
 from torchjoint.segments.scan.scan_segments import segment_scan
-from torchjoint.segments.segments import segment_points
 
 AUTO = tj.Config().set(["point_segments.method=auto", "boundary.detector=gradient"])
 BOX = ((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1))

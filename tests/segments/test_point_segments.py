@@ -7,6 +7,7 @@ import pytest
 import torch
 from hand_graph import graph_of
 from hand_wall import LEFT, RIGHT, wall_behind_a_strip
+from torchjoint.segments.segments import segment_points
 from torchjoint_lab.regions import occlusion_bridging
 
 import torchjoint as tj
@@ -17,7 +18,6 @@ from torchjoint.cloud.orientation import orient_normals
 from torchjoint.segments import segments
 from torchjoint.segments.planes import SmoothRegions
 from torchjoint.segments.scan.scan_segments import segment_scan
-from torchjoint.segments.segments import segment_points
 from torchjoint.views.observations import Observations
 from torchjoint.views.propagation import disagreement
 from torchjoint.views.state import JointState

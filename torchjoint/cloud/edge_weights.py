@@ -4,26 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchjoint.cloud._vectors import by_columns, dot, length, rounded_length, rows_of
 from torchjoint.cloud.normals import angle_between, is_convex
-from torchjoint.config import PointGraphConfig
 from torchjoint.runtime.threads import parallel_map
 
 #: Number of edges processed at a time, so that clouds of millions of points need little memory besides the result.
 EDGES = 1 << 16
-
-#: w_theta of eq. 3, per radian. Only the ratios of the weights and of k to each other count, so one weight can be 1.
-ANGLE_WEIGHT = 1.0
 
 #: Gives the step p_j - p_i [E, 3] along edges: its rows are far apart in memory, so it is made only where it counts.
 Step = Callable[[], Tensor]
 #: Measures how much a surface turns along an edge: a function of the normals at both ends [E, 3], whether both are
 #: oriented [E], and the step; returns [E].
 Turn = Callable[[Tensor, Tensor, Tensor, Step], Tensor]
+
+
+class EdgeWeights(NamedTuple):
+    """The weights of eq. 3; only their ratios to each other and to k count, so w_theta can be 1."""
+
+    turn: Turn  #: measures how much the surface turns along an edge: theta of eq. 3, or something in its place
+    angle: float = 1.0  #: w_theta, of the turn
+    distance: float = 0.0  #: w_d, per metre
+    color: float = 0.0  #: of an RGB distance; not in the paper
 
 
 def discounted_angle(convex_factor: float) -> Turn:
@@ -43,35 +49,27 @@ def geometric_weights(
     edge_index: Tensor,
     normals: Tensor,
     oriented: Tensor,
-    config: PointGraphConfig,
+    weights: EdgeWeights,
     colors: Tensor | None = None,
-    turn: Turn | None = None,
-    angle_weight: float = ANGLE_WEIGHT,
 ) -> Tensor:
-    """The part of eq. 3 without images: w_d |p_i - p_j| + w_theta theta (+ w_c |c_i - c_j| if color_weight > 0).
-
-    Where both normals are oriented and the surface is convex, theta is multiplied by `convex_factor` (not in the paper;
-    1 gives eq. 3 as in the paper).
+    """The part of eq. 3 without images: w_d |p_i - p_j| + w_theta theta + w_c |c_i - c_j|.
 
     Args:
         points: [N, 3] metres.
         edge_index: [2, E] int64.
         normals: [N, 3] unit length.
         oriented: [N] bool, whether a normal is oriented.
-        config: w_d, convex_factor and color_weight.
-        colors: [N, 3] RGB in [0, 1], required if config.color_weight > 0.
-        turn: measures how much the surface turns along an edge, instead of theta.
-        angle_weight: w_theta.
+        weights: of the terms.
+        colors: [N, 3] RGB in [0, 1], required if weights.color > 0.
 
     Returns:
         [E] float32.
 
     Raises:
-        ValueError: config.color_weight > 0, but the cloud has no colours.
+        ValueError: weights.color > 0, but the cloud has no colours.
     """
-    turn = turn or discounted_angle(config.convex_factor)
-    if config.color_weight > 0 and colors is None:
-        raise ValueError("colors: point_graph.color_weight > 0 needs the colours of the points, got none")
+    if weights.color > 0 and colors is None:
+        raise ValueError("colors: color_weight > 0 needs the colours of the points, got none")
     points, normals = by_columns(points), by_columns(normals)
     colors = None if colors is None else by_columns(colors)
 
@@ -80,11 +78,11 @@ def geometric_weights(
         both_oriented = oriented[i] & oriented[j]
         first, second = rows_of(normals, i), rows_of(normals, j)
         step = cache(lambda: rows_of(points, j) - rows_of(points, i))
-        weight = angle_weight * turn(first, second, both_oriented, step)
-        if config.distance_weight > 0:
-            weight = weight + config.distance_weight * length(step())
-        if config.color_weight > 0 and colors is not None:
-            weight = weight + config.color_weight * length(rows_of(colors, i) - rows_of(colors, j))
+        weight = weights.angle * weights.turn(first, second, both_oriented, step)
+        if weights.distance > 0:
+            weight = weight + weights.distance * length(step())
+        if weights.color > 0 and colors is not None:
+            weight = weight + weights.color * length(rows_of(colors, i) - rows_of(colors, j))
         return weight
 
     return map_edges(weigh, edge_index)

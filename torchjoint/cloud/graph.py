@@ -12,9 +12,8 @@ from torchjoint.cloud.adjacency import CsrAdjacency
 from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors, neighbor_tables
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.cloud.scales import Scales
-from torchjoint.config import PointGraphConfig
 from torchjoint.runtime.threads import all_threads
-from torchjoint.scene import Scene
+from torchjoint.scene import Cloud
 
 #: Neighbours to which planes are fitted, as many as normals by default: only a part of them is in the point's region,
 #: so that a plane, unlike a normal, does not round edges.
@@ -50,28 +49,30 @@ class PointGraph(NamedTuple):
         return torch.equal(self.points, other.points) and torch.equal(self.normals, other.normals)
 
 
-def build_point_graph(cloud: Scene, config: PointGraphConfig, scales: Scales | None = None) -> PointGraph:
-    """Builds the point graph of a cloud: neighbours, edges and normals (eq. 3-4); frames are ignored.
+def build_point_graph(cloud: Cloud, neighbors: int, normal_neighbors: int | Scales) -> PointGraph:
+    """Builds the point graph of a cloud: neighbours, edges and normals (eq. 3-4).
 
     Args:
         cloud: points [N, 3], optional colours and normals.
-        config: numbers of neighbours and their reach.
-        scales: the scales of the cloud; if given, the numbers of neighbours of normals and planes follow from them
-            instead of the config.
+        neighbors: K, of a point in the graph.
+        normal_neighbors: number of neighbours to which normals are fitted; or the scales of the cloud, from which the
+            numbers of neighbours of normals and planes follow.
     """
-    for_normals, for_planes = config.normal_neighbors, PLANE_NEIGHBORS
-    if scales is not None:
-        few, many = PLANE_LIMITS
+    scales = None
+    if isinstance(normal_neighbors, int):
+        for_normals, for_planes = normal_neighbors, PLANE_NEIGHBORS
+    else:
+        scales, (few, many) = normal_neighbors, PLANE_LIMITS
         for_normals = scales.normal_neighbors
         for_planes = min(many, max(few, round(PLANE_SHARE * for_normals)))
     if cloud.normals is not None:
         for_normals = 0
-    counts = (config.neighbors, for_normals, for_planes)
-    table, spacing = neighbor_tables(cloud.points, counts, config.reach)
+    counts = (neighbors, for_normals, for_planes)
+    table, spacing = neighbor_tables(cloud.points, counts, reach=0.0)
     normals = cloud.normals
     if normals is None:
         normals = estimate_normals(cloud.points, table[for_normals])
-    edge_index = undirected_edges(table[config.neighbors])
+    edge_index = undirected_edges(table[neighbors])
     around = table[for_planes].contiguous()
     return PointGraph(
         cloud.points,
@@ -87,7 +88,7 @@ def build_point_graph(cloud: Scene, config: PointGraphConfig, scales: Scales | N
     )
 
 
-def build_edgeless_graph(cloud: Scene) -> PointGraph:
+def build_edgeless_graph(cloud: Cloud) -> PointGraph:
     """A graph with points and spacing only, for method scan, which reads neither edges nor normals."""
     spacing = nearest_neighbors(cloud.points, SPACING_NEIGHBORS).spacing
     no_edges = torch.empty(2, 0, dtype=torch.int64)

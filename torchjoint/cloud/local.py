@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from torchjoint.runtime.threads import num_threads, parallel_map
-from torchjoint.scene.scene import Scene
+from torchjoint.scene import Cloud
 
 #: Largest rounding error of given float32 coordinates, in units of the cloud's spacing, that passes without a warning.
 ROUNDING = 0.25
@@ -86,11 +86,11 @@ def _codes(rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.uint64]:
     return code
 
 
-def merged_points(cloud: Scene, of_point: Tensor, count: int) -> Scene:
+def merged_points(cloud: Cloud, of_point: Tensor, count: int) -> Cloud:
     """The cloud with one point for each group of points: the means of positions, colours and normals.
 
     Args:
-        cloud: N points; its frames are left out.
+        cloud: N points.
         of_point: [N] int64, the group of each point, 0 ... `count` - 1; no group is empty.
         count: number of groups.
     """
@@ -108,11 +108,10 @@ def merged_points(cloud: Scene, of_point: Tensor, count: int) -> Scene:
         opposite = normals.square().sum(1, keepdim=True) < 1e-6  # the mean of opposite normals has no direction
         equal = (normals == own).all(1, keepdim=True)  # kept bit by bit
         normals = torch.where(opposite | equal, own, normalize(normals, dim=1))
-    return Scene(
+    return Cloud(
         points.to(cloud.points.dtype),
-        colors=None if colors is None else colors.float().clamp(0, 1),
-        normals=None if normals is None else normals.float(),
-        name=cloud.name,
+        None if colors is None else colors.float().clamp(0, 1),
+        None if normals is None else normals.float(),
     )
 
 
@@ -134,7 +133,7 @@ def first_of_each(of_point: Tensor) -> Tensor:
     return none.scatter_reduce(0, of_point, torch.arange(len(of_point)), "amin")
 
 
-def without_copies(cloud: Scene) -> tuple[Scene, Tensor | None]:
+def without_copies(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
     """The cloud with each point once, and the point of it for each given point [N] int64; None: all points differ."""
     found = distinct_points(cloud.points)
     if found is None:
@@ -174,11 +173,11 @@ class LocalFrame(NamedTuple):
         """The frame of the world itself."""
         return cls(torch.zeros(3, dtype=torch.float64), 0.0)
 
-    def cloud(self, cloud: Scene) -> Scene:
-        """The cloud in float32 coordinates of this frame; its frames are left out."""
+    def cloud(self, cloud: Cloud) -> Cloud:
+        """The cloud in float32 coordinates of this frame."""
         blocks = cloud.points.split(BLOCK)
         points = torch.cat(parallel_map(lambda block: (block.double() - self.origin).float(), blocks))
-        return Scene(points, colors=cloud.colors, normals=cloud.normals, name=cloud.name)
+        return replace(cloud, points=points)
 
     def pose(self, world_to_camera: Tensor) -> Tensor:
         """The pose [4, 4] float64 for points of this frame.

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchjoint.cloud.local import merged_points
 from torchjoint.cloud.scales import NEIGHBORS_PER_NOISE, Scales, measure_scales
-from torchjoint.scene import Scene
+from torchjoint.scene import Cloud
 
 #: The cells are so large that normals of the thinned cloud need about this many neighbours ...
 WANTED_NEIGHBORS = 8
@@ -31,16 +31,16 @@ MOST_CELLS = 2.0**62
 class WorkingCloud(NamedTuple):
     """The cloud that the steps work on."""
 
-    cloud: Scene  #: W points
+    cloud: Cloud  #: W points
     scales: Scales  #: of these
     of_point: Tensor | None  #: [N] int64, the working point of each given point; None: the given points themselves
 
 
-def working_cloud(cloud: Scene) -> WorkingCloud:
+def working_cloud(cloud: Cloud) -> WorkingCloud:
     """Measures the scales of a cloud, and thins the cloud if it is much denser than its noise.
 
     Args:
-        cloud: points [N, 3], optional colours and normals; frames are ignored.
+        cloud: points [N, 3], optional colours and normals.
     """
     scales = measure_scales(cloud.points)
     needed = float((NEIGHBORS_PER_NOISE * scales.noise / scales.spacing).median())
@@ -66,7 +66,7 @@ def _rounded(side: float, extent: float) -> float:
     return extent * 2.0 ** (-round(SIDES_PER_OCTAVE * math.log2(extent / side)) / SIDES_PER_OCTAVE)
 
 
-def cell_means(cloud: Scene, side: float) -> tuple[Tensor, Scene]:
+def cell_means(cloud: Cloud, side: float) -> tuple[Tensor, Cloud]:
     """One point for each cubic cell: the mean of the cell's points, colours and normals.
 
     Args:

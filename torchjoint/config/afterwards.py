@@ -1,53 +1,37 @@
-"""Parameters of steps 3 and 5-8 that can still be changed after all frames were seen.
-
-What a segmenter stores of the frames does not depend on these parameters.
-"""
+"""Parameters that can still be changed after all frames were seen: what a segmenter keeps does not depend on them."""
 
 from __future__ import annotations
 
 import dataclasses
+from typing import TypeVar
 
-from torchjoint.config.config import STAGES, Config
+from torchjoint.config.config import Config
 
+C = TypeVar("C", bound=Config)
 
-def _all_of(stage: str) -> tuple[str, ...]:
-    return tuple(spec.name for spec in dataclasses.fields(STAGES[stage]))
-
-
-_STEP_6 = (
-    "point_segments",
-    "pieces",
-    "region_merging",
-    "image_support",
-    "occlusion_bridging",
-    "scan",
-)
-
-AFTERWARDS = {
-    "point_graph": ("distance_weight", "convex_factor", "color_weight"),
-    "propagation": ("overlap_threshold", "normalization", "weight"),
-    **{stage: _all_of(stage) for stage in (*_STEP_6, "refinement")},
-}
+#: Stages of steps 6-8 whose parameters count only after all frames.
+AFTERWARDS = ("scan", "refinement", "paper")
+#: Parameters of these stages that count before: the point graph has the normals.
+BEFORE = ("paper.normal_neighbors",)
 
 
-def evidence_config(config: Config) -> Config:
+def evidence_config(config: C) -> C:
     """The config with the AFTERWARDS parameters at their defaults: two configs with equal results store the same."""
-    default = Config().to_dict()
-    # Regions and edges store the same. Scan builds no graph, so it collects no evidence from images. Learned chooses
-    # the neighbours of the graph itself. Auto is one of these two.
-    method = config.point_segments.method
-    default["point_segments"]["method"] = "regions" if method == "edges" else method
-    return config.replace(
-        {stage: {name: default[stage][name] for name in names} for stage, names in AFTERWARDS.items()}
-    )
+    default = type(config)()
+    stages = {}
+    for stage in AFTERWARDS:
+        given = dataclasses.asdict(getattr(config, stage))
+        kept = {name: value for name, value in given.items() if f"{stage}.{name}" in BEFORE}
+        stages[stage] = getattr(default, stage).replace(kept)
+    return dataclasses.replace(config, **stages)
 
 
 def evidence_differences(first: Config, second: Config) -> list[str]:
     """Names (stage.parameter) of the parameters that differ and on which the stored observations depend."""
-    one, other = evidence_config(first), evidence_config(second)
+    one, other = evidence_config(first).to_dict(), evidence_config(second).to_dict()
     return [
-        f"{stage.name}.{spec.name}"
-        for stage in dataclasses.fields(one)
-        for spec in dataclasses.fields(getattr(one, stage.name))
-        if getattr(getattr(one, stage.name), spec.name) != getattr(getattr(other, stage.name), spec.name)
+        f"{stage}.{name}"
+        for stage, values in one.items()
+        for name, value in values.items()
+        if value != other.get(stage, {}).get(name)
     ]

@@ -1,46 +1,86 @@
-"""Step 6: which method segments a cloud, if the config leaves it to the cloud; and what was measured, in one line."""
+"""Step 6: what a method of segmenting points is. It says which graph, and which evidence of frames, it needs."""
 
 from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
 
 from torch import Tensor
 
 from torchjoint.cloud.graph import PointGraph
+from torchjoint.cloud.local import LocalFrame
+from torchjoint.cloud.prepared import PreparedCloud, local_cloud
 from torchjoint.config import Config
-from torchjoint.scene import Scene
-from torchjoint.segments.scan.recognition import find_rings
+from torchjoint.images.segmenter import ImageSegments
+from torchjoint.runtime.stopwatch import Stopwatch
+from torchjoint.scene import Cloud, Frame, Hierarchy
+from torchjoint.views.frame_evidence import FrameEvidence, observe
+from torchjoint.views.state import JointState
 
 
-def with_method(config: Config, points: Tensor) -> Config:
-    """The config with a definite method of step 6: auto becomes scan for a scan of a turning LiDAR, else learned.
+class Method(ABC):
+    """A way of step 6. A subclass says what differs; what it leaves out is done as in the paper.
 
     Args:
         config: all parameters.
-        points: [N, 3] metres; of a scan: z up, the sensor at the origin.
     """
-    if config.point_segments.method != "auto":
-        return config
-    method = "learned" if find_rings(points) is None else "scan"
-    return config.replace({"point_segments": {"method": method}})
 
+    name: ClassVar[str]  #: as in ``point_segments.method``
+    uses_images: ClassVar[bool] = True  #: whether frames have a say in the segments of the points
+    #: names (stage.parameter) of the handful that somebody turns who looks at the result
+    turned: ClassVar[tuple[str, ...]] = ("refinement.color_weight",)
 
-def describe(cloud: Scene, graph: PointGraph, config: Config) -> str:
-    """One line that says what was measured of a cloud, and which method segments it.
+    def __init__(self, config: Config) -> None:
+        self.config = config
 
-    Args:
-        cloud: as it came.
-        graph: of the cloud.
-        config: with the method of step 6 that :func:`with_method` returned.
-    """
-    method, what = config.point_segments.method, f"points: {len(cloud.points)}"
-    if graph.num_points < len(cloud.points):
-        what += f", much denser than their noise: thinned to {graph.num_points}"
-    if method == "scan":
-        rings = find_rings(graph.points)
-        what += f" of a turning LiDAR with about {rings.number} rings" if rings else ", no rings of a LiDAR found"
-    elif graph.scales is not None:
-        spacing, noise = (1000 * float(of_points.median()) for of_points in (graph.scales.spacing, graph.scales.noise))
-        normals = "given" if graph.has_given_normals else f"from {graph.scales.normal_neighbors} neighbours"
-        what += f", spacing {spacing:.2g} mm, noise {noise:.2g} mm, normals {normals}"
-    if method == "learned" and graph.colors is None:
-        what += f", {'no colours' if cloud.colors is None else 'all of one colour'} (those of images count)"
-    return f"{what}; step 6 by method {method}"
+    @abstractmethod
+    def build_graph(self, cloud: Cloud) -> tuple[PointGraph, Tensor | None]:
+        """Step 3: the graph of a cloud.
+
+        Args:
+            cloud: [N, 3] distinct points in coordinates of their own.
+
+        Returns:
+            the graph, and the graph's point of each of the N points, [N] int64; None = itself.
+        """
+
+    def prepare(self, cloud: Cloud, merge_within: float) -> PreparedCloud:
+        """Step 3: centres a cloud and builds its graph.
+
+        Args:
+            cloud: [N, 3] distinct points, as given.
+            merge_within: metres; the points in a cube with this side count as one; 0: only copies.
+        """
+        frame = LocalFrame.of(cloud.points)
+        local, of_point = local_cloud(cloud, frame, merge_within)
+        graph, of_local = self.build_graph(local)
+        return PreparedCloud(graph, frame, of_local).of_given(of_point)
+
+    def observe(
+        self, frame: Frame, segments: ImageSegments, cloud: PreparedCloud, stopwatch: Stopwatch
+    ) -> FrameEvidence:
+        """Steps 4 and 5: the evidence of one frame.
+
+        Args:
+            frame: image and camera.
+            segments: what steps 1 and 2 gave of the frame.
+            cloud: what :meth:`prepare` returned.
+            stopwatch: gets the seconds of both steps.
+        """
+        return observe(frame, segments, cloud, self.config, stopwatch)
+
+    @abstractmethod
+    def segment(self, graph: PointGraph, state: JointState) -> Tensor | Hierarchy:
+        """Step 6: the segments of the graph's points.
+
+        Args:
+            graph: what :meth:`build_graph` returned.
+            state: the evidence of all frames.
+
+        Returns:
+            [N] int64 labels 0, 1, ...; or all levels, if the method has more than one.
+        """
+
+    def measured(self, graph: PointGraph) -> str:
+        """What the method measured of a cloud, for the log, as the continuation of "points: 1000"; may be empty."""
+        return ""

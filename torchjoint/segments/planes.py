@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.cloud.edge_weights import geometric_weights, segmentator_turn
+from torchjoint.cloud.edge_weights import EdgeWeights, geometric_weights, segmentator_turn
 from torchjoint.cloud.graph import PointGraph
-from torchjoint.config import PointGraphConfig
 from torchjoint.runtime.threads import all_threads
 
 #: Smallest number of points to which a plane is fitted.
@@ -50,8 +49,7 @@ def small_regions(graph: PointGraph, normals: Tensor, oriented: Tensor, config: 
     """
     if config.scale == 0:
         return torch.arange(graph.num_points)
-    turn_only = PointGraphConfig(distance_weight=0)
-    weights = geometric_weights(graph.points, graph.edge_index, normals, oriented, turn_only, turn=segmentator_turn)
+    weights = geometric_weights(graph.points, graph.edge_index, normals, oriented, EdgeWeights(segmentator_turn))
     return ops.felzenszwalb(graph.edge_index, weights, graph.num_points, config.scale, config.min_size)
 
 

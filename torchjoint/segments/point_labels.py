@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from torchjoint.cloud.prepared import PreparedCloud
 from torchjoint.scene import Hierarchy
-from torchjoint.segments.prepared_cloud import PreparedCloud
-from torchjoint.segments.segments import point_hierarchy, segment_points
+from torchjoint.segments.method import Method
 from torchjoint.views.state import JointState
 
 
@@ -17,18 +17,16 @@ class PointLabels(NamedTuple):
 
     given: Tensor  #: [N] int64, labels of the given points
     of_graph: Tensor  #: [M] int64, labels of the graph's points
-    hierarchy: Hierarchy | None  #: of the given points; only method learned makes one
+    hierarchy: Hierarchy | None  #: of the given points; None: the method has one level
     piece: Tensor | None  #: [M] int64, its piece of each of the graph's points
 
 
-def label_points(cloud: PreparedCloud, state: JointState) -> PointLabels:
-    """Segments the points with the evidence so far, by the cloud's method."""
-    graph, of_point = cloud.graph, cloud.of_point
-    if cloud.method != "learned":
-        labels = segment_points(graph, state, cloud.definite)
-        return PointLabels(labels if of_point is None else labels[of_point], labels, None, None)
-    hierarchy = point_hierarchy(graph, state, cloud.definite)
-    piece = hierarchy.piece
+def label_points(method: Method, cloud: PreparedCloud, state: JointState) -> PointLabels:
+    """Segments the points with the evidence so far."""
+    found, of_point = method.segment(cloud.graph, state), cloud.of_point
+    if isinstance(found, Tensor):
+        return PointLabels(found if of_point is None else found[of_point], found, None, None)
+    hierarchy, piece = found, found.piece
     if of_point is not None:
         hierarchy, number = hierarchy.transferred(of_point)
         piece = number[piece]

@@ -67,7 +67,7 @@ def superpoints_of_files(
     *,
     tile: float | None = None,
     buffer: float | None = None,
-    preset: str | SuperpointsConfig = "room",
+    preset: str | SuperpointsConfig = "default",
     engine: str | Engine = "loky",
     overwrite: bool = False,
     progress: bool | None = None,

@@ -110,7 +110,7 @@ def labels_so_far(
         one level only; pixels of image segments without points are -1. Numbers may be left out.
     """
     with torch.no_grad(), one_thread_per_operation():
-        labels = label_points(segmenter.cloud, segmenter.state)
+        labels = label_points(segmenter.method, segmenter.cloud, segmenter.state)
         number = torch.arange(int(labels.given.max()) + 1)
         if before is not None:
             number = kept_numbers(labels.given, before)

@@ -9,14 +9,13 @@ import torch
 from torch import Tensor
 
 from torchjoint.cloud.orientation import orientation_votes
+from torchjoint.cloud.prepared import PreparedCloud
 from torchjoint.config import Config
 from torchjoint.images.segmenter import ImageSegments
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.scene import Frame
-from torchjoint.segments.learned.occluded_surfaces import lines_across
-from torchjoint.segments.prepared_cloud import PreparedCloud
 from torchjoint.views.observation import Observation
-from torchjoint.views.propagation import edge_contours, edge_overlaps
+from torchjoint.views.propagation import edge_overlaps
 from torchjoint.views.state import JointState
 from torchjoint.views.visibility import visible_points
 
@@ -27,13 +26,13 @@ class FrameEvidence(NamedTuple):
     observation: Observation
     facing: Tensor  #: [M] int64, votes for the signs of the visible points' normals
     overlaps: tuple[Tensor, Tensor]  #: edges [K] with both ends in view, and their overlaps (eq. 5)
-    contours: tuple[Tensor, Tensor] | None  #: edges [K], and contours across them; None: masks, or method not learned
+    contours: tuple[Tensor, Tensor] | None = None  #: edges [K], and contours across them; only method learned
 
 
 def observe(
     frame: Frame, segments: ImageSegments, cloud: PreparedCloud, config: Config, stopwatch: Stopwatch
 ) -> FrameEvidence:
-    """The evidence of one frame.
+    """What all methods want of one frame: the points that it sees, the side of their normals, the overlaps of eq. 5.
 
     Args:
         frame: image and camera.
@@ -52,15 +51,10 @@ def observe(
     with stopwatch("propagation"):
         labels = segments.labels.to(torch.int32) if segments.masks is None else segments.masks.atom
         overlaps = edge_overlaps(graph.adjacency, visible, labels, config.propagation.window)
-        contours, lines = None, torch.empty(2, 0, dtype=torch.int64)
-        if cloud.method == "learned" and segments.masks is None:
-            assert graph.scales is not None  # method learned has measured them
-            contours = edge_contours(graph.adjacency, visible, boundary)
-            lines = lines_across(visible, graph.scales.noise)
     observation = Observation(
-        frame.name, labels, visible, frame.intrinsics.float(), pose.float(), image, boundary, segments.masks, lines
+        frame.name, labels, visible, frame.intrinsics.float(), pose.float(), image, boundary, segments.masks
     )
-    return FrameEvidence(observation, facing, overlaps, contours)
+    return FrameEvidence(observation, facing, overlaps)
 
 
 def add_evidence(state: JointState, seen: Sequence[FrameEvidence]) -> None:

@@ -18,10 +18,10 @@ from torchjoint.config import Config
 from torchjoint.evaluation.scores import score, score_images
 from torchjoint.evaluation.table import markdown, standard_error
 from torchjoint.joint import JointSegmenter
+from torchjoint.oversegmentation import superpoints
 from torchjoint.runtime.files import write_text
 from torchjoint.scene import Scene
 from torchjoint.scene.masks import Masks
-from torchjoint.superpoints import superpoints
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.mask_merging.mask_clustering import mask_clustering
 from torchjoint_lab.benchmark.mask_merging.sai3d import sai3d

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from torchjoint.config import Config, SuperpointsConfig, evidence_config, presets
 from torchjoint.joint import JointSegmenter
+from torchjoint.oversegmentation import superpoints
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.stopwatch import Stopwatch
-from torchjoint.superpoints import superpoints
 from torchjoint_lab.benchmark import spaces
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.known_images import KnownImages

@@ -57,7 +57,7 @@ def benchmark(
     Each method uses one setting for all scenes.
 
     Args:
-        suite: kind of scenes; the last eight are generated (`torchjoint_lab.synthetic.make_domain_scene`). "masks" compares ways of
+        suite: kind of scenes; the last eight are generated (`make_domain_scene`). "masks" compares ways of
             bringing a network's masks to 3D, on generated scenes (`tj.synthetic.with_network_masks`).
         data: folder of the data set; not needed for synthetic scenes.
         out: folder for table.md, scores.csv, scores.png, settings.yaml; default: benchmark-SUITE.

@@ -51,7 +51,7 @@ def train_boundary_model(
         out: file for the model, NAME.npz.
         domains: also train on generated scenes of these domains: table, shelf, bin, desk, kitchen, room, workshop.
         seeds: first seed of the generated scenes, and the seed after the last one; `0 10 14 37`: also a second range.
-        models: folder of 3D models for the generated scenes, as for `torchjoint_lab.synthetic.make_domain_scene`.
+        models: folder of 3D models for the generated scenes, as for `make_domain_scene`.
         thin: keep one point of your own scenes in each voxel of this size, metres.
         max_frames: use at most so many frames of each of your own scenes, evenly spread.
         trees: number of trees in each round of merging of each member.
@@ -143,7 +143,7 @@ def _prepare(folder: Path, sources: Sequence[_Source]) -> Sequence[LabelledEvide
     from tqdm import tqdm
 
     from torchjoint_lab.training.boundary_examples import labelled_evidence
-    from torchjoint_lab.training.piece_graph_files import EvidenceFiles, save_evidence
+    from torchjoint_lab.training.piece_graph_files import PieceGraphFiles, save_evidence
 
     paths = [folder / f"scene-{index:05d}.pt" for index in range(len(sources))]
     with tqdm(list(zip(sources, paths, strict=True)), desc="evidence", unit="scene") as bar:
@@ -156,7 +156,7 @@ def _prepare(folder: Path, sources: Sequence[_Source]) -> Sequence[LabelledEvide
             except ValueError as error:
                 raise ValueError(f"{source.name}: {error}") from error
             save_evidence(path, prepared)
-    return EvidenceFiles(paths)
+    return PieceGraphFiles(paths)
 
 
 def _print_scores(scores: RoundScores) -> None:

@@ -11,7 +11,7 @@ import tyro
 from torchjoint_lab.datasets.bsds import SPLITS, bsds_images
 
 
-def train_boundaries(
+def train_forest(
     bsds_dir: tyro.conf.Positional[Path],
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("boundaries.yml.gz"),
     splits: tuple[str, ...] = ("train", "val"),

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+
+from torchjoint.synthetic.mesh import box
+from torchjoint.synthetic.world import Item
 from torchjoint_lab.synthetic import household, making
 from torchjoint_lab.synthetic.rigs import Rig
 from torchjoint_lab.synthetic.settings import DomainSettings
@@ -11,9 +14,6 @@ from torchjoint_lab.synthetic.stage import Stage
 from torchjoint_lab.synthetic.support import Support
 from torchjoint_lab.synthetic.tabletop import Layout, backdrop, lamps, table
 from torchjoint_lab.synthetic.tools import TOOLS
-
-from torchjoint.synthetic.mesh import box
-from torchjoint.synthetic.world import Item
 
 
 def build(source: Source, settings: DomainSettings) -> Layout:

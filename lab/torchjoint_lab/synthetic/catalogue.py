@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from torchjoint_lab.synthetic.making import made
-from torchjoint_lab.synthetic.models import load_parts
 
 from torchjoint.synthetic.arrays import Rng
 from torchjoint.synthetic.materials import Material
 from torchjoint.synthetic.mesh import Part
 from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic.making import made
+from torchjoint_lab.synthetic.models import load_parts
 
 _PROPERTIES = "PluginFurnitureCatalog.properties"
 #: Words in the names of models that are several things, no things, or built into a house.

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from torchjoint_lab.synthetic.settings import DomainSettings
 
 from torchjoint.synthetic.arrays import Array, Rng
 from torchjoint.synthetic.render import View
 from torchjoint.synthetic.sensor import blobs, rippled
+from torchjoint_lab.synthetic.settings import DomainSettings
 
 #: Nearest and farthest depth that is returned, metres.
 _RANGE = (0.12, 6.0)

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+
+from torchjoint.synthetic.arrays import Array
+from torchjoint.synthetic.materials import Material
+from torchjoint.synthetic.mesh import Part, box
 from torchjoint_lab.synthetic import making, office, prints
 from torchjoint_lab.synthetic.rigs import Rig
 from torchjoint_lab.synthetic.settings import DomainSettings
@@ -11,10 +15,6 @@ from torchjoint_lab.synthetic.source import Source
 from torchjoint_lab.synthetic.stage import Stage
 from torchjoint_lab.synthetic.support import Support
 from torchjoint_lab.synthetic.tabletop import Layout, backdrop, lamps, table
-
-from torchjoint.synthetic.arrays import Array
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part, box
 
 
 def build(source: Source, settings: DomainSettings) -> Layout:

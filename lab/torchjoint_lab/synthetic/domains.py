@@ -7,17 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torchjoint_lab.synthetic.catalogue import Catalogue
-from torchjoint_lab.synthetic.depth_sensors import measure
-from torchjoint_lab.synthetic.photo import shot_of
-from torchjoint_lab.synthetic.quick_render import QuickRenderer
-from torchjoint_lab.synthetic.settings import DOMAINS, DomainSettings, domain_settings
-from torchjoint_lab.synthetic.source import Source
-from torchjoint_lab.synthetic.style import Style
-from torchjoint_lab.synthetic.tabletop import Layout
 
 from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.synthetic import (
+from torchjoint.synthetic import trajectory
+from torchjoint.synthetic.arrays import Array, Rng
+from torchjoint.synthetic.cloud import Shot
+from torchjoint.synthetic.scene import SyntheticScene
+from torchjoint.synthetic.world import World
+from torchjoint_lab.synthetic import (
     bins,
     bleeding,
     desks,
@@ -27,13 +24,16 @@ from torchjoint.synthetic import (
     shelves,
     streets,
     tabletop,
-    trajectory,
     workshops,
 )
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.cloud import Shot
-from torchjoint.synthetic.scene import SyntheticScene
-from torchjoint.synthetic.world import World
+from torchjoint_lab.synthetic.catalogue import Catalogue
+from torchjoint_lab.synthetic.depth_sensors import measure
+from torchjoint_lab.synthetic.photo import shot_of
+from torchjoint_lab.synthetic.quick_render import QuickRenderer
+from torchjoint_lab.synthetic.settings import DOMAINS, DomainSettings, domain_settings
+from torchjoint_lab.synthetic.source import Source
+from torchjoint_lab.synthetic.style import Style
+from torchjoint_lab.synthetic.tabletop import Layout
 
 _BUILDERS: dict[str, Callable[[Source, DomainSettings], Layout]] = {
     "table": tabletop.build,

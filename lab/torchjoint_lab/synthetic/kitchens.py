@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+
+from torchjoint.synthetic import furniture
+from torchjoint.synthetic.arrays import Array
+from torchjoint.synthetic.materials import Material
+from torchjoint.synthetic.mesh import box
+from torchjoint.synthetic.world import Item
 from torchjoint_lab.synthetic import household, making, office, prints
 from torchjoint_lab.synthetic.rigs import Rig
 from torchjoint_lab.synthetic.settings import DomainSettings
@@ -10,12 +16,6 @@ from torchjoint_lab.synthetic.source import Source
 from torchjoint_lab.synthetic.stage import Stage
 from torchjoint_lab.synthetic.support import Support
 from torchjoint_lab.synthetic.tabletop import Layout, arrange, lamps, spread_cloth, table
-
-from torchjoint.synthetic import furniture
-from torchjoint.synthetic.arrays import Array
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import box
-from torchjoint.synthetic.world import Item
 
 #: What stands on kitchen tables and counters.
 DISHES = (

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from torchjoint_lab.synthetic.quick_render import QuickRenderer
-from torchjoint_lab.synthetic.settings import DomainSettings
 
 from torchjoint.synthetic.arrays import Array, Rng
+from torchjoint_lab.synthetic.quick_render import QuickRenderer
+from torchjoint_lab.synthetic.settings import DomainSettings
 
 #: Nearest and farthest range that is returned, metres.
 _RANGE = (1.8, 80.0)

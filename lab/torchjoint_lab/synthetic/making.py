@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from torchjoint_lab.synthetic.style import Style
 
 from torchjoint.synthetic.arrays import Array, Rng
 from torchjoint.synthetic.materials import Material
 from torchjoint.synthetic.mesh import Part
 from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic.style import Style
 
 Maker = Callable[[Rng, Style], Item]
 

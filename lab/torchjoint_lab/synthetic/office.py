@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from torchjoint_lab.synthetic import prints
-from torchjoint_lab.synthetic.household import THINGS, book, bowl, mug, packet, vessel
-from torchjoint_lab.synthetic.making import Maker, made
-from torchjoint_lab.synthetic.solids import blob, euler, ring, rod, rounded_box, turned
-from torchjoint_lab.synthetic.style import Style
 
 from torchjoint.synthetic import materials as paint
 from torchjoint.synthetic.arrays import Array, Rng
 from torchjoint.synthetic.mesh import Part, ball, box, cup, cylinder, tube
 from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic import prints
+from torchjoint_lab.synthetic.household import THINGS, book, bowl, mug, packet, vessel
+from torchjoint_lab.synthetic.making import Maker, made
+from torchjoint_lab.synthetic.solids import blob, euler, ring, rod, rounded_box, turned
+from torchjoint_lab.synthetic.style import Style
 
 
 def monitor(rng: Rng, style: Style) -> Item:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from torchjoint_lab.synthetic.settings import DomainSettings
 
 from torchjoint.synthetic.arrays import Array, Rng
 from torchjoint.synthetic.render import View
 from torchjoint.synthetic.sensor import photograph
+from torchjoint_lab.synthetic.settings import DomainSettings
 
 
 def shot_of(rng: Rng, view: View, settings: DomainSettings) -> Array:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from torchjoint_lab.synthetic.quick_render import QuickRenderer
 
 from torchjoint.synthetic import trajectory
 from torchjoint.synthetic.arrays import Array, Rng
 from torchjoint.synthetic.world import World
+from torchjoint_lab.synthetic.quick_render import QuickRenderer
 
 #: Nothing is nearer to a camera than this, metres.
 _CLEAR = 0.15

@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+
+from torchjoint.synthetic.arrays import Array
+from torchjoint.synthetic.room import make_world
+from torchjoint.synthetic.world import World
 from torchjoint_lab.synthetic.quick_render import QuickRenderer
 from torchjoint_lab.synthetic.rigs import Walk
 from torchjoint_lab.synthetic.settings import DomainSettings
@@ -13,10 +17,6 @@ from torchjoint_lab.synthetic.stage import Stage
 from torchjoint_lab.synthetic.style import Style
 from torchjoint_lab.synthetic.support import Support
 from torchjoint_lab.synthetic.tabletop import Layout
-
-from torchjoint.synthetic.arrays import Array
-from torchjoint.synthetic.room import make_world
-from torchjoint.synthetic.world import World
 
 #: Flat things that are mostly taken away, and those that mostly become part of the wall they hang on.
 _THIN, _HUNG = ("paper", "magazine", "card", "envelope"), ("poster", "picture", "notice")

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from torchjoint_lab.synthetic.making import log_uniform
 
 from torchjoint.synthetic.arrays import Rng
+from torchjoint_lab.synthetic.making import log_uniform
 
 #: The names of the domains.
 DOMAINS = ("table", "shelf", "bin", "desk", "kitchen", "room", "workshop", "street")

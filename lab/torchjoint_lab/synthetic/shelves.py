@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+
+from torchjoint.synthetic.arrays import Array, Rng
+from torchjoint.synthetic.mesh import box
+from torchjoint.synthetic.world import Item
 from torchjoint_lab.synthetic import making
 from torchjoint_lab.synthetic.rigs import Rig
 from torchjoint_lab.synthetic.settings import DomainSettings
@@ -14,10 +18,6 @@ from torchjoint_lab.synthetic.stage import Body, Stage
 from torchjoint_lab.synthetic.style import Style
 from torchjoint_lab.synthetic.support import Support
 from torchjoint_lab.synthetic.tabletop import Layout, arrange, backdrop, lamps
-
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.mesh import box
-from torchjoint.synthetic.world import Item
 
 
 def build(source: Source, settings: DomainSettings) -> Layout:

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from torchjoint_lab.synthetic import household, making
-from torchjoint_lab.synthetic.making import Maker
-from torchjoint_lab.synthetic.style import Style
 
 from torchjoint.synthetic.arrays import Rng
 from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic import household, making
+from torchjoint_lab.synthetic.making import Maker
+from torchjoint_lab.synthetic.style import Style
 
 if TYPE_CHECKING:
     from torchjoint_lab.synthetic.catalogue import Catalogue

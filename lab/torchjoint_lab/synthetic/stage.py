@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from torchjoint_lab.synthetic.solids import euler, turned
 
 from torchjoint.synthetic.arrays import Array, Rng
 from torchjoint.synthetic.materials import Material
 from torchjoint.synthetic.world import Item, Light, World
+from torchjoint_lab.synthetic.solids import euler, turned
 
 _UPRIGHT = np.eye(3)
 #: Points that stand for a thing's surface while it is tried, and the most when it is put down.

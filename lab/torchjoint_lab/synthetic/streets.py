@@ -5,6 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+
+from torchjoint.synthetic import materials as paint
+from torchjoint.synthetic.arrays import Array, Rng
+from torchjoint.synthetic.materials import Material
+from torchjoint.synthetic.mesh import Part
+from torchjoint.synthetic.world import Item, Light
 from torchjoint_lab.synthetic import prints, roadside, vehicles
 from torchjoint_lab.synthetic.rigs import Mount
 from torchjoint_lab.synthetic.settings import DomainSettings
@@ -12,12 +18,6 @@ from torchjoint_lab.synthetic.solids import euler, sheet_of
 from torchjoint_lab.synthetic.source import Source
 from torchjoint_lab.synthetic.stage import Stage
 from torchjoint_lab.synthetic.tabletop import Layout
-
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part
-from torchjoint.synthetic.world import Item, Light
 
 #: What the truth of a scan knows, as SemanticKITTI's does; vegetation, buildings and fences are void there.
 KNOWN = ("ground", "car", "van", "person", "bicycle", "cyclist", "pole")

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from torchjoint_lab.synthetic import prints
 
 from torchjoint.synthetic import materials as paint
 from torchjoint.synthetic.arrays import Array, Rng
 from torchjoint.synthetic.materials import Material
+from torchjoint_lab.synthetic import prints
 
 
 class Style:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from torchjoint_lab.synthetic.solids import euler, rotated, rotation_about
-from torchjoint_lab.synthetic.stage import Body, Heights, Stage
 
 from torchjoint.synthetic.arrays import Array, Rng
 from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic.solids import euler, rotated, rotation_about
+from torchjoint_lab.synthetic.stage import Body, Heights, Stage
 
 #: Contacts count as such within this many metres.
 _TOUCH = 0.004

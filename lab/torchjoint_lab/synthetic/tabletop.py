@@ -5,6 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+
+from torchjoint.synthetic.arrays import Array, Rng
+from torchjoint.synthetic.mesh import Part, box, cylinder
+from torchjoint.synthetic.world import Item, Light, World
 from torchjoint_lab.synthetic import making, prints
 from torchjoint_lab.synthetic.rigs import Cameras, Rig
 from torchjoint_lab.synthetic.settings import DomainSettings
@@ -12,10 +16,6 @@ from torchjoint_lab.synthetic.solids import rounded_box
 from torchjoint_lab.synthetic.source import Source
 from torchjoint_lab.synthetic.stage import Stage
 from torchjoint_lab.synthetic.support import Support
-
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.mesh import Part, box, cylinder
-from torchjoint.synthetic.world import Item, Light, World
 
 
 class Layout(NamedTuple):

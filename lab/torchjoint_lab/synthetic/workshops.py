@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+
+from torchjoint.synthetic.mesh import box, cylinder
 from torchjoint_lab.synthetic import household, making, office, tools
 from torchjoint_lab.synthetic.desks import path_over
 from torchjoint_lab.synthetic.making import Maker
@@ -15,8 +17,6 @@ from torchjoint_lab.synthetic.source import Source
 from torchjoint_lab.synthetic.stage import Stage
 from torchjoint_lab.synthetic.support import Support
 from torchjoint_lab.synthetic.tabletop import Layout, backdrop, lamps, table
-
-from torchjoint.synthetic.mesh import box, cylinder
 
 
 def build(source: Source, settings: DomainSettings) -> Layout:

@@ -49,7 +49,7 @@ def load_evidence(path: Path) -> LabelledEvidence:
     return prepared
 
 
-class EvidenceFiles(Sequence[LabelledEvidence]):
+class PieceGraphFiles(Sequence[LabelledEvidence]):
     """The evidence of many scenes, read from disk at each access, so that only one is in memory."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
@@ -62,5 +62,5 @@ class EvidenceFiles(Sequence[LabelledEvidence]):
     def __getitem__(self, index: int) -> LabelledEvidence: ...
     @overload
     def __getitem__(self, index: slice) -> PieceGraphFiles: ...
-    def __getitem__(self, index: int | slice) -> LabelledEvidence | EvidenceFiles:
-        return EvidenceFiles(self._paths[index]) if isinstance(index, slice) else load_evidence(self._paths[index])
+    def __getitem__(self, index: int | slice) -> LabelledEvidence | PieceGraphFiles:
+        return PieceGraphFiles(self._paths[index]) if isinstance(index, slice) else load_evidence(self._paths[index])

@@ -1,6 +1,7 @@
 """Reads a point cloud alone, without images: .ply, .pcd, .npy, .npz, .xyz, .las, .laz, .e57, and .bin as of KITTI.
 
-The scene has no frames: segmenting it is plain 3D segmentation. `torchjoint.datasets.files.clouds` says what the files hold.
+The scene has no frames: segmenting it is plain 3D segmentation. :mod:`torchjoint.datasets.files.clouds` says what the
+files hold.
 """
 
 from __future__ import annotations

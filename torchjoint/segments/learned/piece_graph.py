@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import kornia
 import torch
 from torch import Tensor
 
@@ -20,7 +19,6 @@ from torchjoint.cloud.graph import PointGraph
 from torchjoint.cloud.normals import angle_between, is_convex
 from torchjoint.cloud.orientation import orient_normals
 from torchjoint.cloud.scales import Scales
-from torchjoint.config import Config
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.segments.costs import combined_costs, crease_costs
 from torchjoint.segments.learned.image_colors import image_colors
@@ -32,7 +30,6 @@ from torchjoint.segments.learned.region_statistics import InnerEdges, RegionStat
 from torchjoint.segments.learned.summaries import Measure
 from torchjoint.segments.merging import merge
 from torchjoint.segments.planes import SMOOTH_REGIONS, Planes, one_sided_planes, small_regions
-from torchjoint.views.observations import Observations
 from torchjoint.views.propagation import disagreement
 from torchjoint.views.state import JointState
 
@@ -43,6 +40,8 @@ from torchjoint.views.state import JointState
 CONVEX_FACTOR = 0.05
 #: Weight of the images' disagreement in an edge's cost.
 IMAGE_WEIGHT = 0.3
+#: Overlap of two windows at which an image is neutral, r_o of eq. 6.
+OVERLAP_THRESHOLD = 0.7
 #: Share of a crease's cost that the images' agreement removes.
 AGREEMENT = 0.22
 #: Weight of the colour step in an edge's cost.
@@ -127,7 +126,7 @@ class PieceGraph:
         return replace(self, edges=self.edges.only(across))
 
 
-def build_piece_graph(graph: PointGraph, scales: Scales, state: JointState, config: Config) -> PieceGraph:
+def build_piece_graph(graph: PointGraph, scales: Scales, state: JointState) -> PieceGraph:
     """Groups the points into pieces, and measures the edges between the pieces.
 
     A cloud without colours has those of the images, as far as these see it.
@@ -135,15 +134,14 @@ def build_piece_graph(graph: PointGraph, scales: Scales, state: JointState, conf
     Args:
         graph: the point graph.
         scales: noise and spacing of the points.
-        state: the evidence of the images; its observations do not count if propagation.weight is 0.
-        config: step 5's parameters; no parameter of step 6 counts.
+        state: the evidence of the images.
     """
     normals, oriented = orient_normals(graph, state.facing)
     planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
-    seen = state.observations if config.propagation.weight > 0 else Observations()
+    seen = state.observations
     # Masks are told apart from other segments: what two masks say weighs far more (see mask_merges).
     observations = seen.without_masks()
-    r = disagreement(state.views, state.overlap_sum, len(seen), config.propagation) if seen else None
+    r = disagreement(state.views, state.overlap_sum, OVERLAP_THRESHOLD) if seen else None
     colors = image_colors(graph.num_points, seen) if graph.colors is None else graph.colors
     lab = None if colors is None else _to_lab(colors)
     color_step = median = None
@@ -244,6 +242,8 @@ def _geometry(
 
 def _to_lab(colors: Tensor) -> Tensor:
     """Colours [N, 3] RGB in [0, 1] -> [N, 3] Lab."""
+    import kornia
+
     lab: Tensor = kornia.color.rgb_to_lab(colors.T[None, :, :, None].contiguous())
     return lab[0, :, :, 0].T
 

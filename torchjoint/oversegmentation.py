@@ -5,6 +5,7 @@ They use the graph of step 3, and need no images.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -13,7 +14,8 @@ import torch
 from torch import Tensor, nn
 
 from torchjoint import ops
-from torchjoint.cloud.edge_weights import geometric_weights, segmentator_turn
+from torchjoint.cloud.batch import split_batch
+from torchjoint.cloud.edge_weights import EdgeWeights, discounted_angle, geometric_weights, segmentator_turn
 from torchjoint.cloud.graph import undirected_edges
 from torchjoint.cloud.local import LocalFrame, composed, first_of_each, warn_of_rounding, without_copies
 from torchjoint.cloud.mesh import face_edges, vertex_normals
@@ -21,9 +23,8 @@ from torchjoint.cloud.neighbors import neighbor_tables, order_along_space
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.config import SuperpointsConfig
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
-from torchjoint.scene import Scene
+from torchjoint.scene import Cloud
 from torchjoint.scene.checks import is_double
-from torchjoint.scene.cloud_batch import Cloud, split_batch
 
 #: A tensor, or a numpy array.
 Values = TypeVar("Values", Tensor, npt.NDArray[Any])
@@ -38,7 +39,7 @@ def superpoints(
     faces: Values | None = None,
     ptr: Values | None = None,
     viewpoint: Values | None = None,
-    preset: str | SuperpointsConfig = "room",
+    preset: str | SuperpointsConfig = "default",
     **parameters: float | str,
 ) -> Values:
     """Cut one or several clouds into superpoints.
@@ -63,7 +64,7 @@ def superpoints(
             result equals that of ScanNet's segmentator. A vertex without a triangle is its own superpoint.
         ptr: optional [B + 1] integers, the start of each of B clouds, and N: 0 = ptr[0] < ptr[1] < ... < ptr[B] = N.
         viewpoint: optional [3] metres, the position of the sensor; or one per cloud [B, 3], or per point [N, 3].
-        preset: "room", "outdoor" or "segmentator", a YAML file, or a config.
+        preset: "default", "scan" or "segmentator", a YAML file, or a config.
         parameters: replace parameters of the preset by name, such as ``scale=2.0``. :class:`SuperpointsConfig` declares
             them; ``torchjoint parameters --superpoints`` gives their units and ranges:
 
@@ -121,8 +122,7 @@ def _segment_batch(
     if edges is not None and faces is not None:
         raise ValueError("edges: expected edges or faces, got both")
     with torch.no_grad(), one_thread_per_operation():
-        scene = Scene(points, colors=colors, normals=normals)
-        clouds = split_batch(scene, edges, faces, ptr, viewpoint)
+        clouds = split_batch(Cloud.checked(points, colors, normals), edges, faces, ptr, viewpoint)
         labels = parallel_map(lambda cloud: _segment(cloud, config), clouds)
         offset = 0
         for part in labels:
@@ -136,7 +136,7 @@ class Superpoints(nn.Module):
 
     Args:
         preset: as in :func:`superpoints`.
-        parameters: replace parameters of the preset by name: ``Superpoints("outdoor", scale=2.0)``.
+        parameters: replace parameters of the preset by name: ``Superpoints("scan", scale=2.0)``.
 
     Raises:
         ValueError, TypeError: an unknown parameter or a bad value, by name.
@@ -147,7 +147,7 @@ class Superpoints(nn.Module):
         torch.Size([100])
     """
 
-    def __init__(self, preset: str | SuperpointsConfig = "room", **parameters: float | str) -> None:
+    def __init__(self, preset: str | SuperpointsConfig = "default", **parameters: float | str) -> None:
         super().__init__()
         self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
         self.config = self.preset.replace(parameters)
@@ -174,13 +174,11 @@ def _segment(given: Cloud, config: SuperpointsConfig) -> Tensor:
     edges, normals, oriented, spacing = _graph(cloud, config)
     if len(spacing):
         warn_of_rounding(given.points, spacing)
-    turn = segmentator_turn if config.weight == "segmentator" else None
-    if not oriented:  # convex and concave edges cannot be told apart, so do not test
-        config = config.replace({"convex_factor": 1.0})
+    factor = config.convex_factor if oriented else 1.0  # else convex and concave edges cannot be told apart
+    turn = segmentator_turn if config.weight == "segmentator" else discounted_angle(factor)
+    terms = EdgeWeights(turn, config.angle_weight, config.distance_weight, config.color_weight)
     all_oriented = torch.full((len(cloud.points),), oriented)
-    weights = geometric_weights(
-        cloud.points, edges, normals, all_oriented, config.point_graph, cloud.colors, turn, config.angle_weight
-    )
+    weights = geometric_weights(cloud.points, edges, normals, all_oriented, terms, cloud.colors)
     labels = ops.felzenszwalb(edges, weights, len(cloud.points), config.scale, config.min_size)
     return labels if of_point is None else labels[of_point]
 
@@ -190,26 +188,25 @@ def _local(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
 
     Copies are merged only if the graph is ours: given edges and faces say themselves which points belong together.
     """
-    scene, maps = Scene(cloud.points, colors=cloud.colors, normals=cloud.normals), []
+    maps = []
     ours = cloud.edges is None and cloud.faces is None
+    viewpoint = cloud.viewpoint
     if ours:
-        scene, of_point = without_copies(scene)
+        cloud, of_point = without_copies(cloud)
         maps.append(of_point)
     # ScanNet's segmentator computes normals of float32 coordinates as they are.
-    as_given = cloud.faces is not None and not is_double(scene.points)
-    frame = LocalFrame.of_world() if as_given else LocalFrame.of(scene.points)
-    scene = frame.cloud(scene)
+    as_given = cloud.faces is not None and not is_double(cloud.points)
+    frame = LocalFrame.of_world() if as_given else LocalFrame.of(cloud.points)
+    cloud = frame.cloud(cloud)
     if ours:
-        scene, of_point = without_copies(scene)
+        cloud, of_point = without_copies(cloud)
         maps.append(of_point)
-    of_given, viewpoint = composed(*maps), cloud.viewpoint
+    of_given = composed(*maps)
     if viewpoint is not None:
         viewpoint = (viewpoint.double() - frame.origin).float()
         if of_given is not None and viewpoint.ndim == 2:
             viewpoint = viewpoint[first_of_each(of_given)]
-    return cloud._replace(
-        points=scene.points, colors=scene.colors, normals=scene.normals, viewpoint=viewpoint
-    ), of_given
+    return replace(cloud, viewpoint=viewpoint), of_given
 
 
 def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, bool, Tensor]:

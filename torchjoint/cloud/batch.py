@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchjoint.scene.scene import Scene
-
-
-class Cloud(NamedTuple):
-    """One checked cloud; edges and faces use the cloud's own point numbers 0 ... n - 1."""
-
-    points: Tensor  #: [n, 3] float32 or float64 metres
-    colors: Tensor | None  #: [n, 3] float32 RGB in [0, 1]
-    normals: Tensor | None  #: [n, 3] float32, unit length
-    edges: Tensor | None  #: [2, e] int64
-    faces: Tensor | None  #: [f, 3] int64
-    viewpoint: Tensor | None  #: [3] or [n, 3] float64 metres
+from torchjoint.scene import Cloud
 
 
 def split_batch(
-    scene: Scene, edges: Tensor | None, faces: Tensor | None, ptr: Tensor | None, viewpoint: Tensor | None
+    batch: Cloud, edges: Tensor | None, faces: Tensor | None, ptr: Tensor | None, viewpoint: Tensor | None
 ) -> list[Cloud]:
     """Splits a batch into its clouds, each with its own point numbers.
 
     Args:
-        scene: points, colours and normals of all clouds.
+        batch: points, colours and normals of all clouds.
         edges: [2, E] integers, edges of all clouds in any order, in point numbers of the batch.
         faces: [F, 3] integers, triangles of all clouds in any order, in point numbers of the batch.
         ptr: [B + 1] integers, the start of each cloud, and N; None = one cloud.
@@ -40,16 +29,16 @@ def split_batch(
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
     """
-    num_points = len(scene.points)
+    num_points = len(batch.points)
     starts = _checked_ptr(ptr, num_points)
     all_edges = _split(_checked_nodes("edges", edges, num_points), starts, "edges")
     all_faces = _split(_checked_nodes("faces", faces, num_points), starts, "faces")
     views = _views(viewpoint, starts)
     return [
         Cloud(
-            scene.points[start:end],
-            None if scene.colors is None else scene.colors[start:end],
-            None if scene.normals is None else scene.normals[start:end],
+            batch.points[start:end],
+            None if batch.colors is None else batch.colors[start:end],
+            None if batch.normals is None else batch.normals[start:end],
             own_edges,
             None if own_faces is None else own_faces.T,
             view,
