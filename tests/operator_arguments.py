@@ -28,7 +28,7 @@ from torchjoint.ops import (
     parse_numbers,
     project,
     propagate_labels,
-    region_merges,
+    region_dendrogram,
     region_planes,
     segment_graphs,
     splat_depth,
@@ -94,7 +94,7 @@ GROUP_SUMMARIES = {
     "values": POSITIONS, "order": PIXELS.int(), "group": torch.tensor([0, -1, 1]), "num_groups": 2,
     "quantiles": torch.tensor([0.5, 1.0]),
 }  # fmt: skip
-REGION_MERGES = {"edge_index": EDGES, "cost": VALUES, "num_regions": 4, "threshold": 0.5}
+REGION_DENDROGRAM = {"edge_index": EDGES, "cost": VALUES, "num_regions": 4, "threshold": 0.5}
 MASK_MERGES = {
     "edge_index": EDGES, "cost": VALUES.clamp(max=1), "size": torch.tensor([9, 1, 2, 3]),
     "in_mask": torch.tensor([[0, 1, 1], [0, 0, 1], [4, 1, 1]]), "in_frame": torch.tensor([[0, 1], [0, 0], [5, 1]]),
@@ -141,7 +141,7 @@ VALID: dict[Callable[..., Any], dict[str, Any]] = {
     merge_regions: MERGE_REGIONS,
     ascending_order: {"values": POSITIONS},
     group_summaries: GROUP_SUMMARIES,
-    region_merges: REGION_MERGES,
+    region_dendrogram: REGION_DENDROGRAM,
     mask_merges: MASK_MERGES,
     region_planes: REGION_PLANES,
     boosted_trees: BOOSTED_TREES,

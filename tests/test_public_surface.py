@@ -34,7 +34,7 @@ PUBLIC = {
     "torchjoint.ops": """
         ascending_order boosted_trees felzenszwalb felzenszwalb_image fit_normals group_summaries line_maxima
         mask_merges match_pixels merge_regions min_cut nearest_neighbors neighbor_edges outvoted_markers pair_counts
-        parse_numbers project propagate_labels region_merges region_planes segment_graphs splat_depth structured_forest
+        parse_numbers project propagate_labels region_dendrogram region_planes segment_graphs splat_depth structured_forest
         ultrametric_contours window_overlaps
     """,
     "torchjoint.metrics": """

@@ -30,7 +30,7 @@ from operator_arguments import (
     POINTS,
     POSITIONS,
     PROPAGATE_LABELS,
-    REGION_MERGES,
+    REGION_DENDROGRAM,
     REGION_PLANES,
     ROWS,
     SINK,
@@ -59,7 +59,7 @@ from torchjoint.ops import (
     parse_numbers,
     project,
     propagate_labels,
-    region_merges,
+    region_dendrogram,
     region_planes,
     segment_graphs,
     splat_depth,
@@ -327,16 +327,16 @@ ERRORS: list[tuple[Callable[..., Any], dict[str, Any], type[Exception], str]] = 
     (mask_merges, {"stays": PIXELS}, TypeError, "stays: expected dtype torch.bool, got torch.int64"),
     (mask_merges, {"stays": PIXELS > 0}, ValueError, "stays: expected shape [R] = [4], got [3]"),
     (mask_merges, {"min_size": 2.0}, TypeError, "min_size: expected int, got float"),
-    (region_merges, {"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
-    (region_merges, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
-    (region_merges, {"cost": VALUES.double()}, TypeError, "cost: expected dtype torch.float32, got torch.float64"),
-    (region_merges, {"cost": VALUES[:2]}, ValueError, "cost: expected shape [E] = [3], got [2]"),
-    (region_merges, {"cost": changed(VALUES, NAN, 1)}, ValueError, "cost: expected numbers in [0, 1024], got nan at"),
-    (region_merges, {"num_regions": -1}, ValueError, "num_regions: expected a number >= 0, got -1"),
-    (region_merges, {"num_regions": 4.0}, TypeError, "num_regions: expected int, got float"),
-    (region_merges, {"num_regions": 2**31}, ValueError, "num_regions: expected 0 to 2^31 - 1, got 2147483648"),
-    (region_merges, {"threshold": -0.1}, ValueError, "threshold: expected a number >= 0, got -0.1"),
-    (region_merges, {"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
+    (region_dendrogram, {"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
+    (region_dendrogram, {"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
+    (region_dendrogram, {"cost": VALUES.double()}, TypeError, "cost: expected dtype torch.float32, got torch.float64"),
+    (region_dendrogram, {"cost": VALUES[:2]}, ValueError, "cost: expected shape [E] = [3], got [2]"),
+    (region_dendrogram, {"cost": changed(VALUES, NAN, 1)}, ValueError, "cost: expected numbers in [0, 1024], got nan at"),
+    (region_dendrogram, {"num_regions": -1}, ValueError, "num_regions: expected a number >= 0, got -1"),
+    (region_dendrogram, {"num_regions": 4.0}, TypeError, "num_regions: expected int, got float"),
+    (region_dendrogram, {"num_regions": 2**31}, ValueError, "num_regions: expected 0 to 2^31 - 1, got 2147483648"),
+    (region_dendrogram, {"threshold": -0.1}, ValueError, "threshold: expected a number >= 0, got -0.1"),
+    (region_dendrogram, {"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
     (group_summaries, {"values": POSITIONS.double()}, TypeError, "values: expected dtype torch.float32, got"),
     (ascending_order, {"values": POSITIONS.double()}, TypeError, "values: expected dtype torch.float32, got"),
     (ascending_order, {"values": POSITIONS[None]}, ValueError, "values: expected shape [C], got [1, 3]"),
@@ -543,10 +543,10 @@ def test_kernels_called_directly_refuse_what_the_wrappers_do() -> None:
         (mask_merges, {"weight": VALUES}),
         (mask_merges, {"prior_weight": 0.0}),
         (mask_merges, {"stays": PIXELS}),
-        (region_merges, {"edge_index": EDGES.t()}),
-        (region_merges, {"cost": VALUES.double()}),
-        (region_merges, {"num_regions": -1}),
-        (region_merges, {"threshold": NAN}),
+        (region_dendrogram, {"edge_index": EDGES.t()}),
+        (region_dendrogram, {"cost": VALUES.double()}),
+        (region_dendrogram, {"num_regions": -1}),
+        (region_dendrogram, {"threshold": NAN}),
         (group_summaries, {"values": EDGES}),
         (group_summaries, {"order": PIXELS[:2].int()}),
         (ascending_order, {"values": EDGES}),
@@ -639,7 +639,7 @@ def test_no_gradient_flows() -> None:
     assert not fit_normals(POINTS.clone().requires_grad_(), NEIGHBORS).requires_grad
     assert not merge_regions(**MERGE_REGIONS | {"cost": weight}).requires_grad
     assert not any(result.requires_grad for result in mask_merges(**MASK_MERGES | {"cost": weight / 9}))
-    assert not any(result.requires_grad for result in region_merges(**REGION_MERGES | {"cost": weight}))
+    assert not any(result.requires_grad for result in region_dendrogram(**REGION_DENDROGRAM | {"cost": weight}))
     with_grad = {name: REGION_PLANES[name].clone().requires_grad_() for name in ("points", "normals")}
     assert not any(result.requires_grad for result in region_planes(**REGION_PLANES | with_grad))
     values = BOOSTED_TREES["values"].clone().requires_grad_()
@@ -714,7 +714,7 @@ LONG_OPERATORS = (
     group_summaries,
     mask_merges,
     merge_regions,
-    region_merges,
+    region_dendrogram,
     region_planes,
     parse_numbers,
     propagate_labels,
@@ -782,9 +782,9 @@ def long_call(op: Callable[..., Any], share: float = 1) -> Callable[[], Any]:
         return lambda: group_summaries(values, order, group, 1000, torch.tensor([0.5]))
     if op is ascending_order:
         return lambda: ascending_order(torch.arange(int(3_000_000 * share)).float())
-    if op is region_merges:
+    if op is region_dendrogram:
         edges, cost = large_graph(int(100_000 * share))
-        return lambda: region_merges(edges, cost, len(cost), 0.4)
+        return lambda: region_dendrogram(edges, cost, len(cost), 0.4)
     edges, weight = large_graph(int((3_000_000 if op is felzenszwalb else 1_000_000) * share))
     if op is felzenszwalb:
         return lambda: felzenszwalb(edges, weight, len(weight), 1.0)

@@ -23,7 +23,7 @@ from torchjoint.ops.pair_counts import pair_counts
 from torchjoint.ops.parse_numbers import parse_numbers
 from torchjoint.ops.project import project
 from torchjoint.ops.propagate_labels import propagate_labels
-from torchjoint.ops.region_merges import region_merges
+from torchjoint.ops.region_dendrogram import region_dendrogram
 from torchjoint.ops.region_planes import region_planes
 from torchjoint.ops.segment_graphs import segment_graphs
 from torchjoint.ops.splat_depth import splat_depth
@@ -50,7 +50,7 @@ __all__ = [
     "parse_numbers",
     "project",
     "propagate_labels",
-    "region_merges",
+    "region_dendrogram",
     "region_planes",
     "segment_graphs",
     "splat_depth",

@@ -56,7 +56,7 @@ class MaskLinkage:
         return None if masks is None else cls(masks, size.long())
 
     def merges(self, of_piece: Tensor, ends: Tensor, cost: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
-        """As :func:`torchjoint.ops.region_merges`, with masks.
+        """As :func:`torchjoint.ops.region_dendrogram`, with masks.
 
         Args:
             of_piece: [P] int64, region of each piece, 0 ... R - 1.

@@ -28,7 +28,7 @@ from torchjoint.ops.reference.regions import (
     group_summaries_reference,
     mask_merges_reference,
     merge_regions_reference,
-    region_merges_reference,
+    region_dendrogram_reference,
     region_planes_reference,
 )
 from torchjoint.ops.reference.text import parse_numbers_reference
@@ -53,7 +53,7 @@ __all__ = [
     "project_reference",
     "propagate_labels_reference",
     "quantise_reference",
-    "region_merges_reference",
+    "region_dendrogram_reference",
     "region_planes_reference",
     "segment_graphs_reference",
     "splat_depth_reference",

@@ -10,6 +10,31 @@ import torch
 from torch import Tensor
 
 
+def connected_components_reference(edge_index: Tensor, num_nodes: int) -> Tensor:
+    """What :func:`torchjoint.ops.connected_components` computes, breadth first; the arguments are not checked.
+
+    Example:
+        >>> connected_components_reference(torch.tensor([[3, 1], [0, 4]]), num_nodes=5)
+        tensor([0, 1, 2, 0, 1])
+    """
+    neighbors: list[list[int]] = [[] for _ in range(num_nodes)]
+    for u, v in edge_index.t().tolist():
+        neighbors[u].append(v)
+        neighbors[v].append(u)
+    labels, num_components = [-1] * num_nodes, 0
+    for first in range(num_nodes):
+        if labels[first] >= 0:
+            continue
+        labels[first], reached = num_components, deque([first])
+        while reached:
+            for node in neighbors[reached.popleft()]:
+                if labels[node] < 0:
+                    labels[node] = num_components
+                    reached.append(node)
+        num_components += 1
+    return torch.tensor(labels, dtype=torch.int64)
+
+
 def felzenszwalb_reference(
     edge_index: Tensor, weight: Tensor, num_nodes: int, scale: float, min_size: int = 0
 ) -> Tensor:

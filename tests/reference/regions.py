@@ -82,14 +82,14 @@ def merge_regions_reference(
     return labels
 
 
-def region_merges_reference(
+def region_dendrogram_reference(
     edge_index: Tensor, cost: Tensor, num_regions: int, threshold: float
 ) -> tuple[Tensor, Tensor]:
-    """What :func:`torchjoint.ops.region_merges` computes; the arguments are not checked.
+    """What :func:`torchjoint.ops.region_dendrogram` computes; the arguments are not checked.
 
     Example:
         >>> edge_index = torch.tensor([[0, 1, 0], [1, 2, 2]])
-        >>> region_merges_reference(edge_index, torch.tensor([0.0, 0.25, 0.75]), 3, 1.0)
+        >>> region_dendrogram_reference(edge_index, torch.tensor([0.0, 0.25, 0.75]), 3, 1.0)
         (tensor([[0, 0],
                 [1, 2]]), tensor([0.0000, 0.5000], dtype=torch.float64))
     """
