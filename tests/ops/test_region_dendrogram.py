@@ -8,10 +8,10 @@ import pytest
 import torch
 from examples import few_and_many
 from hypothesis import strategies as st
+from reference.region_dendrogram import region_dendrogram_reference
 from torch import Tensor
 
 from torchjoint.ops import felzenszwalb, merge_regions, region_dendrogram
-from torchjoint.ops.reference import region_dendrogram_reference
 
 
 def random_regions(seed: int, num_regions: int, num_edges: int, levels: int) -> tuple[Tensor, Tensor]:
@@ -78,5 +78,7 @@ def test_without_edges(num_regions: int) -> None:
 def test_any_strides() -> None:
     edges, cost = random_regions(0, 30, 100, 1000)
     strided = edges.t().contiguous().t(), cost.repeat_interleave(2)[::2]
-    for got, expected in zip(region_dendrogram(*strided, 30, 0.6), region_dendrogram(edges, cost, 30, 0.6), strict=True):
+    for got, expected in zip(
+        region_dendrogram(*strided, 30, 0.6), region_dendrogram(edges, cost, 30, 0.6), strict=True
+    ):
         assert torch.equal(got, expected)

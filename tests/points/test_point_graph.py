@@ -5,10 +5,11 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from reference.fit_normals import fit_normals_reference
+from reference.neighbor_edges import neighbor_edges_reference
 
 from torchjoint import ops
 from torchjoint.config import PointGraphConfig
-from torchjoint.ops.reference import fit_normals_reference, neighbor_edges_reference
 from torchjoint.points.edge_weights import geometric_weights
 from torchjoint.points.graph import undirected_edges
 from torchjoint.points.neighbors import nearest_neighbors, order_along_space
