@@ -49,7 +49,7 @@ def felzenszwalb(edge_index: Tensor, weight: Tensor, num_nodes: int, scale: floa
     check_number("scale", scale, (int, float))
     check_number("min_size", min_size, (int,))
     labels = call(
-        torch.ops.torchjoint.felzenszwalb.default, edge_index, weight.detach(), num_nodes, float(scale), min_size
+        torch.ops.torchjoint.felzenszwalb.default, edge_index, weight, num_nodes, float(scale), min_size
     )
     return cast(Tensor, labels)
 

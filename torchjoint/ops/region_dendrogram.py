@@ -46,7 +46,7 @@ def region_dendrogram(edge_index: Tensor, cost: Tensor, num_regions: int, thresh
     check_number("threshold", threshold, (int, float))
     return cast(
         "tuple[Tensor, Tensor]",
-        call(torch.ops.torchjoint.region_dendrogram.default, edge_index, cost.detach(), num_regions, float(threshold)),
+        call(torch.ops.torchjoint.region_dendrogram.default, edge_index, cost, num_regions, float(threshold)),
     )
 
 

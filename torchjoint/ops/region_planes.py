@@ -53,7 +53,7 @@ def region_planes(
     return cast(
         "tuple[Tensor, Tensor]",
         call(
-            torch.ops.torchjoint.region_planes.default, points.detach(), neighbors, region, normals.detach(), min_points
+            torch.ops.torchjoint.region_planes.default, points, neighbors, region, normals, min_points
         ),
     )
 
