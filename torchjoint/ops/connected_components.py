@@ -12,7 +12,7 @@ from torchjoint.ops._checks import check_edge_index, check_num_nodes
 
 
 def connected_components(edge_index: Tensor, num_nodes: int) -> Tensor:
-    """Label the connected components of a graph: two nodes have one label if a path of edges leads from one to the other.
+    """Label the connected components of a graph: two nodes have the same label if a path of edges connects them.
 
     Args:
         edge_index: ``[2, E]`` int64, undirected edges. Self loops and repeated edges have no effect.
