@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchjoint.datasets.bsds import bsds_images
 from torchjoint.images.forest import Forest, read_forest, write_forest
-from torchjoint.ops import structured_forest
+from torchjoint.ops.structured_forest import structured_forest
 
 MODEL = Path(str(files("torchjoint.models"))) / "bsds500.yml.gz"
 NUM_FEATURES = 7228

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from reference.region_dendrogram import region_dendrogram_reference
 from torch import Tensor
 
-from torchjoint.ops import felzenszwalb, merge_regions, region_dendrogram
+from torchjoint.ops import connected_components, merge_regions, region_dendrogram
 
 
 def random_regions(seed: int, num_regions: int, num_edges: int, levels: int) -> tuple[Tensor, Tensor]:
@@ -49,7 +49,7 @@ def test_the_twin(seed: int, num_regions: int, num_edges: int, levels: int, thre
 def test_they_are_the_merges_of_merge_regions(seed: int, num_regions: int, levels: int, threshold: float) -> None:
     edges, cost = random_regions(seed, num_regions, 4 * num_regions, levels)
     merges, mean = region_dendrogram(edges, cost, num_regions, threshold)
-    groups = felzenszwalb(merges, torch.zeros(merges.shape[1]), num_regions, scale=1.0)
+    groups = connected_components(merges, num_regions)
     assert torch.equal(groups, merge_regions(edges, cost, torch.ones(num_regions, dtype=torch.int64), threshold))
     assert merges.shape[1] == num_regions - int(groups.max()) - 1  # no merge is listed twice
     assert (mean.diff() >= 0).all()

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from reference.region_planes import region_planes_reference
 from torch import Tensor
 
-from torchjoint.ops import fit_normals, region_planes
+from torchjoint.ops import fit_normals
+from torchjoint.ops.region_planes import region_planes
 
 UP = torch.tensor([0.0, 0.0, 1.0])
 
