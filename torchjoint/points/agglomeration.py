@@ -129,8 +129,7 @@ def _merge_in_steps(
         else:
             joined, height = linkage.merges(of_piece, ends, cost, threshold)
         merges.add(of_piece, joined, height, threshold)
-        # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect.
-        region = ops.felzenszwalb(joined, torch.zeros(len(height), dtype=torch.float32), num_regions, scale=1.0)[region]
+        region = ops.connected_components(joined, num_regions)[region]
     return region
 
 
@@ -146,7 +145,7 @@ def _join_behind_occluders(
     pairs, against = continued_surfaces(occlusions, evidence.statistics, evidence.pairs, of_piece)
     joined, height = ops.region_dendrogram(pairs, against, num_regions, threshold)
     merges.add(of_piece, joined, torch.full_like(height, threshold), threshold)
-    return ops.felzenszwalb(joined, torch.zeros(len(height), dtype=torch.float32), num_regions, scale=1.0)[region]
+    return ops.connected_components(joined, num_regions)[region]
 
 
 def _with_far_pairs(

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import PointGraphConfig
+from torchjoint.ops.region_planes import region_planes
 from torchjoint.points.edge_weights import geometric_weights, segmentator_turn
 from torchjoint.points.graph import PointGraph
 from torchjoint.runtime.threads import all_threads
@@ -67,4 +68,4 @@ def one_sided_planes(graph: PointGraph, region: Tensor, normals: Tensor) -> Plan
         means [N, 3] metres, and normals [N, 3].
     """
     with all_threads():
-        return Planes(*ops.region_planes(graph.points, graph.neighbors, region, normals, MIN_POINTS))
+        return Planes(*region_planes(graph.points, graph.neighbors, region, normals, MIN_POINTS))

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint import ops
+from torchjoint.ops.region_planes import region_planes
 from torchjoint.points._vectors import dot
 from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.runtime.threads import all_threads, parallel_map
@@ -61,7 +61,7 @@ def measure_scales(points: Tensor) -> Scales:
     one_region, upwards = torch.zeros(len(points), dtype=torch.int64), torch.zeros_like(points)
     upwards[:, 2] = 1
     with all_threads():
-        mean, normal = ops.region_planes(points, indices.contiguous(), one_region, upwards, MIN_POINTS)
+        mean, normal = region_planes(points, indices.contiguous(), one_region, upwards, MIN_POINTS)
     residual = dot(points - mean, normal).abs()
 
     def noise_at(start: int) -> Tensor:
