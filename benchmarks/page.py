@@ -1,8 +1,8 @@
 """Writes benchmarks/README.md from page.md and the result files: `python benchmarks/page.py [--check]`.
 
-In page.md, a line `{{NAME}}` stands for the tables of results/NAME.json with their command and date, and
-`{{NAME; ROWS; COLUMN}}` for one value, or for the least and the largest, of the rows whose names match a pattern. With
---check nothing is written; the exit code is 1 if the page is not what the result files say.
+In page.md, `{{NAME}}` stands for the command and the date of results/NAME.json, and for its tables; `{{NAME; ROWS}}` has
+only the rows whose names match a pattern. `{{NAME; ROWS; COLUMN}}` stands for one value, or for the least and the
+largest, of such rows. With --check nothing is written; the exit code is 1 if the page is not what the files say.
 """
 
 import argparse
@@ -35,8 +35,8 @@ def filled(mark: str, found: dict[str, dict]) -> str:
     name, *place = (part.strip() for part in mark.split(";"))
     if name not in found:
         raise KeyError(f"{{{{{mark}}}}}: no file results/{name}.json")
-    if not place:
-        return whole(found[name])
+    if len(place) < 2:
+        return whole(found[name], *place)
     rows, column = place
     values = [
         (row[list(table["columns"]).index(column)], table["columns"][column])
@@ -51,12 +51,16 @@ def filled(mark: str, found: dict[str, dict]) -> str:
     return texts[0] if texts[0] == texts[-1] else f"{texts[0]} to {texts[-1]}"
 
 
-def whole(result: dict) -> str:
-    """The tables of a result; behind them how, when and where they were measured."""
+def whole(result: dict, rows: str = ".*") -> str:
+    """How, when and where a result was measured, and its tables."""
     threads = "1 thread" if result["threads"] == 1 else f"{result['threads']} threads"
     about = f"{result['about']} " if result["about"] else ""
     source = f"{about}`{result['command']}`: {result['date']}, {result['machine']}, {threads}, "
-    return "\n\n".join([*map(markdown, result["tables"]), f"{source}torch {result['versions']['torch']}."])
+    tables = [
+        table | {"rows": [row for row in table["rows"] if re.fullmatch(rows, row[0])]} for table in result["tables"]
+    ]
+    shown_tables = [markdown(table) for table in tables if table["rows"]]
+    return "\n\n".join([f"{source}torch {result['versions']['torch']}.", *shown_tables])
 
 
 def main() -> None:

@@ -38,7 +38,7 @@ def save(name: str, tables: Sequence[Table], about: str = "") -> None:
         "machine": machine(),
         "threads": torch.get_num_threads(),
         "about": about,
-        "tables": [_as_json(table) for table in tables],
+        "tables": [as_json(table) for table in tables],
     }
     print("\n\n".join(markdown(table) for table in result["tables"]), flush=True)
     write(RESULTS / f"{name}.json", result)
@@ -74,7 +74,7 @@ def machine() -> str:
     return f"{os.cpu_count()} cores {platform.machine().replace('_', '-')}"
 
 
-def _as_json(table: Table) -> dict[str, object]:
+def as_json(table: Table) -> dict[str, object]:
     """Values keep one digit more than are shown, so that a repeated run changes few of them."""
     digits = table.columns.values()
     rows = [
