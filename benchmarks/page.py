@@ -1,6 +1,6 @@
 """Writes benchmarks/README.md from page.md and the result files: `python benchmarks/page.py [--check]`.
 
-In page.md, `{{NAME}}` stands for the command and the date of results/NAME.json, and for its tables; `{{NAME; ROWS}}` has
+In page.md, `{{NAME}}` stands for the command and the date of results/NAME.json, and its tables; `{{NAME; ROWS}}` has
 only the rows whose names match a pattern. `{{NAME; ROWS; COLUMN}}` stands for one value, or for the least and the
 largest, of such rows. With --check nothing is written; the exit code is 1 if the page is not what the files say.
 """
