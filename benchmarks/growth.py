@@ -21,8 +21,8 @@ import torch
 from instances import room
 
 import torchjoint as tj
-from torchjoint.datasets.lazy import LazySequence
 from torchjoint.runtime.ahead import ahead
+from torchjoint.runtime.lazy import LazySequence
 
 VIEWS, POINTS, BATCH = 12, 300_000, 8
 NOISE = 0.01

@@ -22,8 +22,8 @@ from scipy.spatial import cKDTree
 
 from torchjoint import ops
 from torchjoint.ops.mask_merges import WEIGHT_UNIT
-from torchjoint.points.mask_evidence import MaskEvidence
-from torchjoint.points.mask_merging import MaskLinkage
+from torchjoint.segments.learned.mask_counts import MaskCounts
+from torchjoint.segments.learned.mask_merging import MaskLinkage
 
 PER_OBJECT, NEIGHBORS, POINTS_PER_PIECE = 12, 6, 30
 SPLIT, JOINED, MISSING = 0.3, 0.08, 0.15
@@ -106,7 +106,7 @@ def merged(
 
 def counts(
     place: np.ndarray, of_object: np.ndarray, num_frames: int, share: float, random: np.random.Generator
-) -> MaskEvidence:
+) -> MaskCounts:
     """What the frames of a walk over the floor see of the pieces, and of the objects' masks."""
     tree, radius = cKDTree(place), (share / np.pi) ** 0.5
     walk = np.cumsum(random.normal(0, 0.05, (num_frames, 2)), 0)
@@ -128,7 +128,7 @@ def counts(
         frame_of_mask.append(np.full(mask.max() + 1, frame))
         num_masks += mask.max() + 1
     tables = (torch.from_numpy(np.concatenate(rows, 1)) for rows in (in_mask, in_frame))
-    return MaskEvidence(*tables, torch.full((num_masks,), WEIGHT_UNIT), torch.from_numpy(np.concatenate(frame_of_mask)))
+    return MaskCounts(*tables, torch.full((num_masks,), WEIGHT_UNIT), torch.from_numpy(np.concatenate(frame_of_mask)))
 
 
 def memory(name: str) -> float:

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import metrics, ops
-from torchjoint.points.neighbors import nearest_neighbors
+from torchjoint.cloud.neighbors import nearest_neighbors
 
 NUM_POINTS, NUM_TRUE, NEIGHBORS, ROUNDS = 1_000_000, 300, 16, 5
 NUM_PREDICTED = (3_000, 30_000)

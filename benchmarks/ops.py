@@ -31,12 +31,12 @@ from instances import (
 from interleaved import medians
 
 import torchjoint as tj
+from torchjoint.cloud.edge_weights import geometric_weights
+from torchjoint.cloud.graph import undirected_edges
+from torchjoint.cloud.neighbors import nearest_neighbors
+from torchjoint.cloud.normals import estimate_normals
 from torchjoint.config import ImageGraphConfig, PointGraphConfig
 from torchjoint.images.pixel_graph import grid_edges, pixel_weights
-from torchjoint.points.edge_weights import geometric_weights
-from torchjoint.points.graph import undirected_edges
-from torchjoint.points.neighbors import nearest_neighbors
-from torchjoint.points.normals import estimate_normals
 
 SCALE, MIN_SIZE = 1.0, 100
 SIZES = {"640x480": (480, 640), "1296x968": (968, 1296)}

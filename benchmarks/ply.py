@@ -24,7 +24,7 @@ import report
 import torch
 from interleaved import medians
 
-from torchjoint.datasets.ply import read_ply
+from torchjoint.datasets.files.ply import read_ply
 
 MESHES = ("mesh, ascii", "mesh, binary")
 #: Points of the file with 17 digits, which is written slowly.

@@ -166,7 +166,7 @@ def in_one_piece(path: Path, out: Path) -> None:
     import torch
 
     import torchjoint as tj
-    from torchjoint.datasets.las import read_las
+    from torchjoint.datasets.files.las import read_las
 
     start = time.perf_counter()
     points, colors = read_las(path)
@@ -187,9 +187,9 @@ def likeness(path: Path, labelled: Path, one: Path, tile: float, buffer: float) 
     import torch
 
     from torchjoint import ops
-    from torchjoint.datasets.las import read_las
+    from torchjoint.cloud.neighbors import nearest_neighbors
+    from torchjoint.datasets.files.las import read_las
     from torchjoint.metrics import boundary_recall, segmentation_covering
-    from torchjoint.points.neighbors import nearest_neighbors
 
     points = read_las(path)[0]
     whole = torch.from_numpy(np.load(one).astype(np.int64))

@@ -16,14 +16,14 @@ from unittest import mock
 
 import report
 import suite_arguments
+from torchjoint_lab.benchmark.case import Case
+from torchjoint_lab.benchmark.method import Method, Result
+from torchjoint_lab.benchmark.methods import METHODS, changed, joint
+from torchjoint_lab.benchmark.run import compare
+from torchjoint_lab.benchmark.settings import read_settings
+from torchjoint_lab.benchmark.space import Setting
+from torchjoint_lab.benchmark.suites import Suite
 
-from torchjoint.benchmark.case import Case
-from torchjoint.benchmark.method import Method, Result
-from torchjoint.benchmark.methods import METHODS, changed, joint
-from torchjoint.benchmark.run import compare
-from torchjoint.benchmark.settings import read_settings
-from torchjoint.benchmark.space import Setting
-from torchjoint.benchmark.suites import Suite
 from torchjoint.config import Config, RegionsConfig
 from torchjoint.evaluation.table import Row, markdown, standard_error, write_csv
 

@@ -1,6 +1,6 @@
 """Boundary detectors on BSDS500: `python lab/studies/boundaries.py BSDS_DIR FOREST`.
 
-FOREST must not be trained on val: `torchjoint train-boundaries BSDS_DIR --splits train -o FOREST`.
+FOREST must not be trained on val: `torchjoint-lab train-forest BSDS_DIR --splits train -o FOREST`.
 
 Boundaries: ODS, OIS and AP on val. Regions: the image segmentation by colour alone, and with each detector's
 boundaries, raw and closed. The best of `--settings` random settings is chosen on one half of val and scored on the
@@ -17,11 +17,11 @@ import numpy as np
 import report
 import torch
 from torch import nn
+from torchjoint_lab.datasets.bsds import BsdsImage, bsds_images
+from torchjoint_lab.evaluation.boundary_scores import evaluate_predictions
+from torchjoint_lab.evaluation.region_scores import RegionScores, RegionSetting, evaluate_regions
 
 from torchjoint.config import BoundaryConfig, ImageGraphConfig, ImageSegmentsConfig
-from torchjoint.datasets.bsds import BsdsImage, bsds_images
-from torchjoint.evaluation.boundary_scores import evaluate_predictions
-from torchjoint.evaluation.region_scores import RegionScores, RegionSetting, evaluate_regions
 from torchjoint.images.boundary import make_boundary
 
 Predictor = Callable[[BsdsImage], torch.Tensor]

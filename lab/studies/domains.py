@@ -24,28 +24,29 @@ import numpy as np
 import report
 import torch
 from torch import Tensor
-
-import torchjoint as tj
-from torchjoint.benchmark.case import Case
-from torchjoint.benchmark.methods import METHODS
-from torchjoint.benchmark.search import Budget, run_scores, search
-from torchjoint.evaluation.scores import score, score_images
-from torchjoint.points.agglomeration import build_hierarchy
-from torchjoint.points.boundary_model import BoundaryModel
-from torchjoint.points.boundary_model_file import load_boundary_model
-from torchjoint.runtime.files import write_text
-from torchjoint.runtime.threads import one_thread_per_operation
-from torchjoint.scene import Scene
-from torchjoint.scene.thinning import voxel_subsample
-from torchjoint.training import save_boundary_model
-from torchjoint.training.boundary_examples import (
+from torchjoint_lab.benchmark.case import Case
+from torchjoint_lab.benchmark.methods import METHODS
+from torchjoint_lab.benchmark.search import Budget, run_scores, search
+from torchjoint_lab.synthetic import make_domain_scene
+from torchjoint_lab.training import save_boundary_model
+from torchjoint_lab.training.boundary_examples import (
     BoundaryModelOptions,
     LabelledEvidence,
     labelled_evidence,
     learned_config,
 )
-from torchjoint.training.boundary_model import fit_boundary_model
-from torchjoint.training.evidence_files import load_evidence, save_evidence
+from torchjoint_lab.training.boundary_model import fit_boundary_model
+from torchjoint_lab.training.piece_graph_files import load_evidence, save_evidence
+
+import torchjoint as tj
+from torchjoint.evaluation.scores import score, score_images
+from torchjoint.runtime.files import write_text
+from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.scene import Scene
+from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.segments.learned.agglomeration import build_hierarchy
+from torchjoint.segments.learned.boundary_model import BoundaryModel
+from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 
 DOMAINS = ("table", "shelf", "bin", "desk", "kitchen", "room", "workshop")
 #: Seeds of the generated scenes for training, for tuning the other methods (a part of these), and for scoring. The
@@ -118,7 +119,7 @@ def scenes(kind: str, purpose: str, arguments: argparse.Namespace) -> list[Named
 
 
 def make_scene(domain: str, seed: int, models: Path | None, held_out: bool) -> Scene:
-    return tj.synthetic.make_domain_scene(domain, seed, models=models, held_out=held_out).scene
+    return make_domain_scene(domain, seed, models=models, held_out=held_out).scene
 
 
 def load_thinned(path: Path, kind: str) -> Scene:

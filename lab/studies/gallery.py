@@ -11,6 +11,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 from torch import Tensor
+from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
 from torchjoint.results.figures import cloud_figure
@@ -34,7 +35,7 @@ def table_top(data: Path) -> tj.Scene:
 
 
 def shelf(_: Path) -> tj.Scene:
-    return tj.synthetic.make_domain_scene("shelf", seed=41, num_views=10, num_points=30_000).scene
+    return make_domain_scene("shelf", seed=41, num_views=10, num_points=30_000).scene
 
 
 def street(data: Path) -> tj.Scene:

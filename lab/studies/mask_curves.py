@@ -17,13 +17,14 @@ from statistics import fmean
 
 import report
 import torch
+from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
 from torchjoint.evaluation.scores import score
 from torchjoint.evaluation.table import standard_error
-from torchjoint.points import agglomeration, mask_merging, mask_pieces
 from torchjoint.runtime.files import write_text
 from torchjoint.scene import Scene
+from torchjoint.segments.learned import agglomeration, mask_merging, mask_pieces
 
 DOMAINS = ("room", "table", "shelf")
 FIRST_SEED = 116
@@ -75,7 +76,7 @@ def main() -> None:
                     known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
                     for key, run in jobs(level):
                         if key not in known:
-                            made = made or [tj.synthetic.make_domain_scene(domain, seed, num_views=NUM_VIEWS[-1]).scene]
+                            made = made or [make_domain_scene(domain, seed, num_views=NUM_VIEWS[-1]).scene]
                             known[key] = run(made[0], noise)
                             write_text(path, json.dumps(known))
                         scores.setdefault(key, []).append(tuple(known[key]))

@@ -18,15 +18,15 @@ import report
 import torch
 from domains import DOMAINS, difference
 from torch import Tensor
+from torchjoint_lab.training.boundary_examples import IMAGE_FEATURES, feature_columns
+from torchjoint_lab.training.piece_graph_files import load_evidence
 
 from torchjoint.evaluation.scores import score
-from torchjoint.points.agglomeration import build_hierarchy
-from torchjoint.points.boundary_model import BoundaryModel, calibrated
-from torchjoint.points.boundary_model_file import load_boundary_model
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
-from torchjoint.training.boundary_examples import IMAGE_FEATURES, feature_columns
-from torchjoint.training.evidence_files import load_evidence
+from torchjoint.segments.learned.agglomeration import build_hierarchy
+from torchjoint.segments.learned.boundary_model import BoundaryModel, calibrated
+from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 
 #: Kinds of data, and the kind whose left-out models never saw them.
 KINDS = {**{kind: kind for kind in DOMAINS}, "mosd": "mosd", "ycb": "desk"}

@@ -19,15 +19,16 @@ import numpy as np
 import report
 import torch
 from domains import DOMAINS, difference, load_thinned
+from torchjoint_lab.synthetic import make_domain_scene
+from torchjoint_lab.training.boundary_examples import learned_config
 
 import torchjoint as tj
 from torchjoint.evaluation.scores import score
-from torchjoint.points.agglomeration import build_hierarchy
-from torchjoint.points.boundary_model_file import load_boundary_model
-from torchjoint.points.evidence import gather_evidence
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
-from torchjoint.training.boundary_examples import learned_config
+from torchjoint.segments.learned.agglomeration import build_hierarchy
+from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.segments.learned.piece_graph import build_piece_graph
 
 #: Frames held in memory at a time.
 FRAMES = 4
@@ -73,7 +74,7 @@ def scenes(arguments: argparse.Namespace) -> Iterator[tuple[str, str, Callable[[
 
 
 def make_scene(domain: str, seed: int, views: int | None) -> Scene:
-    return tj.synthetic.make_domain_scene(domain, seed, num_views=views).scene
+    return make_domain_scene(domain, seed, num_views=views).scene
 
 
 @torch.no_grad()
@@ -88,7 +89,7 @@ def scores(scene: Scene) -> list[tuple[float, float]]:
     assert scene.truth is not None
     found = []
     with one_thread_per_operation():
-        evidence = gather_evidence(cloud.graph, cloud.graph.scales, segmenter.state, segmenter.config)
+        evidence = build_piece_graph(cloud.graph, cloud.graph.scales, segmenter.state, segmenter.config)
         for one in (replace(evidence, occlusions=None), evidence):
             labels = build_hierarchy(one, load_boundary_model()).at()
             judged = score(labels if cloud.of_point is None else labels[cloud.of_point], scene.truth.points)

@@ -16,13 +16,14 @@ import report
 import torch
 from matplotlib.figure import Figure
 from torch import Tensor
+from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
+from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
-from torchjoint.points.lidar.scan_segments import segment_scan
-from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.render import render_cloud
+from torchjoint.segments.scan.scan_segments import segment_scan
 from torchjoint.views.pose_check import PoseWarning, check_poses
 from torchjoint.views.projection import project
 from torchjoint.views.visibility import Visible, visible_points
@@ -124,7 +125,7 @@ def draw_images() -> Figure:
 
 def _draw_initial_segments(rows: Any) -> None:
     """A table with a printed cloth."""
-    scene = tj.synthetic.make_domain_scene("table", seed=40, num_views=4, num_points=20_000).scene
+    scene = make_domain_scene("table", seed=40, num_views=4, num_points=20_000).scene
     frame = scene.frames[0]
     values = {"image_segments.scale": (0.1, 3.0, 100.0), "image_segments.min_size": (5, 100, 3000)}
     for axes, (name, three) in zip(rows, values.items(), strict=True):
@@ -141,7 +142,7 @@ def _draw_initial_segments(rows: Any) -> None:
 
 def _draw_visible_points(axes: Any) -> None:
     """A screen in front of a wall: points that each tolerance loses or adds, beside those of the default, are red."""
-    scene = tj.synthetic.make_domain_scene("desk", seed=40, num_views=6, num_points=30_000).scene
+    scene = make_domain_scene("desk", seed=40, num_views=6, num_points=30_000).scene
     frame = scene.frames[0]
     spacing = nearest_neighbors(scene.points, 4).spacing
     axes[0].imshow(frame.image.permute(1, 2, 0).numpy())
@@ -177,7 +178,7 @@ def draw_scan() -> Figure:
     values = {"object_height": (0.02, 0.25, 1.5), "gap": (0.03, 0.2, 1.5)}
     figure = Figure(figsize=(10, 5.6), layout="constrained")
     for axes, (name, (seed, radius)) in zip(figure.subplots(2, 3), streets.items(), strict=True):
-        points = tj.synthetic.make_domain_scene("street", seed=seed).scene.points
+        points = make_domain_scene("street", seed=seed).scene.points
         scene = tj.Scene(points[points[:, :2].norm(dim=1) < radius])
         for axis, value in zip(axes, values[name], strict=True):
             labels = segment_scan(scene.points, tj.Config().set([f"scan.{name}={value}"]).scan)

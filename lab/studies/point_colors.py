@@ -21,19 +21,19 @@ import numpy as np
 import report
 import torch
 from domains import DOMAINS, Named, difference, make_scene, scenes
+from torchjoint_lab.training.boundary_examples import learned_config
 
 import torchjoint as tj
 from torchjoint.evaluation.scores import score
-from torchjoint.points import evidence as evidence_of_points
-from torchjoint.points.agglomeration import build_hierarchy
-from torchjoint.points.boundary_model import BoundaryModel
-from torchjoint.points.boundary_model_file import load_boundary_model
-from torchjoint.points.evidence import gather_evidence
-from torchjoint.points.image_colors import image_colors
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
-from torchjoint.training.boundary_examples import learned_config
+from torchjoint.segments.learned import piece_graph as evidence_of_points
+from torchjoint.segments.learned.agglomeration import build_hierarchy
+from torchjoint.segments.learned.boundary_model import BoundaryModel
+from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.segments.learned.image_colors import image_colors
+from torchjoint.segments.learned.piece_graph import build_piece_graph
 
 #: Kinds of data, and the kind whose left-out models never saw them.
 KINDS = {"mosd": "mosd", "ycb": "desk", **{kind: kind for kind in DOMAINS}}
@@ -88,7 +88,7 @@ def scores(scene: Scene, model: BoundaryModel, num_frames: int | None) -> list[t
     found = []
     for given in (None, image_colors(graph.num_points, state.observations), graph.colors):
         with one_thread_per_operation(), patch.object(evidence_of_points, "image_colors", return_value=None):
-            evidence = gather_evidence(graph._replace(colors=given), graph.scales, state, segmenter.config)
+            evidence = build_piece_graph(graph._replace(colors=given), graph.scales, state, segmenter.config)
             labels = build_hierarchy(evidence, model).at()
         of_point = segmenter.cloud.of_point
         judged = score(labels if of_point is None else labels[of_point], scene.truth.points)

@@ -16,10 +16,10 @@ from dataclasses import replace
 
 import torch
 from torch import Tensor
+from torchjoint_lab.synthetic import DOMAINS, make_domain_scene
 
 import torchjoint as tj
 from torchjoint.scene import Scene
-from torchjoint.synthetic import DOMAINS, make_domain_scene
 from torchjoint.views.pose_check import PoseCheck, PoseWarning, frames_to_check
 
 HALF_A_METRE = 0.5

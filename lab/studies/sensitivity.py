@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import suite_arguments
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from torchjoint_lab.benchmark.case import Case
+from torchjoint_lab.benchmark.methods import METHODS, changed
+from torchjoint_lab.benchmark.search import run_scores
+from torchjoint_lab.benchmark.suites import Suite, load_all
 from tqdm import tqdm
 
-from torchjoint.benchmark.case import Case
-from torchjoint.benchmark.methods import METHODS, changed
-from torchjoint.benchmark.search import run_scores
-from torchjoint.benchmark.suites import Suite, load_all
 from torchjoint.config import Config, evidence_config
 from torchjoint.evaluation.scores import Scores
 

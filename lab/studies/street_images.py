@@ -14,13 +14,13 @@ from typing import NamedTuple
 import streets
 import torch
 from torch import Tensor
+from torchjoint_lab.synthetic import make_domain_scene
 
 from torchjoint.config import Config
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.joint import JointSegmenter
-from torchjoint.points.lidar import scan_segments
 from torchjoint.scene import Frame
-from torchjoint.synthetic import make_domain_scene
+from torchjoint.segments.scan import scan_segments
 from torchjoint.views.projection import in_any_view
 
 #: Number of places along the line between two points at which the boundary is looked at.

@@ -20,19 +20,19 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from torchjoint_lab.benchmark import spaces
+from torchjoint_lab.benchmark.planes import planes_and_clusters
+from torchjoint_lab.benchmark.space import draw
+from torchjoint_lab.synthetic import make_domain_scene
 
-from torchjoint.benchmark import spaces
-from torchjoint.benchmark.planes import planes_and_clusters
-from torchjoint.benchmark.space import draw
 from torchjoint.config import Config, ScanConfig
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.evaluation.table import standard_error
 from torchjoint.joint import JointSegmenter
 from torchjoint.metrics.objects_and_parts import objects_and_parts_of
 from torchjoint.metrics.overlaps import Overlaps
-from torchjoint.points.lidar.scan_segments import segment_scan
 from torchjoint.scene import Scene
-from torchjoint.synthetic import make_domain_scene
+from torchjoint.segments.scan.scan_segments import segment_scan
 from torchjoint.views.projection import in_any_view
 
 #: Classes of SemanticKITTI.

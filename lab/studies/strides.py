@@ -7,9 +7,9 @@ import argparse
 from pathlib import Path
 
 import report
+from torchjoint_lab.datasets.bsds import bsds_images
+from torchjoint_lab.evaluation.boundary_scores import evaluate_boundaries
 
-from torchjoint.datasets.bsds import bsds_images
-from torchjoint.evaluation.boundary_scores import evaluate_boundaries
 from torchjoint.images.structured_forest import StructuredForestBoundary
 
 THRESHOLDS = 19

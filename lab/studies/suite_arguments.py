@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from torchjoint.benchmark.suites import SUITES, Scenes, Suite
+from torchjoint_lab.benchmark.suites import SUITES, Scenes, Suite
 
 
 def add(parser: argparse.ArgumentParser) -> None:

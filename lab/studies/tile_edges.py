@@ -32,9 +32,9 @@ from torch import Tensor
 
 import torchjoint as tj
 from torchjoint import ops
-from torchjoint.datasets.las import read_las
+from torchjoint.cloud.neighbors import nearest_neighbors
+from torchjoint.datasets.files.las import read_las
 from torchjoint.metrics import boundary_recall, segmentation_covering
-from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.tiles import superpoints_of_files
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))  # behind this folder: both have a report

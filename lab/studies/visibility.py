@@ -13,8 +13,8 @@ import report
 import torch
 
 import torchjoint as tj
+from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
-from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.views import visibility
 from torchjoint.views.projection import project
 

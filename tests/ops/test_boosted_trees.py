@@ -116,8 +116,7 @@ def test_compile_without_graph_breaks() -> None:
 def test_scikit_learn() -> None:
     """What a fitted HistGradientBoostingClassifier computes, also of rows with missing features."""
     from sklearn.ensemble import HistGradientBoostingClassifier
-
-    from torchjoint.training.boundary_model import trees_of_classifier
+    from torchjoint_lab.training.boundary_model import trees_of_classifier
 
     rng = np.random.default_rng(0)
     values = rng.normal(size=(600, 5)).astype(np.float32)

@@ -13,8 +13,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
+from torchjoint_lab.datasets.bsds import bsds_images
 
-from torchjoint.datasets.bsds import bsds_images
 from torchjoint.images.forest import Forest, read_forest, write_forest
 from torchjoint.ops import structured_forest
 from torchjoint.ops.reference import structured_forest_reference

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.cloud.adjacency import CsrAdjacency
 from torchjoint.config import ImageGraphConfig
 from torchjoint.images.pixel_graph import grid_edges, pixel_weights
 from torchjoint.images.smoothing import smooth
 from torchjoint.ops import reference
-from torchjoint.views.csr_adjacency import CsrAdjacency
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -38,7 +38,7 @@ class StructuredForestBoundary(nn.Module):
     """Boundary detection by structured forests: P. Dollár and C. L. Zitnick (PAMI 2015).
 
     Args:
-        model: a forest in OpenCV's format (``NAME.yml.gz``), as ``torchjoint train-boundaries`` writes it; None: the
+        model: a forest in OpenCV's format (``NAME.yml.gz``), as ``torchjoint-lab train-forest`` writes it; None: the
             forest that comes with the package, trained on BSDS500.
         scales: factors by which the image is resized before detection; the results are averaged. ``(0.5, 1, 2)`` is
             more accurate and about five times slower.

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.config import ImageGraphConfig, RefinementConfig
+from torchjoint.config import ImageGraphConfig, PaperConfig
 from torchjoint.labels.pixel_pairs import RADIUS, PixelPairs, pixel_pairs
 from torchjoint.runtime.sorted_groups import starts_group
 from torchjoint.views.visibility import Visible
@@ -24,7 +24,7 @@ def split_segments(
     boundary: Tensor,
     visible: Visible,
     point_labels: Tensor,
-    config: RefinementConfig,
+    config: PaperConfig,
     graph: ImageGraphConfig,
 ) -> Tensor:
     """Cuts image segments that contain different 3D labels in two (eq. 13-14), and cuts the parts again.

@@ -7,13 +7,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
-from torchjoint.config import RefinementConfig
+from torchjoint.config import PaperConfig
 from torchjoint.labels._tables import look_up
 from torchjoint.labels.pixel_pairs import RADIUS, pixel_pairs
 from torchjoint.views.visibility import Visible
 
 
-def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, config: RefinementConfig) -> Tensor:
+def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, config: PaperConfig) -> Tensor:
     """Merges image segments whose points mostly have the same 3D labels (eq. 10-12).
 
     For two segments (unordered), n_R is the number of point pairs with one end in each segment, and n_int the number of
