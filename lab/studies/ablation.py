@@ -1,4 +1,4 @@
-"""Ablation study: `python benchmarks/ablation.py SUITE [--data FOLDER]`.
+"""Ablation study: `python lab/studies/ablation.py SUITE [--data FOLDER]`.
 
 Runs the package's preset for the suite, then the same with one stage switched off, switched on or replaced by a simpler
 stage. Differences are paired by scene, so that they have standard errors.

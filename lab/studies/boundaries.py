@@ -1,4 +1,4 @@
-"""Boundary detectors on BSDS500: `python benchmarks/boundaries.py BSDS_DIR FOREST`.
+"""Boundary detectors on BSDS500: `python lab/studies/boundaries.py BSDS_DIR FOREST`.
 
 FOREST must not be trained on val: `torchjoint-lab train-forest BSDS_DIR --splits train -o FOREST`.
 

@@ -1,6 +1,6 @@
 """Judges methods on LiDAR scans: KITTI's boxes, a fully annotated sweep of SemanticKITTI, generated streets.
 
-`python benchmarks/streets.py --data FOLDER [--only kitti semantickitti develop check] [--set scan.gap=0.3]
+`python lab/studies/streets.py --data FOLDER [--only kitti semantickitti develop check] [--set scan.gap=0.3]
 [--simple 40] [--regions]`, FOLDER with `kitti/`, `semantickitti/`. Each row: F for objects and parts, mean best IoU,
 number of ground crumbs (segments of which most points are ground, besides the largest), seconds; for other methods than
 the default's, what method scan has more, scan by scan, with the standard errors.

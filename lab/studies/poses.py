@@ -1,6 +1,6 @@
 """How often does the check of the poses warn? Right and wrong poses of generated scenes of all kinds.
 
-    python benchmarks/poses.py --seeds 6
+    python lab/studies/poses.py --seeds 6
 
 For each scene the poses as they are, and wrong ones of six kinds, each with the depth images of the scene, if it has
 any, and without. Prints how many scenes got a warning. Poses of a single frame cannot be reversed.

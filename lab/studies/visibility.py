@@ -1,4 +1,4 @@
-"""Compares visibility methods, to choose the default: `python benchmarks/visibility.py`.
+"""Compares visibility methods, to choose the default: `python lab/studies/visibility.py`.
 
 Synthetic scenes have the exact depth of every pixel. A point of the cloud is truly visible if it lies at most 3 cm
 behind the surface at its pixel. Pixels within 2 px of a depth edge are left out, since their ground truth depends on

@@ -1,6 +1,6 @@
 """Measures whether an image can split or join what a LiDAR scan leaves undecided: method scan, its weights changed.
 
-`python benchmarks/street_images.py --data FOLDER`, FOLDER with `kitti/`; also on generated streets (the seeds to
+`python lab/studies/street_images.py --data FOLDER`, FOLDER with `kitti/`; also on generated streets (the seeds to
 develop on), one image each. Each row changes the weights of edges whose two ends the image sees, and shows the mean
 difference to method scan without images, with its standard error.
 """

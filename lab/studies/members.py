@@ -1,9 +1,9 @@
 """How are the members of a model combined best, and what do images give? On all scenes of each kind that was left out.
 
-    python benchmarks/members.py WORK
+    python lab/studies/members.py WORK
 
-WORK is the folder of benchmarks/domains.py after `--part left-out`: its models never saw the kind of data in their row,
-so all scenes of this kind serve here, those for training, too. The tables are written to benchmarks/README.md.
+WORK is the folder of lab/studies/domains.py after `--part left-out`: its models never saw the kind of data in their
+row, so all scenes of this kind serve here, those for training, too. The tables are written to lab/studies/README.md.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """Does the model of boundaries carry over? Leaves each kind of data out of the training, and scores it there.
 
-    python benchmarks/domains.py WORK --data ../shared/data [--models FOLDER] [--seeds 5] [--draws 8 --steps 4]
+    python lab/studies/domains.py WORK --data ../shared/data [--models FOLDER] [--seeds 5] [--draws 8 --steps 4]
 
 For each kind of data and each training seed, a model is trained on all other kinds; each, and their mean, is scored on
 scenes of the kind that they never saw, at the threshold of .5. Beside it: the model that saw scenes of all kinds, the
 same without images, the presets, and the common methods without learning, each at the best setting that a search finds
 on other scenes of the very kind that it is scored on. Also: the final images beside the initial ones. WORK keeps what
-is done, so that an interrupted run continues. The tables are written to benchmarks/README.md, the short one also to
+is done, so that an interrupted run continues. The tables are written to lab/studies/README.md, the short one also to
 README.md and docs/evaluation.md. Without 3D models, the generated scenes have built-in shapes only.
 """
 
@@ -59,7 +59,7 @@ LEFT_OUT = {**{kind: (kind,) for kind in (*DOMAINS, "mosd")}, "desk": ("desk", "
 TITLES = {"mosd": "real table-tops (mOSD)", "ycb": "real desk (YCB-Video)"}
 #: As the model in the package was trained, but for fewer folds and fewer scenes, which take less time.
 OPTIONS = BoundaryModelOptions(folds=2)
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", ROOT / "docs" / "evaluation.md")
 PRESETS = ("regions", "indoor", "tabletop")
 SIMPLE = ("normals", "distance_normal_color", "ransac_dbscan")
@@ -261,7 +261,7 @@ def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> 
 
 
 def write_tables(work: Path, kinds: Sequence[str]) -> None:
-    """Writes the tables of what has been scored so far to benchmarks/README.md and PAGES."""
+    """Writes the tables of what has been scored so far to lab/studies/README.md and PAGES."""
     packaged = json.loads((work / "packaged.json").read_text())
     short = ["kind of data, scenes", "left out", "default", "preset regions", "best simple method"]
     columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "mean of models", "default"]

@@ -1,4 +1,4 @@
-"""Draws results for the documents: `python benchmarks/gallery.py DATA [PICTURE ...]` (some minutes for all).
+"""Draws results for the documents: `python lab/studies/gallery.py DATA [PICTURE ...]` (some minutes for all).
 
 DATA has kitchen/ (7-Scenes' style), mosd/ and kitti/. Writes docs/gallery.jpg, docs/kitchen.jpg and
 docs/superpoints.jpg. All segmentations are by the default. The pictures of street LiDAR show no photograph, because its
@@ -20,7 +20,7 @@ from torchjoint.results.render import render_cloud
 from torchjoint.scene.thinning import voxel_subsample
 from torchjoint.views.projection import in_any_view
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 JPEG = {"dpi": 100, "pil_kwargs": {"quality": 88, "subsampling": 0}}
 CLOUD = (330, 440)
 

@@ -1,9 +1,9 @@
 """Masks of a network: what each part of the merging contributes, and what views and pose errors do.
 
-`python benchmarks/mask_curves.py WORK [--scenes 3] [--noise-seeds 1]`. Scores are F for objects and parts / mean best
+`python lab/studies/mask_curves.py WORK [--scenes 3] [--noise-seeds 1]`. Scores are F for objects and parts / mean best
 IoU of the points, means over generated rooms, table-tops and shelves (seeds from 116 on) with masks of one level; in
 parentheses their differences to the scores of the unchanged method, run by run, with standard errors. WORK keeps the
-scores of each run, so that an interrupted command goes on. Writes its part of benchmarks/README.md, and draws
+scores of each run, so that an interrupted command goes on. Writes its part of lab/studies/README.md, and draws
 mask_curves.png.
 """
 

@@ -1,9 +1,9 @@
 """What does it bring to join surfaces behind occluders? The default with and without this step, on the same evidence.
 
-    python benchmarks/occlusions.py RESULTS.jsonl [--mosd FOLDER] [--seeds FIRST END]
+    python lab/studies/occlusions.py RESULTS.jsonl [--mosd FOLDER] [--seeds FIRST END]
 
 Generated scenes with one view and with as many as their settings draw, and mOSD's checking half. Lines of RESULTS are
-not computed again. The table is written to benchmarks/README.md.
+not computed again. The table is written to lab/studies/README.md.
 """
 
 from __future__ import annotations

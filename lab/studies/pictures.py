@@ -1,4 +1,4 @@
-"""Makes pictures for the documents from generated scenes: `python benchmarks/pictures.py` (about a minute).
+"""Makes pictures for the documents from generated scenes: `python lab/studies/pictures.py` (about a minute).
 
 docs/mistakes.jpg and the table of messages in docs/your_data.md; docs/parameters-images.jpg and parameters-scan.jpg.
 """
@@ -28,7 +28,7 @@ from torchjoint.views.pose_check import PoseWarning, check_poses
 from torchjoint.views.projection import project
 from torchjoint.views.visibility import Visible, visible_points
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 #: OpenCV's axes (x right, y down, z forward) from OpenGL's (x right, y up, z backward).
 FLIP = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 

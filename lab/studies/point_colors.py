@@ -1,11 +1,11 @@
 """What are colours of the images worth to a cloud without colours? With models that never saw the kind of data.
 
-    python benchmarks/point_colors.py WORK RESULTS --data DATA [--models FOLDER] [--seeds FIRST END] [--frames N]
+    python lab/studies/point_colors.py WORK RESULTS --data DATA [--models FOLDER] [--seeds FIRST END] [--frames N]
         [--kinds KIND ...]
 
-WORK is the folder of benchmarks/domains.py after `--part left-out`, DATA holds mosd/ and ycb/. Each scene's scores are
+WORK is the folder of lab/studies/domains.py after `--part left-out`, DATA holds mosd/ and ycb/. Each scene's scores are
 kept in the folder RESULTS, so several processes can share the work: each takes other kinds or seeds. The table of all
-scenes in RESULTS is written to benchmarks/README.md.
+scenes in RESULTS is written to lab/studies/README.md.
 """
 
 from __future__ import annotations

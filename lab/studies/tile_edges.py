@@ -1,6 +1,6 @@
 """Are superpoints near the edges of tiles as good as elsewhere, and which buffer does it take?
 
-    python benchmarks/tile_edges.py WORK --seeds 0 1 2 --buffers 2 3
+    python lab/studies/tile_edges.py WORK --seeds 0 1 2 --buffers 2 3
 
 makes a city (`tiles.py`) for each seed, and segments it in one piece, and in tiles of two sizes with each buffer. What
 is in the folder WORK is not made again.
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -27,7 +28,6 @@ import laspy
 import numpy as np
 import report
 import torch
-from tiles import generate
 from torch import Tensor
 
 import torchjoint as tj
@@ -36,6 +36,8 @@ from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.datasets.files.las import read_las
 from torchjoint.metrics import boundary_recall, segmentation_covering
 from torchjoint.tiles import superpoints_of_files
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))  # behind this folder: both have a report
 
 #: Metres: what is near an edge, and what is far from any.
 NEAR, FAR = 1.0, 4.0
@@ -146,6 +148,8 @@ def _worked(path: Path, make) -> float:
 def make_city(folder: Path, num_points: int, seed: int) -> City:
     file, one = folder / f"city-{num_points}-{seed}.laz", folder / f"city-{num_points}-{seed}.npy"
     if not file.is_file():
+        from tiles import generate
+
         generate(file, num_points, seed)
     points, colors = read_las(file)
     work = _worked(one, lambda: np.save(one, tj.superpoints(points, colors).to(torch.int32).numpy()))

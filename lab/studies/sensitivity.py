@@ -1,6 +1,6 @@
-"""Parameter sensitivity: `python benchmarks/sensitivity.py SUITE [--data FOLDER] [--scenes COUNT]`.
+"""Parameter sensitivity: `python lab/studies/sensitivity.py SUITE [--data FOLDER] [--scenes COUNT]`.
 
-Varies one parameter at a time around the suite's preset, on the suite's tuning half. Draws docs/sensitivity-SUITE.png.
+Varies one parameter at a time around the suite's preset, on the suite's tuning half. Draws sensitivity-SUITE.png here.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from tqdm import tqdm
 from torchjoint.config import Config, evidence_config
 from torchjoint.evaluation.scores import Scores
 
-DOCS = Path(__file__).parent.parent / "docs"
+HERE = Path(__file__).parent
 
 IMAGE_LABELS = {
     "refinement.color_weight": (0, 25, 50, 100, 200, 400),
@@ -71,7 +71,7 @@ def main() -> None:
             f"{panel.name} = {panel.preset}, {panel.space} F / best IoU:",
             ", ".join(f"{text(value)}: {mean.f:.3f} / {mean.best_iou:.3f}" for value, mean in pairs),
         )
-    draw(found, suite).savefig(DOCS / f"sensitivity-{suite.name}.png", dpi=75)
+    draw(found, suite).savefig(HERE / f"sensitivity-{suite.name}.png", dpi=75)
 
 
 def panels(suite: Suite, data: Path | None) -> list[Panel]:
