@@ -47,8 +47,8 @@ def test_what_it_writes(tmp_path, run, capsys):
     assert f"400 points in {int(expected.max()) + 1} superpoints" in capsys.readouterr().out
     assert t.io.read_point_cloud(str(tmp_path / "a.ply")).point.label.numpy().ravel().tolist() == expected.tolist()
     assert np.array(Image.open(tmp_path / "a.png")).shape[1] > 1000
-    run("superpoints", cloud, "-o", tmp_path / "b.npy", "--no-picture", "--preset", "outdoor")
-    assert np.load(tmp_path / "b.npy").tolist() == tj.superpoints(POINTS, COLORS, preset="outdoor").tolist()
+    run("superpoints", cloud, "-o", tmp_path / "b.npy", "--no-picture", "--preset", "scan")
+    assert np.load(tmp_path / "b.npy").tolist() == tj.superpoints(POINTS, COLORS, preset="scan").tolist()
     run("superpoints", cloud, "-o", tmp_path / "c.npz", "--no-picture", "--viewpoint", 0, 0, 5)
     assert (
         np.load(tmp_path / "c.npz")["labels"].tolist()

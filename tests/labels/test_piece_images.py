@@ -33,10 +33,9 @@ class TestByHand:
         assert pieces_of(seen([], []), [1], [0, 0, 1, 2], [0, 1, 1]) == [1]
 
 
-@pytest.fixture(scope="module", params=["geodesic", "cuts"])
-def result(scene_of, request):
-    segmenter = tj.JointSegmenter(LEARNED.set([f"refinement.method={request.param}"]))
-    return segmenter(scene_of(3).scene)
+@pytest.fixture(scope="module")
+def result(scene_of):
+    return tj.JointSegmenter(LEARNED)(scene_of(3).scene)
 
 
 def test_pieces_lie_inside_the_segments_of_the_images(result):
@@ -93,6 +92,6 @@ def test_neither_threads_nor_later_frames_matter(scene_of, result, set_threads):
 
 
 def test_other_methods_have_none(scene_of):
-    result = tj.JointSegmenter(tj.Config.from_preset("regions").set(["boundary.detector=gradient"]))(scene_of(3).scene)
+    result = tj.JointSegmenter(tj.Config.from_preset("paper").set(["boundary.detector=gradient"]))(scene_of(3).scene)
     assert result.hierarchy is None
     assert len(result.piece_images) == 0
