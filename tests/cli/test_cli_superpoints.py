@@ -87,7 +87,7 @@ def test_nothing_is_overwritten(tmp_path, run):
         (["cloud.doc"], r"cloud\.doc: expected a file that ends in \.ply, \.pcd"),
         (["cloud.npz", "-o", "out.txt"], r"-o: expected a file that ends in \.ply, \.npy or \.npz, got out\.txt"),
         (["cloud.npz", "-o", "no/out.ply"], r"-o: no is no folder"),
-        (["cloud.npz", "--preset", "nope"], r"preset: expected one of outdoor, room, segmentator"),
+        (["cloud.npz", "--preset", "nope"], r"preset: expected one of default, scan, segmentator"),
         (["cloud.npz", "--set", "sclae=1"], r"superpoints\.sclae: unknown parameter"),
         (["cloud.npz", "--set", "scale"], r"--set: expected parameter=value, got 'scale'"),
         (["cloud.npz", "--set", "scale=["], r"scale: expected a value, got '\['"),

@@ -13,6 +13,7 @@ from PIL import Image
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import fingerprint, read_array, read_cloud, read_depth, read_image
+from torchjoint.datasets.formats.folder import read_frames
 from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.datasets.recording import invert_pose
 from torchjoint.results.output_folder import output_folder, own_files
@@ -269,7 +270,7 @@ class TestKitchen:
     """The real recording."""
 
     def test_frames(self, shared):
-        frames = tj.datasets.folder.read_frames(shared / "data" / "kitchen")
+        frames = read_frames(shared / "data" / "kitchen")
         assert len(frames) == 200
         frame = frames[3]
         assert frame.name == "frame-000015"
