@@ -89,8 +89,8 @@ def make_samples(folder: Path) -> list[Sample]:
 
 
 def make_clouds(folder: Path) -> list[Sample]:
-    from torchjoint.datasets.clouds import read_cloud_file
-    from torchjoint.datasets.ply import write_cloud
+    from torchjoint.datasets.files.clouds import read_cloud_file
+    from torchjoint.datasets.files.ply import write_cloud
 
     def read(path: Path) -> Content:
         cloud = read_cloud_file(path)

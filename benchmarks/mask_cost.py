@@ -4,7 +4,7 @@ Pieces stand on a floor, PER_OBJECT neighbours make an object, and a camera walk
 pieces of a disc, whose area is a share of the floor's, and its masks are the objects there, some split in two, some
 joined, some missing. So the counts are those of a recording, without its images. Each row is a process of its own:
 the size of the counts, the time of the merging in the model's steps, and the largest resident memory above what the
-process took before the counts. Writes its part of benchmarks/README.md.
+process took before the counts.
 """
 
 import argparse
@@ -22,8 +22,8 @@ from scipy.spatial import cKDTree
 
 from torchjoint import ops
 from torchjoint.ops.mask_merges import WEIGHT_UNIT
-from torchjoint.points.mask_evidence import MaskEvidence
-from torchjoint.points.mask_merging import MaskLinkage
+from torchjoint.segments.learned.mask_counts import MaskCounts
+from torchjoint.segments.learned.mask_merging import MaskLinkage
 
 PER_OBJECT, NEIGHBORS, POINTS_PER_PIECE = 12, 6, 30
 SPLIT, JOINED, MISSING = 0.3, 0.08, 0.15
@@ -47,14 +47,11 @@ def main() -> None:
         measured = json.loads(output.splitlines()[-1])
         print(row, measured, flush=True)
         pieces, frames, share = row
-        cells = [f"{pieces:,}", f"{frames:,}", f"{share:.0%}", f"{measured['rows'] / 1e6:.2f}"]
-        cells += [f"{measured['far']:,}", f"{measured['regions']:,}"]
-        rows.append(
-            [*cells, f"{measured['touching']:.1f}", f"{measured['all pairs']:.1f}", f"{measured['memory']:.2f}"]
-        )
-    columns = ["pieces", "frames", "seen by a frame", "million counts", "pairs that do not touch", "regions at the end"]
-    columns += ["s, touching", "s, all pairs", "GB"]
-    report.write_part("mask cost", report.table(columns, rows))
+        sizes = [f"{pieces:,}", frames, f"{share:.0%}", measured["rows"] / 1e6, measured["far"], measured["regions"]]
+        rows.append([*sizes, measured["touching"], measured["all pairs"], measured["memory"]])
+    columns = {"pieces": 0, "frames": 0, "seen by a frame": 0, "million counts": 2, "pairs that do not touch": 0}
+    columns |= {"regions at the end": 0, "s, touching": 1, "s, all pairs": 1, "GB": 2}
+    report.save("mask_cost", [report.Table(columns, rows)])
 
 
 def measure(num_pieces: int, num_frames: int, share: float) -> dict[str, float]:
@@ -104,12 +101,12 @@ def merged(
         cost = torch.cat([cost, torch.ones(far.shape[1])])
     joined, _ = linkage.merges(of_piece, between, cost, threshold)
     num_regions = int(of_piece.max()) + 1
-    return ops.felzenszwalb(joined, torch.zeros(joined.shape[1]), num_regions, scale=1.0)[of_piece]
+    return ops.connected_components(joined, num_regions)[of_piece]
 
 
 def counts(
     place: np.ndarray, of_object: np.ndarray, num_frames: int, share: float, random: np.random.Generator
-) -> MaskEvidence:
+) -> MaskCounts:
     """What the frames of a walk over the floor see of the pieces, and of the objects' masks."""
     tree, radius = cKDTree(place), (share / np.pi) ** 0.5
     walk = np.cumsum(random.normal(0, 0.05, (num_frames, 2)), 0)
@@ -131,7 +128,7 @@ def counts(
         frame_of_mask.append(np.full(mask.max() + 1, frame))
         num_masks += mask.max() + 1
     tables = (torch.from_numpy(np.concatenate(rows, 1)) for rows in (in_mask, in_frame))
-    return MaskEvidence(*tables, torch.full((num_masks,), WEIGHT_UNIT), torch.from_numpy(np.concatenate(frame_of_mask)))
+    return MaskCounts(*tables, torch.full((num_masks,), WEIGHT_UNIT), torch.from_numpy(np.concatenate(frame_of_mask)))
 
 
 def memory(name: str) -> float:

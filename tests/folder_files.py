@@ -3,7 +3,7 @@
 import numpy as np
 from PIL import Image
 
-from torchjoint.datasets.ply import write_cloud
+from torchjoint.datasets.files.ply import write_cloud
 
 
 def write_folder(folder, synthetic, *, cloud=True, depth=True):

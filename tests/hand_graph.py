@@ -2,8 +2,8 @@
 
 import torch
 
-from torchjoint.points.graph import PointGraph
-from torchjoint.views.csr_adjacency import CsrAdjacency
+from torchjoint.cloud.adjacency import CsrAdjacency
+from torchjoint.cloud.graph import PointGraph
 
 
 def graph_of(points, edges, normals, colors=None):

@@ -2,7 +2,7 @@
 
 import torch
 
-from torchjoint.points.regions import Planes
+from torchjoint.segments.planes import Planes
 from torchjoint.views.observation import Observation
 from torchjoint.views.visibility import Visible
 

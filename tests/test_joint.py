@@ -6,14 +6,15 @@ import warnings
 import pytest
 import torch
 from torch import nn
+from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
-from torchjoint.points import segments
-from torchjoint.points.lidar.scan_segments import segment_scan
-from torchjoint.points.neighbors import nearest_neighbors
-from torchjoint.points.normals import estimate_normals
-from torchjoint.points.regions import SmoothRegions
+from torchjoint.cloud.neighbors import nearest_neighbors
+from torchjoint.cloud.normals import estimate_normals
 from torchjoint.results.checkpoint import Checkpoint, run_key
+from torchjoint.segments import segments
+from torchjoint.segments.planes import SmoothRegions
+from torchjoint.segments.scan.scan_segments import segment_scan
 from torchjoint.views.pose_check import NUM_FRAMES, PoseWarning, check_poses
 
 CONFIG = tj.Config().set(["point_segments.min_size=20", "image_segments.min_size=20"])
@@ -185,7 +186,7 @@ class TestOtherSegmentations:
 
     def test_frames_that_bring_labels(self):
         """With true image labels even what geometry cannot see is found."""
-        made = tj.synthetic.make_domain_scene("shelf", 42, num_views=6, num_points=10_000)
+        made = make_domain_scene("shelf", 42, num_views=6, num_points=10_000)
         frames = [
             dataclasses.replace(frame, labels=labels)
             for frame, labels in zip(made.scene.frames, made.image_labels, strict=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchjoint.datasets.ply import read_vertex_property, write_cloud
+from torchjoint.datasets.files.ply import read_vertex_property, write_cloud
 
 ROOT = Path(__file__).parents[1]
 SCENE = "scene0000_00"

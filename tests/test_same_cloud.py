@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.scene.local_cloud import LocalFrame, composed, distinct_points, without_copies
+from torchjoint.cloud.local import LocalFrame, composed, distinct_points, without_copies
 
 METHODS = ["learned", "regions", "edges", "scan"]
 
@@ -121,14 +121,14 @@ class TestCopies:
         origin, local, found = results()
         assert torch.equal(origin, points.double().median(0).values)
         assert all(one[-1] == 40 * i for i, one in enumerate(found))
-        monkeypatch.setattr("torchjoint.scene.local_cloud.BLOCK", 64)
+        monkeypatch.setattr("torchjoint.cloud.local.BLOCK", 64)
         assert distinct_points(points) is None
         for one, other in zip(results(), (origin, local, found), strict=True):
             assert all(map(torch.equal, one, other))
 
     def test_distinct_points_of_equal_codes(self, monkeypatch):
         """Numbers that do not tell points apart: they are sorted by coordinates."""
-        monkeypatch.setattr("torchjoint.scene.local_cloud._codes", lambda rows: (rows[:, 0] * 0).astype("uint64"))
+        monkeypatch.setattr("torchjoint.cloud.local._codes", lambda rows: (rows[:, 0] * 0).astype("uint64"))
         points = torch.randint(3, (60, 3), generator=torch.Generator().manual_seed(0)).double()
         expected, first = torch.unique(points, dim=0, return_inverse=True)
         found = distinct_points(points)

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
+from torchjoint.cloud.scales import measure_scales
 from torchjoint.metrics import segmentation_covering
-from torchjoint.points.scales import measure_scales
 
 
 @pytest.fixture(
@@ -16,7 +17,7 @@ from torchjoint.points.scales import measure_scales
 )
 def scene(request):
     domain, seed = request.param
-    return tj.synthetic.make_domain_scene(domain, seed, num_points=15_000, num_views=4).scene
+    return make_domain_scene(domain, seed, num_points=15_000, num_views=4).scene
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import torch
 import yaml
 
 import torchjoint as tj
+from torchjoint.cloud.mesh import face_edges, vertex_normals
 from torchjoint.config import SuperpointsConfig, superpoint_presets, superpoint_table
-from torchjoint.points.mesh import face_edges, vertex_normals
 
 
 def random(seed):

@@ -7,31 +7,43 @@
 (torch.Size([6000]), torch.Size([120, 160]))
 """
 
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
-from torchjoint import datasets, masks, metrics, ops, synthetic, transforms
-from torchjoint.config import Config, SuperpointsConfig
-from torchjoint.datasets import load_scene
-from torchjoint.joint import JointSegmenter
-from torchjoint.recordings import BatchReport, RecordingOptions, batch
-from torchjoint.results.loading import load_result
-from torchjoint.results.result import Result
-from torchjoint.scene import Frame, Scene, Segmentation
-from torchjoint.superpoints import Superpoints, superpoints
+if TYPE_CHECKING:
+    from torchjoint import datasets, masks, metrics, ops, synthetic, transforms
+    from torchjoint.config import Config, SuperpointsConfig
+    from torchjoint.datasets import load_scene
+    from torchjoint.joint import JointSegmenter
+    from torchjoint.oversegmentation import Superpoints, superpoints
+    from torchjoint.recordings import BatchReport, RecordingOptions, batch
+    from torchjoint.results.loading import load_result
+    from torchjoint.results.result import Result
+    from torchjoint.scene import Cloud, Frame, Hierarchy, LabelImages, Masks, Scene, Segmentation, Truth
+    from torchjoint.synthetic import SyntheticScene
+    from torchjoint.views.pose_check import PoseWarning
 
 __version__ = version("torchjoint")
 
 __all__ = [
     "BatchReport",
+    "Cloud",
     "Config",
     "Frame",
+    "Hierarchy",
     "JointSegmenter",
+    "LabelImages",
+    "Masks",
+    "PoseWarning",
     "RecordingOptions",
     "Result",
     "Scene",
     "Segmentation",
     "Superpoints",
     "SuperpointsConfig",
+    "SyntheticScene",
+    "Truth",
     "batch",
     "datasets",
     "load_result",
@@ -43,6 +55,43 @@ __all__ = [
     "synthetic",
     "transforms",
 ]
+
+#: Where each public name is; it is imported when it is first used, so that ``import torchjoint`` is quick.
+_HOMES = {
+    "BatchReport": "recordings",
+    "Cloud": "scene",
+    "Config": "config",
+    "Frame": "scene",
+    "Hierarchy": "scene",
+    "JointSegmenter": "joint",
+    "LabelImages": "scene",
+    "Masks": "scene",
+    "PoseWarning": "views.pose_check",
+    "RecordingOptions": "recordings",
+    "Result": "results.result",
+    "Scene": "scene",
+    "Segmentation": "scene",
+    "Superpoints": "oversegmentation",
+    "SuperpointsConfig": "config",
+    "SyntheticScene": "synthetic",
+    "Truth": "scene",
+    "batch": "recordings",
+    "load_result": "results.loading",
+    "load_scene": "datasets",
+    "superpoints": "oversegmentation",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Imports a public name, or a module of the package, at its first use."""
+    if name in _HOMES:
+        value = getattr(import_module(f"torchjoint.{_HOMES[name]}"), name)
+    elif name in __all__:
+        value = import_module(f"torchjoint.{name}")
+    else:
+        raise AttributeError(f"module 'torchjoint' has no attribute {name!r}")
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -19,21 +19,23 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from torchjoint.config import Config
-from torchjoint.datasets.lazy import LazySequence
+from torchjoint.cloud.local import warn_of_rounding, without_copies
+from torchjoint.cloud.prepared import PreparedCloud
+from torchjoint.config import Config, evidence_differences
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.labels.image_labels import label_images
 from torchjoint.labels.piece_images import PieceImages
-from torchjoint.points.frame_evidence import add_evidence, observe
-from torchjoint.points.method import describe
-from torchjoint.points.point_labels import label_points
-from torchjoint.points.prepared_cloud import PreparedCloud, prepare_cloud
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.ahead import ahead
+from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
-from torchjoint.scene import Frame, Scene, Segmentation
+from torchjoint.scene import Cloud, Frame, Scene, Segmentation
+from torchjoint.segments.choice import choose_method, describe
+from torchjoint.segments.method import Method
+from torchjoint.segments.point_labels import label_points
+from torchjoint.views.frame_evidence import add_evidence
 from torchjoint.views.observations import Observations
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
 from torchjoint.views.state import JointState
@@ -54,6 +56,8 @@ class JointSegmenter(nn.Module):
 
     Args:
         config: parameters; default ``Config()``.
+        method: makes the method of step 6 from the config and the points; default: the one that the config names
+            (:func:`~torchjoint.segments.choice.choose_method`).
         boundary: a boundary detector, [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1]; it replaces the detector
             that the config names (step 1).
         image_segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none, or -> B
@@ -79,6 +83,7 @@ class JointSegmenter(nn.Module):
         self,
         config: Config | None = None,
         *,
+        method: Callable[[Config, Tensor], Method] = choose_method,
         boundary: nn.Module | None = None,
         image_segmenter: nn.Module | None = None,
         merge_within: float = 0.0,
@@ -87,9 +92,8 @@ class JointSegmenter(nn.Module):
     ) -> None:
         super().__init__()
         if config is not None and not isinstance(config, Config):
-            raise TypeError(
-                f"config: expected a Config, got {type(config).__name__}; see JointSegmenter.from_preset('indoor')"
-            )
+            came = type(config).__name__
+            raise TypeError(f"config: expected a Config, got {came}; a preset: JointSegmenter.from_preset('paper')")
         if not (math.isfinite(merge_within) and merge_within >= 0):
             raise ValueError(f"merge_within: expected metres >= 0, got {merge_within}")
         self.merge_within = merge_within
@@ -98,13 +102,16 @@ class JointSegmenter(nn.Module):
         self.config = config or Config()
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
+        self._make_method = method
+        self._given: Tensor | None = None  # [M, 3], the given points without copies
+        self._method: Method | None = None
         self._cloud: PreparedCloud | None = None
         self._check: PoseCheck | None = None  # of frames that come one by one
         self._state: JointState | None = None
 
     @classmethod
     def from_preset(cls, name: str) -> JointSegmenter:
-        """A segmenter with one of the package's presets, e.g. ``"tabletop"`` or ``"paper"``, or a YAML file.
+        """A segmenter with one of the package's presets, such as ``"paper"``, or a YAML file.
 
         Raises:
             ValueError, TypeError: an unknown preset, or a bad file; the message names it.
@@ -175,7 +182,7 @@ class JointSegmenter(nn.Module):
         """
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; of points: Scene(points, frames)")
-        self.reset(scene.points, scene.colors, scene.normals)
+        self._reset(scene.cloud)
         checked = frames_to_check(scene)
         check = self._new_check(scene.name)
         check.look_at(checked.values())
@@ -239,18 +246,24 @@ class JointSegmenter(nn.Module):
         Args:
             points: [N, 3] metres, world frame.
             colors: optional [N, 3] RGB in [0, 1], used only by method learned, which takes those of the frames if they
-                are absent or all the same, and by method edges with a color_weight > 0.
+                are absent or all the same, and by method paper with a color_weight > 0.
             normals: optional [N, 3], estimated if absent; a normal is turned to the cameras that see its point.
 
         Raises:
             ValueError, TypeError: naming the argument, what was expected and what came.
         """
-        cloud = Scene(points, colors=colors, normals=normals)
+        self._reset(Cloud.checked(points, colors, normals))
+
+    def _reset(self, given: Cloud) -> None:
         self.stopwatch = Stopwatch()
         with one_thread_per_operation(), self.stopwatch("point graph"):
-            self._cloud = prepare_cloud(cloud, self.config, self.merge_within)
+            distinct, of_point = without_copies(given)
+            self._given = distinct.points
+            self._method = self._make_method(self.config, distinct.points)
+            self._cloud = self._method.prepare(distinct, self.merge_within).of_given(of_point)
+            warn_of_rounding(given.points, self._cloud.graph.spacing)
             if logger.isEnabledFor(logging.INFO):
-                logger.info(describe(cloud, self._cloud.graph, self._cloud.definite))
+                logger.info(describe(given, self._cloud.graph, self._method))
         self._state = self._no_evidence(Observations(budget=self._memory, folder=self._spill))
         self._check = self._new_check()
 
@@ -268,7 +281,7 @@ class JointSegmenter(nn.Module):
                 before those of the last size.
 
         Warns:
-            PoseWarning: the poses or intrinsics look wrong, once that some frames came (or at :meth:`compute`).
+            PoseWarning: the poses or intrinsics look wrong. A few frames must have come, or :meth:`compute` is called.
         """
         frames = [frames] if isinstance(frames, Frame) else list(frames)
         check = self._check or self._new_check()
@@ -279,7 +292,7 @@ class JointSegmenter(nn.Module):
     @on_cpu()
     def add(self, frames: Sequence[Frame]) -> None:
         """As :meth:`update`, for frames whose poses have been checked, by :meth:`begin` for example."""
-        cloud, state = self.cloud, self.state
+        cloud, state, method = self.cloud, self.state, self.method
         if not state.observations and frames:
             self._tell_unused(frames[0])
         with one_thread_per_operation():
@@ -287,19 +300,20 @@ class JointSegmenter(nn.Module):
                 batch = list(same_size)
                 segments = self.image_segmenter(batch, self.stopwatch)
                 seen = parallel_map(
-                    lambda item: observe(*item, cloud, self.config, self.stopwatch), zip(batch, segments, strict=True)
+                    lambda item: method.observe(*item, cloud, self.stopwatch), zip(batch, segments, strict=True)
                 )
                 add_evidence(state, seen)
 
     def _tell_unused(self, frame: Frame) -> None:
         """Says so if images have no say in the segments of the points."""
-        if self.method != "scan":
+        if self.method.uses_images:
             return
-        logger.info("frames: method scan segments the points without images; images only get the points' labels")
+        name = self.method.name
+        logger.info(f"frames: method {name} segments the points without images; images only get the points' labels")
         given = "masks" if frame.masks is not None else "labels" if frame.labels is not None else ""
         if given:
             warnings.warn(
-                f"{given} of frames: method scan segments the points without images, so these {given} have no effect "
+                f"{given} of frames: method {name} segments the points without images, so these {given} have no effect "
                 "on the points; point_segments.method=learned uses them",
                 stacklevel=3,
             )
@@ -332,7 +346,7 @@ class JointSegmenter(nn.Module):
             raise ValueError(f"frames: none of the {count} images sees a point; wrong poses, axes or units?")
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
-                points, of_graph, hierarchy, piece = label_points(cloud, state)
+                points, of_graph, hierarchy, piece = label_points(self.method, cloud, state)
             if not images:
                 return Segmentation(points, (), seconds=dict(self.stopwatch.seconds), hierarchy=hierarchy)
             labels = label_images(seen, of_graph, self.config, self.stopwatch, progress=progress)
@@ -361,9 +375,15 @@ class JointSegmenter(nn.Module):
         return self._cloud
 
     @property
-    def method(self) -> str:
-        """Method of step 6: the config's, or, if that is auto, the one that :meth:`reset` chose."""
-        return self.config.point_segments.method if self._cloud is None else self._cloud.method
+    def method(self) -> Method:
+        """The method of step 6: the config's, or, if that is auto, the one that :meth:`reset` chose.
+
+        Raises:
+            RuntimeError: :meth:`reset` was not called before.
+        """
+        if self._method is None:
+            raise RuntimeError("JointSegmenter: call reset(points) first")
+        return self._method
 
     @property
     def state(self) -> JointState:
@@ -418,16 +438,24 @@ class JointSegmenter(nn.Module):
             RuntimeError: :meth:`reset` was not called before.
             ValueError: the stored evidence depends on a parameter that differs; the message names the parameter.
         """
-        cloud, modules = self.cloud.with_config(self.config, config), self.image_segmenter
+        cloud, modules, given = self.cloud, self.image_segmenter, self._given
+        assert given is not None  # there is a cloud
+        method = self._make_method(config, given)
+        different = [name for name in evidence_differences(self.config, config) if name != "point_segments.method"]
+        if method.name != self.method.name:
+            different.append("point_segments.method")
+        if different:
+            raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
         other = JointSegmenter(
             config,
+            method=self._make_method,
             boundary=modules.boundary,
             image_segmenter=modules.segmenter,
             merge_within=self.merge_within,
             memory=self._memory,
             spill=self._spill,
         )
-        other._cloud = cloud
+        other._given, other._method, other._cloud = given, method, cloud
         other._state = self.state + self._no_evidence(Observations())  # a copy
         other._check = other._new_check()
         return other
@@ -438,5 +466,6 @@ class JointSegmenter(nn.Module):
 
     def _new_check(self, name: str = "") -> PoseCheck:
         graph = self.cloud.graph
-        points = Scene(graph.points, colors=graph.colors)
-        return PoseCheck(points, graph.spacing, self.config.visibility, self.cloud.local, name)
+        return PoseCheck(
+            Cloud(graph.points, graph.colors), graph.spacing, self.config.visibility, self.cloud.local, name
+        )

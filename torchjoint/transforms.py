@@ -18,9 +18,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint.config import SuperpointsConfig
+from torchjoint.oversegmentation import superpoints
 from torchjoint.runtime.threads import num_threads
 from torchjoint.scene.checks import as_points
-from torchjoint.superpoints import superpoints
 
 __all__ = ["AddSuperpoints", "transfer_labels"]
 
@@ -67,7 +67,7 @@ class AddSuperpoints:
         ptr: str | None = "ptr",
         viewpoint: str | None = "viewpoint",
         to: str | None = None,
-        preset: str | SuperpointsConfig = "room",
+        preset: str | SuperpointsConfig = "default",
         **parameters: float | str,
     ) -> None:
         self.points = points

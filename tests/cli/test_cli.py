@@ -12,7 +12,7 @@ from folder_files import write_folder
 from PIL import Image
 
 import torchjoint as tj
-from torchjoint.datasets.ply import write_cloud
+from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.figures import overview
 from torchjoint.results.folder import read_points
 from torchjoint.results.output_folder import output_folder

@@ -6,8 +6,8 @@ import torch
 from PIL import Image
 
 import torchjoint as tj
-from torchjoint.datasets.clouds import read_cloud_file
-from torchjoint.datasets.ply import write_cloud
+from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.ply import write_cloud
 
 POINTS = torch.rand(400, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 1.0, 0.01])
 COLORS = torch.rand(400, 3, generator=torch.Generator().manual_seed(1))

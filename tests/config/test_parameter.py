@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from importlib import import_module
 
 import pytest
+from torchjoint.config.removed import REMOVED
 
 from torchjoint.config import STAGES, Config, SuperpointsConfig, marked_parameters, marked_table, parameter_table
 from torchjoint.config.parameter import Stage, parameter
-from torchjoint.config.removed import REMOVED
 
 
 @dataclass(frozen=True)

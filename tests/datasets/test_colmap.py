@@ -8,7 +8,7 @@ from PIL import Image
 from posed_files import assert_same_frames, assert_same_segmentation, eight_bits, quaternion_of, save_image
 
 import torchjoint as tj
-from torchjoint.datasets.ply import write_cloud
+from torchjoint.datasets.files.ply import write_cloud
 
 NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "FULL_OPENCV": 6}
 

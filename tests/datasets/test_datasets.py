@@ -11,9 +11,9 @@ from folder_files import write_folder
 from PIL import Image
 
 import torchjoint as tj
-from torchjoint.datasets.files import fingerprint, read_array, read_cloud, read_depth, read_image
+from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.datasets.files.readers import fingerprint, read_array, read_cloud, read_depth, read_image
 from torchjoint.datasets.fusion import fuse_cloud
-from torchjoint.datasets.ply import write_cloud
 from torchjoint.datasets.recording import invert_pose
 from torchjoint.results.output_folder import output_folder, own_files
 

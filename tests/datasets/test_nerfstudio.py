@@ -10,7 +10,7 @@ from PIL import Image
 from posed_files import assert_same_frames, assert_same_segmentation, eight_bits, save_depth, save_image
 
 import torchjoint as tj
-from torchjoint.datasets.ply import write_cloud
+from torchjoint.datasets.files.ply import write_cloud
 
 #: What nerfstudio did to the world of COLMAP; the poses and the cloud are after it.
 APPLIED = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [-0.0, -1.0, -0.0, -0.0]]
@@ -291,6 +291,6 @@ def test_other_json(folder, text, message):
 
 
 def test_too_large_a_file(folder, monkeypatch):
-    monkeypatch.setattr("torchjoint.datasets.json_record.MAX_BYTES", 100)
+    monkeypatch.setattr("torchjoint.datasets.files.json_record.MAX_BYTES", 100)
     with pytest.raises(ValueError, match=r"transforms\.json: expected poses as of nerfstudio, at most 100 bytes, got"):
         tj.load_scene(folder)

@@ -8,9 +8,9 @@ from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 
-from torchjoint.datasets import ros_packing
-from torchjoint.datasets.ros_bag import Bag
-from torchjoint.datasets.ros_packing import unpack
+from torchjoint.datasets.files.readers import ros_packing
+from torchjoint.datasets.files.ros_bag import Bag
+from torchjoint.datasets.files.ros_packing import unpack
 from torchjoint.runtime import archives
 
 TEXT = "a" * 300_000  # packs well

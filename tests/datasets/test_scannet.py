@@ -23,9 +23,9 @@ from scannet_files import (
 )
 
 import torchjoint as tj
+from torchjoint.datasets.files.sens import SensFile
 from torchjoint.datasets.resampling import register_depth, resize_labels
 from torchjoint.datasets.scannet_cameras import Calibration, find_cameras
-from torchjoint.datasets.sens import SensFile
 
 SCAN = "scene0011_00"
 

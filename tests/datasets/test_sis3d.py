@@ -21,8 +21,8 @@ from scannet_files import (
 )
 
 import torchjoint as tj
+from torchjoint.datasets.files.sis3d_volume import read_volume
 from torchjoint.datasets.scannet_cameras import NOMINAL
-from torchjoint.datasets.sis3d_volume import read_volume
 from torchjoint.datasets.voxels import label_voxels, read_world_to_scene, voxels_of
 
 SCAN = "scene0144_00"

@@ -8,8 +8,8 @@ import torch
 from posed_files import assert_same_frames, assert_same_segmentation, eight_bits, quaternion_of, save_depth, save_image
 
 import torchjoint as tj
-from torchjoint.datasets import tum
-from torchjoint.datasets.ply import write_cloud
+from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.datasets.formats import tum
 
 START = 1305031102.0
 

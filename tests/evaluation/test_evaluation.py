@@ -8,10 +8,10 @@ import pytest
 import torch
 from folder_files import write_folder, write_truth
 from PIL import Image
+from torchjoint_lab.evaluation.kinds import best_iou_by_kind
 
 import torchjoint as tj
 from torchjoint.evaluation.evaluate import evaluate
-from torchjoint.evaluation.kinds import best_iou_by_kind
 from torchjoint.evaluation.predictions import Prediction, read_prediction
 from torchjoint.evaluation.scores import Scores, mean_scores, score, score_images
 from torchjoint.evaluation.table import (

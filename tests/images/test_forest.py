@@ -12,15 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-
-from torchjoint.datasets.bsds import BsdsImage, bsds_images
-from torchjoint.images import forest as forest_file
-from torchjoint.images.forest import NUM_FEATURES, Forest, read_forest, write_forest
-from torchjoint.images.structured_forest import padded
-from torchjoint.training import TrainingOptions, TreeOptions, train_boundaries
-from torchjoint.training.channels import image_channels, rgb_to_luv, triangle_filter
-from torchjoint.training.detect import detect
-from torchjoint.training.features import (
+from torchjoint_lab.datasets.bsds import BsdsImage, bsds_images
+from torchjoint_lab.training import TrainingOptions, TreeOptions, train_boundaries
+from torchjoint_lab.training.channels import image_channels, rgb_to_luv, triangle_filter
+from torchjoint_lab.training.detect import detect
+from torchjoint_lab.training.features import (
     NUM_PAIRS,
     NUM_REGULAR,
     feature_channels,
@@ -29,14 +25,18 @@ from torchjoint.training.features import (
     similarity_values,
     sites,
 )
-from torchjoint.training.patches import (
+from torchjoint_lab.training.patches import (
     FeatureCodes,
     Samples,
     draw_samples,
     segmentation_boundaries,
     segmentation_lines,
 )
-from torchjoint.training.tree import grow_tree
+from torchjoint_lab.training.tree import grow_tree
+
+from torchjoint.images import forest as forest_file
+from torchjoint.images.forest import NUM_FEATURES, Forest, read_forest, write_forest
+from torchjoint.images.structured_forest import padded
 
 SMALL = TrainingOptions(
     trees=3, trees_per_site=2, samples=3000, feature_share=0.05, tree=TreeOptions(features_tried=20, node_samples=500)
@@ -291,7 +291,7 @@ class TestTraining:
 
     @pytest.mark.slow
     def test_same_seed_same_file_and_a_stopped_training_goes_on(self, data, trained, tmp_path, monkeypatch):
-        import torchjoint.training.train as module
+        import torchjoint_lab.training.train as module
 
         def stopped(*_args):
             raise KeyboardInterrupt

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
+from torchjoint_lab.datasets.bsds import bsds_images
+from torchjoint_lab.evaluation.boundary_scores import evaluate_boundaries
 
 import torchjoint as tj
 from torchjoint.config import BoundaryConfig, Config
-from torchjoint.datasets.bsds import bsds_images
-from torchjoint.evaluation.boundary_scores import evaluate_boundaries
 from torchjoint.images import structured_forest
 from torchjoint.images.boundary import make_boundary
 from torchjoint.images.forest import read_forest

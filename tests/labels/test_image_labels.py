@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 from torch import Tensor
+from torchjoint_lab.benchmark.paint import paint
 
-from torchjoint.benchmark.paint import paint
 from torchjoint.config import Config
 from torchjoint.joint import JointSegmenter
 from torchjoint.labels import geodesic

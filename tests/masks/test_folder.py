@@ -13,8 +13,8 @@ from folder_files import write_folder
 from PIL import Image
 
 import torchjoint as tj
-from torchjoint.datasets.lazy import LazySequence
 from torchjoint.masks.folder import frame_names
+from torchjoint.runtime.lazy import LazySequence
 
 SIZE = 6, 8
 

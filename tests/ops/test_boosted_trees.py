@@ -7,11 +7,11 @@ import pytest
 import torch
 from examples import few_and_many
 from hypothesis import strategies as st
-from operator_arguments import BOOSTED_TREES
+from reference.boosted_trees import EXAMPLE as BOOSTED_TREES
+from reference.boosted_trees import boosted_trees_reference
 from torch import Tensor
 
-from torchjoint.ops import boosted_trees
-from torchjoint.ops.reference import boosted_trees_reference
+from torchjoint.ops.boosted_trees import boosted_trees
 
 
 def random_trees(seed: int, trees: int, nodes: int, features: int) -> dict[str, Tensor]:
@@ -116,8 +116,7 @@ def test_compile_without_graph_breaks() -> None:
 def test_scikit_learn() -> None:
     """What a fitted HistGradientBoostingClassifier computes, also of rows with missing features."""
     from sklearn.ensemble import HistGradientBoostingClassifier
-
-    from torchjoint.training.boundary_model import trees_of_classifier
+    from torchjoint_lab.training.boundary_model import trees_of_classifier
 
     rng = np.random.default_rng(0)
     values = rng.normal(size=(600, 5)).astype(np.float32)

@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from torchjoint.datasets.clouds import read_cloud_file
+from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.runtime.archives import read_archive
 
 

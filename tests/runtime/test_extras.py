@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 import torch
+from torchjoint_lab.benchmark.planes import planes_and_clusters
+from torchjoint_lab.synthetic.models import load_parts
+from torchjoint_lab.training.boundary_model import train_boundary_model
 
 import torchjoint as tj
-from torchjoint.benchmark.planes import planes_and_clusters
 from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.page import write_page
 from torchjoint.runtime.extras import needed_for
-from torchjoint.synthetic.models import load_parts
-from torchjoint.training.boundary_model import train_boundary_model
 
 #: What each missing module stops, and the extra that brings it.
 MISSING = {

@@ -11,9 +11,9 @@ import torch
 from PIL import Image, ImageDraw
 
 import torchjoint as tj
+from torchjoint.cloud.local import LocalFrame
+from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
-from torchjoint.points.neighbors import nearest_neighbors
-from torchjoint.scene.local_cloud import LocalFrame
 from torchjoint.views.edge_alignment import combined
 from torchjoint.views.pose_check import CHANCE, PoseCheck, PoseWarning, check_poses
 

@@ -5,8 +5,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from torchjoint.cloud.adjacency import CsrAdjacency
 from torchjoint.config import PropagationConfig
-from torchjoint.views.csr_adjacency import CsrAdjacency
 from torchjoint.views.propagation import OVERLAP_RESOLUTION, disagreement, edge_contours, edge_overlaps
 from torchjoint.views.visibility import Visible
 

@@ -11,12 +11,12 @@ import tyro
 from torch import Tensor
 
 from torchjoint.config import SuperpointsConfig
-from torchjoint.datasets.clouds import read_cloud_file
-from torchjoint.datasets.las import SUFFIXES
-from torchjoint.datasets.ply import write_cloud
+from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.las import SUFFIXES
+from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.oversegmentation import superpoints as segment
 from torchjoint.runtime.files import atomic_write
 from torchjoint.scene import Scene
-from torchjoint.superpoints import superpoints as segment
 from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.run import is_las
 
@@ -24,7 +24,7 @@ from torchjoint.tiles.run import is_las
 def superpoints(
     cloud: tyro.conf.Positional[Path],
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
-    preset: str = "room",
+    preset: str = "default",
     set: tuple[str, ...] = (),
     viewpoint: tuple[float, float, float] | None = None,
     columns: int | None = None,
@@ -43,7 +43,7 @@ def superpoints(
             colour per superpoint, and a property `label`; a .npy the labels, int64; a .npz the arrays points, labels
             and colors. A .las or .laz (only of .las and .laz files; their default) holds all that the cloud's
             file holds, and a dimension `superpoint`; of a folder, OUT is the folder.
-        preset: room, outdoor or segmentator, or a YAML file of your own.
+        preset: default, scan or segmentator, or a YAML file of your own.
         set: single parameters: --set scale=2 color_weight=0.5; `torchjoint parameters --superpoints` lists them.
         viewpoint: x y z of the sensor, metres; orients the normals outward, so that convex and concave edges differ.
         columns: numbers in a row of a .bin file; default: 4, or 5 for .pcd.bin.

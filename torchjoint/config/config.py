@@ -6,30 +6,16 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self, cast
 
 from torchjoint.config.images import BoundaryConfig, ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.config.labels import RefinementConfig
+from torchjoint.config.paper import PaperConfig
 from torchjoint.config.parameter import Stage
 from torchjoint.config.points import PointGraphConfig, PointSegmentsConfig
 from torchjoint.config.presets import presets, read_assignment, read_preset, read_yaml
-from torchjoint.config.regions import (
-    ImageSupportConfig,
-    OcclusionBridgingConfig,
-    PiecesConfig,
-    RegionMergingConfig,
-)
-from torchjoint.config.removed import REMOVED
 from torchjoint.config.scan import ScanConfig
 from torchjoint.config.views import PropagationConfig, VisibilityConfig
-
-#: Old names of stages -> new names, for an error message that gives the new name.
-RENAMED = {
-    "borders": "region_merging",
-    "bridges": "occlusion_bridging",
-    "confirmation": "image_support",
-    "sweep": "scan",
-}
 
 
 @dataclass(frozen=True)
@@ -48,24 +34,25 @@ class Config:
     visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
     propagation: PropagationConfig = field(default_factory=PropagationConfig)
     point_segments: PointSegmentsConfig = field(default_factory=PointSegmentsConfig)
-    pieces: PiecesConfig = field(default_factory=PiecesConfig)
-    region_merging: RegionMergingConfig = field(default_factory=RegionMergingConfig)
-    image_support: ImageSupportConfig = field(default_factory=ImageSupportConfig)
-    occlusion_bridging: OcclusionBridgingConfig = field(default_factory=OcclusionBridgingConfig)
     scan: ScanConfig = field(default_factory=ScanConfig)
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
+    paper: PaperConfig = field(default_factory=PaperConfig)
 
     def __post_init__(self) -> None:
-        for spec in dataclasses.fields(self):
-            expected = STAGES[spec.name]
-            if not isinstance(getattr(self, spec.name), expected):
-                came = type(getattr(self, spec.name)).__name__
-                raise TypeError(f"{spec.name}: expected a {expected.__name__}, got {came}")
+        for name, expected in self.stages().items():
+            if not isinstance(getattr(self, name), expected):
+                came = type(getattr(self, name)).__name__
+                raise TypeError(f"{name}: expected a {expected.__name__}, got {came}")
         if self.propagation.window % 2 == 0:
             raise ValueError(f"propagation.window: expected an odd number, got {self.propagation.window}")
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any] | None) -> Config:
+    def stages(cls) -> dict[str, type[Stage]]:
+        """The stages by name, in the order of the method's steps; first those that the default reads."""
+        return {spec.name: cast(type[Stage], spec.default_factory) for spec in dataclasses.fields(cls)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any] | None) -> Self:
         """Makes a config from nested dicts, e.g. ``{"propagation": {"weight": 0.2}}``; missing values are defaults.
 
         Raises:
@@ -74,7 +61,7 @@ class Config:
         return cls().replace(values or {})
 
     @classmethod
-    def from_yaml(cls, path: str | Path) -> Config:
+    def from_yaml(cls, path: str | Path) -> Self:
         """Reads a YAML file with the structure of :meth:`to_dict`.
 
         Raises:
@@ -84,7 +71,7 @@ class Config:
         return read_yaml(Path(path), cls.from_dict, "stages with parameters")
 
     @classmethod
-    def from_preset(cls, name: str) -> Config:
+    def from_preset(cls, name: str) -> Self:
         """Reads one of the package's presets (see :func:`presets`), or a YAML file of your own.
 
         Raises:
@@ -96,7 +83,7 @@ class Config:
         """Nested plain dicts, the inverse of :meth:`from_dict`."""
         return dataclasses.asdict(self)
 
-    def replace(self, values: Mapping[str, Any]) -> Config:
+    def replace(self, values: Mapping[str, Any]) -> Self:
         """A copy with some parameters replaced: ``config.replace({"propagation": {"weight": 0.2}})``.
 
         Raises:
@@ -104,14 +91,14 @@ class Config:
         """
         stages = {}
         for stage, parameters in values.items():
-            if stage not in STAGES:
-                raise ValueError(unknown_stage(stage))
+            if stage not in self.stages():
+                raise ValueError(f"{stage}: unknown stage, expected one of {', '.join(self.stages())}")
             if not isinstance(parameters, Mapping):
                 raise TypeError(f"{stage}: expected parameters by name, got {parameters!r}")
             stages[stage] = getattr(self, stage).replace(parameters)
         return dataclasses.replace(self, **stages)
 
-    def set(self, assignments: Sequence[str]) -> Config:
+    def set(self, assignments: Sequence[str]) -> Self:
         """A copy with command-line assignments applied: ``["propagation.weight=0.2"]``.
 
         Raises:
@@ -123,33 +110,3 @@ class Config:
             stage, _, name = key.partition(".")
             config = config.replace({stage: {name: value}})
         return config
-
-
-_STAGES: tuple[type[Stage], ...] = (
-    BoundaryConfig,
-    ContoursConfig,
-    ImageGraphConfig,
-    ImageSegmentsConfig,
-    PointGraphConfig,
-    VisibilityConfig,
-    PropagationConfig,
-    PointSegmentsConfig,
-    PiecesConfig,
-    RegionMergingConfig,
-    ImageSupportConfig,
-    OcclusionBridgingConfig,
-    ScanConfig,
-    RefinementConfig,
-)
-
-#: The stages by their names in :class:`Config`, in the order of the method's steps.
-STAGES = {stage.key(): stage for stage in _STAGES}
-
-
-def unknown_stage(stage: str) -> str:
-    """The message for a name that is no stage: its new name, what became of it, or the names that there are."""
-    if stage in RENAMED:
-        return f"{stage}: this stage is now called {RENAMED[stage]}"
-    if stage in REMOVED:
-        return f"{stage}: this stage {REMOVED[stage]}"
-    return f"{stage}: unknown stage, expected one of {', '.join(STAGES)}"

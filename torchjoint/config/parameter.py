@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 from types import NoneType, UnionType
 from typing import Any, Self, get_args, get_type_hints
 
-from torchjoint.config.removed import REMOVED
-
 
 def parameter(
     default: Any,
@@ -23,7 +21,6 @@ def parameter(
     above: float | None = None,
     sensible: str = "",
     choices: Sequence[str] = (),
-    renamed: Mapping[str, str] | None = None,
     too_low: str = "",
     too_high: str = "",
 ) -> Any:
@@ -37,7 +34,6 @@ def parameter(
         above: values must be greater than this.
         sensible: the range in which most users will find their value.
         choices: the allowed texts; empty: any text.
-        renamed: old names of choices -> new names, for an error message that gives the new name.
         too_low, too_high: what a result looks like where the value is too low or too high. Given for the few parameters
             that a user turns; the documents show these in a table of their own.
     """
@@ -51,7 +47,6 @@ def parameter(
             "above": above,
             "sensible": sensible,
             "choices": tuple(choices),
-            "renamed": dict(renamed or {}),
             "too_low": too_low,
             "too_high": too_high,
         },
@@ -85,8 +80,6 @@ class Stage:
         """
         names = [spec.name for spec in dataclasses.fields(self)]
         for name in values:
-            if f"{self.key()}.{name}" in REMOVED:
-                raise ValueError(f"{self.key()}.{name}: this parameter {REMOVED[f'{self.key()}.{name}']}")
             if name not in names:
                 raise ValueError(f"{self.key()}.{name}: unknown parameter, expected one of {', '.join(names)}")
         return dataclasses.replace(self, **values)
@@ -134,8 +127,6 @@ def _check_text(name: str, value: Any, declared: Mapping[str, Any]) -> str:
     """Checks a text. Without choices any text is allowed; the code that uses it checks its meaning."""
     if not isinstance(value, str):
         raise TypeError(f"{name}: expected a text, got {value!r}")
-    if value in declared["renamed"]:
-        raise ValueError(f"{name}: {value!r} is now called {declared['renamed'][value]!r}")
     choices = declared["choices"]
     if choices and value not in choices:
         raise ValueError(f"{name}: expected one of {', '.join(choices)}, got {value!r}")

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from torchjoint.config.parameter import Stage, parameter
-from torchjoint.config.points import PointGraphConfig, reach_parameter
 from torchjoint.config.presets import presets, read_assignment, read_preset
 
 
@@ -22,7 +21,11 @@ class SuperpointsConfig(Stage):
         30, "neighbours to which a point's normal is fitted; more suits noisy clouds, but rounds edges", low=2,
         high=500, sensible="12-80",
     )  # fmt: skip
-    reach: float = reach_parameter()
+    reach: float = parameter(
+        0.0, "if all neighbours of a point are closer than this, search them among half, a quarter or an eighth of the "
+        "points instead, so that edges connect neighbouring LiDAR beams; more connects sparser scans and loses detail; "
+        "0: always the nearest neighbours", unit="m", low=0, sensible="0 for depth cameras, 0.3-0.7 for LiDAR",
+    )  # fmt: skip
     weight: str = parameter(
         "angle", "how the surface's turn along an edge is measured: angle (between the two normals), or segmentator "
         "(ScanNet's 1 - cosine, squared where convex)", choices=("angle", "segmentator"),
@@ -54,25 +57,14 @@ class SuperpointsConfig(Stage):
         20, "smallest superpoint; smaller superpoints are joined to a neighbour", unit="points", low=0
     )
 
-    @property
-    def point_graph(self) -> PointGraphConfig:
-        """The terms of the edge weight (eq. 3) that superpoints share with step 3 of the joint method."""
-        return PointGraphConfig(
-            distance_weight=self.distance_weight,
-            convex_factor=self.convex_factor,
-            color_weight=self.color_weight,
-        )
-
     @classmethod
     def from_preset(cls, name: str) -> SuperpointsConfig:
         """Reads a preset (see :func:`superpoint_presets`), or a YAML file of your own.
 
-        The names of the joint method's presets for such data are understood, too: "indoor" and "lidar".
-
         Raises:
             ValueError, TypeError: an unknown preset, or a bad file; the message names it.
         """
-        return read_preset(_SAME_DATA.get(name, name), superpoint_presets(), cls().replace)
+        return read_preset(name, superpoint_presets(), cls().replace)
 
     def set(self, assignments: Sequence[str]) -> SuperpointsConfig:
         """A copy with command-line assignments applied: ``["scale=2", "color_weight=0.5"]``.
@@ -81,10 +73,6 @@ class SuperpointsConfig(Stage):
             ValueError, TypeError: a bad assignment, an unknown name or a bad value, by name.
         """
         return self.replace(dict(map(read_assignment, assignments)))
-
-
-#: Presets of the joint method -> presets of superpoints for the same data.
-_SAME_DATA = {"indoor": "room", "lidar": "outdoor"}
 
 
 def superpoint_presets() -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from torchjoint.config.config import RENAMED, STAGES, unknown_stage
+from torchjoint.config.config import Config
 from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
 
 
@@ -12,7 +12,7 @@ def marked_parameters() -> list[str]:
     """Names (stage.parameter) of the few parameters that a user turns, in the order of the method's steps."""
     return [
         f"{name}.{spec.name}"
-        for name, stage in STAGES.items()
+        for name, stage in Config.stages().items()
         for spec in dataclasses.fields(stage)
         if spec.metadata["too_low"]
     ]
@@ -26,7 +26,7 @@ def marked_table() -> str:
     ]
     for marked in marked_parameters():
         stage, _, name = marked.partition(".")
-        spec = next(spec for spec in dataclasses.fields(STAGES[stage]) if spec.name == name)
+        spec = next(spec for spec in dataclasses.fields(Config.stages()[stage]) if spec.name == name)
         meta = spec.metadata
         cells = (f"`{marked}`", spec.default, meta["unit"], meta["sensible"], meta["too_low"], meta["too_high"])
         lines.append(f"| {' | '.join(map(str, cells))} |")
@@ -34,16 +34,16 @@ def marked_table() -> str:
 
 
 def parameter_table(stage: str | None = None) -> str:
-    """All parameters as Markdown tables, one per stage; or those of one stage.
+    """All parameters as Markdown tables, one per stage, those of the default first; or those of one stage.
 
     Raises:
-        ValueError: an unknown stage, or one that is gone. An old name of a stage is understood.
+        ValueError: an unknown stage.
     """
-    stage = None if stage is None else RENAMED.get(stage, stage)
-    if stage is not None and stage not in STAGES:
-        raise ValueError(unknown_stage(stage))
+    stages = Config.stages()
+    if stage is not None and stage not in stages:
+        raise ValueError(f"{stage}: unknown stage, expected one of {', '.join(stages)}")
     parts = []
-    for name, parameters in STAGES.items():
+    for name, parameters in stages.items():
         if stage not in (None, name):
             continue
         rows = []

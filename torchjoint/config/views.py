@@ -38,22 +38,9 @@ class VisibilityConfig(Stage):
 
 @dataclass(frozen=True)
 class PropagationConfig(Stage):
-    """Step 5, eq. 5-6, all methods but scan: the images' evidence r for each edge of the point graph."""
+    """Step 5, eq. 5, all methods but scan: the images' evidence for each edge of the point graph."""
 
     window: int = parameter(
         1, "t, side of the window around a point's pixel (odd); more tolerates pose errors, but blurs boundaries",
         unit="px", low=1, high=31, sensible="1-7",
-    )  # fmt: skip
-    overlap_threshold: float = parameter(
-        0.7, "r_o, overlap of two windows at which an image is neutral; an edge that no image sees has r = 1 - r_o, so "
-        "more makes such edges cheaper", low=0, high=1,
-    )  # fmt: skip
-    normalization: str = parameter(
-        "saturating", "L of eq. 6: all (the number of images, as in the paper), or saturating (the edge's own number "
-        "of views)", choices=("saturating", "all"),
-    )  # fmt: skip
-    weight: float = parameter(
-        0.3, "w_r, weight of the images' disagreement r; more cuts where images show different segments; 0: images do "
-        "not affect the point segments, cameras only orient the normals; learned: all values above 0 are the same",
-        low=0, high=1000, sensible="0.05-1",
     )  # fmt: skip

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from torch import Tensor
 
-from torchjoint.datasets.files import fingerprint, read_cloud
+from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.datasets.files.readers import fingerprint, read_cloud
 from torchjoint.datasets.fusion import fuse_cloud
-from torchjoint.datasets.ply import write_cloud
 from torchjoint.scene import Frame
 
 #: Names the folder of the cache; empty: nothing is kept. Default: torchjoint/ in the user's cache (XDG_CACHE_HOME).

@@ -9,9 +9,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import read_cloud
+from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.datasets.files.readers import read_cloud
 from torchjoint.datasets.fused_clouds import fuse_or_recall
-from torchjoint.datasets.ply import write_cloud
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.camera import camera_center
 

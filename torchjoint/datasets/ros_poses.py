@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.files.ros_bag import Bag
 from torchjoint.datasets.pose_interpolation import interpolate_poses
-from torchjoint.datasets.ros_bag import Bag
 
 TF, ODOMETRY = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), ("nav_msgs/msg/Odometry",)
 #: Frames deeper than this in the tree are a circle.

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import read_matrix
+from torchjoint.datasets.files.readers import read_matrix
 from torchjoint.scene.checks import as_intrinsics
 
 Size = tuple[int, int]

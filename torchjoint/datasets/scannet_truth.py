@@ -12,10 +12,10 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import MAX_PIXELS, decode_image, labels_of, read_label_image
-from torchjoint.datasets.json_record import Record, read_record
-from torchjoint.datasets.lazy import LazySequence
+from torchjoint.datasets.files.json_record import Record, read_record
+from torchjoint.datasets.files.readers import MAX_PIXELS, decode_image, labels_of, read_label_image
 from torchjoint.datasets.resampling import resize_labels
+from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame
 
 SEGMENTS, OBJECTS = "_vh_clean_2.0.010000.segs.json", ".aggregation.json"

@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import read_matrix
+from torchjoint.datasets.files.readers import read_matrix
 
 #: Padding of 3D-SIS' complete grids, voxels; its scenes do not have this padding.
 SCENE_PADDING = (10, 16, 10)

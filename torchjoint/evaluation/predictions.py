@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import read_array, read_label_image
-from torchjoint.datasets.lazy import LazySequence
+from torchjoint.datasets.files.readers import read_array, read_label_image
 from torchjoint.results.folder import read_points
 from torchjoint.results.hierarchy_files import FILE, read_hierarchy
+from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy, Scene
 from torchjoint.scene.checks import as_labels

@@ -14,9 +14,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from torchjoint import ops
 from torchjoint.images.forest import read_forest
 from torchjoint.images.non_maximum_suppression import suppress_non_maxima
+from torchjoint.ops.structured_forest import structured_forest
 from torchjoint.runtime.threads import all_threads, parallel_map
 
 #: Width in pixels of the mirrored margin around the image. With it boundaries near the image border get as many votes
@@ -38,7 +38,7 @@ class StructuredForestBoundary(nn.Module):
     """Boundary detection by structured forests: P. Dollár and C. L. Zitnick (PAMI 2015).
 
     Args:
-        model: a forest in OpenCV's format (``NAME.yml.gz``), as ``torchjoint train-boundaries`` writes it; None: the
+        model: a forest in OpenCV's format (``NAME.yml.gz``), as ``torchjoint-lab train-forest`` writes it; None: the
             forest that comes with the package, trained on BSDS500.
         scales: factors by which the image is resized before detection; the results are averaged. ``(0.5, 1, 2)`` is
             more accurate and about five times slower.
@@ -101,7 +101,7 @@ class StructuredForestBoundary(nn.Module):
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
         planes = torch.stack(parallel_map(lambda image: _padded_planes(_resized(image, size, scale < 1)), images))
         with all_threads():
-            votes = ops.structured_forest(planes, *_trees(self.model, self._file_version), self.stride)
+            votes = structured_forest(planes, *_trees(self.model, self._file_version), self.stride)
         inside = votes[:, MARGIN : MARGIN + size[1], MARGIN : MARGIN + size[0]]
         return [_resized(one.numpy(), (width, height)) for one in inside]
 

@@ -60,8 +60,8 @@ def label_image(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, 
         pixels that are -1 in the initial labels stay -1; those without a mask do not.
     """
     labels_there = point_labels[seen.visible.point]
-    if seen.masks is not None and config.refinement.method == "geodesic":
+    if config.point_segments.method == "paper":
+        return cut(seen, labels_there, segment_sizes, config)
+    if seen.masks is not None:
         return label_masks(seen, seen.masks, labels_there, segment_sizes.shape[0], config)
-    if config.refinement.method == "geodesic":
-        return propagate(seen, labels_there, segment_sizes.shape[0], config)
-    return cut(seen, labels_there, segment_sizes, config)
+    return propagate(seen, labels_there, segment_sizes.shape[0], config)

@@ -1,4 +1,4 @@
-"""Steps 7 and 8 by method cuts, as in the paper: 3D labels merge, split and name the segments of an image."""
+"""Steps 7 and 8 by method paper: 3D labels merge, split and name the segments of an image."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def cut(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, config: 
         seen: the frame.
         point_labels: [M] int64, 3D label of each visible point.
         segment_sizes: [S] int64, number of points of each 3D segment.
-        config: the refinement, and the image graph.
+        config: stage paper, and the image graph.
 
     Returns:
         ([H, W] int32, the next free id); labels below S are 3D segments; pixels that are -1 in the initial labels
         stay -1.
     """
-    labels = merge_segments(seen.labels, seen.visible, point_labels, config.refinement)
+    labels = merge_segments(seen.labels, seen.visible, point_labels, config.paper)
     image, boundary = seen.image.float() / 255, seen.boundary.float() / 255
     colors = smooth(image[None], config.image_graph.smoothing)[0]
-    labels = split_segments(labels, colors, boundary, seen.visible, point_labels, config.refinement, config.image_graph)
+    labels = split_segments(labels, colors, boundary, seen.visible, point_labels, config.paper, config.image_graph)
     return joint_labels(labels, seen.visible, point_labels, segment_sizes, segment_sizes.shape[0])

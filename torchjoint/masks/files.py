@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchjoint.datasets.files import decode_image, read_label_image
+from torchjoint.datasets.files.readers import decode_image, read_label_image
 from torchjoint.masks.arrays import as_binary, as_tensor
 from torchjoint.masks.coco import read_json
 from torchjoint.masks.labels import from_labels

@@ -11,9 +11,9 @@ from typing import Literal
 
 from torch.utils.data import Subset
 
-from torchjoint.datasets.lazy import LazySequence
 from torchjoint.masks.coco import CocoFile
 from torchjoint.masks.files import SUFFIXES, read_masks
+from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.masks import Masks

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import MAX_PIXELS
+from torchjoint.datasets.files.readers import MAX_PIXELS
 
 
 def decode_rle(rle: Mapping[str, Any], name: str = "segmentation") -> Tensor:

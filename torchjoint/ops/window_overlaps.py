@@ -26,7 +26,7 @@ def window_overlaps(
     The overlap of two windows is their histogram intersection divided by the size of the smaller window (eq. 5 of the
     paper). Windows are clipped at the image border, and pixels without a label do not count. The running time depends
     on the edges of the visible points, not on the size of the graph. ``order``, ``other_end`` and ``start`` are the CSR
-    adjacency of the graph (:class:`torchjoint.views.csr_adjacency.CsrAdjacency`).
+    adjacency of the graph (:class:`torchjoint.cloud.adjacency.CsrAdjacency`).
 
     Args:
         order: ``[E]`` int32, edge numbers, sorted by the edges' first nodes; each undirected edge once.

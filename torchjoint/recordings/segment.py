@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 from torchjoint.config import Config
 from torchjoint.datasets import load_scene
-from torchjoint.datasets.files import fingerprint
+from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.engine import Engine
 from torchjoint.joint import JointSegmenter, Watch
 from torchjoint.masks import read_folder

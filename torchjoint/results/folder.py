@@ -16,15 +16,15 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.config import Config, read_yaml
-from torchjoint.datasets.files import read_label_image
-from torchjoint.datasets.lazy import LazySequence
-from torchjoint.datasets.ply import write_cloud
+from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.datasets.files.readers import read_label_image
 from torchjoint.results.figures import overview
 from torchjoint.results.hierarchy_files import FILE, FOLDER, read_hierarchy, read_piece_image, write_hierarchy
 from torchjoint.results.inputs import write_inputs
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.objects import write_segments
 from torchjoint.runtime.archives import read_archive
+from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
 

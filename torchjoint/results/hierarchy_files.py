@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from torchjoint.datasets.files import read_image
+from torchjoint.datasets.files.readers import read_image
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy

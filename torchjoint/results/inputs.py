@@ -15,10 +15,10 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from torchjoint.datasets.files import read_image
-from torchjoint.datasets.lazy import LazySequence
+from torchjoint.datasets.files.readers import read_image
 from torchjoint.results.overlays import overlay
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Scene, Segmentation
 

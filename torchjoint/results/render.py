@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
-from torchjoint.points.neighbors import nearest_neighbors
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene

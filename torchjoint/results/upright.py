@@ -9,8 +9,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.points.neighbors import nearest_neighbors
-from torchjoint.points.normals import estimate_normals
+from torchjoint.cloud.neighbors import nearest_neighbors
+from torchjoint.cloud.normals import estimate_normals
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
 

@@ -16,6 +16,7 @@ name                      shape, dtype           meaning
 ========================  =====================  ==========================================================
 """
 
+from torchjoint.scene.cloud import Cloud
 from torchjoint.scene.frame import Frame
 from torchjoint.scene.hierarchy import Hierarchy
 from torchjoint.scene.masks import Masks
@@ -23,4 +24,4 @@ from torchjoint.scene.scene import Scene
 from torchjoint.scene.segmentation import LabelImages, Segmentation
 from torchjoint.scene.truth import Truth
 
-__all__ = ["Frame", "Hierarchy", "LabelImages", "Masks", "Scene", "Segmentation", "Truth"]
+__all__ = ["Cloud", "Frame", "Hierarchy", "LabelImages", "Masks", "Scene", "Segmentation", "Truth"]

@@ -5,22 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import torch
 from torch import Tensor
 
-from torchjoint.scene.checks import (
-    as_float,
-    as_labels,
-    as_points,
-    as_unit_range,
-    check_shape,
-)
+from torchjoint.scene.checks import as_labels
+from torchjoint.scene.cloud import Cloud
 from torchjoint.scene.frame import Frame
 from torchjoint.scene.subset import evenly_spaced_indices, subset
 from torchjoint.scene.truth import Truth
-
-#: Normals whose length differs from 1 by less than this are kept as they are.
-UNIT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -48,28 +39,22 @@ class Scene:
     truth: Truth | None = None
 
     def __post_init__(self) -> None:
-        points = as_points(self.points)
-        object.__setattr__(self, "points", points)
+        cloud = Cloud.checked(self.points, self.colors, self.normals)
+        for name in ("points", "colors", "normals"):
+            object.__setattr__(self, name, getattr(cloud, name))
         if not (hasattr(self.frames, "__len__") and hasattr(self.frames, "__getitem__")):
             raise TypeError(f"frames: expected a sequence of Frame, got {type(self.frames).__name__}")
         if type(self.frames) in (list, tuple):  # others may be lazy, and are not read here
             for index, frame in enumerate(self.frames):
                 if not isinstance(frame, Frame):
                     raise TypeError(f"frames[{index}]: expected a Frame, got {type(frame).__name__}")
-        if self.colors is not None:
-            colors = as_unit_range(self.colors, "colors")
-            check_shape(colors, tuple(points.shape), "colors")
-            object.__setattr__(self, "colors", colors)
-        if self.normals is not None:
-            normals = as_float(self.normals, "normals", torch.float32)
-            check_shape(normals, tuple(points.shape), "normals")
-            length = normals.norm(dim=1, keepdim=True)
-            if float(length.min()) < 1e-3:
-                raise ValueError(f"normals: expected unit vectors, got {int((length < 1e-3).sum())} of length 0")
-            is_unit = (length - 1).abs() < UNIT  # so that checking twice changes nothing
-            object.__setattr__(self, "normals", torch.where(is_unit, normals, normals / length))
         if self.truth is not None and self.truth.points is not None:
-            as_labels(self.truth.points, (len(points),), "truth.points")
+            as_labels(self.truth.points, (len(cloud.points),), "truth.points")
+
+    @property
+    def cloud(self) -> Cloud:
+        """The points alone."""
+        return Cloud(self.points, self.colors, self.normals)
 
     def __repr__(self) -> str:
         parts = [f"{len(self.points)} points", f"{len(self.frames)} frames"]

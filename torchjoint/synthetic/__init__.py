@@ -13,27 +13,11 @@ bowls, cast shadows, changing exposure, motion blur, depth noise, holes, pose er
 that split the object behind them (:mod:`~torchjoint.synthetic.occluders`), and more hollow things
 (:mod:`~torchjoint.synthetic.vessels`).
 
-:func:`make_domain_scene` makes scenes of many domains (:data:`DOMAINS`: tables, shelves, bins, desks, kitchens, rooms,
-workshops, LiDAR streets) for training and checking; :func:`domain_settings` returns the difficulties that are drawn for
-a scene.
-
 :func:`with_network_masks` gives the frames of a scene masks as networks make them, from its truth: dropped, split,
 merged, nested, with outlines that are off.
 """
 
-from torchjoint.synthetic.domains import make_domain_scene
 from torchjoint.synthetic.network_masks import MASK_LEVELS, make_network_masks, with_network_masks
 from torchjoint.synthetic.scene import SyntheticScene, make_scene
-from torchjoint.synthetic.settings import DOMAINS, DomainSettings, domain_settings
 
-__all__ = [
-    "DOMAINS",
-    "MASK_LEVELS",
-    "DomainSettings",
-    "SyntheticScene",
-    "domain_settings",
-    "make_domain_scene",
-    "make_network_masks",
-    "make_scene",
-    "with_network_masks",
-]
+__all__ = ["MASK_LEVELS", "SyntheticScene", "make_network_masks", "make_scene", "with_network_masks"]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.datasets.las import las_chunks, las_library, open_las
+from torchjoint.datasets.files.las import las_chunks, las_library, open_las
 
 #: The name of the dimension.
 DIMENSION = "superpoint"

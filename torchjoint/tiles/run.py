@@ -20,8 +20,8 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from torchjoint.config import SuperpointsConfig
-from torchjoint.datasets.files import fingerprint
-from torchjoint.datasets.las import SUFFIXES
+from torchjoint.datasets.files.las import SUFFIXES
+from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.engine import Engine, open_engine
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write, write_text
@@ -67,7 +67,7 @@ def superpoints_of_files(
     *,
     tile: float | None = None,
     buffer: float | None = None,
-    preset: str | SuperpointsConfig = "room",
+    preset: str | SuperpointsConfig = "default",
     engine: str | Engine = "loky",
     overwrite: bool = False,
     progress: bool | None = None,

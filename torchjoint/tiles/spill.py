@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from torchjoint.datasets.las import LasPoints
+from torchjoint.datasets.files.las import LasPoints
 from torchjoint.tiles.plan import Plan
 from torchjoint.tiles.survey import Survey, read_points
 

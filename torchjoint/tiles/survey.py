@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.datasets.las import LasPoints, las_points, open_las, white_of
+from torchjoint.datasets.files.las import LasPoints, las_points, open_las, white_of
 
 #: Mean number of points in a cell, and most cells: fine enough to cut tiles along cells, and small in memory.
 POINTS, MOST_CELLS = 100, 4_000_000

@@ -11,9 +11,9 @@ import numpy.typing as npt
 import torch
 
 from torchjoint.config import SuperpointsConfig
+from torchjoint.oversegmentation import superpoints
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
-from torchjoint.superpoints import superpoints
 from torchjoint.tiles.spill import OWN, SHARED, point_type
 
 #: The outer part of the buffer, in buffers. A superpoint that reaches it may go on where the tile does not see.

@@ -11,15 +11,15 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.lazy import LazySequence
 from torchjoint.joint import JointSegmenter
 from torchjoint.labels.image_labels import label_image
 from torchjoint.masks.folder import frame_names
-from torchjoint.points.point_labels import label_points
 from torchjoint.results.loading import load_result
 from torchjoint.results.result import Result
+from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene, Segmentation
+from torchjoint.segments.point_labels import label_points
 from torchjoint.viewer.app import Viewer
 from torchjoint.viewer.parameters import LiveRun
 from torchjoint.viewer.server import import_viser
@@ -110,7 +110,7 @@ def labels_so_far(
         one level only; pixels of image segments without points are -1. Numbers may be left out.
     """
     with torch.no_grad(), one_thread_per_operation():
-        labels = label_points(segmenter.cloud, segmenter.state)
+        labels = label_points(segmenter.method, segmenter.cloud, segmenter.state)
         number = torch.arange(int(labels.given.max()) + 1)
         if before is not None:
             number = kept_numbers(labels.given, before)

@@ -4,18 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 
-from torchjoint.config import STAGES, Config
+from torchjoint.config import Config
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.result import Result
 from torchjoint.scene import Scene
-
-#: By method of step 6, the handful that somebody turns who looks at the result.
-LIVE = {
-    "learned": ("refinement.color_weight",),
-    "regions": ("region_merging.threshold", "image_support.min_size", "refinement.color_weight"),
-    "edges": ("point_segments.scale", "point_segments.min_size", "propagation.weight", "refinement.color_weight"),
-    "scan": ("scan.gap", "scan.object_height", "scan.min_size", "refinement.color_weight"),
-}
 
 
 class LiveRun:
@@ -32,7 +24,7 @@ class LiveRun:
     @property
     def parameters(self) -> dict[str, float]:
         """Names (stage.parameter) and values of the parameters that can be turned."""
-        names = LIVE[self._segmenter.method]
+        names = self._segmenter.method.turned
         config = self._segmenter.config
         return {name: float(getattr(getattr(config, name.split(".")[0]), name.split(".")[1])) for name in names}
 
@@ -50,5 +42,5 @@ class LiveRun:
 
 
 def _of_its_kind(stage: str, parameter: str, value: float) -> float | int:
-    default = next(spec.default for spec in dataclasses.fields(STAGES[stage]) if spec.name == parameter)
+    default = next(spec.default for spec in dataclasses.fields(Config.stages()[stage]) if spec.name == parameter)
     return round(value) if isinstance(default, int) else value

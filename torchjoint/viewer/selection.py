@@ -12,9 +12,9 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from torchjoint.datasets.lazy import LazySequence
-from torchjoint.datasets.ply import write_cloud
+from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.exports.coco import export_coco
+from torchjoint.runtime.lazy import LazySequence
 from torchjoint.viewer.model import Model
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from torchjoint.datasets.clouds import read_cloud_file
-from torchjoint.datasets.ply import read_vertex_property
+from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.ply import read_vertex_property
 from torchjoint.results.result import Result
 from torchjoint.runtime.archives import read_archive
 from torchjoint.scene import Scene, Segmentation

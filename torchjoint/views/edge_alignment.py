@@ -22,7 +22,7 @@ from torch import Tensor
 from torchjoint.config import VisibilityConfig
 from torchjoint.images.gradient_boundary import GradientBoundary
 from torchjoint.images.smoothing import smooth
-from torchjoint.scene import Frame, Scene
+from torchjoint.scene import Cloud, Frame
 from torchjoint.views.projection import Projection, project
 from torchjoint.views.visibility import visible_points
 
@@ -76,12 +76,12 @@ def combined(correlations: Sequence[Tensor]) -> EdgeAlignment | None:
     return EdgeAlignment(float(given), float((given - others.mean()) / others.std().clamp(min=1e-9)))
 
 
-def edge_correlations(scene: Scene, frame: Frame, spacing: Tensor, config: VisibilityConfig) -> Tensor | None:
+def edge_correlations(cloud: Cloud, frame: Frame, spacing: Tensor, config: VisibilityConfig) -> Tensor | None:
     """Correlations of depth edges and image edges of a cloud recorded from about one position, such as a LiDAR scan.
 
     Args:
-        scene: the points.
-        frame: a frame of the scene, with the pose to check.
+        cloud: the points.
+        frame: a frame, with the pose to check.
         spacing: [N] metres, spacing of the points.
         config: parameters of the visibility.
 
@@ -89,8 +89,8 @@ def edge_correlations(scene: Scene, frame: Frame, spacing: Tensor, config: Visib
         [1 + number of SHIFTS] float64, the first without shift. None if no verdict is possible: the cloud is not a
         scan, too few depth jumps are in view, or the image is blank.
     """
-    projection = project(scene.points, frame.intrinsics, frame.world_to_camera, frame.size)
-    if len(projection.point) <= NEIGHBORS or not _is_scan(scene, frame, spacing, config, projection):
+    projection = project(cloud.points, frame.intrinsics, frame.world_to_camera, frame.size)
+    if len(projection.point) <= NEIGHBORS or not _is_scan(cloud, frame, spacing, config, projection):
         return None
     edges, scale = _image_edges(frame.image)
     if edges is None:
@@ -106,10 +106,10 @@ def edge_correlations(scene: Scene, frame: Frame, spacing: Tensor, config: Visib
     return torch.stack(rows)
 
 
-def _is_scan(scene: Scene, frame: Frame, spacing: Tensor, config: VisibilityConfig, projection: Projection) -> bool:
+def _is_scan(cloud: Cloud, frame: Frame, spacing: Tensor, config: VisibilityConfig, projection: Projection) -> bool:
     """Whether hardly any point hides another point. A cloud of many views also has the points behind the surface."""
     thin = replace(config, method="zbuffer", footprint=0.1)
-    visible = visible_points(scene.points, spacing, frame.intrinsics, frame.world_to_camera, frame.size, thin)
+    visible = visible_points(cloud.points, spacing, frame.intrinsics, frame.world_to_camera, frame.size, thin)
     return len(visible.point) >= MIN_VISIBLE * len(projection.point)
 
 

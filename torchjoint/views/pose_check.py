@@ -11,10 +11,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchjoint.cloud.local import LocalFrame
 from torchjoint.config import VisibilityConfig
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
-from torchjoint.scene import Frame, Scene
-from torchjoint.scene.local_cloud import LocalFrame
+from torchjoint.scene import Cloud, Frame, Scene
 from torchjoint.scene.subset import evenly_spaced_indices
 from torchjoint.views.color_agreement import color_agreement
 from torchjoint.views.edge_alignment import EdgeAlignment, combined, edge_correlations
@@ -93,7 +93,7 @@ class PoseCheck:
     """
 
     def __init__(
-        self, cloud: Scene, spacing: Tensor, config: VisibilityConfig, local: LocalFrame, name: str = ""
+        self, cloud: Cloud, spacing: Tensor, config: VisibilityConfig, local: LocalFrame, name: str = ""
     ) -> None:
         self._cloud, self._spacing, self._config, self._local = cloud, spacing, config, local
         self._name = name or "scene"
@@ -159,7 +159,7 @@ def check_poses(scene: Scene, spacing: Tensor, config: VisibilityConfig) -> Agre
     Warns:
         PoseWarning: one for each problem found.
     """
-    check = PoseCheck(scene, spacing, config, LocalFrame.of_world(), scene.name)
+    check = PoseCheck(scene.cloud, spacing, config, LocalFrame.of_world(), scene.name)
     check.look_at(frames_to_check(scene).values())
     return check.warn()
 
@@ -169,9 +169,9 @@ def frames_to_check(scene: Scene) -> dict[int, Frame]:
     return {index: scene.frames[index] for index in evenly_spaced_indices(len(scene.frames), NUM_FRAMES)}
 
 
-def _agreement(scene: Scene, spacing: Tensor, frame: Frame, pose: Tensor, config: VisibilityConfig) -> Agreement:
-    in_view = project(scene.points, frame.intrinsics, pose, frame.size).point.shape[0] / len(scene.points)
-    visible = visible_points(scene.points, spacing, frame.intrinsics, pose, frame.size, config)
+def _agreement(cloud: Cloud, spacing: Tensor, frame: Frame, pose: Tensor, config: VisibilityConfig) -> Agreement:
+    in_view = project(cloud.points, frame.intrinsics, pose, frame.size).point.shape[0] / len(cloud.points)
+    visible = visible_points(cloud.points, spacing, frame.intrinsics, pose, frame.size, config)
     if not visible.z.numel():
         return Agreement(in_view)
     depth_residual = torch.nan
@@ -180,10 +180,10 @@ def _agreement(scene: Scene, spacing: Tensor, frame: Frame, pose: Tensor, config
         known = depth > 0
         if known.any():
             depth_residual = ((visible.z - depth).abs() / depth)[known].median().item()
-    if scene.colors is None:
+    if cloud.colors is None:
         return Agreement(in_view, depth_residual)
     return Agreement(
-        in_view, depth_residual, *color_agreement(scene.colors[visible.point], frame.image, visible.row, visible.column)
+        in_view, depth_residual, *color_agreement(cloud.colors[visible.point], frame.image, visible.row, visible.column)
     )
 
 

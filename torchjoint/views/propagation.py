@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from torchjoint import ops
-from torchjoint.config import PropagationConfig
-from torchjoint.views.csr_adjacency import CsrAdjacency
+from torchjoint.cloud.adjacency import CsrAdjacency
+from torchjoint.ops.line_maxima import line_maxima
+from torchjoint.ops.window_overlaps import window_overlaps
 from torchjoint.views.visibility import Visible
 
 #: Overlaps are rounded to multiples of this before they are summed. Sums of up to 2^29 overlaps are then exact in
@@ -34,7 +34,7 @@ def edge_overlaps(edges: CsrAdjacency, visible: Visible, labels: Tensor, window:
         ([S] int64, [S] float64): the edges for which the image has evidence (both ends are visible and have a labelled
         pixel in their windows), each once; and their overlaps in [0, 1], rounded to OVERLAP_RESOLUTION.
     """
-    edge, overlap = ops.window_overlaps(*edges, visible.point, visible.row, visible.column, labels, window)
+    edge, overlap = window_overlaps(*edges, visible.point, visible.row, visible.column, labels, window)
     return edge, round_overlaps(overlap)
 
 
@@ -49,7 +49,7 @@ def edge_contours(edges: CsrAdjacency, visible: Visible, boundary: Tensor) -> tu
     Returns:
         ([S] int64, [S] uint8): the edges with two visible ends, each once, and the strength x 255.
     """
-    return ops.line_maxima(*edges, visible.point, visible.row, visible.column, boundary)
+    return line_maxima(*edges, visible.point, visible.row, visible.column, boundary)
 
 
 def round_overlaps(overlap: Tensor) -> Tensor:
@@ -57,26 +57,24 @@ def round_overlaps(overlap: Tensor) -> Tensor:
     return (overlap / OVERLAP_RESOLUTION).round_() * OVERLAP_RESOLUTION
 
 
-def disagreement(views: Tensor, overlap_sum: Tensor, num_images: int, config: PropagationConfig) -> Tensor:
+def disagreement(views: Tensor, overlap_sum: Tensor, threshold: float, num_images: int | None = None) -> Tensor:
     """The images' disagreement r of each edge (eq. 6), in [0, 1]; r = 1 - r_o if no image sees both ends.
 
-    `normalization: all` is eq. 6 as in the paper: r = 1 - r_o + (v r_o - sum o) / L with L = `num_images`. With
-    hundreds of images v / L is tiny and r is nearly constant. `normalization: saturating` avoids this:
-    r = 1 - sum o / v if v > 0. One view counts as much as many.
+    With L images this is eq. 6 as in the paper: r = 1 - r_o + (v r_o - sum o) / L. With hundreds of images v / L is
+    tiny and r is nearly constant. Without L one view counts as much as many: r = 1 - sum o / v if v > 0.
 
     Args:
         views: [E] int64, v, number of images that see both ends of the edge.
         overlap_sum: [E] float64, sum of the overlaps in these images.
-        num_images: L, the number of images.
-        config: r_o and the normalization.
+        threshold: r_o, the overlap at which an image is neutral.
+        num_images: L; None: the edge's own number of views.
 
     Returns:
         [E] float32.
     """
     v = views.double()
-    neutral = 1 - config.overlap_threshold
-    if config.normalization == "all":
-        r = neutral + (v * config.overlap_threshold - overlap_sum) / max(num_images, 1)
+    if num_images is not None:
+        r = 1 - threshold + (v * threshold - overlap_sum) / max(num_images, 1)
     else:
-        r = neutral + v.clamp(max=1) * (config.overlap_threshold - overlap_sum / v.clamp(min=1))
+        r = 1 - threshold + v.clamp(max=1) * (threshold - overlap_sum / v.clamp(min=1))
     return r.clamp(0, 1).float()  # only rounding can leave [0, 1]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchjoint.datasets.ply import write_cloud
+from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.result import Result
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import atomic_write

@@ -1,0 +1,1 @@
+"""What research on torchjoint needs and its users do not: training, benchmarks, other methods, synthetic domains."""

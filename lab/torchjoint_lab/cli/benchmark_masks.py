@@ -1,0 +1,40 @@
+"""torchjoint-lab benchmark masks: compares ways of bringing a network's masks to 3D."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from torchjoint.runtime.files import write_text
+from torchjoint_lab.benchmark.masks import TITLES, VIEWS, measure, report, runs
+
+TABLE = "table.md"
+
+
+def benchmark_masks(
+    out: Path,
+    half: Literal["checking", "tuning"] = "checking",
+    methods: Sequence[str] = (),
+    domains: Sequence[str] = tuple(VIEWS),
+    scenes: int = 4,
+    noise_seeds: int = 4,
+) -> str:
+    """Runs what is missing in the folder, writes table.md there, and returns the table.
+
+    Raises:
+        ValueError: an unknown method or domain, or a number below 1.
+        FileExistsError: `out` is not a folder.
+    """
+    if unknown := [name for name in methods if name not in TITLES]:
+        raise ValueError(f"--methods: expected some of {', '.join(TITLES)}, got {unknown[0]!r}")
+    todo = runs(half, scenes, noise_seeds, domains)
+    if out.exists() and not out.is_dir():
+        raise FileExistsError(f"-o: {out} exists and is not a folder")
+    folder = out / "runs"
+    folder.mkdir(parents=True, exist_ok=True)
+    chosen = [name for name in TITLES if not methods or name in methods]
+    text = report(list(measure(todo, chosen, folder)), half)
+    write_text(out / TABLE, f"{text}\n")
+    print(f"\n{text}\n\nwritten to {out}: {TABLE}; runs/ has the scores of each run, and is read when started again")
+    return text

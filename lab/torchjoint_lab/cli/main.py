@@ -1,0 +1,24 @@
+"""The entry point of the lab's command line; lists its commands."""
+
+from __future__ import annotations
+
+from torchjoint.cli.commands import Command, run
+
+COMMANDS = {
+    "benchmark": Command("torchjoint_lab.cli.benchmark:benchmark", "compares methods on labelled scenes"),
+    "train-forest": Command("torchjoint_lab.cli.train_forest:train_forest", "trains the boundary detector of images"),
+    "train-boundary-model": Command(
+        "torchjoint_lab.cli.train_boundary_model:train_boundary_model", "trains the model of step 6, method learned"
+    ),
+    "evaluate-boundaries": Command(
+        "torchjoint_lab.cli.evaluate_boundaries:evaluate_boundaries", "scores boundaries of images on BSDS500"
+    ),
+    "paper-tables": Command("torchjoint_lab.cli.paper_tables:paper_tables", "scores results as the paper's tables do"),
+}
+
+INTERRUPTED = "`benchmark --tuning`, `train-forest` and `train-boundary-model` go on where they were when started again"
+
+
+def main() -> None:
+    """Entry point."""
+    run("torchjoint-lab", COMMANDS, "Research on torchjoint: training, benchmarks, other methods.", INTERRUPTED)

@@ -1,0 +1,1 @@
+"""Presets of method regions, and the settings of the benchmark's methods."""

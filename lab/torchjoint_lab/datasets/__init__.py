@@ -1,0 +1,1 @@
+"""Readers of data sets for training and evaluating boundaries of images."""

@@ -1,0 +1,1 @@
+"""Scores of boundaries, tables of the paper, results of other methods."""

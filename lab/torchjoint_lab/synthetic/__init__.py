@@ -1,0 +1,22 @@
+"""Synthetic scenes of many domains, with exact labels, for training and checking.
+
+:func:`make_domain_scene` makes a scene of a domain (:data:`DOMAINS`: tables, shelves, bins, desks, kitchens, rooms,
+workshops, LiDAR streets); :func:`domain_settings` returns the difficulties that are drawn for a scene. The rooms of
+:mod:`torchjoint.synthetic` lie below.
+"""
+
+from torchjoint.synthetic import MASK_LEVELS, SyntheticScene, make_network_masks, make_scene, with_network_masks
+from torchjoint_lab.synthetic.domains import make_domain_scene
+from torchjoint_lab.synthetic.settings import DOMAINS, DomainSettings, domain_settings
+
+__all__ = [
+    "DOMAINS",
+    "MASK_LEVELS",
+    "DomainSettings",
+    "SyntheticScene",
+    "domain_settings",
+    "make_domain_scene",
+    "make_network_masks",
+    "make_scene",
+    "with_network_masks",
+]

@@ -1,0 +1,105 @@
+"""What the tests share."""
+
+import functools
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from hypothesis import HealthCheck, settings
+
+from torchjoint.cli.main import main
+from torchjoint.scene import Scene, Segmentation
+from torchjoint.synthetic import SyntheticScene, make_scene
+from torchjoint.views.observation import Observation
+from torchjoint.views.visibility import Visible
+
+# How fast a machine is says nothing about the code: no test fails because an example takes long to make or to run.
+settings.register_profile("torchjoint", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("torchjoint")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_cache() -> Iterator[None]:
+    """Tests leave nothing in the user's cache, and find nothing there."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TORCHJOINT_CACHE", "")
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def small_overviews() -> Iterator[None]:
+    """Results have an overview of one inch: a whole one takes a second, and what looks at it draws it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("torchjoint.results.folder.overview", _small_overview)
+        yield
+
+
+def _small_overview(scene: Scene, result: Segmentation) -> Any:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(1, 1))
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of real data and checked values, which is no part of the checkout: without it, tests skip."""
+    folder = Path(os.environ.get("TORCHJOINT_SHARED", Path(__file__).resolve().parents[2] / "shared"))
+    if not folder.is_dir():
+        pytest.skip(f"no shared data at {folder}: set TORCHJOINT_SHARED to the folder that holds metrics/ and data/")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def scene_of() -> Callable[..., SyntheticScene]:
+    """`make_scene`, each scene made once. Tests leave what they get as it is."""
+    return functools.cache(make_scene)
+
+
+@pytest.fixture(scope="session")
+def run() -> Callable[..., None]:
+    """The command line: `run("segment", folder, "-o", out)`."""
+
+    def command(*arguments: object) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "argv", ["torchjoint", *map(str, arguments)])
+            patch.setattr(warnings, "formatwarning", warnings.formatwarning)  # `main` sets its own
+            main()
+
+    return command
+
+
+@pytest.fixture
+def set_threads() -> Iterator[Callable[[int], None]]:
+    """`torch.set_num_threads`; after the test torch has as many threads as before."""
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="session")
+def seen() -> Callable[..., Observation]:
+    """An observation of a strip of pixels, one for each of the points; the labels are those of the image there."""
+
+    def observation(points: list[int], image_labels: list[int]) -> Observation:
+        point = torch.tensor(points, dtype=torch.int64)
+        column = torch.arange(len(point))
+        labels = torch.full((1, max(len(point), 1)), -1, dtype=torch.int32)  # an image has at least one pixel
+        labels[0, : len(point)] = torch.tensor(image_labels, dtype=torch.int32)
+        row, depth = torch.zeros_like(column), column + 1.0
+        visible = Visible(point, row, column, column.float(), row.float(), depth)
+        return Observation(
+            "",
+            labels,
+            visible,
+            torch.eye(3),
+            torch.eye(4),
+            torch.zeros(3, *labels.shape).byte(),
+            torch.zeros(labels.shape).byte(),
+        )
+
+    return observation

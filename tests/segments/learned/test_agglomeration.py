@@ -1,0 +1,217 @@
+"""Step 6, method learned: merging by hand, the rounds, and the method as a whole with a model by hand."""
+
+import pytest
+import torch
+from torchjoint_lab.synthetic import make_domain_scene
+
+import torchjoint as tj
+from torchjoint.segments import segments
+from torchjoint.segments.learned.agglomeration import (
+    COARSER,
+    HEIGHT_STEP,
+    build_hierarchy,
+    merge_by_probability,
+    merging_steps,
+)
+from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
+from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.segments.learned.piece_graph import build_piece_graph
+from torchjoint.views.state import JointState
+
+LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
+
+
+class ByCrease:
+    """A model by hand: creases are boundaries. It remembers what it was asked."""
+
+    def __init__(self, *thresholds):
+        self.thresholds = thresholds
+        self.asked = []
+
+    def probability(self, number, values):
+        self.asked.append((number, len(values)))
+        return values[:, FEATURE_NAMES.index("crease_mean")].double().clamp(0, 1)
+
+
+@pytest.fixture(scope="module")
+def scene(scene_of):
+    return scene_of(3).scene
+
+
+def segmenter_of(scene, order=None):
+    segmenter = tj.JointSegmenter(LEARNED)
+    segmenter.reset(scene.points, scene.colors)
+    segmenter.update([scene.frames[index] for index in order or range(len(scene.frames))])
+    return segmenter
+
+
+@pytest.fixture(scope="module")
+def segmenter(scene):
+    return segmenter_of(scene)
+
+
+@pytest.fixture(scope="module")
+def evidence(segmenter):
+    graph = segmenter.cloud.graph
+    return build_piece_graph(graph, graph.scales, segmenter.state, LEARNED)
+
+
+class TestMerging:
+    def test_nothing_and_everything(self, evidence):
+        piece, pairs, of_edge = evidence.piece, evidence.pairs, evidence.edges.pair
+        half = torch.full((pairs.shape[1],), 0.5, dtype=torch.float64)
+        assert torch.equal(merge_by_probability(piece, pairs, of_edge, half, 0.49), piece)
+        merged = merge_by_probability(piece, pairs, of_edge, half, 0.5)
+        assert merged.max() < 20  # only what no edge connects stays apart
+        first, second = merged[piece.new_tensor([(piece == p).nonzero()[0, 0] for p in pairs.flatten()])].view(2, -1)
+        assert torch.equal(first, second)
+
+    def test_one_pair(self, evidence):
+        for chosen in (0, 17, evidence.pairs.shape[1] - 1):
+            probability = torch.ones(evidence.pairs.shape[1], dtype=torch.float64)
+            probability[chosen] = 0.1
+            a, b = evidence.pairs[:, chosen].tolist()
+            merged = merge_by_probability(evidence.piece, evidence.pairs, evidence.edges.pair, probability, 0.2)
+            expected = torch.where(evidence.piece == b, a, evidence.piece)
+            assert torch.equal(merged, torch.where(expected > b, expected - 1, expected))
+
+
+def after_rounds(evidence, model, *rounds):
+    """The labels after rounds (number, threshold), by the operator that gives labels instead of merges."""
+    region = evidence.piece
+    for number, threshold in rounds:
+        pairs, values, of_edge = boundary_features(evidence, region)
+        if pairs.shape[1] == 0:
+            break
+        region = merge_by_probability(region, pairs, of_edge, model.probability(number, values), threshold)
+    return region
+
+
+class TestRounds:
+    def test_each_round_asks_about_larger_regions(self, evidence):
+        model = ByCrease(0.1, 0.2, 0.3)
+        build_hierarchy(evidence, model)
+        numbers, boundaries = zip(*model.asked, strict=True)
+        assert numbers[:7] == (0, 0, 1, 1, 2, 2, 2)
+        assert set(numbers[7:]) <= {2}
+        assert list(boundaries) == sorted(boundaries, reverse=True)
+        assert boundaries[0] == evidence.pairs.shape[1]
+
+    @pytest.mark.parametrize("thresholds", [(0.1, 0.2, 0.3), (0.15, 0.25, 0.35, 0.5), (0.3, 0.1), (0.9,)])
+    def test_the_default_level_is_the_rounds(self, evidence, thresholds):
+        model = ByCrease(*thresholds)
+        hierarchy = build_hierarchy(evidence, model)
+        assert torch.equal(hierarchy.at(), after_rounds(evidence, model, *merging_steps(thresholds)))
+        assert hierarchy.default == max(thresholds)
+
+    def test_the_default_level_is_the_rounds_of_the_package_s_model(self, evidence):
+        model = load_boundary_model()
+        steps = [(0, 0.075), (0, 0.15), (1, 0.2), (1, 0.25), (2, 0.3), (2, 0.35), (3, 0.425), (3, 0.5), (3, 0.5)]
+        assert torch.equal(build_hierarchy(evidence, model).at(0.5), after_rounds(evidence, model, *steps))
+
+    @pytest.mark.slow
+    def test_a_cut_at_a_threshold_is_the_state_after_its_round(self, evidence):
+        model = ByCrease(0.1, 0.2, 0.3)
+        hierarchy = build_hierarchy(evidence, model)
+        rounds = [*merging_steps(model.thresholds), *((2, threshold) for threshold in COARSER)]
+        for last, (_, threshold) in enumerate(rounds):
+            if last != 5:  # the second run of a step goes on below the same threshold
+                expected = after_rounds(evidence, model, *rounds[: last + 1])
+                assert torch.equal(hierarchy.cut(threshold), expected)
+
+    def test_the_ends(self, evidence):
+        hierarchy = build_hierarchy(evidence, ByCrease(0.1, 0.3))
+        assert torch.equal(hierarchy.at(1), evidence.piece)
+        pairs = evidence.pairs
+        together = torch.zeros(pairs.shape[1], dtype=torch.float64)
+        connected = merge_by_probability(evidence.piece, pairs, evidence.edges.pair, together, 1.0)
+        assert torch.equal(hierarchy.at(0), connected)
+
+    def test_heights_never_fall_on_the_way_up(self, evidence):
+        hierarchy = build_hierarchy(evidence, ByCrease(0.1, 0.2, 0.3))
+        assert hierarchy.heights.min() >= HEIGHT_STEP
+        top = [0.0] * hierarchy.num_pieces
+        for (a, b), height in zip(hierarchy.merges.tolist(), hierarchy.heights.tolist(), strict=True):
+            assert height >= max(top[a], top[b])
+            top[a] = height  # each merge names the lowest pieces of the two segments
+        assert len(set(hierarchy.merges[:, 1].tolist())) == len(hierarchy.merges)
+
+    def test_labels_are_numbered_by_first_appearance(self, evidence):
+        labels = build_hierarchy(evidence, ByCrease(0.1, 0.3)).at()
+        first = [int((labels == label).nonzero()[0]) for label in range(int(labels.max()) + 1)]
+        assert first == sorted(first)
+        assert labels.dtype == torch.int64
+        assert labels.shape == evidence.piece.shape
+
+    def test_stops_when_no_boundary_is_left(self, evidence):
+        model = ByCrease(1.0, 1.0, 1.0)
+        labels = build_hierarchy(evidence, model).at()
+        assert boundary_features(evidence, labels).pairs.shape[1] == 0
+        assert model.asked[-1][1] < evidence.pairs.shape[1]  # halfway, some boundaries are left
+        assert len(model.asked) == 2
+
+
+class TestMethod:
+    @pytest.fixture(autouse=True)
+    def _model(self, monkeypatch):
+        monkeypatch.setattr(segments, "load_boundary_model", lambda: ByCrease(0.1, 0.2, 0.3))
+
+    def test_is_the_rounds(self, segmenter, evidence):
+        expected = build_hierarchy(evidence, ByCrease(0.1, 0.2, 0.3)).at()
+        result = segmenter.compute()
+        assert torch.equal(result.points, expected)
+        assert expected.max() > 3
+        assert len(result.images) == 6
+
+    def test_neither_order_nor_threads_matter(self, scene, segmenter, set_threads):
+        expected = segmenter.compute(images=False)
+        for threads in (1, 3):
+            set_threads(threads)
+            again = segmenter_of(scene, [5, 3, 1, 0, 2, 4]).compute(images=False)
+            assert torch.equal(again.points, expected.points)
+            assert torch.equal(again.hierarchy.merges, expected.hierarchy.merges)
+            assert torch.equal(again.hierarchy.heights, expected.hierarchy.heights)
+
+    @pytest.mark.parametrize("count", [1, 2, 5, 40])
+    def test_tiny_clouds(self, count):
+        points = torch.rand(count, 3, generator=torch.Generator().manual_seed(0))
+        for colors in (None, points):
+            segmenter = tj.JointSegmenter(LEARNED)
+            segmenter.reset(points, colors)
+            assert segmenter.compute().points.shape == (count,)
+
+    def test_needs_the_scales(self, segmenter):
+        graph = segmenter.cloud.graph._replace(scales=None)
+        with pytest.raises(ValueError, match="graph: method learned needs a graph that was built with the scales"):
+            segments.segment_points(graph, JointState.empty(graph.edge_index.shape[1], graph.num_points), LEARNED)
+
+    def test_no_parameter_of_step_6_counts(self, segmenter):
+        other = LEARNED.set(["region_merging.threshold=0.9", "pieces.threshold=null", "point_segments.scale=1"])
+        expected = segmenter.compute(images=False).points
+        assert torch.equal(segmenter.with_config(other).compute(images=False).points, expected)
+
+    @pytest.mark.parametrize("method", ["regions", "edges", "scan"])
+    def test_another_method_needs_another_graph(self, scene, segmenter, method):
+        message = r"config: what was seen depends on point_segments\.method; see the frames again"
+        other = LEARNED.set([f"point_segments.method={method}"])
+        with pytest.raises(ValueError, match=message):
+            segmenter.with_config(other)
+        seen = tj.JointSegmenter(other)
+        seen.reset(scene.points)
+        with pytest.raises(ValueError, match=message):  # nor the other way round
+            seen.with_config(LEARNED)
+
+
+def test_the_model_of_the_package_finds_what_stands_on_a_table():
+    """The whole way with the model that is shipped, on a generated scene that it was not trained on."""
+    scene = make_domain_scene("table", 11, num_views=2).scene
+    segmenter = tj.JointSegmenter()
+    result = segmenter(scene)
+    assert tj.metrics.mean_best_iou(result.points, scene.truth.points) > 0.5
+    again = tj.JointSegmenter()
+    again.reset(scene.points, scene.colors)
+    for frame in reversed(scene.frames):
+        again.update(frame)
+    assert torch.equal(result.points, again.compute(images=False).points)
+    bare = tj.JointSegmenter()(tj.Scene(scene.points))
+    assert 1 < bare.num_point_segments < 200

@@ -1,0 +1,168 @@
+"""Masks in step 6: they overrule geometry as views add up, wrong masks only shift a mean, and far parts join."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+import torchjoint as tj
+from torchjoint.scene import Hierarchy, Masks
+from torchjoint.segments.learned import mask_majority
+from torchjoint.segments.learned.mask_counts import masks_of_pieces
+from torchjoint.segments.learned.mask_majority import move_to_majority
+from torchjoint.views.observation import Observation
+
+
+def with_masks(seen: Observation, masks: Masks) -> Observation:
+    return replace(seen, labels=masks.atom, masks=masks)
+
+
+def test_points_of_pieces_in_masks(seen) -> None:
+    # Points 0, 1, 2 of pieces 0, 0, 1 in three pixels: the first mask has pixels 0 and 1, the second, nested, pixel 1.
+    stack = torch.tensor([[[True, True, False]], [[False, True, False]]])
+    one = with_masks(seen([0, 1, 2], [0, 0, 0]), Masks.from_stack(stack, torch.tensor([1.0, 0.5])))
+    plain = seen([0, 1, 2], [0, 0, 0])
+    evidence = masks_of_pieces(torch.tensor([0, 0, 1]), [plain, one, one])
+    assert evidence is not None
+    assert evidence.weight.tolist() == [256, 128, 256, 128]
+    assert evidence.frame_of_mask.tolist() == [1, 1, 2, 2]  # the first frame has no masks
+    rows = sorted(evidence.in_mask.t().tolist())
+    assert rows == [[0, 0, 2], [0, 1, 1], [0, 2, 2], [0, 3, 1]]
+    assert sorted(evidence.in_frame.t().tolist()) == [[0, 1, 2], [0, 2, 2], [1, 1, 1], [1, 2, 1]]
+    in_mask, in_frame = evidence.of_regions(torch.tensor([0, 0]))
+    assert in_mask.t().tolist() == rows
+    assert in_frame.t().tolist() == [[0, 1, 3], [0, 2, 3]]
+    assert masks_of_pieces(torch.tensor([0, 0, 1]), [plain]) is None
+
+
+SIZE = (60, 80)
+INTRINSICS = torch.tensor([[60.0, 0, 40], [0, 60, 30], [0, 0, 1]], dtype=torch.float64)
+
+
+def wall(shift: float = 0.0) -> Tensor:
+    """A flat wall at z = 1, with nothing that geometry could tell apart."""
+    x, y = torch.meshgrid(torch.linspace(-0.6, 0.6, 61), torch.linspace(-0.45, 0.45, 46), indexing="xy")
+    return torch.stack([x + shift, y, torch.ones_like(x)], -1).view(-1, 3)
+
+
+def halves(columns: int = 40) -> Tensor:
+    """Two masks: the pixels to the left of a column, and the others."""
+    left = (torch.arange(SIZE[1]) < columns).expand(SIZE)
+    return torch.stack([left, ~left])
+
+
+def segments(points: Tensor, stacks: list[Tensor]) -> Tensor:
+    pose = torch.eye(4, dtype=torch.float64)
+    image = torch.full((3, *SIZE), 0.5)
+    frames = [tj.Frame(image, INTRINSICS, pose, masks=stack, name=str(i)) for i, stack in enumerate(stacks)]
+    return tj.JointSegmenter()(tj.Scene(points, frames)).points
+
+
+def share_of_one_label(labels: Tensor) -> float:
+    return float(torch.bincount(labels).max() / len(labels))
+
+
+def test_masks_cut_what_geometry_cannot() -> None:
+    points = wall()
+    labels = segments(points, [halves()] * 3)
+    left = points[:, 0] < -0.02
+    right = points[:, 0] > 0.02
+    assert share_of_one_label(labels[left]) > 0.97
+    assert share_of_one_label(labels[right]) > 0.97
+    assert labels[left].mode().values != labels[right].mode().values
+
+
+def test_a_mask_that_joins_two_objects_in_one_of_five_frames_is_outvoted() -> None:
+    points = wall()
+    merged = torch.ones(1, *SIZE, dtype=torch.bool)
+    labels = segments(points, [halves()] * 4 + [merged])
+    assert labels[points[:, 0] < -0.02].mode().values != labels[points[:, 0] > 0.02].mode().values
+
+
+@pytest.mark.parametrize("others", [0, 3])
+def test_a_mask_that_splits_an_object_in_some_frames_is_outvoted(others: int) -> None:
+    points = wall()
+    whole = torch.ones(1, *SIZE, dtype=torch.bool)
+    labels = segments(points, [whole] * others + [halves()])
+    assert (share_of_one_label(labels) > 0.97) == (others == 3)
+
+
+def test_parts_that_do_not_touch_join_in_one_mask() -> None:
+    points = torch.cat([part for part in (wall(),) for part in (part[part[:, 0] < -0.2], part[part[:, 0] > 0.2])])
+    whole = torch.ones(1, *SIZE, dtype=torch.bool)
+    assert share_of_one_label(segments(points, [whole] * 2)) > 0.97
+    assert share_of_one_label(segments(points, [halves()] * 2)) < 0.6
+
+
+@pytest.mark.slow
+def test_frames_in_any_order_and_in_parts_give_the_same_labels(scene_of) -> None:
+    scene = tj.synthetic.with_network_masks(scene_of(seed=0).scene, "hard", seed=3)
+    whole = tj.JointSegmenter()(scene)
+    assert whole.hierarchy is not None
+    backwards, other = tj.JointSegmenter(), tj.JointSegmenter()
+    for one in (backwards, other):
+        one.reset(scene.points, scene.colors)
+    for frame in reversed(scene.frames[3:]):
+        backwards.update(frame)
+    other.update(scene.frames[:3])
+    backwards.merge(other)
+    assert torch.equal(backwards.compute(images=False).points, whole.points)
+    # The levels nest, with masks as without.
+    fine, coarse = whole.at(0.8).points, whole.at(0.3).points
+    assert len(torch.unique(torch.stack([fine, whole.points]), dim=1).t()) == int(fine.max()) + 1
+    assert len(torch.unique(torch.stack([whole.points, coarse]), dim=1).t()) == int(whole.points.max()) + 1
+
+
+def test_a_part_in_its_whole_is_a_finer_level() -> None:
+    points, whole = wall(), torch.ones(1, *SIZE, dtype=torch.bool)
+    pose, image = torch.eye(4, dtype=torch.float64), torch.full((3, *SIZE), 0.5)
+    masks = torch.cat([whole, halves()[:1]])
+    frames = [tj.Frame(image, INTRINSICS, pose, masks=masks, name=str(i)) for i in range(3)]
+    result = tj.JointSegmenter()(tj.Scene(points, frames))
+    assert share_of_one_label(result.points) > 0.97
+    finer = result.at(0.86).points
+    left, right = finer[points[:, 0] < -0.02], finer[points[:, 0] > 0.02]
+    assert share_of_one_label(left) > 0.9
+    assert share_of_one_label(right) > 0.9
+    assert left.mode().values != right.mode().values
+
+
+CHAIN = torch.stack([torch.arange(5), torch.arange(1, 6)])
+HALVES = torch.tensor([[[True, True, True, False, False, False]], [[False, False, False, True, True, True]]])
+
+
+def moved(seen, piece: list[int], stacks: list[Tensor], edges: Tensor = CHAIN) -> list[int]:
+    """Six points in a chain, each in a pixel of its own; the pieces are the segments."""
+    number = torch.tensor(piece)
+    hierarchy = Hierarchy(number, torch.empty(0, 2, dtype=torch.int64), torch.empty(0, dtype=torch.float64))
+    frames = [with_masks(seen(range(6), range(6)), Masks.from_stack(stack)) for stack in stacks]
+    frames.insert(1, seen(range(6), range(6)))  # without masks: does not count
+    masks = masks_of_pieces(number, frames)
+    assert masks is not None
+    return move_to_majority(hierarchy, edges, masks, frames).piece.tolist()
+
+
+def test_a_point_moves_to_where_most_frames_see_it(seen) -> None:
+    nothing = torch.zeros(0, 1, 6, dtype=torch.bool)
+    assert moved(seen, [0, 0, 0, 0, 1, 1], [HALVES]) == [0, 0, 0, 1, 1, 1]
+    assert moved(seen, [0, 0, 0, 0, 1, 1], [nothing, HALVES, HALVES]) == [0, 0, 0, 1, 1, 1]
+    assert moved(seen, [0, 0, 0, 0, 1, 1], [nothing, HALVES]) == [0, 0, 0, 0, 1, 1]  # half of the frames are not most
+    smaller = torch.cat([HALVES, HALVES[:1]])
+    smaller[2, 0, 2] = False
+    assert moved(seen, [0, 0, 0, 0, 1, 1], [smaller]) == [0, 0, 0, 1, 1, 1]  # nested masks stand for one region
+
+
+def test_a_point_moves_only_to_a_neighbour_and_no_piece_is_lost(seen) -> None:
+    apart = torch.tensor([[0, 1, 2, 4], [1, 2, 3, 5]])
+    assert moved(seen, [0, 0, 0, 0, 1, 1], [HALVES], apart) == [0, 0, 0, 0, 1, 1]
+    assert moved(seen, [0, 0, 0, 1, 2, 2], [HALVES]) == [0, 0, 0, 1, 2, 2]
+
+
+def test_a_piece_that_only_a_lost_one_would_fill_is_not_lost(seen, monkeypatch) -> None:
+    # Point 2, all of piece 1, would go to piece 2, and point 3, all of piece 2, to piece 3.
+    wanted = torch.tensor([-1, -1, 2, 3, -1, -1])
+    monkeypatch.setattr(mask_majority, "_wanted_regions", lambda *_: wanted)
+    assert moved(seen, [0, 0, 1, 2, 3, 3], [HALVES]) == [0, 0, 1, 2, 3, 3]

@@ -1,0 +1,185 @@
+"""A scan's segments."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from lidar_scans import HEIGHT, scan
+
+from torchjoint.config import ScanConfig
+from torchjoint.datasets import list_scenes, load_scene
+from torchjoint.datasets.files.clouds import read_scan
+from torchjoint.evaluation.scores import mean_scores, score
+from torchjoint.metrics import mean_best_iou
+from torchjoint.segments.scan import scan_segments
+from torchjoint.segments.scan.ground import ground
+from torchjoint.segments.scan.recognition import Rings
+from torchjoint.segments.scan.scan_segments import gap_weights, segment_scan, with_near_rings
+from torchjoint.views.projection import in_any_view
+
+BOXES = (
+    ((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1)),
+    ((6.0, 4.0, -HEIGHT), (6.6, 4.6, 0.1)),
+    ((-16.0, -2.0, -HEIGHT), (-12.0, 0.5, 0.0)),  # across the seam
+    ((0.0, -9.0, -HEIGHT), (4.0, -7.5, -0.3)),
+)
+
+
+def test_weights_by_hand():
+    points = torch.tensor([[10.0, 0, 0], [10, 0, 0.4], [40, 0, 0], [40, 3, 0]])
+    edges = torch.tensor([[0, 2, 0], [1, 3, 2]])
+    weights = gap_weights(points, edges, ScanConfig(gap=0.2, gap_growth=0.02))
+    # .4 / (.2 + .2); 3 / (.2 + .8); 30 / (.2 + .2), by the nearer end
+    assert weights.tolist() == pytest.approx([1, 3, 75])
+    sensor = torch.tensor([10.0, 0, 0])  # the ranges are 0, .4, 30 and more
+    moved = gap_weights(points, edges, ScanConfig(gap=0.2, gap_growth=0.02), sensor)
+    assert moved.tolist() == pytest.approx([0.4 / 0.2, 3 / 0.8, 30 / 0.2], rel=1e-3)
+
+
+def test_boxes_on_the_ground():
+    points, what = scan(*BOXES)
+    labels = segment_scan(points)
+    stands = ~ground(points)
+    assert len(labels[what == 0].unique()) == 1
+    assert len(labels.unique()) == 1 + len(BOXES)
+    assert mean_best_iou(labels[stands], what[stands]) == 1
+    assert mean_best_iou(labels, what) > 0.9
+
+
+def test_rings_are_drawn_together():
+    points = torch.tensor([[10.0, 0, 0], [0, 10 * math.cos(0.2), -10 * math.sin(0.2)]])
+    assert with_near_rings(points, None, ScanConfig()) is points
+    assert with_near_rings(points, Rings(0.004, 64), ScanConfig()) is points  # .02 > 4 x .004
+    drawn = with_near_rings(points, Rings(0.01, 32), ScanConfig())  # to the half
+    expected = torch.tensor([[10.0, 0, 0], [0, 10 * math.cos(0.1), -10 * math.sin(0.1)]])
+    torch.testing.assert_close(drawn, expected)
+
+
+@pytest.mark.parametrize("beams", [16, 32, 64])
+def test_few_beams_show_a_car_in_one_piece(beams):
+    points, what = scan(((14.0, -2.0, -HEIGHT), (15.8, 2.0, 0.1)), beams=beams)  # nobody sees its roof
+    labels = segment_scan(points)
+    car = what == 1
+    assert len({int(label) for label in labels[car].unique()} - {int(labels[what == 0].mode().values)}) == 1
+
+
+def test_labels_are_numbered_by_first_points():
+    points, _ = scan(*BOXES)
+    labels = segment_scan(points)
+    first = [int((labels == label).nonzero()[0]) for label in range(int(labels.max()) + 1)]
+    assert first == sorted(first)
+    assert labels.dtype == torch.int64
+
+
+def test_the_gap_parts_and_joins(monkeypatch):
+    monkeypatch.setattr(scan_segments, "NEIGHBORS", 40)  # enough to see each other across the gap
+
+    def two(apart):
+        boxes = [((10.0, -1.0, -HEIGHT), (11.0, -apart / 2, 0)), ((10.0, apart / 2, -HEIGHT), (11.0, 1.0, 0))]
+        points, what = scan(*boxes)
+        labels = segment_scan(points)
+        return labels[what == 1].mode().values == labels[what == 2].mode().values
+
+    assert two(0.2)  # .2 + .02 * 10 = .4
+    assert not two(0.7)
+
+
+def test_beams_are_joined_where_points_of_a_beam_are_all_neighbours(monkeypatch):
+    # A pole-like box: five points a beam, beams .15 m apart at 12 m, neighbours fewer than a beam has.
+    points, what = scan(((12.0, -0.25, -HEIGHT), (12.3, 0.25, 1.5)))
+    monkeypatch.setattr(scan_segments, "NEIGHBORS", 4)
+    labels = segment_scan(points)
+    assert len(labels[(what == 1) & ~ground(points)].unique()) == 1
+
+
+def test_bits_join_what_is_near_and_only_that(monkeypatch):
+    points, what = scan(BOXES[0])
+    near, far = torch.tensor([[7.4, 0.0, -0.5]]), torch.tensor([[20.0, 10.0, 0.5]])
+    labels = segment_scan(torch.cat([points, near, far]))
+    car = labels[: len(points)][what == 1].mode().values
+    assert labels[-2] == car  # .6 m away: 1.7 gaps
+    assert (labels == labels[-1]).sum() == 1
+    monkeypatch.setattr(scan_segments, "JOINING_GAP", 1)
+    assert segment_scan(torch.cat([points, near, far]))[-2] != car
+    monkeypatch.setattr(scan_segments, "JOINING_GAP", 1e3)
+    assert (segment_scan(torch.cat([points, near, far])) == car).sum() > 2
+
+
+def test_nothing_but_ground():
+    points, _ = scan()
+    assert segment_scan(points).unique().tolist() == [0]
+    assert segment_scan(torch.tensor([[3.0, 4.0, -1.0]])).tolist() == [0]
+    assert segment_scan(torch.zeros(5, 3)).tolist() == [0] * 5
+
+
+def test_one_point_over_the_ground():
+    points, _ = scan()
+    labels = segment_scan(torch.cat([points, torch.tensor([[10.0, 0, 1]])]))
+    assert labels[-1] == 1
+    assert (labels[:-1] == 0).all()
+
+
+def test_the_sensor_may_stand_anywhere():
+    points, _ = scan(*BOXES)
+    sensor = torch.tensor([120.0, -30.0, 15.0])
+    here, there = segment_scan(points), segment_scan(points + sensor, sensor=sensor)
+    assert here.max() == there.max()
+    assert mean_best_iou(there, here) > 0.99  # coordinates are rounded otherwise there
+
+
+def test_threads_change_nothing(set_threads):
+    points, _ = scan(*BOXES)
+    points = points + 0.02 * torch.randn(points.shape, generator=torch.Generator().manual_seed(1))
+    found = []
+    for threads in (1, 2, 4):
+        set_threads(threads)
+        found.append(segment_scan(points))
+        assert torch.get_num_threads() == threads
+    assert torch.equal(found[0], found[1])
+    assert torch.equal(found[0], found[2])
+
+
+@pytest.mark.parametrize("points", [torch.zeros(0, 3), torch.rand(3, 4), torch.full((2, 3), torch.inf)])
+def test_bad_points(points):
+    with pytest.raises(ValueError, match="points: expected"):
+        segment_scan(points)
+
+
+def test_bad_config():
+    with pytest.raises(ValueError, match=r"scan\.gap: expected > 0 where gap_growth is 0"):
+        ScanConfig(gap=0, gap_growth=0)
+
+
+class TestRealScans:
+    """What benchmarks/streets.py measures, with some room."""
+
+    def test_the_boxes_of_kitti(self, shared):
+        scores = []
+        for path in list_scenes(shared / "data/kitti/training").values():
+            scene = load_scene(path)
+            scene = scene.select_points(in_any_view(scene.points, scene.frames))
+            scores.append(score(segment_scan(scene.points), scene.truth.points))
+        mean = mean_scores(scores)
+        assert mean.f >= 0.8
+        assert mean.best_iou >= 0.9
+
+    def test_a_whole_annotated_scan(self, shared):
+        """Ground is one region with few crumbs, and every vehicle and person is a segment."""
+        folder = shared / "data/semantickitti"
+        points = read_scan(folder / "000964.bin", 4)[:, :3].contiguous()
+        truth = torch.from_numpy(np.fromfile(folder / "000964.label", dtype=np.uint32).astype(np.int64))
+        kind = truth & 0xFFFF
+        ground = torch.isin(kind, torch.tensor([40, 44, 48, 49, 60, 72]))
+        labels = segment_scan(points)
+        size = torch.bincount(labels)
+        of_ground = torch.bincount(labels[ground], minlength=len(size))
+        assert int((2 * of_ground > size).sum()) - 1 <= 4
+        assert of_ground.max() > 0.98 * ground.sum()
+        best = []
+        for thing in truth[torch.isin(kind, torch.tensor([10, 18, 252]))].unique():
+            of_thing = truth == thing
+            shared_points = torch.bincount(labels[of_thing], minlength=len(size))
+            best.append((shared_points / (size + of_thing.sum() - shared_points)).max())
+        assert len(best) == 15
+        assert torch.stack(best).mean() > 0.9

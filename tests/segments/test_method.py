@@ -1,0 +1,140 @@
+"""Method auto: what a cloud is decides how it is segmented."""
+
+import logging
+import re
+
+import pytest
+import torch
+from lidar_scans import HEIGHT, scan
+from torchjoint.segments.segments import segment_points
+
+import torchjoint as tj
+from torchjoint.segments.method import with_method
+from torchjoint.segments.scan.scan_segments import segment_scan
+
+AUTO = tj.Config().set(["point_segments.method=auto", "boundary.detector=gradient"])
+BOX = ((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1))
+
+
+@pytest.fixture(scope="module")
+def street():
+    return scan(BOX)[0]
+
+
+@pytest.fixture(scope="module")
+def room(scene_of):
+    return scene_of(0).scene
+
+
+def reset(config, points):
+    segmenter = tj.JointSegmenter(config)
+    segmenter.reset(points)
+    return segmenter
+
+
+def method_of(config, points):
+    return with_method(config, points).point_segments.method
+
+
+def test_a_cloud_decides(street, room):
+    assert method_of(AUTO, street) == "scan"
+    assert method_of(AUTO, room.points) == "learned"
+    assert with_method(AUTO, street).replace({"point_segments": {"method": "auto"}}) == AUTO
+    for method in ("regions", "edges", "learned", "scan"):
+        config = AUTO.set([f"point_segments.method={method}"])
+        assert with_method(config, street) is config
+
+
+def test_a_scan_is_segmented_as_a_scan(street):
+    segmenter = reset(AUTO, street)
+    assert segmenter.state.views.shape == (0,)  # no edges
+    assert torch.equal(segmenter.compute().points, segment_scan(street))
+    assert segmenter.config == AUTO
+
+
+def test_another_cloud_is_segmented_by_the_model(room):
+    auto, learned = reset(AUTO, room.points), reset(AUTO.set(["point_segments.method=learned"]), room.points)
+    for segmenter in (auto, learned):
+        segmenter.update(room.frames[:2])
+    assert torch.equal(auto.compute(images=False).points, learned.compute(images=False).points)
+
+
+def test_each_reset_decides_anew(street, room):
+    segmenter = reset(AUTO, street)
+    segmenter.reset(room.points)
+    assert segmenter.state.views.shape[0] > 0
+    segmenter.reset(street)
+    assert segmenter.state.views.shape == (0,)
+
+
+@pytest.mark.slow
+def test_auto_and_what_it_chose_store_the_same(street, room):
+    for cloud, chosen, other in ((street, "scan", "learned"), (room.points, "learned", "scan")):
+        for first, second in ((AUTO, f"point_segments.method={chosen}"), (AUTO, "point_segments.method=auto")):
+            seen = reset(first, cloud)
+            copy = seen.with_config(first.set([second]))
+            assert torch.equal(copy.compute().points, seen.compute().points)
+            assert torch.equal(copy.with_config(AUTO).compute().points, seen.compute().points)
+        with pytest.raises(ValueError, match=r"what was seen depends on point_segments\.method"):
+            reset(AUTO, cloud).with_config(AUTO.set([f"point_segments.method={other}"]))
+
+
+def test_parameters_of_the_scan_can_be_tried_out(street):
+    coarse = AUTO.set(["scan.gap=2"])
+    assert torch.equal(reset(AUTO, street).with_config(coarse).compute().points, segment_scan(street, coarse.scan))
+
+
+def test_segmenters_of_parts_can_be_merged(room):
+    first, second = reset(AUTO, room.points), reset(AUTO, room.points)
+    first.update(room.frames[:1])
+    second.update(room.frames[1:2])
+    first.merge(second)
+    assert len(first.state.observations) == 2
+
+
+def test_step_6_itself_wants_a_definite_method(street):
+    segmenter = reset(AUTO, street)
+    with pytest.raises(ValueError, match=r"config: expected a definite point_segments\.method, got auto"):
+        segment_points(segmenter.cloud.graph, segmenter.state, AUTO)
+
+
+class TestLine:
+    def line(self, caplog, config, points, normals=None):
+        caplog.clear()
+        with caplog.at_level(logging.INFO, logger="torchjoint"):
+            tj.JointSegmenter(config).reset(points, normals=normals)
+        (record,) = caplog.records
+        return record.getMessage()
+
+    def test_of_a_scan(self, caplog, street):
+        found = self.line(caplog, AUTO, street)
+        assert found == f"points: {len(street)} of a turning LiDAR with about 33 rings; step 6 by method scan"
+
+    def test_of_what_is_only_said_to_be_a_scan(self, caplog, room):
+        found = self.line(caplog, AUTO.set(["point_segments.method=scan"]), room.points)
+        assert found == "points: 6000, no rings of a LiDAR found; step 6 by method scan"
+
+    def test_of_another_cloud(self, caplog, room):
+        found = self.line(caplog, AUTO, room.points)
+        assert found.startswith("points: 6000, spacing ")
+        assert found.endswith(" neighbours, no colours (those of images count); step 6 by method learned")
+        assert " mm, noise " in found
+
+    def test_of_given_normals(self, caplog, room):
+        normals = torch.zeros_like(room.points)
+        normals[:, 2] = 1
+        assert ", normals given, no colours" in self.line(caplog, AUTO, room.points, normals)
+
+    def test_of_the_other_methods(self, caplog, room):
+        assert (
+            self.line(caplog, tj.Config.from_preset("regions"), room.points) == "points: 6000; step 6 by method regions"
+        )
+
+
+def test_the_command_line_prints_it(run, tmp_path, capsys, shared):
+    scan_file, settings = shared / "data/kitti/training/velodyne/000001.bin", ["point_segments.method=auto"]
+    settings.append("boundary.detector=gradient")
+    run("segment", scan_file, "-o", tmp_path / "out", "--in-view", "--set", *settings)
+    line = r"torchjoint: points: 18608 of a turning LiDAR with about 4\d rings; step 6 by method scan\n"
+    assert re.search(line, capsys.readouterr().err)
+    assert not logging.getLogger("torchjoint").handlers

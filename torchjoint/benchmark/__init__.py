@@ -1,1 +1,0 @@
-"""Compares methods on labelled scenes, each method at its own best setting: ``torchjoint benchmark``."""

@@ -1,0 +1,68 @@
+"""Runs a command by name; a command's module is imported only then, so that `--help` is quick."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import warnings
+from collections.abc import Mapping
+from concurrent.futures import BrokenExecutor
+from importlib import import_module
+from importlib.metadata import version
+from typing import NamedTuple, NoReturn
+
+from torchjoint.runtime.messages import in_one_line, is_out_of_memory
+
+#: Exit status of a program whose output is not read to its end, as shells give it: 128 + SIGPIPE.
+PIPE_CLOSED = 141
+
+
+class Command(NamedTuple):
+    """One command."""
+
+    function: str  #: module:function
+    help: str  #: what it does, a line
+
+
+def run(program: str, commands: Mapping[str, Command], description: str, interrupted: str) -> None:
+    """Runs the command that the command line names; prints user errors and warnings as one line.
+
+    Args:
+        program: its name, which is also that of its distribution.
+        commands: by name.
+        description: for `--help`.
+        interrupted: what Ctrl-C says of the commands that can be resumed.
+    """
+    warnings.formatwarning = lambda message, *_, **__: f"{program}: warning: {message}\n"
+    names = argparse.ArgumentParser(program, description=description, formatter_class=argparse.RawTextHelpFormatter)
+    names.add_argument("--version", action="version", version=f"{program} {version(program)}")
+    chosen = names.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
+    for name, command in commands.items():
+        chosen.add_parser(name, help=command.help, add_help=False)
+    try:
+        command, arguments = names.parse_known_args(sys.argv[1:2])[0].command, sys.argv[2:]
+        module, _, function = commands[command].function.partition(":")
+        _call(getattr(import_module(module), function), f"{program} {command}", arguments)
+        sys.stdout.flush()  # here, where a closed pipe can still be dealt with
+    except BrokenPipeError:  # `torchjoint parameters | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(PIPE_CLOSED)
+    except KeyboardInterrupt as stop:
+        sys.exit(f"{program}: interrupted; {interrupted}{f'; {stop}' if str(stop) else ''}")
+    except (ValueError, TypeError, OSError, ModuleNotFoundError, MemoryError, RecursionError, RuntimeError) as error:
+        _tell(program, error)
+
+
+def _call(function: object, program: str, arguments: list[str]) -> None:
+    import tyro
+
+    tyro.cli(function, prog=program, args=arguments)  # type: ignore[call-overload]
+
+
+def _tell(program: str, error: Exception) -> NoReturn:
+    """Ends with what went wrong, for a user; an error of the package itself is raised again, with its traceback."""
+    is_users = isinstance(error, BrokenExecutor | RecursionError) or is_out_of_memory(error)
+    if isinstance(error, RuntimeError) and not is_users:
+        raise error
+    sys.exit(f"{program}: error: {in_one_line(error)}")

@@ -1,0 +1,1 @@
+"""Step 3: from a cloud to its graph."""

@@ -1,0 +1,122 @@
+"""A batch of clouds for superpoints: one tensor, where `ptr` gives the start of each cloud; checked and split here."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchjoint.scene import Cloud
+
+
+def split_batch(
+    batch: Cloud, edges: Tensor | None, faces: Tensor | None, ptr: Tensor | None, viewpoint: Tensor | None
+) -> list[Cloud]:
+    """Splits a batch into its clouds, each with its own point numbers.
+
+    Args:
+        batch: points, colours and normals of all clouds.
+        edges: [2, E] integers, edges of all clouds in any order, in point numbers of the batch.
+        faces: [F, 3] integers, triangles of all clouds in any order, in point numbers of the batch.
+        ptr: [B + 1] integers, the start of each cloud, and N; None = one cloud.
+        viewpoint: [3], [B, 3] or [N, 3] metres.
+
+    Returns:
+        the B clouds, in order.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+    """
+    num_points = len(batch.points)
+    starts = _checked_ptr(ptr, num_points)
+    all_edges = _split(_checked_nodes("edges", edges, num_points), starts, "edges")
+    all_faces = _split(_checked_nodes("faces", faces, num_points), starts, "faces")
+    views = _views(viewpoint, starts)
+    return [
+        Cloud(
+            batch.points[start:end],
+            None if batch.colors is None else batch.colors[start:end],
+            None if batch.normals is None else batch.normals[start:end],
+            own_edges,
+            None if own_faces is None else own_faces.T,
+            view,
+        )
+        for (start, end), own_edges, own_faces, view in zip(pairwise(starts), all_edges, all_faces, views, strict=True)
+    ]
+
+
+def _checked_ptr(ptr: Tensor | None, num_points: int) -> list[int]:
+    if ptr is None:
+        return [0, num_points]
+    _check_integers("ptr", ptr)
+    if ptr.ndim != 1 or len(ptr) < 2:
+        raise ValueError(f"ptr: expected shape [B + 1], B >= 1, got {list(ptr.shape)}")
+    starts: list[int] = ptr.tolist()
+    if starts[0] != 0 or starts[-1] != num_points:
+        raise ValueError(f"ptr: expected to go from 0 to N = {num_points}, got {starts[0]} to {starts[-1]}")
+    for b, (start, end) in enumerate(pairwise(starts)):
+        if end <= start:
+            raise ValueError(f"ptr: expected ascending numbers (no cloud is empty), got {start}, {end} for cloud {b}")
+    return starts
+
+
+def _checked_nodes(name: str, nodes: Tensor | None, num_points: int) -> Tensor | None:
+    """Edges [2, E] unchanged, faces [F, 3] transposed to [3, F]; int64, all in [0, N)."""
+    if nodes is None:
+        return None
+    _check_integers(name, nodes)
+    if name == "edges" and (nodes.ndim != 2 or nodes.shape[0] != 2):
+        raise ValueError(f"edges: expected shape [2, E], got {list(nodes.shape)}")
+    if name == "faces" and (nodes.ndim != 2 or nodes.shape[1] != 3):
+        raise ValueError(f"faces: expected shape [F, 3], got {list(nodes.shape)}")
+    nodes = (nodes if name == "edges" else nodes.T).to(torch.int64)
+    if nodes.numel() and not 0 <= int(nodes.min()) <= int(nodes.max()) < num_points:
+        raise ValueError(
+            f"{name}: expected point numbers in [0, {num_points}), got {int(nodes.min())} to {int(nodes.max())}"
+        )
+    return nodes
+
+
+def _views(viewpoint: Tensor | None, starts: list[int]) -> list[Tensor | None]:
+    """For each cloud the position of its sensor [3], or one position per point [n, 3]."""
+    num_clouds, num_points = len(starts) - 1, starts[-1]
+    if viewpoint is None:
+        return [None] * num_clouds
+    if not isinstance(viewpoint, Tensor) or not viewpoint.is_floating_point():
+        came = viewpoint.dtype if isinstance(viewpoint, Tensor) else type(viewpoint).__name__
+        raise TypeError(f"viewpoint: expected a floating torch.Tensor, got {came}")
+    shape = list(viewpoint.shape)
+    if shape not in ([3], [num_clouds, 3], [num_points, 3]):
+        raise ValueError(f"viewpoint: expected shape [3], [{num_clouds}, 3] or [{num_points}, 3], got {shape}")
+    if not torch.isfinite(viewpoint).all():
+        raise ValueError("viewpoint: expected finite values, got NaN or infinite ones")
+    viewpoint = viewpoint.detach().double()
+    if shape == [3]:
+        return [viewpoint] * num_clouds
+    if shape == [num_clouds, 3]:
+        return list(viewpoint)
+    return [viewpoint[start:end] for start, end in pairwise(starts)]
+
+
+def _check_integers(name: str, value: Any) -> None:
+    if not isinstance(value, Tensor):
+        raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
+    if value.dtype not in (torch.int32, torch.int64):
+        raise TypeError(f"{name}: expected dtype torch.int32 or torch.int64, got {value.dtype}")
+
+
+def _split(nodes: Tensor | None, starts: list[int], name: str) -> list[Tensor | None]:
+    """Splits edges [2, E] or triangles [3, F] by cloud, in the cloud's own point numbers and the given order."""
+    num_clouds = len(starts) - 1
+    if nodes is None or num_clouds == 1:
+        return [nodes] * num_clouds
+    cloud = torch.bucketize(nodes.contiguous(), torch.tensor(starts[1:]), right=True)
+    across = (cloud != cloud[0]).any(dim=0)
+    if across.any():
+        raise ValueError(f"{name}: expected points of one cloud, got {nodes[:, across][:, 0].tolist()} across clouds")
+    order = torch.argsort(cloud[0], stable=True)
+    counts = torch.bincount(cloud[0], minlength=num_clouds).tolist()
+    parts = nodes[:, order].split(counts, dim=1)
+    return [part - start for part, start in zip(parts, starts[:-1], strict=True)]

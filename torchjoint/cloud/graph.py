@@ -1,0 +1,121 @@
+"""Step 3: the point graph: nearest neighbours, edges and normals of the cloud."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.cloud.adjacency import CsrAdjacency
+from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors, neighbor_tables
+from torchjoint.cloud.normals import estimate_normals
+from torchjoint.cloud.scales import Scales
+from torchjoint.runtime.threads import all_threads
+from torchjoint.scene import Cloud
+
+#: Neighbours to which planes are fitted, as many as normals by default: only a part of them is in the point's region,
+#: so that a plane, unlike a normal, does not round edges.
+PLANE_NEIGHBORS = 45
+
+#: With measured scales, planes are fitted to this many times as many neighbours as normals, because only a part of them
+#: is in the point's region; at least 40, at most 128.
+PLANE_SHARE = 1.5
+PLANE_LIMITS = (40, 128)
+
+
+class PointGraph(NamedTuple):
+    """The cloud as a graph, with everything that does not depend on images."""
+
+    points: Tensor  #: [N, 3] metres
+    colors: Tensor | None  #: [N, 3] RGB in [0, 1]
+    normals: Tensor  #: [N, 3] unit length, not yet turned to the cameras
+    has_given_normals: bool  #: given normals are oriented, even where no camera sees the point
+    spacing: Tensor  #: [N] metres, mean distance to the nearest neighbours
+    edge_index: Tensor  #: [2, E] int64, each edge once
+    adjacency: CsrAdjacency  #: CSR adjacency of the edges
+    neighbors: Tensor  #: [N, K] int32, nearest first; planes are fitted to them
+    scales: Scales | None = None  #: noise and spacing, method learned only
+    wide_normals: Tensor | None = None  #: [N, 3] unit length, of planes fitted to `neighbors`, method learned only
+
+    @property
+    def num_points(self) -> int:
+        """N."""
+        return self.points.shape[0]
+
+    def is_same(self, other: PointGraph) -> bool:
+        """Whether both graphs have the same points and the same normals."""
+        return torch.equal(self.points, other.points) and torch.equal(self.normals, other.normals)
+
+
+def build_point_graph(cloud: Cloud, neighbors: int, normal_neighbors: int | Scales) -> PointGraph:
+    """Builds the point graph of a cloud: neighbours, edges and normals (eq. 3-4).
+
+    Args:
+        cloud: points [N, 3], optional colours and normals.
+        neighbors: K, of a point in the graph.
+        normal_neighbors: number of neighbours to which normals are fitted; or the scales of the cloud, from which the
+            numbers of neighbours of normals and planes follow.
+    """
+    scales = None
+    if isinstance(normal_neighbors, int):
+        for_normals, for_planes = normal_neighbors, PLANE_NEIGHBORS
+    else:
+        scales, (few, many) = normal_neighbors, PLANE_LIMITS
+        for_normals = scales.normal_neighbors
+        for_planes = min(many, max(few, round(PLANE_SHARE * for_normals)))
+    if cloud.normals is not None:
+        for_normals = 0
+    counts = (neighbors, for_normals, for_planes)
+    table, spacing = neighbor_tables(cloud.points, counts, reach=0.0)
+    normals = cloud.normals
+    if normals is None:
+        normals = estimate_normals(cloud.points, table[for_normals])
+    edge_index = undirected_edges(table[neighbors])
+    around = table[for_planes].contiguous()
+    return PointGraph(
+        cloud.points,
+        cloud.colors,
+        normals,
+        cloud.normals is not None,
+        spacing,
+        edge_index,
+        CsrAdjacency.of(edge_index, len(cloud.points)),
+        around,
+        scales,
+        None if scales is None else estimate_normals(cloud.points, around),
+    )
+
+
+def build_edgeless_graph(cloud: Cloud) -> PointGraph:
+    """A graph with points and spacing only, for method scan, which reads neither edges nor normals."""
+    spacing = nearest_neighbors(cloud.points, SPACING_NEIGHBORS).spacing
+    no_edges = torch.empty(2, 0, dtype=torch.int64)
+    return PointGraph(
+        cloud.points,
+        cloud.colors,
+        torch.zeros_like(cloud.points),
+        False,
+        spacing,
+        no_edges,
+        CsrAdjacency.of(no_edges, len(cloud.points)),
+        torch.empty(len(cloud.points), 0, dtype=torch.int32),
+    )
+
+
+def undirected_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
+    """The edges of the symmetrised neighbour graph, each once with i < j (eq. 3).
+
+    Args:
+        neighbors: [N, K] int32 or int64, the neighbours of each point.
+        order: [N] int32 of :func:`~torchjoint.cloud.neighbors.order_along_space`; saves time, changes nothing.
+
+    Returns:
+        [2, E] int64, in the order of their first occurrence in the rows of `neighbors`.
+
+    Raises:
+        ValueError: a number outside [0, N).
+    """
+    with all_threads():
+        return ops.neighbor_edges(neighbors, order)

@@ -1,0 +1,221 @@
+"""The cloud that a method works on: each point once, and centred in float64 before anything is float32.
+
+Copies of points (sampling with replacement, padding by repetition, overlapping scans) say nothing about the surface,
+but they fill the lists of nearest neighbours. Far from the origin float32 has no digits left for the differences of
+neighbours. So copies are merged, and coordinates are taken relative to coordinates of the cloud itself: if all points
+are moved by an offset, and the sums are exact in float64, then all numbers after this step are bitwise the same.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from torchjoint.runtime.threads import num_threads, parallel_map
+from torchjoint.scene import Cloud
+
+#: Largest rounding error of given float32 coordinates, in units of the cloud's spacing, that passes without a warning.
+ROUNDING = 0.25
+
+#: Number of points processed at a time by a thread.
+BLOCK = 1 << 18
+
+#: Odd numbers that spread the bits of coordinates.
+_ODD = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
+
+
+def distinct_points(points: Tensor) -> Tensor | None:
+    """The distinct point of each point [N, 3]: [N] int64, numbered by first appearance; None if all points differ.
+
+    0 and -0 are equal.
+    """
+    rows = points.numpy()
+    blocks = range(0, len(rows), BLOCK)
+    code = np.concatenate(parallel_map(lambda start: _codes(rows[start : start + BLOCK]), blocks))
+    if not _has_equal(code):
+        return None
+    rows = rows + 0.0  # -0 becomes 0
+    order = np.argsort(code, kind="stable")
+    same = (rows[order][1:] == rows[order][:-1]).all(1)
+    if ((code[order][1:] == code[order][:-1]) & ~same).any():  # two points have one code: sort by coordinates instead
+        order = np.lexsort(rows.T)
+        same = (rows[order][1:] == rows[order][:-1]).all(1)
+    if not same.any():
+        return None
+    starts = np.concatenate([[True], ~same])
+    first, group = order[starts], np.cumsum(starts) - 1  # both sorts are stable: the first of a group is the least
+    number = np.empty(len(first), dtype=np.int64)
+    number[np.argsort(first)] = np.arange(len(first))
+    of_point = np.empty(len(rows), dtype=np.int64)
+    of_point[order] = number[group]
+    return torch.from_numpy(of_point)
+
+
+def _has_equal(code: npt.NDArray[np.uint64]) -> bool:
+    """Whether two codes are equal: on each thread those in a part of the range are sorted."""
+    count = num_threads() if len(code) > BLOCK else 1
+    limits = [round(2**64 / count * part) for part in range(count)]
+
+    def among(part: int) -> bool:
+        some = code
+        if count > 1:
+            is_in = code >= np.uint64(limits[part])
+            if part + 1 < count:
+                is_in &= code < np.uint64(limits[part + 1])
+            some = code[is_in]
+        in_order = np.sort(some)
+        return bool((in_order[1:] == in_order[:-1]).any())
+
+    return any(parallel_map(among, range(count)))
+
+
+def _codes(rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.uint64]:
+    """A number for each row [N, 3], the same for equal rows: sorting numbers is faster than sorting rows."""
+    rows = rows + 0.0  # -0 becomes 0
+    bits = rows.view(np.uint32 if rows.dtype == np.float32 else np.uint64).astype(np.uint64)
+    x, y, z = ((bits ^ (bits >> np.uint64(29))) * _ODD).T
+    code: npt.NDArray[np.uint64] = x ^ (y >> np.uint64(7)) ^ (z << np.uint64(9)) ^ ((x + y + z) >> np.uint64(31))
+    return code
+
+
+def merged_points(cloud: Cloud, of_point: Tensor, count: int) -> Cloud:
+    """The cloud with one point for each group of points: the means of positions, colours and normals.
+
+    Args:
+        cloud: N points.
+        of_point: [N] int64, the group of each point, 0 ... `count` - 1; no group is empty.
+        count: number of groups.
+    """
+    size = torch.bincount(of_point, minlength=count).double()[:, None]
+
+    def mean(values: Tensor | None) -> Tensor | None:
+        if values is None:
+            return None
+        return torch.zeros(count, 3, dtype=torch.float64).index_add_(0, of_point, values.double()) / size
+
+    points, colors, normals = mean(cloud.points), mean(cloud.colors), mean(cloud.normals)
+    assert points is not None
+    if normals is not None:
+        own = cloud.normals[first_of_each(of_point)].double()  # type: ignore[index]
+        opposite = normals.square().sum(1, keepdim=True) < 1e-6  # the mean of opposite normals has no direction
+        equal = (normals == own).all(1, keepdim=True)  # kept bit by bit
+        normals = torch.where(opposite | equal, own, normalize(normals, dim=1))
+    return Cloud(
+        points.to(cloud.points.dtype),
+        None if colors is None else colors.float().clamp(0, 1),
+        None if normals is None else normals.float(),
+    )
+
+
+def points_within(points: Tensor, side: float) -> Tensor:
+    """The cube of a grid in which each point [N, 3] lies: [N] int64, numbered by first appearance.
+
+    Args:
+        points: [N, 3] metres; the grid starts at their smallest coordinates.
+        side: of a cube, metres, > 0.
+    """
+    scaled = (points.double() - points.double().amin(0)) / side
+    cell = distinct_points(scaled.floor())
+    return torch.arange(len(points)) if cell is None else cell
+
+
+def first_of_each(of_point: Tensor) -> Tensor:
+    """The first point [M] int64 of each of M groups; `of_point` [N] int64 is the group of each point."""
+    none = torch.full((int(of_point.max()) + 1,), len(of_point))
+    return none.scatter_reduce(0, of_point, torch.arange(len(of_point)), "amin")
+
+
+def without_copies(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
+    """The cloud with each point once, and the point of it for each given point [N] int64; None: all points differ."""
+    found = distinct_points(cloud.points)
+    if found is None:
+        return cloud, None
+    merged = merged_points(cloud, found, int(found.max()) + 1)
+    # The mean of equal float64 coordinates may be another number.
+    return replace(merged, points=cloud.points[first_of_each(found)]), found
+
+
+def _lower_median(values: Tensor) -> float:
+    """The median of values [N]; of two in the middle the lower."""
+    middle = (len(values) - 1) // 2
+    return float(np.partition(values.numpy(), middle)[middle])  # several times as fast as torch's
+
+
+class LocalFrame(NamedTuple):
+    """The coordinates that a method works in: those of the world, relative to an origin."""
+
+    origin: Tensor  #: [3] float64 metres, in the world
+    step: float  #: metres; translations of poses are multiples of it, 0 = any
+
+    @classmethod
+    def of(cls, points: Tensor) -> LocalFrame:
+        """The frame of a cloud of distinct points [N, 3].
+
+        For each axis the origin is the lower median: a coordinate of the cloud, so that it moves exactly as the cloud
+        does, and a few wild points do not count. The step is about the resolution of float32 coordinates in the cloud.
+        """
+        columns = points.unbind(1)
+        medians = map(_lower_median, columns) if len(points) <= BLOCK else parallel_map(_lower_median, columns)
+        origin = torch.tensor(list(medians), dtype=torch.float64)
+        extent = float((points.amax(0).double() - points.amin(0).double()).max())
+        return cls(origin, 2.0 ** (math.frexp(extent)[1] - 24) if extent > 0 else 0.0)
+
+    @classmethod
+    def of_world(cls) -> LocalFrame:
+        """The frame of the world itself."""
+        return cls(torch.zeros(3, dtype=torch.float64), 0.0)
+
+    def cloud(self, cloud: Cloud) -> Cloud:
+        """The cloud in float32 coordinates of this frame."""
+        blocks = cloud.points.split(BLOCK)
+        points = torch.cat(parallel_map(lambda block: (block.double() - self.origin).float(), blocks))
+        return replace(cloud, points=points)
+
+    def pose(self, world_to_camera: Tensor) -> Tensor:
+        """The pose [4, 4] float64 for points of this frame.
+
+        The error that float64 makes far from the world's origin is much smaller than `step`: rounding removes it.
+        """
+        pose = world_to_camera.double().clone()
+        pose[:3, 3] += pose[:3, :3] @ self.origin
+        if self.step > 0:
+            pose[:3, 3] = (pose[:3, 3] / self.step).round() * self.step
+        return pose
+
+    def is_same(self, other: LocalFrame) -> bool:
+        """Whether both frames have one origin."""
+        return torch.equal(self.origin, other.origin)
+
+
+def composed(*maps: Tensor | None) -> Tensor | None:
+    """The map of points that applies all `maps` in turn; None is the map that changes nothing."""
+    result = None
+    for one in maps:
+        result = one if result is None else result if one is None else one[result]
+    return result
+
+
+def warn_of_rounding(points: Tensor, spacing: Tensor) -> None:
+    """Warns if float32 coordinates were so far from the origin that their rounding is visible in the spacing.
+
+    Args:
+        points: [N, 3], as given.
+        spacing: [M] metres.
+    """
+    if points.dtype != torch.float32 or len(spacing) < 2:
+        return
+    step, typical = float(points.abs().max()) * 2**-23, _lower_median(spacing)
+    if step > ROUNDING * typical:
+        warnings.warn(
+            f"points: float32 keeps only {step:.2g} m this far from the origin, and neighbours are {typical:.2g} m "
+            "apart; pass float64, or subtract an offset in float64",
+            stacklevel=2,
+        )

@@ -1,0 +1,156 @@
+"""Step 3: nearest neighbours of the points of a cloud."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.ops.ascending_order import ascending_order
+from torchjoint.runtime.threads import all_threads, num_threads
+
+Array = npt.NDArray[Any]
+
+#: Number of points per query of SciPy's tree, so that large scans need little memory besides the result.
+QUERIES = 1 << 18
+
+#: Where neighbours do not reach far enough, they are searched among every 2nd, 4th or 8th point.
+SHARES = (2, 4, 8)
+
+#: From so many points on, those of a cloud in no order are far apart in memory.
+ORDERED = 1 << 19
+#: Cells along the longest side of the cloud: so many that float32 tells the numbers of all 2^24 apart.
+CELLS = 1 << 8
+
+#: The spacing of a point is its mean distance to this many nearest neighbours.
+SPACING_NEIGHBORS = 4
+
+
+class Neighbors(NamedTuple):
+    """K nearest neighbours of every point, nearest first, without the point itself."""
+
+    indices: Tensor  #: [N, K] int32
+    spacing: Tensor  #: [N] float32 metres: mean distance to the four nearest neighbours, a measure of local density
+
+
+def nearest_neighbors(points: Tensor, count: int, reach: float = 0.0) -> Neighbors:
+    """The `count` nearest neighbours of each point (all other points if the cloud has fewer), nearest first.
+
+    In a LiDAR scan all nearest neighbours of a point may lie on the point's own beam. So where all K neighbours are
+    closer than `reach`, the K nearest are searched among half of the points instead, then a quarter, then an eighth,
+    evenly spread. The first search that reaches far enough counts, else the last one that has enough points.
+
+    Duplicate points are neighbours of one another at distance 0. Of equally far neighbours the one with the smaller
+    number comes first (:func:`torchjoint.ops.nearest_neighbors`). Only where neighbours are searched among fewer points
+    do equally far ones have the order in which SciPy's tree finds them, which is always the same for the same cloud.
+
+    Args:
+        points: [N, 3] float32 metres, N < 2^31.
+        count: K >= 1.
+        reach: metres; 0 = always the nearest neighbours.
+
+    Returns:
+        indices [N, K] int32 and spacing [N] float32 metres.
+    """
+    with all_threads():
+        indices, distances = ops.nearest_neighbors(points, count, count if reach > 0 else SPACING_NEIGHBORS)
+    if indices.shape[1] == 0:
+        return Neighbors(indices, torch.zeros(len(points), dtype=torch.float32))
+    if reach > 0:
+        _reach_farther(points, torch.nonzero(distances[:, -1] < reach).squeeze(1).numpy(), reach, indices.numpy())
+    return Neighbors(indices, distances[:, :SPACING_NEIGHBORS].float().mean(dim=1))
+
+
+def neighbor_tables(points: Tensor, counts: Iterable[int], reach: float) -> tuple[dict[int, Tensor], Tensor]:
+    """Several tables of neighbours with different K, computed with one search if possible.
+
+    Args:
+        points: [N, 3] float32 metres.
+        counts: K of each table; 0 = no table.
+        reach: metres, as in :func:`nearest_neighbors`.
+
+    Returns:
+        the tables K -> [N, K] int32, and the points' spacing [N] metres (empty if there is no table).
+    """
+    counts = sorted(set(counts) - {0})
+    if not counts:
+        return {}, torch.empty(0, dtype=torch.float32)
+    if reach > 0:  # the smaller table is then not the first columns of the larger one
+        found = {count: nearest_neighbors(points, count, reach) for count in counts}
+        return {count: near.indices for count, near in found.items()}, found[counts[-1]].spacing
+    nearest = nearest_neighbors(points, counts[-1])
+    return {count: nearest.indices[:, :count] for count in counts}, nearest.spacing
+
+
+def order_along_space(points: Tensor) -> Tensor | None:
+    """An order of the points in which neighbours mostly follow one another: that of cells along a Z-shaped curve.
+
+    Args:
+        points: [N, 3] metres, finite.
+
+    Returns:
+        [N] int32; None for clouds that fit in a processor's cache anyway.
+    """
+    if len(points) < ORDERED:
+        return None
+    low, high = points.double().aminmax(dim=0)
+    scale = CELLS / float((high - low).max().clamp(min=torch.finfo(torch.float64).tiny))
+    code = torch.zeros(len(points), dtype=torch.int32)
+    for axis in range(3):
+        cell = ((points[:, axis] - low[axis]) * scale).clamp(0, CELLS - 1).int()
+        for shift, kept in ((8, 0x00F00F), (4, 0x0C30C3), (2, 0x249249)):  # the bits move to every third place
+            cell = (cell | cell << shift) & kept
+        code |= cell << axis
+    return ascending_order(code.float())
+
+
+def _reach_farther(points: Tensor, near: Array, reach: float, indices: Array) -> None:
+    """Replaces the neighbours of the points `near` by neighbours among fewer points, which are farther away."""
+    if len(near) == 0:
+        return
+    count, coordinates = indices.shape[1], np.ascontiguousarray(points.double().numpy())
+    tree = _tree(coordinates)
+    for share in SHARES:
+        # In the tree's order consecutive points are near each other: every second point is an evenly spread half.
+        kept = tree.indices[::share]
+        if len(near) == 0 or len(kept) <= count:
+            return
+        thin = _tree(coordinates[kept])
+        still_near = []
+        for rows in _pieces(near):
+            index, distance = _query(thin, coordinates, rows, count, kept)
+            indices[rows] = index
+            still_near.append(rows[distance[:, -1] < reach])
+        near = np.concatenate(still_near)
+
+
+def _tree(coordinates: Array) -> cKDTree:
+    return cKDTree(coordinates, leafsize=24, balanced_tree=False, compact_nodes=False)
+
+
+def _query(tree: cKDTree, coordinates: Array, rows: Array, count: int, members: Array) -> tuple[Array, Array]:
+    """Indices and distances of the neighbours of the points `rows`; `members` are the tree's points."""
+    distance, index = tree.query(coordinates[rows], k=count + 1, workers=num_threads())
+    return _without_self(rows, members[index], distance)
+
+
+def _pieces(order: Array) -> Iterator[Array]:
+    """Blocks of points in the tree's order: consecutive queries then access the same memory."""
+    for start in range(0, len(order), QUERIES):
+        yield order[start : start + QUERIES]
+
+
+def _without_self(rows: Array, index: Array, distance: Array) -> tuple[Array, Array]:
+    """Drops the point itself. It usually comes first, but a duplicate may; if it was not found, drops the farthest."""
+    is_self = index == rows[:, None]
+    if is_self[:, 0].all():
+        return index[:, 1:], distance[:, 1:]
+    is_self[:, -1] |= ~is_self.any(axis=1)
+    shape = (len(rows), index.shape[1] - 1)
+    return index[~is_self].reshape(shape), distance[~is_self].reshape(shape)

@@ -1,0 +1,37 @@
+"""Parameters that can still be changed after all frames were seen: what a segmenter keeps does not depend on them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TypeVar
+
+from torchjoint.config.config import Config
+
+C = TypeVar("C", bound=Config)
+
+#: Stages of steps 6-8 whose parameters count only after all frames.
+AFTERWARDS = ("scan", "refinement", "paper")
+#: Parameters of these stages that count before: the point graph has the normals.
+BEFORE = ("paper.normal_neighbors",)
+
+
+def evidence_config(config: C) -> C:
+    """The config with the AFTERWARDS parameters at their defaults: two configs with equal results store the same."""
+    default = type(config)()
+    stages = {}
+    for stage in AFTERWARDS:
+        given = dataclasses.asdict(getattr(config, stage))
+        kept = {name: value for name, value in given.items() if f"{stage}.{name}" in BEFORE}
+        stages[stage] = getattr(default, stage).replace(kept)
+    return dataclasses.replace(config, **stages)
+
+
+def evidence_differences(first: Config, second: Config) -> list[str]:
+    """Names (stage.parameter) of the parameters that differ and on which the stored observations depend."""
+    one, other = evidence_config(first).to_dict(), evidence_config(second).to_dict()
+    return [
+        f"{stage}.{name}"
+        for stage, values in one.items()
+        for name, value in values.items()
+        if value != other.get(stage, {}).get(name)
+    ]

@@ -1,0 +1,137 @@
+"""Reads a single point cloud from a file: .ply, .pcd, .npy, .npz, .bin (KITTI), .xyz, .las, .laz, .e57."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.files.readers import read_array, read_mesh
+from torchjoint.runtime.archives import read_archive
+
+#: Numbers in a row of a LiDAR scan that are tried; rows that are looked at, and how few are too few to tell.
+COLUMNS, ROWS, LEAST_ROWS = (3, 4, 5, 6, 7), 1 << 16, 100
+
+#: More columns than this, and than rows, are points: the array is transposed.
+MOST_COLUMNS = 16
+
+#: Another number of columns is likelier if the median step between points falls below this share.
+MUCH = 0.25
+
+#: What :func:`read_mesh` reads.
+MESHES = (".ply", ".pcd", ".las", ".laz", ".e57")
+SUFFIXES = (*MESHES, ".npy", ".npz", ".bin", ".xyz", ".txt")
+
+
+class CloudFile(NamedTuple):
+    """The contents of a point cloud file."""
+
+    points: Tensor  #: [N, 3]
+    colors: Tensor | None = None  #: [N, 3] RGB in [0, 1], or uint8
+    normals: Tensor | None = None  #: [N, 3]
+    faces: Tensor | None = None  #: [F, 3] int64, triangles of a mesh
+
+
+def read_cloud_file(path: Path, columns: int | None = None) -> CloudFile:
+    """Reads a cloud; the suffix of the file gives its format.
+
+    * .ply, .pcd: positions; colours and normals, if any; the triangles of a .ply mesh;
+    * .las, .laz (also COPC), .e57: positions, float64; colours, if any; all scans of an .e57, in its world frame;
+    * .npz: array `points` and, if any, arrays `colors`, `normals`, `faces`;
+    * .npy, .xyz, .txt: one row per point, x y z first; six columns are x y z and colours (0-255, or 0-1);
+    * .pcd.bin: nuScenes' LiDAR scans, rows of 5 float32: x y z intensity ring;
+    * other .bin: KITTI's LiDAR scans, rows of 4 float32: x y z reflectance.
+
+    Args:
+        path: of the file.
+        columns: numbers in a row of a .bin file, if other than above.
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and its error.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ValueError(f"{path}: expected a file that ends in {', '.join(SUFFIXES)}")
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a point cloud")
+    if suffix in MESHES:
+        return CloudFile(*read_mesh(path))
+    if columns is not None and (suffix != ".bin" or columns < 3):
+        raise ValueError(f"{path}: expected at least 3 columns, and a file that ends in .bin, got {columns} columns")
+    if suffix == ".bin":
+        return CloudFile(_read_bin(path, columns)[:, :3])
+    try:
+        if suffix == ".npz":
+            return _from_archive(path)
+        return _from_rows(read_array(path).numpy() if suffix == ".npy" else np.loadtxt(path, ndmin=2))
+    except (ValueError, KeyError, OSError, EOFError, TypeError) as error:
+        raise ValueError(f"{path}: not a whole {suffix} cloud: {error}") from error
+
+
+def _read_bin(path: Path, columns: int | None) -> Tensor:
+    """A LiDAR scan; if the number of columns was not given, it must be plausible."""
+    usual = 5 if path.name.lower().endswith(".pcd.bin") else 4
+    rows = read_scan(path, columns or usual)
+    better = None if columns is not None else likelier_columns(rows)
+    if better is not None:
+        raise ValueError(
+            f"{path}: is not likely to have rows of {usual} float32: with {better} columns consecutive points are near "
+            f"each other, as a LiDAR sees them; give the number of columns (--columns {better}, or --columns {usual})"
+        )
+    return rows
+
+
+def likelier_columns(rows: Tensor) -> int | None:
+    """Another number of columns with which rows [N, C] of a LiDAR scan make much more sense; None: there is none.
+
+    A LiDAR turns, so that consecutive points are near each other. In rows of a wrong length the columns are mixed up.
+    """
+    values, steps = rows.flatten(), {}
+    for columns in (rows.shape[1], *(count for count in COLUMNS if len(values) % count == 0)):
+        xyz = values[: ROWS * columns].reshape(-1, columns)[:, :3].double()
+        step, size = (xyz[1:] - xyz[:-1]).norm(dim=1), (xyz - xyz.median(0).values).norm(dim=1)
+        steps[columns] = float(step.median() / size.median()) if len(xyz) >= LEAST_ROWS and size.median() > 0 else 1.0
+    best = min(steps, key=lambda columns: (steps[columns], columns))
+    return best if steps[best] < MUCH * steps[rows.shape[1]] else None
+
+
+def read_scan(path: Path, columns: int) -> Tensor:
+    """Reads a LiDAR scan of KITTI or nuScenes, float32 rows x, y, z, ...; returns [N, columns] with finite x, y, z.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the size of the file does not fit, or a point is not finite.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a LiDAR scan")
+    size = path.stat().st_size
+    if size == 0 or size % (4 * columns):
+        raise ValueError(f"{path}: expected rows of {columns} float32, {4 * columns} bytes each, got {size} bytes")
+    rows = np.fromfile(path, dtype="<f4").reshape(-1, columns)
+    bad = int((~np.isfinite(rows[:, :3])).any(1).sum())
+    if bad:
+        raise ValueError(f"{path}: {bad} of {len(rows)} points are NaN or infinite")
+    return torch.from_numpy(rows)
+
+
+def _from_archive(path: Path) -> CloudFile:
+    values = {name: torch.from_numpy(array) for name, array in read_archive(path).items()}
+    if "points" not in values:
+        raise ValueError(f"expected an array `points`, got {', '.join(values) or 'none'}")
+    return CloudFile(*(values.get(name) for name in CloudFile._fields))  # type: ignore[arg-type]
+
+
+def _from_rows(rows: npt.NDArray[Any]) -> CloudFile:
+    if rows.ndim != 2 or rows.shape[1] < 3:
+        raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}")
+    if rows.shape[1] > max(MOST_COLUMNS, rows.shape[0]):
+        raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}: transpose the array")
+    values = torch.from_numpy(np.ascontiguousarray(rows)).to(torch.float64)
+    colors = values[:, 3:6].float() if rows.shape[1] == 6 else None
+    if colors is not None and colors.numel() and float(colors.max()) > 1:
+        colors = colors / 255
+    return CloudFile(values[:, :3], colors)

@@ -1,0 +1,136 @@
+"""Reads LAS, LAZ and COPC files (ASPRS LAS 1.4) with laspy and lazrs, whole or in parts.
+
+A COPC file is a LAZ file whose points are sorted into an octree; its points are read in the order of the file.
+Coordinates are X, Y, Z x scale + offset, in float64: UTM coordinates have more digits than float32.
+Colours have 16 bits; if none is above 255 they have 8 bits, as many programs write them, and if all are 0 there are
+none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.files.las_header import check_header
+from torchjoint.runtime.extras import needed_for
+
+SUFFIXES = (".las", ".laz")
+#: Points that are read at a time; those of one chunk of LAZ are 50,000.
+CHUNK = 1_000_000
+
+
+class LasPoints(NamedTuple):
+    """Some points of a file."""
+
+    xyz: npt.NDArray[np.float64]  #: [n, 3]
+    rgb: npt.NDArray[np.uint16] | None  #: [n, 3], as in the file
+
+
+def read_las(path: Path) -> tuple[Tensor, Tensor | None]:
+    """Reads a whole file.
+
+    Returns:
+        points [N, 3] float64, colours [N, 3] float32 in [0, 1] or None.
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and its error.
+        ModuleNotFoundError: laspy or lazrs is not installed.
+    """
+    with open_las(path) as reader:
+        parts = list(las_points(reader, path))
+    xyz = np.concatenate([part.xyz for part in parts])
+    if parts[0].rgb is None:
+        return torch.from_numpy(xyz), None
+    rgb = np.concatenate([part.rgb for part in parts if part.rgb is not None])
+    white = white_of(int(rgb.max()))
+    return torch.from_numpy(xyz), None if white is None else torch.from_numpy(rgb.astype(np.float32) / white)
+
+
+def white_of(largest: int) -> int | None:
+    """The value of full brightness in a file whose largest colour is `largest`; None: it has no colours."""
+    return None if largest == 0 else 255 if largest <= 255 else 65535
+
+
+@contextmanager
+def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
+    """Opens a file after its header was checked; a laspy.LasReader.
+
+    Args:
+        path: of the file.
+        only_places: decompress coordinates and colours only, if the file's point format allows it.
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and its error.
+        ModuleNotFoundError: laspy or lazrs is not installed.
+    """
+    laspy = las_library()
+    check_header(path)
+    wanted = laspy.DecompressionSelection.all()
+    if only_places:
+        kinds = laspy.DecompressionSelection
+        wanted = kinds.XY_RETURNS_CHANNEL | kinds.Z | kinds.RGB
+    reader = None
+    try:
+        with _clear_errors(path):
+            reader = laspy.open(path, decompression_selection=wanted)
+        yield reader
+    finally:
+        if reader is not None:
+            reader.close()
+
+
+def las_chunks(reader: Any, path: Path, count: int = CHUNK) -> Iterator[Any]:
+    """The points of an open file in their order, `count` at a time, as laspy's records.
+
+    Raises:
+        ValueError: a damaged or truncated file.
+    """
+    left = reader.header.point_count
+    while left > 0:
+        with _clear_errors(path):
+            chunk = reader.read_points(min(count, left))
+            if len(chunk) != min(count, left):
+                raise ValueError(f"truncated: {left} points are missing")
+        left -= len(chunk)
+        yield chunk
+
+
+def las_points(reader: Any, path: Path, count: int = CHUNK) -> Iterator[LasPoints]:
+    """Coordinates and colours of the points of an open file, as :func:`las_chunks`."""
+    colored = "red" in set(reader.header.point_format.dimension_names)
+    for chunk in las_chunks(reader, path, count):
+        xyz = np.stack([chunk.x, chunk.y, chunk.z], axis=1)
+        rgb = np.stack([chunk.red, chunk.green, chunk.blue], axis=1) if colored else None
+        yield LasPoints(xyz.astype(np.float64, copy=False), rgb)
+
+
+def las_library() -> Any:
+    """The module laspy, with a backend that reads LAZ.
+
+    Raises:
+        ModuleNotFoundError: what to install.
+    """
+    with needed_for("reading .las and .laz", "laspy and lazrs", "torchjoint[las]"):
+        import laspy
+        import lazrs  # noqa: F401
+    return laspy
+
+
+@contextmanager
+def _clear_errors(path: Path) -> Iterator[None]:
+    """Errors of laspy and of lazrs (a panic in Rust is no Exception) become a ValueError that names the file."""
+    try:
+        yield
+    except BaseException as error:
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
+        if isinstance(error, MemoryError):
+            raise
+        raise ValueError(f"{path}: not a whole LAS file: {error}") from error

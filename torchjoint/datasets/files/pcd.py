@@ -1,0 +1,224 @@
+"""Reads PCD files of the Point Cloud Library, version 0.7: ascii, binary and binary_compressed, with any fields.
+
+Format: https://pointclouds.org/documentation/tutorials/pcd_file_format.html. The body of binary_compressed holds the
+compressed and the uncompressed size, two uint32, then LZF data: the fields one after the other, each with all points.
+VIEWPOINT is the pose of the sensor; it must not be applied to the points.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.files.lzf import decompress
+from torchjoint.datasets.files.text import parse_integer
+
+#: Largest size of a header, bytes; real headers have a few hundred bytes.
+MAX_HEADER = 65536
+
+#: Largest number of values per point in one field; feature histograms have some hundreds.
+MAX_COUNT = 4096
+
+_TYPES = {
+    **{("F", size): f"<f{size}" for size in (4, 8)},
+    **{("I", size): f"<i{size}" for size in (1, 2, 4, 8)},
+    **{("U", size): f"<u{size}" for size in (1, 2, 4, 8)},
+}
+
+
+@dataclass(frozen=True)
+class PcdHeader:
+    """The header of a PCD file.
+
+    Args:
+        fields: types [count] by name; a padding field has the name "_" and its index.
+        width, height: points per row, and rows; one row if the cloud is not organised.
+        encoding: ascii, binary, binary_compressed.
+        size: of the header, bytes.
+    """
+
+    fields: Mapping[str, np.dtype[Any]]
+    width: int
+    height: int
+    encoding: str
+    size: int
+
+    @property
+    def num_points(self) -> int:
+        """The number of points in the file, including points without coordinates (NaN)."""
+        return self.width * self.height
+
+
+@dataclass(frozen=True)
+class Pcd:
+    """The cloud of a PCD file; points are in the order of the file.
+
+    Args:
+        width, height: points per row, and rows.
+        fields: arrays [N] by name, or [N, count] if a field has several values per point.
+    """
+
+    width: int
+    height: int
+    fields: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+
+    def points(self) -> Tensor:
+        """Returns [N, 3] float32 or float64, as in the file; NaN where the sensor had no return."""
+        return self._columns(("x", "y", "z"))
+
+    def colors(self) -> Tensor | None:
+        """Returns [N, 3] uint8 RGB, or None; reads field `rgb` or `rgba`: four bytes b g r a, whatever its type."""
+        for name in ("rgb", "rgba"):
+            packed = self.fields.get(name)
+            if packed is not None and packed.ndim == 1 and packed.dtype.itemsize == 4:
+                return torch.from_numpy(packed.view(np.uint8).reshape(-1, 4)[:, [2, 1, 0]].copy())
+        return None
+
+    def normals(self) -> Tensor | None:
+        """Returns [N, 3] float32, or None."""
+        names = ("normal_x", "normal_y", "normal_z")
+        return self._columns(names).to(torch.float32) if all(name in self.fields for name in names) else None
+
+    def _columns(self, names: tuple[str, ...]) -> Tensor:
+        columns = [self.fields[name] for name in names]
+        narrow = all(column.dtype == np.float32 for column in columns)
+        return torch.from_numpy(np.stack(columns, axis=1).astype(np.float32 if narrow else np.float64))
+
+
+def read_pcd(path: Path) -> Pcd:
+    """Reads a PCD file.
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and its error; sizes in the header are compared with the file's
+            size before memory is allocated.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a point cloud, .pcd")
+    data = path.read_bytes()
+    header = _parse_header(path, data[:MAX_HEADER])
+    body, dtype = memoryview(data)[header.size :], np.dtype(list(header.fields.items()))
+    if header.encoding == "ascii":
+        fields = _read_ascii(path, bytes(body), header)
+    elif header.encoding == "binary":
+        _check_length(path, header, dtype.itemsize * header.num_points, len(body))
+        records = np.frombuffer(body, dtype, header.num_points)
+        fields = {name: np.ascontiguousarray(records[name]) for name in header.fields}
+    else:
+        fields = _read_compressed(path, body, header, dtype.itemsize * header.num_points)
+    named = {name: values for name, values in fields.items() if not name.startswith("_")}
+    return Pcd(header.width, header.height, named)
+
+
+def read_pcd_header(path: Path) -> PcdHeader:
+    """Reads the header only."""
+    with path.open("rb") as stream:
+        return _parse_header(path, stream.read(MAX_HEADER))
+
+
+def _parse_header(path: Path, start: bytes) -> PcdHeader:
+    entries: dict[str, list[str]] = {}
+    size = 0
+    for line in start.splitlines(keepends=True):
+        size += len(line)
+        words = line.decode("ascii", errors="replace").split()
+        if words and not words[0].startswith("#"):
+            entries.setdefault(words[0], words[1:])
+        if "DATA" in entries:
+            break
+    try:
+        names, types, (encoding,) = entries["FIELDS"], entries["TYPE"], entries["DATA"]
+        entries.setdefault("COUNT", ["1"] * len(names))
+        entries.setdefault("POINTS", [])
+        sizes, counts, points, (width,), (height,) = (
+            [parse_integer(word, key) for word in entries[key]]
+            for key in ("SIZE", "COUNT", "POINTS", "WIDTH", "HEIGHT")
+        )
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{path}: not a PCD file, or its header is damaged: {error}") from error
+    if encoding not in ("ascii", "binary", "binary_compressed"):
+        raise ValueError(f"{path}: expected DATA ascii, binary or binary_compressed, got {encoding!r}")
+    if width < 1 or height < 1 or points not in ([], [width * height]):
+        raise ValueError(f"{path}: expected POINTS = WIDTH x HEIGHT > 0, got {points}, {width} and {height}")
+    return PcdHeader(_field_types(path, names, sizes, types, counts), width, height, encoding, size)
+
+
+def _field_types(
+    path: Path, names: list[str], sizes: list[int], types: list[str], counts: list[int]
+) -> dict[str, np.dtype[Any]]:
+    if not len(names) == len(sizes) == len(types) == len(counts):
+        raise ValueError(f"{path}: FIELDS, SIZE, TYPE and COUNT do not agree in number")
+    fields: dict[str, np.dtype[Any]] = {}
+    for place, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
+        name = f"_{place}" if name == "_" else name
+        if (kind, size) not in _TYPES or not 0 < count <= MAX_COUNT or name in fields:
+            raise ValueError(
+                f"{path}: field {name!r} of TYPE {kind}, SIZE {size}, COUNT {count} is not known, or twice"
+            )
+        fields[name] = np.dtype((_TYPES[kind, size], (count,)) if count > 1 else _TYPES[kind, size])
+    missing = [axis for axis in "xyz" if axis not in fields or fields[axis].shape or fields[axis].kind != "f"]
+    if missing:
+        raise ValueError(f"{path}: expected fields x, y and z of TYPE F, got {' '.join(names)}")
+    return fields
+
+
+def _read_ascii(path: Path, body: bytes, header: PcdHeader) -> dict[str, npt.NDArray[Any]]:
+    columns = sum(int(np.prod(dtype.shape)) for dtype in header.fields.values())
+    try:
+        values = np.loadtxt(io.BytesIO(body), comments=None, ndmin=2) if body.strip() else np.empty((0, columns))
+    except ValueError as error:
+        raise ValueError(f"{path}: expected lines of {columns} numbers: {error}") from error
+    if values.shape != (header.num_points, columns):
+        expected = f"{header.num_points} points of {columns} numbers"
+        raise ValueError(
+            f"{path}: truncated, or too long: expected {expected}, got {values.shape[0]} of {values.shape[1]}"
+        )
+    fields, column = {}, 0
+    for name, dtype in header.fields.items():
+        count = int(np.prod(dtype.shape))
+        fields[name] = _converted(path, name, values[:, column : column + count], dtype.base)
+        fields[name] = fields[name] if dtype.shape else fields[name][:, 0]
+        column += count
+    return fields
+
+
+def _converted(path: Path, name: str, values: npt.NDArray[np.float64], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    """Numbers from text, converted to the type of their field; integers must fit into the type."""
+    if dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            return np.ascontiguousarray(values.astype(dtype))
+    limits = np.iinfo(dtype)
+    # The largest 64-bit integers have no float64: a value equal to the rounded limit is too large.
+    if not ((values >= limits.min) & (values <= limits.max) & (values < 2.0**63) & (values == np.floor(values))).all():
+        raise ValueError(f"{path}: expected integers of {dtype.itemsize * 8} bits in field {name!r}")
+    return np.ascontiguousarray(values.astype(dtype))
+
+
+def _read_compressed(path: Path, body: memoryview, header: PcdHeader, expected: int) -> dict[str, npt.NDArray[Any]]:
+    if len(body) < 8:
+        raise ValueError(f"{path}: truncated after the header")
+    compressed, uncompressed = struct.unpack("<II", body[:8])
+    if uncompressed != expected:
+        raise ValueError(f"{path}: expected {expected} bytes of {header.num_points} points, got {uncompressed}")
+    _check_length(path, header, compressed, len(body) - 8)
+    values = decompress(bytes(body[8 : 8 + compressed]), expected, str(path))
+    fields, offset = {}, 0
+    for name, dtype in header.fields.items():
+        # frombuffer does not support types with a shape.
+        column = np.frombuffer(values, dtype.base, header.num_points * int(np.prod(dtype.shape)), offset)
+        fields[name] = column.reshape(header.num_points, *dtype.shape)
+        offset += column.nbytes
+    return fields
+
+
+def _check_length(path: Path, header: PcdHeader, expected: int, got: int) -> None:
+    if got < expected:
+        raise ValueError(f"{path}: truncated: {header.num_points} points take {expected} bytes, got {got}")

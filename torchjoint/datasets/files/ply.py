@@ -1,0 +1,159 @@
+"""Reads PLY files (Greg Turk's Polygon File Format, 1994), ascii and binary of both byte orders; writes binary ones.
+
+Each number of the file is accounted for: what is cut, too long or not a number is an error, wherever it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.files.ply_ascii import read_ascii
+from torchjoint.datasets.files.ply_binary import read_binary
+from torchjoint.datasets.files.ply_columns import Columns
+from torchjoint.datasets.files.ply_header import MAX_HEADER, parse_header
+from torchjoint.runtime.files import atomic_write
+
+Array = npt.NDArray[Any]
+
+#: Names of the list of a face's vertices.
+_FACE_LISTS = ("vertex_indices", "vertex_index")
+_COLORS, _NORMALS = ("red", "green", "blue"), ("nx", "ny", "nz")
+
+
+class Ply(NamedTuple):
+    """A cloud, or a mesh."""
+
+    points: Tensor  #: [N, 3] metres, float32 or float64 as in the file
+    colors: Tensor | None  #: [N, 3] float32 RGB in [0, 1]
+    normals: Tensor | None  #: [N, 3] float32
+    faces: Tensor | None  #: [F, 3] int64; polygons are cut into triangles from their first vertex
+
+
+def read_ply(path: Path) -> Ply:
+    """Reads the vertices and faces of a PLY file; other elements are checked for their size and left out.
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and its error; sizes in the header are compared with the file's
+            size before memory is allocated.
+    """
+    elements = _read_elements(path)
+    try:
+        return _assembled(elements)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
+    """An integer property of the vertices, [N]; None if there is none of this name.
+
+    Raises:
+        FileNotFoundError, ValueError: as :func:`read_ply`; or the property is a list, or not of integers.
+    """
+    vertex = _read_elements(path).get("vertex", Columns.of({}, 0))
+    if name not in vertex.kinds:
+        return None
+    if vertex.kinds[name].kind not in "iu":
+        raise ValueError(f"{path}: property {name}: expected integers, got {vertex.kinds[name]}")
+    try:
+        return vertex.stacked({name: ((name,), np.int64, 1)})[name][:, 0]
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _read_elements(path: Path) -> dict[str, Columns]:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a point cloud, .ply")
+    with path.open("rb") as stream:
+        start = stream.read(MAX_HEADER)
+    try:
+        header = parse_header(start)
+        return (read_ascii if header.encoding == "ascii" else read_binary)(path, header)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels: Tensor | None = None) -> None:
+    """Writes a binary PLY atomically: equal arguments give equal bytes.
+
+    Args:
+        path: of the file.
+        points: [N, 3], as float, or double if they are float64.
+        colors: [N, 3] in [0, 1], as uchar red green blue.
+        labels: [N] integers, as int label.
+    """
+    kind = "f8" if points.dtype == torch.float64 else "f4"
+    fields = [(name, f"<{kind}") for name in "xyz"]
+    fields += [] if colors is None else [(name, "u1") for name in ("red", "green", "blue")]
+    fields += [] if labels is None else [("label", "<i4")]
+    rows = np.empty(len(points), dtype=np.dtype(fields))
+    for axis, name in enumerate("xyz"):
+        rows[name] = points[:, axis].numpy()
+    if colors is not None:
+        bytes_ = (colors.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+        for axis, name in enumerate(("red", "green", "blue")):
+            rows[name] = bytes_[:, axis]
+    if labels is not None:
+        rows["label"] = labels.to(torch.int32).numpy()
+    names = {"<f4": "float", "<f8": "double", "u1": "uchar", "<i4": "int"}
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    lines += [f"property {names[kind]} {name}" for name, kind in fields]
+    with atomic_write(path) as partial, partial.open("wb") as stream:
+        stream.write(("\n".join([*lines, "end_header"]) + "\n").encode())
+        stream.write(rows.tobytes())
+
+
+def _assembled(elements: Mapping[str, Columns]) -> Ply:
+    vertex = elements.get("vertex", Columns.of({}, 0))
+    missing = [name for name in "xyz" if not vertex.has_numbers(name)]
+    if missing:
+        raise ValueError(f"expected an element vertex with properties x, y and z; {', '.join(missing)} missing")
+    if not vertex.rows:
+        raise ValueError("no points")
+    narrow = all((vertex.kinds[name].kind, vertex.kinds[name].itemsize) == ("f", 4) for name in "xyz")
+    wanted: dict[str, tuple[tuple[str, ...], npt.DTypeLike, float]] = {
+        "points": (tuple("xyz"), np.float32 if narrow else np.float64, 1)
+    }
+    if vertex.has_numbers(_COLORS):
+        wanted["colors"] = (_COLORS, np.float32, _white([vertex.kinds[name] for name in _COLORS]))
+    if vertex.has_numbers(_NORMALS):
+        wanted["normals"] = (_NORMALS, np.float32, 1)
+    made = {name: torch.from_numpy(array) for name, array in vertex.stacked(wanted).items()}
+    return Ply(made["points"], made.get("colors"), made.get("normals"), _faces(elements, vertex.rows))
+
+
+def _white(kinds: Sequence[np.dtype[Any]]) -> float:
+    """The number of full brightness."""
+    kind = kinds[0] if len({(one.kind, one.itemsize) for one in kinds}) == 1 else np.dtype(np.uint8)
+    return 1 if kind.kind == "f" else int(np.iinfo(kind).max)
+
+
+def _faces(elements: Mapping[str, Columns], num_points: int) -> Tensor | None:
+    face = elements.get("face", Columns.of({}, 0))
+    name = next((name for name in _FACE_LISTS if name in face.kinds), None)
+    if name is None or not face.rows:
+        return None
+    lists = np.concatenate([block[name] for _, block in face.blocks()])
+    if lists.dtype != object:  # all of one length
+        corners = lists.reshape(len(lists), -1)
+        triangles = np.empty((len(lists), max(corners.shape[1] - 2, 0), 3), np.int64)
+        for k in range(triangles.shape[1]):
+            for place, corner in enumerate((0, k + 1, k + 2)):
+                triangles[:, k, place] = corners[:, corner]
+        stacked = triangles.reshape(-1, 3)
+    else:
+        cut = [[one[0], one[k], one[k + 1]] for one in lists for k in range(1, len(one) - 1)]
+        stacked = np.array(cut, dtype=np.int64).reshape(-1, 3)
+    if not len(stacked):
+        return None
+    if not 0 <= stacked.min() <= stacked.max() < num_points:
+        raise ValueError(
+            f"element face: expected vertices in [0, {num_points}), got {stacked.min()} to {stacked.max()}"
+        )
+    return torch.from_numpy(stacked)

@@ -1,0 +1,112 @@
+"""The numbers of a binary PLY file, of both byte orders: each byte is accounted for, and few are copied."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from torchjoint.datasets.files.ply_columns import Block, Columns
+from torchjoint.datasets.files.ply_header import Element, PlyHeader, list_arrays
+
+Array = npt.NDArray[Any]
+
+#: Rows that are read at a time.
+_BLOCK = 1 << 15
+
+
+def read_binary(path: Path, header: PlyHeader) -> dict[str, Columns]:
+    """The columns of each element; those without lists stay in the file until they are asked for.
+
+    Raises:
+        ValueError: the file has too few or too many bytes, or a list of less than no numbers.
+    """
+    size, place = path.stat().st_size, header.size
+    has_lists = any(element.lists for element in header.elements)
+    data = np.fromfile(path, np.uint8) if has_lists else np.empty(0, np.uint8)
+    elements: dict[str, Columns] = {}
+    for element in header.elements:
+        if not element.properties:
+            continue
+        if element.lists:
+            columns, place = _rows_with_lists(data, place, element, header)
+            elements[element.name] = Columns.of(columns, element.rows)
+            continue
+        dtype = element.dtype(header.byte_order)
+        _check_rest(size, place, dtype.itemsize * element.rows, element)
+        elements[element.name] = _rows(path, place, element, dtype)
+        place += dtype.itemsize * element.rows
+    with path.open("rb") as stream:
+        stream.seek(place)
+        if stream.read().strip():
+            raise ValueError(f"expected the end at byte {place}, got {size - place} more bytes")
+    return elements
+
+
+def _rows(path: Path, place: int, element: Element, dtype: np.dtype[Any]) -> Columns:
+    def blocks() -> Iterator[Block]:
+        block = np.empty(min(_BLOCK, element.rows), dtype)
+        with path.open("rb", buffering=0) as stream:
+            stream.seek(place)
+            for start in range(0, element.rows, _BLOCK):
+                some = block[: element.rows - start]
+                if stream.readinto(some.view(np.uint8).data) != some.nbytes:
+                    raise ValueError(f"truncated while it is read: element {element.name}, row {start}")
+                yield slice(start, start + len(some)), some
+
+    return Columns(element.rows, {name: dtype[name] for name in element.names}, blocks)
+
+
+def _rows_with_lists(data: Array, place: int, element: Element, header: PlyHeader) -> tuple[dict[str, Array], int]:
+    """The rows of an element with lists, as object arrays or [count, k] where all lists have one length."""
+    smallest = sum(np.dtype(p.length or p.kind).itemsize for p in element.properties)
+    _check_rest(len(data), place, smallest * element.rows, element)
+    if element.rows == 0:
+        return {}, place
+    lengths = _lengths(data, place, element, header)
+    dtype = element.dtype(header.byte_order, lengths)
+    if dtype.itemsize * element.rows <= len(data) - place:
+        rows = np.frombuffer(data, dtype, element.rows, place)
+        if all((rows[f"#{name}"] == length).all() for name, length in lengths.items()):
+            return {name: rows[name] for name in element.names}, place + rows.nbytes
+    columns: dict[str, list[Any]] = {name: [] for name in element.names}
+    for _ in range(element.rows):
+        row = np.frombuffer(*_one_row(data, place, element, header))[0]
+        for name in element.names:
+            columns[name].append(row[name])
+        place += row.nbytes
+    return list_arrays(columns, element), place
+
+
+def _one_row(data: Array, place: int, element: Element, header: PlyHeader) -> tuple[Array, np.dtype[Any], int, int]:
+    dtype = element.dtype(header.byte_order, _lengths(data, place, element, header))
+    _check_rest(len(data), place, dtype.itemsize, element)
+    return data, dtype, 1, place
+
+
+def _lengths(data: Array, place: int, element: Element, header: PlyHeader) -> dict[str, int]:
+    """The lengths of the lists in the row at `place`."""
+    lengths = {}
+    for one in element.properties:
+        if one.length is not None:
+            _check_rest(len(data), place, np.dtype(one.length).itemsize, element)
+            length = int(np.frombuffer(data, np.dtype(header.byte_order + one.length), 1, place)[0])
+            if length < 0:
+                raise ValueError(f"element {element.name}: a list of {length} numbers")
+            lengths[one.name] = length
+            place += np.dtype(one.length).itemsize + length * np.dtype(one.kind).itemsize
+        else:
+            place += np.dtype(one.kind).itemsize
+        _check_rest(len(data), place, 0, element)
+    return lengths
+
+
+def _check_rest(available: int, place: int, size: int, element: Element) -> None:
+    if size > available - place:
+        raise ValueError(
+            f"truncated: {element.rows} of element {element.name} need {size} bytes at byte {place}, "
+            f"got {max(0, available - place)}"
+        )

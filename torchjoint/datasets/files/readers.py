@@ -1,0 +1,211 @@
+"""Reads single files: images, depth, matrices, point clouds. Errors name the file and what is wrong."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import struct
+import tokenize
+import warnings
+import zlib
+from collections.abc import Iterable, Iterator, Set
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from PIL import Image, UnidentifiedImageError
+from torch import Tensor
+
+from torchjoint.datasets.files import las
+from torchjoint.datasets.files.e57 import read_e57
+from torchjoint.datasets.files.pcd import read_pcd
+from torchjoint.datasets.files.ply import Ply, read_ply
+
+#: Larger images are rejected before they are decoded.
+MAX_PIXELS = 64_000_000
+#: Suffixes of clouds that stand alone: no other file belongs to them.
+ALONE = (".ply", ".npy", ".npz", ".xyz", *las.SUFFIXES, ".e57")
+
+
+def read_image(path: Path) -> Tensor:
+    """Reads an 8-bit image of any mode; returns [3, H, W] uint8 RGB."""
+    return rgb_of(_opened(path), str(path))
+
+
+def read_image_size(path: Path) -> tuple[int, int]:
+    """Returns (H, W) of an image, from the header of its file."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected an image")
+    image = decode_image(path.read_bytes(), str(path), header_only=True)
+    return image.height, image.width
+
+
+def read_depth(path: Path, unit: float = 0.001) -> Tensor:
+    """Reads a 16-bit depth image in `unit` metres; returns [H, W] float32 metres, 0 = unknown (raw 0 and 65535)."""
+    image = _opened(path)
+    if image.mode not in ("I;16", "I;16B", "I"):
+        raise ValueError(f"{path}: expected a 16-bit grey image, got mode {image.mode}")
+    raw = np.array(image, dtype=np.int32)
+    return torch.from_numpy(np.where((raw == 65535) | (raw < 0), 0, raw).astype(np.float32) * np.float32(unit))
+
+
+def read_label_image(path: Path) -> Tensor:
+    """Reads an 8- or 16-bit label image; returns [H, W] int64."""
+    return labels_of(_opened(path), str(path))
+
+
+def read_grey_image(path: Path) -> Tensor:
+    """Reads a grey image of 8 or 16 bits; returns [H, W] float32 in [0, 1]."""
+    image = _opened(path)
+    if image.mode not in ("1", "L", "I;16", "I;16B", "I"):
+        raise ValueError(f"{path}: expected a grey image of 8 or 16 bits, got mode {image.mode}")
+    white = {"1": 1, "L": 255}.get(image.mode, 65535)
+    return torch.from_numpy(np.array(image).astype(np.float32)) / white
+
+
+def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
+    """Reads a matrix from a text file; returns float64 of this shape."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a text file with a {shape[0]}x{shape[1]} matrix")
+    try:
+        values = np.array(path.read_text(encoding="utf-8").replace(",", " ").split(), dtype=np.float64)
+    except ValueError as error:
+        raise ValueError(f"{path}: expected numbers, got {error}") from error
+    if values.size != shape[0] * shape[1]:
+        raise ValueError(f"{path}: expected {shape[0]}x{shape[1]} = {shape[0] * shape[1]} numbers, got {values.size}")
+    return torch.from_numpy(values.reshape(shape))
+
+
+def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
+    """Reads a PLY, PCD, LAS, LAZ or E57 file.
+
+    Returns:
+        points [N, 3] float32 or float64, as in the file; colours [N, 3] in [0, 1] or None; normals [N, 3] or None (also
+        if all are zero).
+
+    Raises:
+        FileNotFoundError, ValueError: naming the file and its error.
+    """
+    return read_mesh(path)[:3]
+
+
+def read_mesh(path: Path) -> Ply:
+    """Reads a file as :func:`read_cloud`, with the triangles of a PLY mesh."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected a point cloud")
+    suffix = path.suffix.lower()
+    if suffix in las.SUFFIXES:
+        mesh = Ply(*las.read_las(path), None, None)
+    elif suffix == ".e57":
+        mesh = Ply(*read_e57(path), None, None)
+    elif suffix == ".pcd":
+        pcd = read_pcd(path)
+        colors = pcd.colors()
+        mesh = Ply(pcd.points(), None if colors is None else colors.float() / 255, pcd.normals(), None)
+    else:
+        mesh = read_ply(path)
+    finite = torch.isfinite(mesh.points).all(1)
+    if not finite.all():
+        bad = int((~finite).sum())
+        raise ValueError(f"{path}: {bad} of {len(finite)} points are NaN or infinite; remove them")
+    return mesh if mesh.normals is not None and mesh.normals.any() else mesh._replace(normals=None)
+
+
+def read_array(path: Path) -> Tensor:
+    """Reads a .npy file of numbers, of any shape."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected an array of numbers, .npy")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about headers of Python 2, or of old numpy
+            # Memory-mapped, so that the shape is checked against the file size before memory is allocated.
+            array: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
+        if array.dtype.kind == "u" and array.dtype.itemsize > 1:  # torch supports few operations on these types
+            array = array.astype(np.int64)
+        return torch.from_numpy(np.array(array, dtype=array.dtype.newbyteorder("="), order="C", subok=False))
+    except (ValueError, TypeError, OSError, EOFError, OverflowError, SyntaxError, tokenize.TokenError) as error:
+        raise ValueError(f"{path}: not a whole .npy array of numbers: {error}") from error
+
+
+def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
+    """Returns a hash of file names, sizes and times, to detect changed files.
+
+    For a folder it covers all files in and below the folder, also behind links. For a file it covers the file's folder,
+    and the files with the same stem in sibling folders (KITTI's layout); but for a cloud that stands alone, only the
+    file.
+
+    Args:
+        path: of a recording.
+        without: files and folders that do not count, such as the result of a run if it is inside the recording.
+
+    Raises:
+        FileNotFoundError: there is no such file or folder.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{path} does not exist")
+    if path.is_file() and path.suffix.lower() in ALONE:
+        status = path.stat()
+        return hashlib.sha256(repr((str(path.resolve()), status.st_size, status.st_mtime_ns)).encode()).hexdigest()
+    folder = path if path.is_dir() else path.parent
+    left_out = {os.path.abspath(one) for one in without}
+    beside = () if path.is_dir() else folder.parent.glob(f"*/{path.stem}.*")
+    files = sorted({*_files_below(folder, left_out), *beside})
+    stats = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files if file.is_file()]
+    return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
+
+
+def _files_below(folder: Path, without: Set[str]) -> Iterator[Path]:
+    """Files in and below a folder, behind links, too; a folder that links to one above it is entered once."""
+    entered = set()
+    for place, folders, names in os.walk(folder, followlinks=True):
+        entered.add(os.path.realpath(place))
+        inside = [name for name in folders if os.path.abspath(os.path.join(place, name)) not in without]
+        folders[:] = [name for name in sorted(inside) if os.path.realpath(os.path.join(place, name)) not in entered]
+        yield from (Path(place, name) for name in names if os.path.abspath(os.path.join(place, name)) not in without)
+
+
+def _opened(path: Path) -> Image.Image:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: missing; expected an image")
+    return decode_image(path.read_bytes(), str(path))
+
+
+def rgb_of(image: Image.Image, name: str) -> Tensor:
+    """Converts an 8-bit image of any mode to [3, H, W] uint8 RGB; errors give the name."""
+    if image.mode.startswith(("I", "F")):
+        raise ValueError(f"{name}: expected an 8-bit image, got mode {image.mode}")
+    return torch.from_numpy(np.array(image.convert("RGB"))).permute(2, 0, 1).contiguous()
+
+
+def labels_of(image: Image.Image, name: str) -> Tensor:
+    """Converts an 8- or 16-bit label image to [H, W] int64; errors give the name."""
+    if image.mode not in ("L", "P", "I;16", "I;16B", "I"):
+        raise ValueError(f"{name}: expected a grey or palette image of labels, got mode {image.mode}")
+    return torch.from_numpy(np.array(image).astype(np.int64))
+
+
+def decode_image(data: bytes, name: str, *, header_only: bool = False) -> Image.Image:
+    """Decodes an image file's bytes (or only its header); errors give the name.
+
+    Raises:
+        ValueError: a damaged image, or an image of more than `MAX_PIXELS`.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the check below is stricter
+            image = Image.open(io.BytesIO(data))
+            if image.width * image.height > MAX_PIXELS:
+                raise ValueError(f"{image.width} x {image.height} pixels are too many (at most {MAX_PIXELS})")
+            if not header_only:
+                if image.format == "PNG":  # Pillow compares the checksums of pixels only if it is asked to
+                    Image.open(io.BytesIO(data)).verify()
+                image.load()
+    except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
+            Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
+        # Pillow's own message names the buffer in memory.
+        reason = "no known format" if isinstance(error, UnidentifiedImageError) else error
+        raise ValueError(f"{name}: not a whole image: {reason}") from error
+    return image

@@ -1,0 +1,141 @@
+"""Converts ROS messages: images, depth images, point clouds, cameras."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.files.readers import decode_image, rgb_of
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+#: Numbers in a pixel of colour images, and the places of red, green and blue among them.
+_COLORS = {
+    "rgb8": (3, (0, 1, 2)), "bgr8": (3, (2, 1, 0)), "rgba8": (4, (0, 1, 2)), "bgra8": (4, (2, 1, 0)),
+    "8UC3": (3, (2, 1, 0)), "8UC4": (4, (2, 1, 0)), "mono8": (1, (0, 0, 0)), "8UC1": (1, (0, 0, 0)),
+}  # fmt: skip
+#: Depth images, and metres in a unit.
+_DEPTHS = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}
+#: Types of a point's fields, by their number in sensor_msgs/PointField.
+_FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+#: compressed_depth_image_transport writes its own header before the PNG.
+_DEPTH_HEADER = 12
+
+
+def is_depth(message: Any) -> bool:
+    """Whether an Image or CompressedImage holds depth."""
+    if hasattr(message, "encoding"):
+        return message.encoding in _DEPTHS
+    return "compressedDepth" in message.format or message.format.startswith(("16UC1", "32FC1"))
+
+
+def color_image(message: Any, name: str) -> Tensor:
+    """[3, H, W] uint8 RGB of an Image or CompressedImage.
+
+    Raises:
+        ValueError: a damaged image, or an encoding that is not known; the message begins with `name`.
+    """
+    if not hasattr(message, "encoding"):
+        return rgb_of(decode_image(message.data.tobytes(), name), name)
+    if message.encoding not in _COLORS:
+        raise ValueError(f"{name}: expected an encoding of {', '.join(_COLORS)}, got {message.encoding!r}")
+    channels, order = _COLORS[message.encoding]
+    pixels = _pixels(message, np.dtype("u1"), channels, name)
+    return torch.from_numpy(pixels[..., list(order)].copy()).permute(2, 0, 1).contiguous()
+
+
+def depth_image(message: Any, name: str) -> Tensor:
+    """[H, W] float32 metres of an Image or CompressedImage, 0 = unknown.
+
+    Raises:
+        ValueError: as :func:`color_image`.
+    """
+    if not hasattr(message, "encoding"):
+        if "32FC1" in message.format:
+            raise ValueError(f"{name}: expected compressed depth of 16 bits, got {message.format!r}")
+        data = message.data.tobytes()
+        skipped = _DEPTH_HEADER if "compressedDepth" in message.format else 0
+        raw, unit = np.array(decode_image(data[skipped:], name)), 0.001
+    elif message.encoding in _DEPTHS:
+        kind, unit = _DEPTHS[message.encoding]
+        raw = _pixels(message, np.dtype(kind), 1, name)[..., 0]
+    else:
+        raise ValueError(f"{name}: expected an encoding of {', '.join(_DEPTHS)}, got {message.encoding!r}")
+    if raw.ndim != 2:
+        raise ValueError(f"{name}: expected a depth image of one channel, got shape {list(raw.shape)}")
+    depth = raw.astype(np.float32) * np.float32(unit)
+    return torch.from_numpy(np.where(np.isfinite(depth) & (depth > 0) & (raw != 65535), depth, np.float32(0)))
+
+
+def _pixels(message: Any, dtype: np.dtype[Any], channels: int, name: str) -> npt.NDArray[Any]:
+    """[H, W, channels] of an Image, whose rows may be longer than their pixels."""
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    used = width * channels * dtype.itemsize
+    if not 0 < used <= step or height < 1 or len(message.data) < height * step:
+        raise ValueError(
+            f"{name}: expected {height} rows of {width} pixels, each {channels * dtype.itemsize} bytes, got "
+            f"{len(message.data)} bytes in rows of {step}"
+        )
+    rows = np.ascontiguousarray(message.data[: height * step].reshape(height, step)[:, :used])
+    order = dtype.newbyteorder(">" if message.is_bigendian else "<")
+    return rows.view(order).astype(dtype).reshape(height, width, channels)
+
+
+def camera(message: Any, rectified: bool, name: str) -> Camera:
+    """The camera of a CameraInfo: K and the distortion, or P of rectified images.
+
+    Raises:
+        ValueError: a distortion that is not OpenCV's, numbers that are no camera.
+    """
+    K = np.asarray(getattr(message, "k", None) if hasattr(message, "k") else message.K, np.float64).reshape(3, 3)
+    P = np.asarray(message.p if hasattr(message, "p") else message.P, np.float64).reshape(3, 4)
+    D = np.asarray(message.d if hasattr(message, "d") else message.D, np.float64)
+    size = (int(message.height), int(message.width)) if message.height and message.width else None
+    if rectified and P[0, 0] > 0:
+        return Camera(torch.from_numpy(P[:, :3].copy()), size, (), name)
+    if D.any() and message.distortion_model not in ("plumb_bob", "rational_polynomial", ""):
+        raise ValueError(f"{name}: expected distortion plumb_bob or rational_polynomial, got "
+                         f"{message.distortion_model!r}; record the rectified images")  # fmt: skip
+    if len(D) not in (0, 4, 5, 8):
+        raise ValueError(f"{name}: expected 4, 5 or 8 coefficients of distortion, got {len(D)}")
+    return Camera(torch.from_numpy(K.copy()), size, tuple(D.tolist()) if D.any() else (), name)
+
+
+def cloud_points(message: Any, name: str) -> tuple[Tensor, Tensor | None]:
+    """Points [N, 3] float64 in the message's frame, without those that are not finite, and colours [N, 3] or None.
+
+    Raises:
+        ValueError: fields or sizes that make no cloud.
+    """
+    fields = {field.name: field for field in message.fields}
+    count, step = int(message.width) * int(message.height), int(message.point_step)
+    row_step = int(message.row_step) or step * int(message.width)
+    size = row_step * int(message.height)
+    wrong = [axis for axis in "xyz" if axis not in fields or fields[axis].datatype not in (7, 8)]
+    if wrong or row_step < step * int(message.width) or len(message.data) < size:
+        raise ValueError(
+            f"{name}: expected fields x, y, z and {count} points of {step} bytes, got fields {', '.join(fields)} and "
+            f"{len(message.data)} bytes"
+        )
+    rows = message.data[:size].reshape(int(message.height), row_step)[:, : step * int(message.width)]
+    rows = np.ascontiguousarray(rows).reshape(count, step)
+    order = ">" if message.is_bigendian else "<"
+
+    def column(field: Any, kind: str) -> npt.NDArray[Any]:
+        end = field.offset + np.dtype(kind).itemsize
+        if end > step:
+            raise ValueError(f"{name}: field {field.name} ends at byte {end} of {step}")
+        return np.ascontiguousarray(rows[:, field.offset : end]).view(f"{order}{kind}")[:, 0]
+
+    xyz = np.stack([column(fields[axis], _FIELDS[fields[axis].datatype]).astype(np.float64) for axis in "xyz"], axis=1)
+    kept = np.isfinite(xyz).all(1)
+    packed = next((fields[key] for key in ("rgb", "rgba") if key in fields), None)
+    if packed is None:
+        return torch.from_numpy(xyz[kept]), None
+    value = column(packed, "u4")[kept]
+    rgb = np.stack([(value >> shift) & 255 for shift in (16, 8, 0)], axis=1).astype(np.float32) / 255
+    return torch.from_numpy(xyz[kept]), torch.from_numpy(rgb)

@@ -1,0 +1,136 @@
+"""Reads a scene of BOP, the benchmark for 6D poses of objects: SPLIT/NNNNNN, "BOP-scenewise".
+
+scene_camera.json                  for each image: cam_K, depth_scale, cam_R_w2c and cam_t_w2c (millimetres)
+rgb/NNNNNN.png, .jpg, or gray/     8-bit
+depth/NNNNNN.png                   16-bit, in depth_scale millimetres (optional)
+scene_gt.json                      for each image: the objects and their poses, camera from model (optional)
+mask_visib/NNNNNN_MMMMMM.png       pixels of object M in image N, 255 (optional; with scene_gt.json)
+
+Some data sets of BOP have no cam_R_w2c; then a scene can be read if it has one image, which gives the world frame.
+Truth: the objects of two images are one instance if they have the same obj_id, and their places in the world are at
+most `SAME_PLACE` apart. All other pixels are void. The cloud is `cloud.ply`, or fused from depth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.files.json_record import Record, read_record
+from torchjoint.datasets.files.readers import read_depth, read_image, read_image_size, read_label_image
+from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene.checks import as_intrinsics, as_pose
+
+WHAT = "scene_camera.json with rgb/ or gray/ (BOP)"
+#: Largest distance, in metres, between the places of one object in the poses of two images.
+SAME_PLACE = 0.05
+
+
+class _Shot(NamedTuple):
+    number: int
+    image: Path
+    depth: Path | None
+    intrinsics: Tensor  #: [3, 3]
+    world_to_camera: Tensor  #: [4, 4]
+    unit: float  #: of depth, metres
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether the folder is a scene."""
+    return path.is_dir() and (path / "scene_camera.json").is_file()
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads a scene; see :func:`torchjoint.load_scene`."""
+    shots = _read_shots(path)
+    names = [shot.image.stem for shot in shots]
+    scene = scene_of_frames(path, LazySequence(len(shots), lambda i: _read_frame(shots[i]), names), options)
+    return replace(scene, truth=_truth(path, shots))
+
+
+def _read_shots(path: Path) -> list[_Shot]:
+    cameras = read_record(path / "scene_camera.json", "the cameras of the images")
+    numbers = sorted(int(key) for key in cameras.values if key.isascii() and key.isdigit() and len(key) < 10)
+    if not numbers:
+        raise ValueError(f"{cameras.name}: expected an entry for each image, got none")
+    return [_read_shot(path, number, cameras.record(str(number)), len(numbers) == 1) for number in numbers]
+
+
+def _read_shot(path: Path, number: int, camera: Record, is_alone: bool) -> _Shot:
+    files = [path / kind / f"{number:06d}{suffix}" for kind in ("rgb", "gray") for suffix in (".png", ".jpg", ".tif")]
+    image = next((file for file in files if file.is_file()), None)
+    if image is None:
+        raise FileNotFoundError(f"{files[0]}: missing; {camera.name} has its camera")
+    pose = torch.eye(4, dtype=torch.float64)
+    if "cam_R_w2c" in camera:
+        pose = _pose(camera, "cam_R_w2c", "cam_t_w2c")
+    elif not is_alone:
+        raise ValueError(f"{camera.name}: cam_R_w2c: missing; expected the poses of the cameras, or a single image")
+    scale = camera.number("depth_scale", 1.0)
+    if scale <= 0:
+        raise ValueError(f"{camera.name}: depth_scale: expected more than 0, got {scale}")
+    depth = path / "depth" / f"{number:06d}.png"
+    intrinsics = as_intrinsics(camera.numbers("cam_K", 9).view(3, 3), f"{camera.name}: cam_K")
+    return _Shot(number, image, depth if depth.is_file() else None, intrinsics, pose, scale / 1000)
+
+
+def _read_frame(shot: _Shot) -> Frame:
+    depth = None if shot.depth is None else read_depth(shot.depth, shot.unit)
+    return Frame(read_image(shot.image), shot.intrinsics, shot.world_to_camera, depth=depth, name=shot.image.stem)
+
+
+def _pose(record: Record, rotation: str, translation: str) -> Tensor:
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = record.numbers(rotation, 9).view(3, 3)
+    pose[:3, 3] = record.numbers(translation, 3) / 1000
+    return as_pose(pose, f"{record.name}: {rotation}, {translation}")
+
+
+def _truth(path: Path, shots: Sequence[_Shot]) -> Truth | None:
+    if not (path / "scene_gt.json").is_file() or not (path / "mask_visib").is_dir():
+        return None
+    truth = read_record(path / "scene_gt.json", "the objects of the images")
+    instances = _instances(shots, truth)
+
+    def read(index: int) -> Tensor:
+        number, ids = shots[index].number, instances[index]
+        labels = torch.full(read_image_size(shots[index].image), -1, dtype=torch.int64)
+        for place, instance in enumerate(ids):
+            file = path / "mask_visib" / f"{number:06d}_{place:06d}.png"
+            mask = read_label_image(file) > 0
+            if mask.shape != labels.shape:
+                raise ValueError(f"{file}: expected {list(labels.shape)} pixels, got {list(mask.shape)}")
+            labels[mask] = instance
+        return labels
+
+    return Truth(None, LazySequence(len(shots), read))
+
+
+def _instances(shots: Sequence[_Shot], truth: Record) -> list[list[int]]:
+    """The instance of each object of each image."""
+    known: list[tuple[float, Tensor]] = []  # obj_id and place of each instance
+    found = []
+    for shot in shots:
+        ids: list[int] = []
+        for one in truth.records(str(shot.number)):
+            world_from_model = invert_pose(shot.world_to_camera) @ _pose(one, "cam_R_m2c", "cam_t_m2c")
+            kind, place = one.number("obj_id"), world_from_model[:3, 3]
+            near = [
+                (float((place - other).norm()), index)
+                for index, (of_kind, other) in enumerate(known)
+                if of_kind == kind and index not in ids
+            ]
+            distance, index = min(near, default=(float("inf"), -1))
+            if distance > SAME_PLACE:
+                index = len(known)
+                known.append((kind, place))
+            ids.append(index)
+        found.append(ids)
+    return found

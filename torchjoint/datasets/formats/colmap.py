@@ -1,0 +1,71 @@
+"""Reads COLMAP's reconstructions (J. Schönberger, J.-M. Frahm, "Structure-from-Motion Revisited", CVPR 2016).
+
+sparse/0, sparse, or the folder itself    the model: cameras, images and points3D, .bin or .txt
+images, or images_2, _4, _8               the images, in the first folder that holds the model's names; or in the folder
+                                          itself
+cloud.ply, fused.ply, dense/fused.ply,    the cloud, the first that exists; otherwise the model's sparse points, which
+dense/0/fused.ply                         are few for a segmentation
+
+If the given folder is the model itself, images and clouds are also searched in its parent and grandparent folders.
+Images may be resized, but not cropped; lens distortion is removed. The scale of a reconstruction is arbitrary: its
+"metres" are the model's unit, unless the model was aligned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from torchjoint.datasets.files.colmap_model import ColmapImage, has_model, read_images, read_points
+from torchjoint.datasets.files.readers import read_image
+from torchjoint.datasets.paths import frame_names, path_inside
+from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene
+
+WHAT = "COLMAP's cameras and images (.bin or .txt) in sparse/0, in sparse, or in the folder itself"
+
+_MODELS = ("sparse/0", "sparse", ".")
+_IMAGES = ("images", "images_2", "images_4", "images_8", ".")
+_CLOUDS = ("fused.ply", "dense/fused.ply", "dense/0/fused.ply")
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether the folder has a sparse model."""
+    return path.is_dir() and any(has_model(path / place) for place in _MODELS)
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the folder; see :func:`torchjoint.load_scene`."""
+    model = next(path / place for place in _MODELS if has_model(path / place))
+    around = list(path.absolute().parents)[:2] if model == path else []
+    frames = _read_frames(model, [path, *around])
+    clouds = [base / name for base in (path, *around) for name in _CLOUDS]
+    if find_cloud(path, options, clouds) is not None:
+        return scene_of_frames(path, frames, options, clouds)
+    points, colors = read_points(model)
+    return Scene(points, frames, colors, name=path.name)
+
+
+def _read_frames(model: Path, bases: Sequence[Path]) -> Sequence[Frame]:
+    images = read_images(model)
+    folder = _image_folder(bases, images[0].name, str(model))
+    files = [path_inside(folder, image.name, str(model)) for image in images]
+    for file in files:
+        if not file.is_file():
+            raise FileNotFoundError(f"{file}: missing; expected an image of the model in {model}")
+    names = frame_names([image.name for image in images])
+    return LazySequence(len(images), lambda i: _read_frame(files[i], images[i], names[i]), names)
+
+
+def _image_folder(bases: Sequence[Path], name: str, source: str) -> Path:
+    folders = [base / place for base in bases for place in _IMAGES]
+    for folder in folders:
+        if path_inside(folder, name, source).is_file():
+            return folder
+    places = ", ".join(str(folder) for folder in folders)
+    raise FileNotFoundError(f"{source}: its image {name!r} is missing; looked for it in {places}")
+
+
+def _read_frame(file: Path, image: ColmapImage, name: str) -> Frame:
+    return image.camera.frame(read_image(file), image.world_to_camera, name=name)

@@ -1,0 +1,96 @@
+"""Reads a plain folder in the style of 7-Scenes (J. Shotton et al., CVPR 2013).
+
+camera-intrinsics.txt          3x3, of the colour images
+frame-NNNNNN.color.jpg|png     8-bit RGB
+frame-NNNNNN.pose.txt          4x4, camera-to-world, OpenCV axes
+frame-NNNNNN.depth.png         16-bit, millimetres, registered to colour; 0 and 65535 = unknown (optional)
+frame-NNNNNN.labels.png        8- or 16-bit initial segmentation; 0 = none (optional)
+frame-NNNNNN.truth.png         8- or 16-bit ground-truth instances; 0 = void (optional; all frames or none)
+cloud.ply                      the point cloud, also .pcd, .las, .laz or .e57 (optional: fused from depth if absent)
+cloud.truth.npy                ground-truth instances of the points, integers [N]; -1 = void (optional)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from torch import Tensor
+
+from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_label_image, read_matrix
+from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene.checks import as_labels, as_pose
+
+WHAT = "camera-intrinsics.txt and frame-NNNNNN.color.jpg (or .png) with frame-NNNNNN.pose.txt"
+_COLOR = (".color.jpg", ".color.jpeg", ".color.png")
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether the folder has colour frames of this format."""
+    return path.is_dir() and bool(_color_files(path))
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the folder; see :func:`torchjoint.load_scene`."""
+    scene = scene_of_frames(path, read_frames(path), options)
+    return replace(scene, truth=_truth(path, _color_files(path), len(scene.points)))
+
+
+def read_frames(path: Path) -> Sequence[Frame]:
+    """Returns the frames of a folder; each frame is read on access.
+
+    Raises:
+        FileNotFoundError: a frame has no pose, or there are no intrinsics.
+        ValueError: a pose that is not rigid, or two images of one frame.
+    """
+    colors = _color_files(path)
+    stems = [file.name.split(".")[0] for file in colors]
+    if len(set(stems)) < len(stems):
+        twice = next(stem for stem in stems if stems.count(stem) > 1)
+        raise ValueError(f"{path}: frame {twice!r} has two colour images")
+    for file in colors:
+        if not _beside(file, ".pose.txt").is_file():
+            raise FileNotFoundError(f"{_beside(file, '.pose.txt')}: missing; every colour frame needs its pose")
+    # Reads all poses at once: a bad pose must be found before hours of work, not after.
+    poses = [_read_pose(_beside(file, ".pose.txt")) for file in colors]
+    intrinsics = read_matrix(path / "camera-intrinsics.txt", (3, 3))
+    return LazySequence(len(colors), lambda i: _read_frame(colors[i], intrinsics, poses[i]), stems)
+
+
+def _read_frame(file: Path, intrinsics: Tensor, camera_to_world: Tensor) -> Frame:
+    depth, labels = _beside(file, ".depth.png"), _beside(file, ".labels.png")
+    return Frame(
+        read_image(file),
+        intrinsics,
+        invert_pose(camera_to_world),
+        depth=read_depth(depth) if depth.is_file() else None,
+        labels=read_label_image(labels) - 1 if labels.is_file() else None,
+        name=file.name.split(".")[0],
+    )
+
+
+def _truth(path: Path, colors: Sequence[Path], num_points: int) -> Truth | None:
+    of_points, of_images = path / "cloud.truth.npy", [_beside(file, ".truth.png") for file in colors]
+    missing = [file for file in of_images if not file.is_file()]
+    if missing and len(missing) < len(colors):
+        raise FileNotFoundError(f"{missing[0]}: missing; {len(colors) - len(missing)} other frames have their truth")
+    points = as_labels(read_array(of_points), (num_points,), str(of_points)) if of_points.is_file() else None
+    if missing and points is None:
+        return None
+    images = () if missing else LazySequence(len(colors), lambda i: read_label_image(of_images[i]) - 1)
+    return Truth(points, images)
+
+
+def _read_pose(path: Path) -> Tensor:
+    return as_pose(read_matrix(path, (4, 4)), str(path))
+
+
+def _color_files(path: Path) -> list[Path]:
+    return sorted(file for file in path.iterdir() if file.name.startswith("frame-") and file.name.endswith(_COLOR))
+
+
+def _beside(color_file: Path, suffix: str) -> Path:
+    return color_file.with_name(color_file.name.split(".")[0] + suffix)

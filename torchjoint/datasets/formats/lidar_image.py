@@ -1,0 +1,85 @@
+"""Reads a LiDAR cloud and one image, with a calibration or an initial guess of the calibration.
+
+pointcloud.pcd       metres; points without a return (NaN) are left out
+image.png            (or .jpg)
+camera_info.json     {"K": [9 numbers], row-major, "D": OpenCV's lens distortion, optional: the image is undistorted}
+extrinsic.txt        4x4, world-to-camera (LiDAR to camera, OpenCV axes)
+initial_guess.json   instead of extrinsic.txt: {"x", "y", "z", "r_deg", "p_deg", "y_deg"}, also LiDAR to camera: first
+                     the rotation Rx(r) Ry(p) Rz(y), then the translation, metres. 90, 0, 90 degrees turn a LiDAR's
+                     axes (x forward, y left, z up) into the axes of a camera with the same view direction (z forward,
+                     x right, y down)
+
+The world frame is the LiDAR's frame. A guess may be wrong: the pose is checked before segmenting (PoseWarning).
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.files.json_record import read_record
+from torchjoint.datasets.files.pcd import read_pcd
+from torchjoint.datasets.files.readers import read_image, read_matrix
+from torchjoint.datasets.recording import Options
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Scene
+from torchjoint.scene.checks import as_pose
+
+WHAT = "pointcloud.pcd, image.png (or .jpg), camera_info.json and extrinsic.txt or initial_guess.json"
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether the folder has such a cloud and camera."""
+    return path.is_dir() and all((path / name).is_file() for name in ("pointcloud.pcd", "camera_info.json"))
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the folder; see :func:`torchjoint.load_scene`."""
+    cloud = read_pcd(path / "pointcloud.pcd")
+    points, colors = cloud.points(), cloud.colors()
+    known = torch.isfinite(points).all(dim=1)
+    camera, pose = _read_camera(path / "camera_info.json"), _read_pose(path)
+    image = next((path / name for name in ("image.png", "image.jpg") if (path / name).is_file()), None)
+    if image is None:
+        raise FileNotFoundError(f"{path}: expected image.png or image.jpg beside pointcloud.pcd")
+    frames = LazySequence(1, lambda _: camera.frame(read_image(image), pose, name="image"))
+    return Scene(points[known], frames, None if colors is None else colors[known], name=path.name)
+
+
+def _read_camera(path: Path) -> Camera:
+    record = read_record(path, "a camera's K")
+    distortion = record.values.get("D") or []
+    count = len(distortion) if isinstance(distortion, list) else 0
+    if count not in (0, 4, 5, 8):
+        raise ValueError(f"{path}: D: expected 4, 5 or 8 numbers as of OpenCV, got {count}")
+    lens = tuple(record.numbers("D", count).tolist()) if count else ()
+    return Camera(record.numbers("K", 9).view(3, 3), distortion=lens, name=str(path))
+
+
+def _read_pose(path: Path) -> Tensor:
+    file = path / "extrinsic.txt"
+    if file.is_file():
+        return as_pose(read_matrix(file, (4, 4)), str(file))
+    file = path / "initial_guess.json"
+    if not file.is_file():
+        raise FileNotFoundError(f"{path}: expected extrinsic.txt or initial_guess.json beside pointcloud.pcd")
+    guess = read_record(file, "a guess of the pose")
+    x, y, z, *degrees = (guess.number(key) for key in ("x", "y", "z", "r_deg", "p_deg", "y_deg"))
+    pose = torch.eye(4, dtype=torch.float64)
+    for axis, angle in enumerate(degrees):
+        pose[:3, :3] = pose[:3, :3] @ _rotation(axis, math.radians(angle))
+    pose[:3, 3] = torch.tensor([x, y, z], dtype=torch.float64)
+    return pose
+
+
+def _rotation(axis: int, angle: float) -> Tensor:
+    """Rotation [3, 3] about axis x, y or z (0, 1, 2); angle in radians."""
+    rotation = torch.eye(3, dtype=torch.float64)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    rotation[first, first] = rotation[second, second] = math.cos(angle)
+    rotation[first, second], rotation[second, first] = -math.sin(angle), math.sin(angle)
+    return rotation

@@ -1,0 +1,169 @@
+"""Reads transforms.json of nerfstudio and instant-ngp (docs.nerf.studio, "Data conventions").
+
+transforms.json          `frames`, each with `file_path` and `transform_matrix`: camera-to-world, 4x4, OpenGL axes (y
+                         up, z back). Intrinsics `fl_x fl_y cx cy w h`, or `camera_angle_x`, and distortion `k1 k2 p1 p2
+                         k3` are given per frame, or once for all frames. Pixel centres are at 1/2.
+images, anywhere below   8-bit; a `file_path` without suffix means a .png
+`depth_file_path`        of a frame (optional): depth along z at any resolution. A 16-bit .png, or a .npy of integers,
+                         has units of `depth_unit_scale_factor` metres (default 0.001); a .npy of floating numbers is in
+                         metres, times this factor if the file gives one
+`ply_file_path`          the cloud (optional), in the world frame of `transform_matrix`. nerfstudio writes it after
+                         applying `applied_transform`, so `applied_transform` is ignored. A cloud.ply has precedence;
+                         without either, a cloud is fused from depth
+
+The scale of poses from structure from motion is arbitrary: "metres" are then the unit of the file.
+Files are searched below the folder of transforms.json and in its sibling folder `images`; nowhere else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.cameras import FLIP_YZ, Camera, pinhole_matrix
+from torchjoint.datasets.files.json_record import Record, read_record
+from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_image_size
+from torchjoint.datasets.paths import frame_names, path_inside
+from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene
+from torchjoint.scene.checks import as_pose
+
+WHAT = "transforms.json, as of nerfstudio (or a file of that kind itself)"
+
+_PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "RADIAL", "SIMPLE_RADIAL")
+
+
+class _Shot(NamedTuple):
+    color: Path
+    camera: Camera
+    world_to_camera: Tensor
+    depth: Path | None
+    depth_unit: float | None
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether `path` is a transforms.json, or a folder with one."""
+    is_file = path.suffix == ".json" and path.name.startswith("transforms")
+    return path.is_file() if is_file else (path / "transforms.json").is_file()
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the scene; see :func:`torchjoint.load_scene`."""
+    file = path / "transforms.json" if path.is_dir() else path
+    record = read_record(file, "poses as of nerfstudio")
+    clouds = [_inside(file, record, "ply_file_path")] if "ply_file_path" in record else []
+    if clouds and find_cloud(file.parent, options, clouds) is None:
+        raise FileNotFoundError(f"{clouds[0]}: missing; expected the cloud that {file} gives as ply_file_path")
+    return scene_of_frames(file.parent, read_frames(file, record), options, clouds)
+
+
+def read_frames(file: Path, record: Record) -> Sequence[Frame]:
+    """Returns the frames of transforms.json, sorted by file name; each frame is read on access.
+
+    Raises:
+        FileNotFoundError: an image is missing.
+        ValueError: a missing key or wrong type, a pose that is not rigid, or a lens that is not perspective.
+    """
+    for_all = {key: value for key, value in record.values.items() if key != "frames"}
+    frames = [Record(for_all | dict(frame.values), frame.name) for frame in record.records("frames")]
+    shots = sorted((_shot(file, frame) for frame in frames), key=lambda shot: shot.color)
+    if not shots:
+        raise ValueError(f"{file}: frames: expected at least one, got none")
+    for one, following in pairwise(shots):
+        if one.color == following.color:
+            raise ValueError(f"{file}: frames: two are of {one.color}")
+    names = frame_names([str(shot.color) for shot in shots])
+    return LazySequence(len(shots), lambda i: _read_frame(shots[i], names[i]), names)
+
+
+def _shot(file: Path, frame: Record) -> _Shot:
+    color = _inside(file, frame, "file_path")
+    png = color.with_name(color.name + ".png")
+    color = png if png.is_file() and not color.is_file() else color
+    depth = _inside(file, frame, "depth_file_path") if "depth_file_path" in frame else None
+    for needed in (color, depth):
+        if needed is not None and not needed.is_file():
+            raise FileNotFoundError(f"{needed}: missing; expected an image that {frame.name} gives")
+    unit = frame.number("depth_unit_scale_factor") if "depth_unit_scale_factor" in frame else None
+    if unit is not None and unit <= 0:
+        raise ValueError(f"{frame.name}: depth_unit_scale_factor: expected metres a unit, got {unit}")
+    return _Shot(color, _camera(frame, color), _world_to_camera(frame), depth, unit)
+
+
+def _read_frame(shot: _Shot, name: str) -> Frame:
+    depth = None if shot.depth is None else _read_depth(shot.depth, shot.depth_unit)
+    return shot.camera.frame(read_image(shot.color), shot.world_to_camera, depth, name)
+
+
+def _read_depth(path: Path, unit: float | None) -> Tensor:
+    if path.suffix != ".npy":
+        return read_depth(path, 0.001 if unit is None else unit)
+    values = read_array(path)
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    if values.is_complex() or values.dtype == torch.bool:
+        raise ValueError(f"{path}: expected numbers, got {values.dtype}")
+    if unit is None:
+        unit = 1.0 if values.is_floating_point() else 0.001
+    depth = values.to(torch.float32) * unit
+    return torch.where(torch.isfinite(depth) & (depth > 0), depth, 0.0)
+
+
+def _world_to_camera(frame: Record) -> Tensor:
+    matrix = frame.matrix("transform_matrix", 4)
+    name = f"{frame.name}: transform_matrix"
+    if matrix.shape[0] == 3:
+        matrix = torch.cat([matrix, torch.eye(4, dtype=torch.float64)[3:]])
+    return invert_pose(as_pose(matrix, name) @ FLIP_YZ)
+
+
+def _camera(frame: Record, color: Path) -> Camera:
+    model = frame.text("camera_model", "OPENCV")
+    if model not in _PERSPECTIVE or frame.values.get("is_fisheye"):
+        raise ValueError(
+            f"{frame.name}: camera_model: expected one of {', '.join(_PERSPECTIVE)}, got "
+            f"{'a fisheye' if model in _PERSPECTIVE else repr(model)}; undistort the images first"
+        )
+    if frame.number("k4", 0.0) != 0:
+        raise ValueError(f"{frame.name}: k4: expected 0 for a perspective camera, got {frame.number('k4')}")
+    size = _size(frame) if "w" in frame and "h" in frame else read_image_size(color)
+    fl_x, fl_y = _focal_lengths(frame, size)
+    matrix = pinhole_matrix(fl_x, fl_y, frame.number("cx", size[1] / 2), frame.number("cy", size[0] / 2), center=0.5)
+    distortion = tuple(frame.number(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3"))
+    return Camera(matrix, size, distortion, frame.name)
+
+
+def _focal_lengths(frame: Record, size: tuple[int, int]) -> tuple[float, float]:
+    if "fl_x" in frame:
+        fl_x = frame.number("fl_x")
+        return fl_x, frame.number("fl_y", fl_x)
+    if "camera_angle_x" not in frame:
+        raise ValueError(f"{frame.name}: expected fl_x or camera_angle_x, got neither")
+    fl_x = _focal_length(frame, "camera_angle_x", size[1])
+    return fl_x, _focal_length(frame, "camera_angle_y", size[0]) if "camera_angle_y" in frame else fl_x
+
+
+def _focal_length(frame: Record, key: str, pixels: int) -> float:
+    angle = frame.number(key)
+    if not 0 < angle < math.pi:
+        raise ValueError(f"{frame.name}: {key}: expected an angle of view in radians, 0 to pi, got {angle}")
+    return pixels / 2 / math.tan(angle / 2)
+
+
+def _size(frame: Record) -> tuple[int, int]:
+    width, height = frame.number("w"), frame.number("h")
+    if not (1 <= width < 1e6 and 1 <= height < 1e6):
+        raise ValueError(f"{frame.name}: w, h: expected a size in pixels, got {width} x {height}")
+    return round(height), round(width)
+
+
+def _inside(file: Path, record: Record, key: str) -> Path:
+    beside = Path(file.parent.absolute().parent, "images")
+    return path_inside(file.parent, record.text(key), f"{record.name}: {key}", or_inside=[beside])

@@ -1,0 +1,85 @@
+"""Reads a sample of nuScenes (H. Caesar et al., CVPR 2020) in MMDetection3D's format: a LiDAR scan and six images.
+
+sample.json, with these keys:
+
+lidar.lidar_path, lidar.num_pts_feats   LiDAR scan, rows of `num_pts_feats` float32, x, y, z first, in the world frame
+cameras.NAME.img_path                   image
+cameras.NAME.cam2img                    3x3 intrinsics
+cameras.NAME.lidar2cam                  4x4, the pose: LiDAR frame to camera frame
+instances[].bbox_3d                     x, y, z of the centre, length, width, height, yaw about z, in the LiDAR frame
+
+The world frame is the LiDAR's frame. Paths are relative to the folder and must stay in it. Returns from the car itself
+(within about a metre) are kept.
+
+Ground truth: a point in a box gets the box's index in `instances`, and where boxes overlap the smallest box; all other
+points are void. The images have no ground truth.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.boxes import instances_in_boxes
+from torchjoint.datasets.files.clouds import read_scan
+from torchjoint.datasets.files.json_record import Record, read_record
+from torchjoint.datasets.files.readers import read_image
+from torchjoint.datasets.paths import path_inside
+from torchjoint.datasets.recording import Options
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene.checks import as_intrinsics, as_pose
+
+WHAT = "a sample of nuScenes: sample.json (MMDetection3D) with its scan and images"
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether the folder has a sample.json."""
+    return path.is_dir() and (path / "sample.json").is_file()
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the sample; see :func:`torchjoint.load_scene`."""
+    sample = read_record(path / "sample.json", "a sample of nuScenes")
+    lidar = sample.record("lidar")
+    columns = lidar.number("num_pts_feats")
+    if columns not in range(3, 65):
+        raise ValueError(f"{lidar.name}: num_pts_feats: expected 3 to 64, got {columns:g}")
+    points = read_scan(path_inside(path, lidar.text("lidar_path"), lidar.name), int(columns))[:, :3]
+    cameras = sample.record("cameras")
+    names = list(cameras.values)
+    shots = [_shot(path, cameras.record(name)) for name in names]
+    frames = LazySequence(len(names), lambda i: _read_frame(shots[i], names[i]), names)
+    truth = Truth(_instances(sample.records("instances"), points)) if "instances" in sample else None
+    return Scene(points, frames, name=path.name, truth=truth)
+
+
+def _shot(path: Path, camera: Record) -> tuple[Path, Tensor, Tensor]:
+    """Image, intrinsics, pose."""
+    intrinsics = camera.matrix("cam2img", 3)
+    image = path_inside(path, camera.text("img_path"), camera.name)
+    if not image.is_file():
+        raise FileNotFoundError(f"{image}: missing; expected the image of {camera.name}")
+    pose = as_pose(camera.matrix("lidar2cam", 4), f"{camera.name}: lidar2cam")
+    return image, as_intrinsics(intrinsics, f"{camera.name}: cam2img"), pose
+
+
+def _read_frame(shot: tuple[Path, Tensor, Tensor], name: str) -> Frame:
+    image, intrinsics, pose = shot
+    return Frame(read_image(image), intrinsics, pose, name=name)
+
+
+def _instances(records: list[Record], points: Tensor) -> Tensor:
+    none = torch.empty(0, 7, dtype=torch.float64)
+    boxes = torch.cat([none, *(record.numbers("bbox_3d", 7)[None] for record in records)])
+    centers, sizes, yaw = boxes[:, :3], boxes[:, 3:6], boxes[:, 6]
+    for record, size in zip(records, sizes, strict=True):
+        if not (size > 0).all():
+            raise ValueError(
+                f"{record.name}: bbox_3d: expected a length, width and height above 0, got {size.tolist()}"
+            )
+    cos, sin, zero, one = yaw.cos(), yaw.sin(), torch.zeros_like(yaw), torch.ones_like(yaw)
+    rotations = torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], dim=1).view(-1, 3, 3)
+    return instances_in_boxes(points, centers, sizes, rotations)

@@ -1,0 +1,198 @@
+"""Reads a ROS 1 or ROS 2 recording: .bag, .mcap, .db3, or a folder with metadata.yaml; no ROS is needed.
+
+Topics are found by their types; where several would do, `topics` says which:
+
+color     sensor_msgs/Image or CompressedImage, in colour or grey
+info      sensor_msgs/CameraInfo of the colour camera: the one of its frame, else the only one
+depth     sensor_msgs/Image (16UC1: millimetres, 32FC1: metres) or CompressedImage (16 bits), in the same frame
+points    sensor_msgs/PointCloud2: the cloud, unless there is depth
+odometry  nav_msgs/Odometry, if tf does not move the camera
+
+An image gets the depth nearest in time; the nearest pairs are matched first. Its pose is interpolated between the
+transforms before and after it. Both must be within `time_limit`; images without a pose are left out, and a warning says
+how many. The world is the root of the tree of tf, or the frame of the odometry. Scans are moved to the world with their
+own poses, and thinned to one point in a voxel.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.files.ros_bag import SUFFIXES, Bag, Stamp
+from torchjoint.datasets.files.ros_messages import (
+    COMPRESSED,
+    IMAGE,
+    camera,
+    cloud_points,
+    color_image,
+    depth_image,
+    is_depth,
+)
+from torchjoint.datasets.formats.tum import associate
+from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.datasets.ros_poses import ODOMETRY, Poses
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene
+from torchjoint.scene.thinning import voxel_subsample
+
+WHAT = "a ROS recording: .bag, .mcap, .db3, or a folder with metadata.yaml"
+INFO, POINTS = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2"
+#: What can be chosen by `topics`.
+ROLES = ("color", "info", "depth", "points", "odometry")
+
+
+#: Points that are collected before they are thinned.
+FEW = 1_000_000
+
+
+class _Shot(NamedTuple):
+    color: Stamp
+    depth: Stamp | None
+    camera_to_world: Tensor
+
+
+class _Topics(NamedTuple):
+    color: str
+    info: str
+    depth: str | None
+    points: str | None
+    odometry: str | None
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether `path` is a recording of ROS."""
+    if path.is_file():
+        return path.suffix.lower() in SUFFIXES
+    return (path / "metadata.yaml").is_file() and any(
+        ".mcap" in one.name or ".db3" in one.name for one in path.iterdir()
+    )
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the recording; see :func:`torchjoint.load_scene`.
+
+    Raises:
+        ValueError: a damaged recording, topics that are missing or ambiguous, no image with a pose.
+        ModuleNotFoundError: rosbags is not installed.
+    """
+    bag = Bag(path)
+    poses = Poses(bag, options.time_limit)
+    topics = _find_topics(bag, poses, options.topics)
+    if topics.odometry is not None:
+        poses.add_odometry(topics.odometry)
+    frames = _frames(bag, topics, poses, options.time_limit)
+    if topics.points is None or find_cloud(path, options) is not None:
+        return scene_of_frames(path, frames, options)
+    points, colors = _merged_scans(bag, topics.points, poses, options.voxel_size)
+    return Scene(points, frames, colors, name=path.stem)
+
+
+def _find_topics(bag: Bag, poses: Poses, chosen: Mapping[str, str]) -> _Topics:
+    unknown = [role for role in chosen if role not in ROLES]
+    if unknown:
+        raise ValueError(f"topics: expected some of {', '.join(ROLES)}, got {', '.join(unknown)}")
+    for role, topic in chosen.items():
+        if topic not in bag.kinds:
+            raise ValueError(f"topics: {role}: {bag.path} has no messages of {topic}; it has {', '.join(bag.kinds)}")
+    heads = {topic: bag.first(topic) for topic in bag.topics(IMAGE, COMPRESSED)}
+    color = _only("color", [topic for topic, head in heads.items() if not is_depth(head)], chosen, bag)
+    if color is None:
+        raise ValueError(f"{bag.path}: expected colour images, got topics {', '.join(bag.kinds) or 'none'}")
+    frame = _frame(heads[color] if color in heads else bag.first(color))
+    info = _only("info", _of_frame(bag, bag.topics(INFO), frame), chosen, bag)
+    if info is None:
+        raise ValueError(f"{bag.path}: expected a topic of CameraInfo for {color}, got {', '.join(bag.kinds)}")
+    depths = [topic for topic, head in heads.items() if is_depth(head) and _frame(head) == frame]
+    depth = _only("depth", depths, chosen, bag)
+    points = None if depth is not None else _only("points", bag.topics(POINTS), chosen, bag)
+    points = chosen.get("points", points)
+    odometry = chosen.get("odometry")
+    if odometry is None and not poses.moves(frame):
+        odometry = _only("odometry", bag.topics(*ODOMETRY), chosen, bag)
+    return _Topics(color, info, None if "points" in chosen else depth, points, odometry)
+
+
+def _only(role: str, found: Sequence[str], chosen: Mapping[str, str], bag: Bag) -> str | None:
+    if role in chosen:
+        return chosen[role]
+    if len(found) > 1:
+        raise ValueError(f"{bag.path}: {len(found)} topics could be {role}; choose: --topics {role}={found[0]}, or "
+                         f"{', '.join(found[1:])}")  # fmt: skip
+    return found[0] if found else None
+
+
+def _of_frame(bag: Bag, topics: Sequence[str], frame: str) -> list[str]:
+    """The topics whose first message is of a frame; all of them if none is."""
+    same = [topic for topic in topics if _frame(bag.first(topic)) == frame]
+    return same or list(topics)
+
+
+def _frame(message: Any) -> str:
+    return str(message.header.frame_id).lstrip("/")
+
+
+def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[Frame]:
+    colors = bag.stamps(topics.color)
+    depths = [] if topics.depth is None else bag.stamps(topics.depth)
+    depth_of = dict(associate([one.time for one in colors], [one.time for one in depths], limit))
+    at = poses.world_from(_frame(bag.first(topics.color)), [one.time for one in colors])
+    shots = [
+        _Shot(color, depths[depth_of[index]] if index in depth_of else None, pose)
+        for index, (color, pose) in enumerate(zip(colors, at, strict=True))
+        if pose is not None
+    ]
+    if not shots:
+        raise ValueError(f"{bag.path}: none of {len(colors)} images has a pose within {limit} s (tf or odometry)")
+    if len(shots) < len(colors):
+        warnings.warn(
+            f"{bag.path}: {len(colors) - len(shots)} of {len(colors)} images have no pose within {limit} s, and are "
+            "left out",
+            stacklevel=2,
+        )
+    rectified = re.search(r"(?:^|[/_])rect", topics.color) is not None
+    lens = camera(bag.first(topics.info), rectified, f"{bag.path}: {topics.info}")
+    names = [f"{shot.color.time:.6f}" for shot in shots]
+    return LazySequence(len(shots), _reader(bag, topics, shots, lens, names), names)
+
+
+def _reader(
+    bag: Bag, topics: _Topics, shots: Sequence[_Shot], lens: Camera, names: Sequence[str]
+) -> Callable[[int], Frame]:
+    def read(index: int) -> Frame:
+        shot, name = shots[index], f"{bag.path}: {topics.color} at {names[index]}"
+        image = color_image(bag.read(topics.color, shot.color), name)
+        depth = None
+        if shot.depth is not None and topics.depth is not None:
+            depth = depth_image(bag.read(topics.depth, shot.depth), f"{bag.path}: {topics.depth} at {names[index]}")
+        return lens.frame(image, invert_pose(shot.camera_to_world), depth, names[index])
+
+    return read
+
+
+def _merged_scans(bag: Bag, topic: str, poses: Poses, voxel_size: float) -> tuple[Tensor, Tensor | None]:
+    """The points [N, 3] float64 of all scans in the world, one in a voxel, and their colours if every scan has them."""
+    stamps = bag.stamps(topic)
+    at = poses.world_from(_frame(bag.first(topic)), [one.time for one in stamps])
+    points, colors, colored, thinned = torch.empty(0, 3, dtype=torch.float64), torch.empty(0, 3), True, 0
+    for stamp, pose in zip(stamps, at, strict=True):
+        if pose is None:
+            continue
+        scan, rgb = cloud_points(bag.read(topic, stamp), f"{bag.path}: {topic} at {stamp.time:.6f}")
+        colored &= rgb is not None
+        points = torch.cat([points, scan @ pose[:3, :3].T + pose[:3, 3]])
+        colors = torch.cat([colors, torch.zeros(len(scan), 3) if rgb is None else rgb])
+        if len(points) > 2 * thinned + FEW:
+            kept = voxel_subsample(points, voxel_size)
+            points, colors, thinned = points[kept], colors[kept], len(kept)
+    if not len(points):
+        raise ValueError(f"{bag.path}: no scan of {topic} has points and a pose within {poses.limit} s")
+    kept = voxel_subsample(points, voxel_size)
+    return points[kept], colors[kept] if colored else None

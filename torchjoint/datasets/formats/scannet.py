@@ -1,0 +1,92 @@
+"""Reads ScanNet v2: one scan, sceneXXXX_XX, as downloaded or with exported frames.
+
+A. Dai et al., "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes" (CVPR 2017).
+
+SCAN.sens                              the frames; if absent, the frames are single files:
+color/N.jpg, depth/N.png, pose/N.txt   8-bit RGB; 16-bit, millimetres; 4x4 camera-to-world, -inf = lost (left out)
+intrinsic/intrinsic_{color,depth}.txt  4x4, of the exported frames; or SCAN.txt, which holds the calibrations, too
+SCAN_vh_clean_2.ply                    the cloud: the mesh's vertices (fused from depth if absent)
+SCAN_vh_clean_2.0.010000.segs.json,    the vertices' instances (optional)
+SCAN.aggregation.json
+instance-filt/N.png                    the pixels' instances, objectId + 1, 0 = none (optional; or
+                                       SCAN_2d-instance-filt.zip, as downloaded)
+
+Images keep their size, mostly 1296x968. ScanNet's authors have aligned the 640x480 depth to the same view. It is
+resampled to the image by nearest neighbour with the intrinsics of both cameras. Neither the extrinsics between the
+cameras nor SCAN.txt's axis alignment are applied.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from torchjoint.datasets.files.sens import SensFile
+from torchjoint.datasets.formats.exported_frames import has_frames, make_frame, read_frames
+from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.datasets.scannet_cameras import Calibration, Cameras, find_cameras
+from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene.checks import as_pose
+
+WHAT = "SCAN.sens, or SCAN_vh_clean_2.ply, or color/, pose/ and intrinsic/, in a folder called SCAN (ScanNet)"
+CLOUD = "_vh_clean_2.ply"
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether `path` is a scan's folder, or a .sens file."""
+    if path.is_file():
+        return path.suffix == ".sens"
+    own = any((path / f"{path.name}{suffix}").is_file() for suffix in (".sens", CLOUD))
+    exported = (path / "intrinsic").is_dir() or (path / f"{path.name}.txt").is_file()
+    return own or (exported and has_frames(path))
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads a scan; see :func:`torchjoint.load_scene`."""
+    folder, scan = (path.parent, path.stem) if path.is_file() else (path, path.name)
+    frames = _read_frames(folder, scan)
+    cloud = folder / f"{scan}{CLOUD}"
+    scene = scene_of_frames(folder, frames, options, [cloud])
+    is_annotated = find_cloud(folder, options, [cloud]) == cloud and has_point_instances(folder, scan)
+    points = read_point_instances(folder, scan, len(scene.points)) if is_annotated else None
+    images = image_instances(folder, scan, frames)
+    return replace(scene, name=scan, truth=Truth(points, images) if points is not None or images else None)
+
+
+def scenes(path: Path) -> dict[str, Path]:
+    """Returns the scans of the data set's own folder, which holds them in `scans/` and `scans_test/`."""
+    folders = [one for name in ("scans", "scans_test") if (path / name).is_dir() for one in (path / name).iterdir()]
+    return {one.name: one for one in sorted(folders) if one.is_dir() and recognizes(one)}
+
+
+def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
+    if (folder / f"{scan}.sens").is_file():
+        return _stream_frames(SensFile(folder / f"{scan}.sens"))
+    if not has_frames(folder):
+        nothing: list[Frame] = []
+        return LazySequence(0, nothing.__getitem__)
+    cameras = find_cameras(folder, folder / f"{scan}.txt")
+    if cameras is None:
+        raise FileNotFoundError(
+            f"{folder / 'intrinsic' / 'intrinsic_color.txt'}: missing, and {scan}.txt tells of no cameras; expected one"
+        )
+    return read_frames(folder, cameras)
+
+
+def _stream_frames(stream: SensFile) -> LazySequence[Frame]:
+    cameras = Cameras(
+        Calibration(stream.color_intrinsics, (stream.color_size,)),
+        Calibration(stream.depth_intrinsics, (stream.depth_size,)),
+    )
+    kept = torch.isfinite(stream.poses).all(dim=(1, 2)).nonzero().flatten().tolist()
+    extrinsics = [invert_pose(as_pose(stream.poses[i], f"{stream.path}, pose of frame {i}")) for i in kept]
+
+    def read(place: int) -> Frame:
+        i = kept[place]
+        return make_frame(str(i), stream.color(i), stream.depth(i), cameras, extrinsics[place])
+
+    return LazySequence(len(kept), read, [str(i) for i in kept])

@@ -1,0 +1,173 @@
+"""Reads the TUM RGB-D benchmark (J. Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", IROS 2012).
+
+rgb.txt                  one line per image: timestamp (seconds), path
+depth.txt                the same for depth images (optional): 16-bit, 5000 per metre, registered to colour, 0 = unknown
+groundtruth.txt          timestamp tx ty tz qx qy qz qw: pose of the colour camera, camera-to-world, OpenCV axes
+camera-intrinsics.txt    3x3 (optional, not part of the benchmark)
+cloud.ply                the cloud (optional: fused from depth if absent)
+
+The clocks of images, depth and poses are independent. An image gets the depth image nearest in time, within 0.02 s; the
+nearest pairs are matched first and each image is used once, as in the benchmark's own tool. The pose of an image is
+interpolated between the previous and the next pose (the rotation spherically). Images without a pose within 0.02 s, for
+example before tracking began, are left out.
+
+Without camera-intrinsics.txt, the folder's name (freiburg1, 2 or 3) selects a published calibration, and colour and
+depth are undistorted. For other names the default of the sensor's driver is used, 525 525 319.5 239.5, with a warning,
+since other recordings of this layout have other cameras.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from torch import Tensor
+
+from torchjoint.datasets.cameras import Camera, pinhole_matrix
+from torchjoint.datasets.files.readers import read_depth, read_image, read_matrix
+from torchjoint.datasets.files.text import parse_numbers, read_lines
+from torchjoint.datasets.paths import frame_names, path_inside
+from torchjoint.datasets.pose_interpolation import interpolate_poses
+from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene
+
+WHAT = "rgb.txt and groundtruth.txt, as of the TUM RGB-D benchmark"
+
+#: Largest difference between the timestamps of a match, seconds.
+TOLERANCE = 0.02
+#: Metres per unit of the depth images.
+DEPTH_UNIT = 1 / 5000
+#: Published calibrations, all of 640 x 480 images: fx, fy, cx, cy, and OpenCV's k1, k2, p1, p2, k3.
+_CALIBRATIONS = {
+    "1": (517.306408, 516.469215, 318.643040, 255.313989, (0.262383, -0.953104, -0.005358, 0.002628, 1.163314)),
+    "2": (520.908620, 521.007327, 325.141442, 249.701764, (0.231222, -0.784899, -0.003257, -0.000105, 0.917205)),
+    "3": (535.4, 539.2, 320.1, 247.6, ()),
+}
+_DEFAULT = (525.0, 525.0, 319.5, 239.5, ())
+
+
+class _File(NamedTuple):
+    time: float
+    path: Path
+
+
+class _Shot(NamedTuple):
+    color: Path
+    depth: Path | None
+    camera_to_world: Tensor
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether the folder is a recording of this format."""
+    return path.is_dir() and (path / "rgb.txt").is_file() and (path / "groundtruth.txt").is_file()
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the folder; see :func:`torchjoint.load_scene`."""
+    return scene_of_frames(path, read_frames(path), options)
+
+
+def read_frames(path: Path) -> Sequence[Frame]:
+    """Returns the frames of a recording; each frame is read on access.
+
+    Raises:
+        FileNotFoundError: a list, or a file in a list, is missing.
+        ValueError: an invalid line, or no image with a pose.
+    """
+    colors = _read_files(path / "rgb.txt")
+    depths = _read_files(path / "depth.txt") if (path / "depth.txt").is_file() else []
+    depth_of = dict(associate([file.time for file in colors], [file.time for file in depths]))
+    poses = _read_poses(path / "groundtruth.txt", [file.time for file in colors])
+    shots = [
+        _Shot(color.path, depths[depth_of[i]].path if i in depth_of else None, pose)
+        for i, (color, pose) in enumerate(zip(colors, poses, strict=True))
+        if pose is not None
+    ]
+    if not shots:
+        raise ValueError(f"{path}: no image of rgb.txt has a pose in groundtruth.txt within {TOLERANCE} s")
+    for file in (file for shot in shots for file in (shot.color, shot.depth) if file is not None):
+        if not file.is_file():
+            raise FileNotFoundError(f"{file}: missing; expected an image that the recording's lists name")
+    camera, names = _camera(path), frame_names([str(shot.color) for shot in shots])
+    return LazySequence(len(shots), lambda i: _read_frame(shots[i], camera, names[i]), names)
+
+
+def _read_frame(shot: _Shot, camera: Camera, name: str) -> Frame:
+    depth = None if shot.depth is None else read_depth(shot.depth, DEPTH_UNIT)
+    return camera.frame(read_image(shot.color), invert_pose(shot.camera_to_world), depth, name)
+
+
+def associate(first: Sequence[float], second: Sequence[float], tolerance: float = TOLERANCE) -> list[tuple[int, int]]:
+    """Matches timestamps greedily: the nearest pair first, then the nearest of the rest; each is used once.
+
+    Args:
+        first: seconds, ascending.
+        second: seconds, ascending; at most 200 Hz, so that only the 8 nearest candidates need to be tested.
+        tolerance: largest difference in a pair, seconds.
+
+    Returns:
+        Pairs of indices into `first` and `second`, in the order of `first`.
+    """
+    candidates = []
+    for i, place in enumerate(np.searchsorted(second, first)):
+        for j in range(max(int(place) - 4, 0), min(int(place) + 4, len(second))):
+            difference = abs(first[i] - second[j])
+            if difference <= tolerance:
+                candidates.append((difference, i, j))
+    pairs: dict[int, int] = {}
+    taken: set[int] = set()
+    for _, i, j in sorted(candidates):
+        if i not in pairs and j not in taken:
+            pairs[i] = j
+            taken.add(j)
+    return sorted(pairs.items())
+
+
+def _read_files(path: Path) -> list[_File]:
+    """Reads a list of timestamps and paths, sorted by time; of equal times the first line counts."""
+    files: dict[float, _File] = {}
+    for name, line in read_lines(path, "lines of a timestamp and a path"):
+        words = line.split()
+        if not words:
+            continue
+        if len(words) != 2:
+            raise ValueError(f"{name}: expected a timestamp and a path, got {line[:100]!r}")
+        time = parse_numbers(words[:1], name)[0]
+        files.setdefault(time, _File(time, path_inside(path.parent, words[1], name)))
+    return [files[time] for time in sorted(files)]
+
+
+def _read_poses(path: Path, wanted: Sequence[float]) -> list[Tensor | None]:
+    """Camera-to-world poses [4, 4] at the wanted times; None if no pose is near enough in time."""
+    rows: dict[float, list[float]] = {}
+    for name, line in read_lines(path, "lines of timestamp tx ty tz qx qy qz qw"):
+        values = parse_numbers(line.replace(",", " ").split(), name)
+        if not values:
+            continue
+        if len(values) != 8:
+            raise ValueError(f"{name}: expected timestamp tx ty tz qx qy qz qw, got {len(values)} numbers")
+        rows.setdefault(values[0], values)
+    if not rows:
+        raise ValueError(f"{path}: expected lines of timestamp tx ty tz qx qy qz qw, got none")
+    in_order = np.array([rows[time] for time in sorted(rows)])
+    return interpolate_poses(in_order, np.array(wanted), TOLERANCE, str(path))
+
+
+def _camera(path: Path) -> Camera:
+    file = path / "camera-intrinsics.txt"
+    if file.is_file():
+        return Camera(read_matrix(file, (3, 3)), name=str(file))
+    known = re.search(r"(?<![a-z0-9])(?:freiburg|fr)([123])(?![0-9])", path.absolute().name)
+    if known is None:
+        warnings.warn(
+            f"{path}: has no camera-intrinsics.txt, and its name is none of the TUM benchmark's (freiburg1, 2, 3): "
+            "taking fx = fy = 525, cx = 319.5, cy = 239.5",
+            stacklevel=2,
+        )
+    fx, fy, cx, cy, distortion = _CALIBRATIONS[known[1]] if known else _DEFAULT
+    return Camera(pinhole_matrix(fx, fy, cx, cy), (480, 640), distortion, name=f"calibration of {path.name}")

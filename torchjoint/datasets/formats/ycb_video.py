@@ -1,0 +1,95 @@
+"""Reads a sequence of YCB-Video, data/NNNN (Y. Xiang et al., "PoseCNN", RSS 2018).
+
+NNNNNN-color.jpg (or .png)   8-bit RGB
+NNNNNN-depth.png             16-bit, in 1 / factor_depth metres
+NNNNNN-label.png             the object of each pixel, 0 = none (optional; all frames or none)
+NNNNNN-meta.mat              intrinsic_matrix 3x3, factor_depth, rotation_translation_matrix 3x4: camera-to-world
+
+An object occurs once in a sequence, so its number is its instance. The rest of the scene is not annotated: it is void.
+The cloud is `cloud.ply`, or fused from depth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.files.mat_files import read_matrices
+from torchjoint.datasets.files.readers import read_depth, read_image, read_label_image
+from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene.checks import as_intrinsics, as_pose
+
+WHAT = "NNNNNN-color.jpg (or .png) with NNNNNN-meta.mat (YCB-Video)"
+#: Largest number of elements of a matrix of the file that is read; larger ones, such as vertmap, are not needed.
+MAX_ELEMENTS = 4_000_000
+
+
+class _Meta(NamedTuple):
+    intrinsics: Tensor  #: [3, 3]
+    world_to_camera: Tensor  #: [4, 4]
+    unit: float  #: of depth, metres
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether the folder is a sequence."""
+    return path.is_dir() and any(_beside(file, "meta.mat").is_file() for file in _colors(path))
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads a sequence; see :func:`torchjoint.load_scene`."""
+    colors = _colors(path)
+    metas = [_read_meta(_beside(file, "meta.mat")) for file in colors]
+    frames = LazySequence(len(colors), lambda i: _read_frame(colors[i], metas[i]), [_name(file) for file in colors])
+    labels = [_beside(file, "label.png") for file in colors]
+    missing = [file for file in labels if not file.is_file()]
+    if missing and len(missing) < len(labels):
+        raise FileNotFoundError(f"{missing[0]}: missing; {len(labels) - len(missing)} other frames have their labels")
+    images = () if missing else LazySequence(len(labels), lambda i: read_label_image(labels[i]) - 1)
+    scene = scene_of_frames(path, frames, options)
+    return replace(scene, truth=Truth(None, images) if images else None)
+
+
+def _read_frame(file: Path, meta: _Meta) -> Frame:
+    depth = _beside(file, "depth.png")
+    return Frame(
+        read_image(file),
+        meta.intrinsics,
+        meta.world_to_camera,
+        depth=read_depth(depth, meta.unit) if depth.is_file() else None,
+        name=_name(file),
+    )
+
+
+def _read_meta(path: Path) -> _Meta:
+    matrices = read_matrices(path, MAX_ELEMENTS)
+    shapes = {"intrinsic_matrix": (3, 3), "rotation_translation_matrix": (3, 4), "factor_depth": (1, 1)}
+    for name, shape in shapes.items():
+        if name not in matrices or matrices[name].shape != shape:
+            came = "none" if name not in matrices else f"one of {list(matrices[name].shape)}"
+            raise ValueError(f"{path}: {name}: expected a matrix of {list(shape)}, got {came}")
+    intrinsics, moved, factor = (torch.from_numpy(matrices[name].astype(np.float64)) for name in shapes)
+    if not (torch.isfinite(factor).all() and float(factor) > 0):
+        raise ValueError(f"{path}: factor_depth: expected a number above 0, got {float(factor)}")
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3] = moved
+    pose = as_pose(pose, f"{path}: rotation_translation_matrix")
+    return _Meta(as_intrinsics(intrinsics, f"{path}: intrinsic_matrix"), invert_pose(pose), 1 / float(factor))
+
+
+def _colors(path: Path) -> list[Path]:
+    return sorted(file for file in path.iterdir() if file.name.endswith(("-color.jpg", "-color.png")))
+
+
+def _name(file: Path) -> str:
+    return file.name.rpartition("-")[0]
+
+
+def _beside(file: Path, kind: str) -> Path:
+    return file.with_name(f"{_name(file)}-{kind}")

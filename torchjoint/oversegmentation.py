@@ -1,0 +1,234 @@
+"""Superpoints: an over-segmentation of a point cloud into small pieces that do not cross object boundaries.
+
+They use the graph of step 3, and need no images.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from torchjoint import ops
+from torchjoint.cloud.batch import split_batch
+from torchjoint.cloud.edge_weights import EdgeWeights, discounted_angle, geometric_weights, segmentator_turn
+from torchjoint.cloud.graph import undirected_edges
+from torchjoint.cloud.local import LocalFrame, composed, first_of_each, warn_of_rounding, without_copies
+from torchjoint.cloud.mesh import face_edges, vertex_normals
+from torchjoint.cloud.neighbors import neighbor_tables, order_along_space
+from torchjoint.cloud.normals import estimate_normals
+from torchjoint.config import SuperpointsConfig
+from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
+from torchjoint.scene import Cloud
+from torchjoint.scene.checks import is_double
+
+#: A tensor, or a numpy array.
+Values = TypeVar("Values", Tensor, npt.NDArray[Any])
+
+
+def superpoints(
+    points: Values,
+    colors: Values | None = None,
+    normals: Values | None = None,
+    *,
+    edges: Values | None = None,
+    faces: Values | None = None,
+    ptr: Values | None = None,
+    viewpoint: Values | None = None,
+    preset: str | SuperpointsConfig = "default",
+    **parameters: float | str,
+) -> Values:
+    """Cut one or several clouds into superpoints.
+
+    Builds a graph of nearest neighbours (or takes the edges of a mesh, or your own edges), weights each edge by how
+    much the surface turns along it, and segments the graph with the algorithm of Felzenszwalb and Huttenlocher
+    (:func:`torchjoint.ops.felzenszwalb`). Only `points` is required; all other inputs are optional.
+
+    Fitted normals have an arbitrary sign. Angles between them are therefore taken without sign, and convex edges cost
+    the same as concave edges. `normals`, `faces` or a `viewpoint` give oriented normals, which tell the two apart.
+
+    All arrays may be numpy arrays instead of tensors; the labels are then one, too.
+
+    Args:
+        points: [N, 3] metres, finite, N >= 1.
+        colors: optional [N, 3] RGB in [0, 1], or uint8; required if you pass a `color_weight` > 0. The `color_weight`
+            of a preset is ignored for clouds without colours.
+        normals: optional [N, 3], oriented, any length except 0; fitted to the points if absent.
+        edges: optional [2, E] integers, a graph that replaces the graph of nearest neighbours.
+        faces: optional [F, 3] integers, triangles of a mesh whose vertices are the points. Their edges are the graph;
+            if `normals` is absent, the triangles also give the normals. With preset "segmentator" and no normals the
+            result equals that of ScanNet's segmentator. A vertex without a triangle is its own superpoint.
+        ptr: optional [B + 1] integers, the start of each of B clouds, and N: 0 = ptr[0] < ptr[1] < ... < ptr[B] = N.
+        viewpoint: optional [3] metres, the position of the sensor; or one per cloud [B, 3], or per point [N, 3].
+        preset: "default", "scan" or "segmentator", a YAML file, or a config.
+        parameters: replace parameters of the preset by name, such as ``scale=2.0``. :class:`SuperpointsConfig` declares
+            them; ``torchjoint parameters --superpoints`` gives their units and ranges:
+
+            * ``neighbors``, ``reach``: the neighbours of a point in the graph, and how far they must reach.
+            * ``normal_neighbors``: the neighbours to which a normal is fitted.
+            * ``weight``, ``angle_weight``, ``convex_factor``: how much a turn of the surface weighs.
+            * ``distance_weight``, ``color_weight``: how much the distance and the colours of two points weigh.
+            * ``scale``, ``min_size``: how large superpoints become.
+
+    Returns:
+        [N] int64 labels 0, 1, 2, ... in the order of their first points. The labels of a cloud continue after those of
+        the cloud before it. Apart from this offset a cloud gets the same labels as if it were segmented alone. The
+        labels do not depend on the number of threads.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+
+    Example:
+        >>> import torch, torchjoint as tj
+        >>> floor = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1)) / 10
+        >>> wall = floor[:, [2, 1, 0]] + torch.tensor([-0.2, 0.0, 0.1])
+        >>> labels = tj.superpoints(torch.cat([floor, wall]), min_size=50)
+        >>> labels.unique(return_counts=True)
+        (tensor([0, 1]), tensor([400, 400]))
+    """
+    if isinstance(points, np.ndarray):
+        values = [_as_tensor(value) for value in (points, colors, normals, edges, faces, ptr, viewpoint)]
+        return _segment_batch(*values, preset=preset, parameters=parameters).numpy()
+    return _segment_batch(points, colors, normals, edges, faces, ptr, viewpoint, preset=preset, parameters=parameters)
+
+
+def _as_tensor(values: Any) -> Any:
+    return torch.from_numpy(np.array(values, order="C")) if isinstance(values, np.ndarray) else values
+
+
+def _segment_batch(
+    points: Tensor,
+    colors: Tensor | None,
+    normals: Tensor | None,
+    edges: Tensor | None,
+    faces: Tensor | None,
+    ptr: Tensor | None,
+    viewpoint: Tensor | None,
+    *,
+    preset: str | SuperpointsConfig,
+    parameters: dict[str, float | str],
+) -> Tensor:
+    """:func:`superpoints` of tensors."""
+    config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
+    config = config.replace(parameters)
+    if colors is None:
+        if parameters.get("color_weight"):  # asked for, and not just part of a preset
+            raise ValueError("colors: color_weight > 0 needs the colours of the points, got None")
+        config = config.replace({"color_weight": 0.0})
+    if edges is not None and faces is not None:
+        raise ValueError("edges: expected edges or faces, got both")
+    with torch.no_grad(), one_thread_per_operation():
+        clouds = split_batch(Cloud.checked(points, colors, normals), edges, faces, ptr, viewpoint)
+        labels = parallel_map(lambda cloud: _segment(cloud, config), clouds)
+        offset = 0
+        for part in labels:
+            part += offset
+            offset = int(part.max()) + 1
+        return torch.cat(labels)
+
+
+class Superpoints(nn.Module):
+    """:func:`superpoints` as a module that stores its parameters.
+
+    Args:
+        preset: as in :func:`superpoints`.
+        parameters: replace parameters of the preset by name: ``Superpoints("scan", scale=2.0)``.
+
+    Raises:
+        ValueError, TypeError: an unknown parameter or a bad value, by name.
+
+    Example:
+        >>> import torch, torchjoint as tj
+        >>> tj.Superpoints(min_size=2)(torch.rand(100, 3)).shape
+        torch.Size([100])
+    """
+
+    def __init__(self, preset: str | SuperpointsConfig = "default", **parameters: float | str) -> None:
+        super().__init__()
+        self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
+        self.config = self.preset.replace(parameters)
+        self.parameters_given = parameters
+
+    def forward(
+        self,
+        points: Tensor,
+        colors: Tensor | None = None,
+        normals: Tensor | None = None,
+        ptr: Tensor | None = None,
+    ) -> Tensor:
+        """Labels [N] int64 of points [N, 3]; arguments and errors as in :func:`superpoints`."""
+        return superpoints(points, colors, normals, ptr=ptr, preset=self.preset, **self.parameters_given)  # type: ignore[type-var, return-value]
+
+    def extra_repr(self) -> str:
+        """The parameters, printed as part of the module."""
+        return repr(self.config)
+
+
+def _segment(given: Cloud, config: SuperpointsConfig) -> Tensor:
+    """The labels [N] int64 of one cloud."""
+    cloud, of_point = _local(given)
+    edges, normals, oriented, spacing = _graph(cloud, config)
+    if len(spacing):
+        warn_of_rounding(given.points, spacing)
+    factor = config.convex_factor if oriented else 1.0  # else convex and concave edges cannot be told apart
+    turn = segmentator_turn if config.weight == "segmentator" else discounted_angle(factor)
+    terms = EdgeWeights(turn, config.angle_weight, config.distance_weight, config.color_weight)
+    all_oriented = torch.full((len(cloud.points),), oriented)
+    weights = geometric_weights(cloud.points, edges, normals, all_oriented, terms, cloud.colors)
+    labels = ops.felzenszwalb(edges, weights, len(cloud.points), config.scale, config.min_size)
+    return labels if of_point is None else labels[of_point]
+
+
+def _local(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
+    """The cloud that is segmented, and its point for each given one; None: all of them, in their order.
+
+    Copies are merged only if the graph is ours: given edges and faces say themselves which points belong together.
+    """
+    maps = []
+    ours = cloud.edges is None and cloud.faces is None
+    viewpoint = cloud.viewpoint
+    if ours:
+        cloud, of_point = without_copies(cloud)
+        maps.append(of_point)
+    # ScanNet's segmentator computes normals of float32 coordinates as they are.
+    as_given = cloud.faces is not None and not is_double(cloud.points)
+    frame = LocalFrame.of_world() if as_given else LocalFrame.of(cloud.points)
+    cloud = frame.cloud(cloud)
+    if ours:
+        cloud, of_point = without_copies(cloud)
+        maps.append(of_point)
+    of_given = composed(*maps)
+    if viewpoint is not None:
+        viewpoint = (viewpoint.double() - frame.origin).float()
+        if of_given is not None and viewpoint.ndim == 2:
+            viewpoint = viewpoint[first_of_each(of_given)]
+    return replace(cloud, viewpoint=viewpoint), of_given
+
+
+def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, bool, Tensor]:
+    """Edges [2, E], normals [N, 3], whether the normals are oriented, and the spacing [N] (empty if not measured)."""
+    points, normals, edges, oriented = cloud.points, cloud.normals, cloud.edges, True
+    if cloud.faces is not None:
+        edges = face_edges(cloud.faces)
+        normals = vertex_normals(points, cloud.faces) if normals is None else normals
+    for_edges = config.neighbors if edges is None else 0
+    for_normals = config.normal_neighbors if normals is None else 0
+    table, spacing = neighbor_tables(points, (for_edges, for_normals), config.reach)
+    order = order_along_space(points) if table else None
+    if normals is None:
+        normals, oriented = estimate_normals(points, table[for_normals], order), False
+        if cloud.viewpoint is not None:
+            normals, oriented = _turned_to(cloud.viewpoint, points, normals), True
+    if edges is None:
+        edges = undirected_edges(table[for_edges], order)
+    return edges, normals, oriented, spacing
+
+
+def _turned_to(viewpoint: Tensor, points: Tensor, normals: Tensor) -> Tensor:
+    """Turns normals towards the sensor: a surface is seen from outside."""
+    x, y, z = (normals * (viewpoint - points)).unbind(1)
+    return torch.where(((x + y) + z < 0)[:, None], -normals, normals)

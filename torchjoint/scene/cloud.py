@@ -1,0 +1,66 @@
+"""One point cloud without frames: what steps 3 and 6 work on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchjoint.scene.checks import as_float, as_points, as_unit_range, check_shape
+
+#: Normals whose length differs from 1 by less than this are kept as they are.
+UNIT = 1e-6
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """One point cloud. Data from outside goes through :meth:`checked` once; the steps then trust it.
+
+    Attributes:
+        points: [N, 3] float32 or float64 metres.
+        colors: [N, 3] float32 RGB in [0, 1].
+        normals: [N, 3] float32, unit length.
+        edges: [2, E] int64, a graph that replaces that of the nearest neighbours; superpoints only.
+        faces: [F, 3] int64, triangles of a mesh; superpoints only.
+        viewpoint: [3] or [N, 3] float64 metres, position of the sensor; superpoints only.
+    """
+
+    points: Tensor
+    colors: Tensor | None = None
+    normals: Tensor | None = None
+    edges: Tensor | None = None
+    faces: Tensor | None = None
+    viewpoint: Tensor | None = None
+
+    @classmethod
+    def checked(cls, points: Tensor, colors: Tensor | None = None, normals: Tensor | None = None) -> Cloud:
+        """A cloud of data from outside.
+
+        Raises:
+            ValueError, TypeError: naming the argument, what was expected and what came.
+        """
+        points = as_points(points)
+        if colors is not None:
+            colors = as_unit_range(colors, "colors")
+            check_shape(colors, tuple(points.shape), "colors")
+        return cls(points, colors, None if normals is None else _unit_normals(normals, points))
+
+    def with_telling_colors(self) -> Cloud:
+        """The cloud without colours, if they are all the same, as many programs write them for a cloud that has none.
+
+        To a model they would say that no boundary has a step of colour, and to the check of poses that none fits.
+        """
+        if self.colors is None or not (self.colors == self.colors[0]).all():
+            return self
+        return replace(self, colors=None)
+
+
+def _unit_normals(normals: Tensor, points: Tensor) -> Tensor:
+    normals = as_float(normals, "normals", torch.float32)
+    check_shape(normals, tuple(points.shape), "normals")
+    length = normals.norm(dim=1, keepdim=True)
+    if float(length.min()) < 1e-3:
+        raise ValueError(f"normals: expected unit vectors, got {int((length < 1e-3).sum())} of length 0")
+    is_unit = (length - 1).abs() < UNIT  # so that checking twice changes nothing
+    return torch.where(is_unit, normals, normals / length)

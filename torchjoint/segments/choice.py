@@ -1,0 +1,46 @@
+"""Step 6: which method segments a cloud; and what was measured of it, in one line."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from torchjoint.cloud.graph import PointGraph
+from torchjoint.config import Config
+from torchjoint.scene import Cloud
+from torchjoint.segments.learned.method import Learned
+from torchjoint.segments.method import Method
+from torchjoint.segments.paper import Paper
+from torchjoint.segments.scan.method import Scan
+from torchjoint.segments.scan.recognition import find_rings
+
+METHODS: dict[str, type[Method]] = {method.name: method for method in (Learned, Scan, Paper)}
+
+
+def choose_method(config: Config, points: Tensor) -> Method:
+    """The method that the config names; auto: scan for a scan of a turning LiDAR, else learned.
+
+    Args:
+        config: all parameters.
+        points: [N, 3] metres; of a scan: z up, the sensor at the origin.
+    """
+    name = config.point_segments.method
+    if name == "auto":
+        name = "learned" if find_rings(points.float()) is None else "scan"
+    return METHODS[name](config)
+
+
+def describe(given: Cloud, graph: PointGraph, method: Method) -> str:
+    """One line that says what was measured of a cloud, and which method segments it.
+
+    Args:
+        given: the cloud as it came.
+        graph: of the cloud.
+        method: of step 6.
+    """
+    what = f"points: {len(given.points)}"
+    if graph.num_points < len(given.points):
+        what += f", much denser than their noise: thinned to {graph.num_points}"
+    what += method.measured(graph)
+    if method.name == "learned" and graph.colors is None:
+        what += f", {'no colours' if given.colors is None else 'all of one colour'} (those of images count)"
+    return f"{what}; step 6 by method {method.name}"

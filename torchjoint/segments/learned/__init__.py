@@ -1,0 +1,1 @@
+"""Step 6, method learned: pieces of the cloud, merged by a trained model of boundaries."""

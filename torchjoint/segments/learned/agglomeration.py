@@ -1,0 +1,198 @@
+"""Step 6, method learned: regions merge in rounds, where a model says that they belong to one object.
+
+In each step the model judges all boundaries anew, because larger regions say more about objects. The first steps
+merge only what is almost certain. All merges together are a tree, of which the segmentation is one level.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.scene import Hierarchy
+from torchjoint.segments.learned.boundary_features import boundary_features
+from torchjoint.segments.learned.boundary_model import BoundaryModel
+from torchjoint.segments.learned.mask_merging import MaskLinkage
+from torchjoint.segments.learned.occluded_surfaces import Occlusions, continued_surfaces
+from torchjoint.segments.learned.piece_graph import PieceGraph
+
+#: Thresholds of the rounds above the model's; at 1, whatever touches has merged. There are several, because larger
+#: regions are judged anew, and they cost little, because few regions are left.
+COARSER = (0.65, 0.8, 0.9, 1.0)
+#: Merges of a round are at least this far above the threshold before; probabilities are rounded to it.
+HEIGHT_STEP = 2.0**-20
+
+
+def merging_steps(thresholds: Sequence[float]) -> list[tuple[int, float]]:
+    """The steps (round of the model, threshold) of the merging: each round merges halfway first.
+
+    The smaller the steps, the less is merged by probabilities of regions that have grown since. The round of the
+    largest threshold is repeated, until little is left to merge.
+
+    >>> merging_steps((0.2, 0.4))
+    [(0, 0.1), (0, 0.2), (1, 0.3), (1, 0.4), (1, 0.4)]
+    """
+    steps, before = [], 0.0
+    for index, threshold in enumerate(thresholds):
+        steps += [(index, round((before + threshold) / 2, 6)), (index, threshold)]
+        before = threshold
+    return [*steps, steps[-1]]
+
+
+def merge_by_probability(
+    region: Tensor, pairs: Tensor, of_edge: Tensor, probability: Tensor, threshold: float
+) -> Tensor:
+    """Repeatedly merges the two regions whose boundary has the lowest mean probability, up to the threshold.
+
+    The mean is over the edges of the point graph that cross the boundary.
+
+    Args:
+        region: [N] int64, 0 ... R - 1, region of each point.
+        pairs: [2, B] int64, the pairs of regions a < b that edges connect, in ascending order.
+        of_edge: [C] int64, the pair that each edge connects, -1 = none.
+        probability: [B] that the two regions of a pair belong to different objects.
+        threshold: largest mean probability of two regions that merge.
+
+    Returns:
+        [N] int64 regions 0, 1, ..., numbered by their first old regions.
+    """
+    ends, cost = _crossing_edges(pairs, of_edge, probability)
+    size = torch.ones(int(region.max()) + 1, dtype=torch.int64)
+    return ops.merge_regions(ends, cost, size, threshold)[region]
+
+
+def _crossing_edges(pairs: Tensor, of_edge: Tensor, probability: Tensor) -> tuple[Tensor, Tensor]:
+    """The edges [2, c] int64 between regions, and their costs [c] float32."""
+    crossing = of_edge[of_edge >= 0]
+    return pairs[:, crossing], probability.float()[crossing]
+
+
+def build_hierarchy(evidence: PieceGraph, model: BoundaryModel) -> Hierarchy:
+    """Merges pieces in the model's steps, and then up to whatever touches.
+
+    The default level of the hierarchy is the state after the model's last step. The cut at the threshold of a step is
+    the state after this step.
+
+    Args:
+        evidence: the pieces, and what is known about their boundaries.
+        model: gives the probability that two regions belong to different objects.
+    """
+    steps = merging_steps(model.thresholds)
+    (last, _), default = steps[-1], max(model.thresholds)
+    linkage = MaskLinkage.of(evidence.masks, evidence.statistics.size)
+    if linkage is not None:  # a first time, to see how far the masks contradict each other
+        region = _merge_in_steps(evidence, model, steps, linkage, evidence.piece, _Merges(evidence))
+        linkage = linkage.calibrated(evidence.regions_of_pieces(region))
+    merges = _Merges(evidence)
+    region = _merge_in_steps(evidence, model, steps, linkage, evidence.piece, merges)
+    if linkage is not None:
+        region = _merge_in_steps(evidence, model, [(last, default)], linkage, region, merges, far=True)
+        region = _merge_in_steps(evidence, model, [(last, default)], linkage, region, merges, only_crumbs=True)
+    elif evidence.occlusions is not None:
+        region = _join_behind_occluders(evidence, evidence.occlusions, region, merges, default)
+    coarser = [(last, threshold) for threshold in COARSER if threshold > default]
+    _merge_in_steps(evidence, model, coarser, linkage, region, merges)
+    return merges.hierarchy(evidence.piece, default)
+
+
+def _merge_in_steps(
+    evidence: PieceGraph,
+    model: BoundaryModel,
+    steps: Sequence[tuple[int, float]],
+    linkage: MaskLinkage | None,
+    region: Tensor,
+    merges: _Merges,
+    only_crumbs: bool = False,
+    far: bool = False,
+) -> Tensor:
+    """Merges regions [N] in steps, adds the merges to `merges`, and returns the new regions [N].
+
+    With `far`, also regions that do not touch, but lie in one mask, may merge.
+    """
+    for index, threshold in steps:
+        evidence = evidence.between(region)
+        pairs, values, of_edge = boundary_features(evidence, region)
+        if pairs.shape[1] == 0 and not far:
+            break
+        ends, cost = _crossing_edges(pairs, of_edge, model.probability(index, values))
+        num_regions = int(region.max()) + 1
+        of_piece = evidence.regions_of_pieces(region)
+        if linkage is not None and far:
+            ends, cost = _with_far_pairs(ends, cost, pairs, linkage.far_pairs(of_piece), num_regions)
+        if linkage is None:
+            joined, height = ops.region_dendrogram(ends, cost, num_regions, threshold)
+        elif only_crumbs:
+            joined, height = linkage.crumbs(of_piece, ends, cost)
+        else:
+            joined, height = linkage.merges(of_piece, ends, cost, threshold)
+        merges.add(of_piece, joined, height, threshold)
+        region = ops.connected_components(joined, num_regions)[region]
+    return region
+
+
+def _join_behind_occluders(
+    evidence: PieceGraph, occlusions: Occlusions, region: Tensor, merges: _Merges, threshold: float
+) -> Tensor:
+    """Merges regions [N] of one surface that an occluder separates, and returns the new regions [N].
+
+    The merges stand at the threshold: all finer levels keep the regions apart.
+    """
+    of_piece = evidence.regions_of_pieces(region)
+    num_regions = int(region.max()) + 1
+    pairs, against = continued_surfaces(occlusions, evidence.statistics, evidence.pairs, of_piece)
+    joined, height = ops.region_dendrogram(pairs, against, num_regions, threshold)
+    merges.add(of_piece, joined, torch.full_like(height, threshold), threshold)
+    return ops.connected_components(joined, num_regions)[region]
+
+
+def _with_far_pairs(
+    ends: Tensor, cost: Tensor, touching: Tensor, in_one_mask: Tensor, num_regions: int
+) -> tuple[Tensor, Tensor]:
+    """Adds an edge for each pair of regions that lie in one mask and do not touch. Geometry alone keeps these apart."""
+    key, known = (pairs[0] * num_regions + pairs[1] for pairs in (in_one_mask, touching))
+    far = in_one_mask[:, ~torch.isin(key, known)]
+    return torch.cat([ends, far], 1), torch.cat([cost, torch.ones(far.shape[1], dtype=torch.float32)])
+
+
+class _Merges:
+    """The merges of all rounds, with heights that never fall on the way up."""
+
+    def __init__(self, evidence: PieceGraph) -> None:
+        num_pieces = len(evidence.statistics.size)
+        self._pairs: list[Tensor] = []
+        self._heights: list[float] = []
+        self._top = [0.0] * num_pieces  # of each region, at its lowest piece: the height of its last merge
+        self._below = self._ceiling = 0.0  # the heights of this round are above the one, and up to the other
+
+    def add(self, of_piece: Tensor, joined: Tensor, mean: Tensor, threshold: float) -> None:
+        """Adds a round's merges.
+
+        A later round may find that a boundary is weaker than an earlier round said. Its heights are limited to those
+        above all earlier thresholds, so that a cut at a threshold undoes whole rounds.
+
+        Args:
+            of_piece: [P] int64, region of each piece before the round, numbered by their first pieces.
+            joined: [2, M] int64, the lowest regions of the two groups that merge, in the order of the merges.
+            mean: [M] float64, mean probability of their boundary.
+            threshold: of this round.
+        """
+        if threshold > self._ceiling:
+            self._below, self._ceiling = self._ceiling, threshold
+        num_pieces = len(of_piece)
+        first_piece = torch.full((num_pieces,), num_pieces).scatter_reduce_(
+            0, of_piece, torch.arange(num_pieces), "amin"
+        )
+        pieces = first_piece[joined]
+        self._pairs.append(pieces.t())
+        heights = mean.clamp(min=self._below + HEIGHT_STEP).clamp(max=self._ceiling)
+        for a, b, height in zip(*pieces.tolist(), heights.tolist(), strict=True):
+            self._top[a] = max(height, self._top[a], self._top[b])
+            self._heights.append(self._top[a])
+
+    def hierarchy(self, piece: Tensor, default: float) -> Hierarchy:
+        """The hierarchy of these merges, of pieces [N]."""
+        merges = torch.cat([torch.empty(0, 2, dtype=torch.int64), *self._pairs])
+        return Hierarchy(piece, merges, torch.tensor(self._heights, dtype=torch.float64), default)

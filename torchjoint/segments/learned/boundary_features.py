@@ -1,0 +1,302 @@
+"""Step 6, method learned: the features of the boundary between two regions, from which a model judges it.
+
+No feature has a unit of length: lengths are in multiples of the cloud's noise or spacing, or of one another.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from torchjoint.cloud._vectors import dot, length
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.segments.learned.image_agreement import NUM_VALUES, image_agreement
+from torchjoint.segments.learned.piece_graph import PieceGraph
+from torchjoint.segments.learned.region_statistics import (
+    RegionStatistics,
+    axes,
+    bulge_of_unions,
+    color_contrasts,
+    covariance_of_unions,
+    pooled,
+)
+from torchjoint.segments.learned.summaries import Measure, sum_by, summarize
+
+#: Smallest divisor: flat and single points have no width.
+TINY = 1e-30
+#: A boundary without a value counts as this among the boundaries of a region.
+TYPICAL = 0.3
+#: Smallest texture (units of Lab) and roughness (right angles) that steps of colour and bends are compared with.
+SMALLEST_TEXTURE, SMALLEST_ROUGHNESS = 0.5, 0.02
+#: Sides of a boundary: the region with fewer points, and the other.
+SIDES = ("small", "large")
+
+
+def _summary(name: str) -> tuple[str, ...]:
+    return tuple(f"{name}_{part}" for part in ("mean", "low", "median", "high"))
+
+
+def _context(name: str) -> tuple[str, ...]:
+    return (f"{name}_above_mean_of_small", f"{name}_above_least_of_small", f"{name}_above_least_of_large")
+
+
+_SHAPE = ("noise_ratio", "width", "elongation", "thickness", "flatness")
+
+#: The names of the features. The order is part of a trained model.
+FEATURE_NAMES: tuple[str, ...] = (
+    *_summary("crease"),
+    *_summary("bend"),
+    *_summary("wide_bend"),
+    *_summary("offset"),
+    *_summary("larger_offset"),
+    *_summary("gap"),
+    "unoriented_share",
+    "log_points_small",
+    "log_points_large",
+    "boundary_per_perimeter_small",
+    "boundary_per_perimeter_large",
+    "boundary_share",
+    *(f"{name}_{side}" for side in SIDES for name in _SHAPE),
+    "noise_ratio_union",
+    "thickness_union",
+    "thickness_growth",
+    "extent_ratio",
+    "normals_cosine",
+    "side_of_large",
+    "side_of_small",
+    "center_distance",
+    "lightness_difference",
+    "chroma_difference",
+    "color_contrast",
+    "color_spread_small",
+    "color_spread_large",
+    *_summary("color_step"),
+    "color_step_ratio",
+    *_summary("disagreement"),
+    *_summary("contour"),
+    "seen_share",
+    "log_views",
+    "agreement",
+    "agreement_mean",
+    "agreement_deviation",
+    "agreement_log_views",
+    "overlap_gain",
+    "better_overlap",
+    "worse_overlap",
+    "agreement_range",
+    *_context("crease"),
+    *_context("disagreement"),
+    "perimeter_share_small",
+    "log_neighbors_small",
+    "bulge_small",
+    "bulge_large",
+    "bulge_union",
+    "bulge_growth",
+    "roughness_small",
+    "roughness_large",
+    "bend_above_roughness",
+    "texture_small",
+    "texture_large",
+    "color_step_above_texture",
+)
+
+
+class BoundaryFeatures(NamedTuple):
+    """The features of B boundaries, in the order of their pairs."""
+
+    pairs: Tensor  #: [2, B] int64, regions a < b
+    values: Tensor  #: [B, F] float32, one column for each of FEATURE_NAMES, NaN = missing
+    of_edge: Tensor  #: [C] int64, boundary of each edge of PieceGraph.edges, -1 = inside a region
+
+
+class _Boundaries(NamedTuple):
+    """The boundaries between R regions."""
+
+    of_piece: Tensor  #: [P] int64, region of each piece
+    num_regions: int  #: R
+    pairs: Tensor  #: [2, B] int64
+    edges: Tensor  #: [c] int64, the edges of PieceGraph.edges that cross a boundary
+    of_edge: Tensor  #: [c] int64, boundary of each of these edges
+    of_any_edge: Tensor  #: [C] int64, boundary of each edge of PieceGraph.edges, -1 = inside a region
+    num_edges: Tensor  #: [B] float64
+
+    def summary(self, measure: Measure) -> Tensor:
+        return summarize(measure, self.of_any_edge, self.pairs.shape[1])
+
+    def mean(self, values: Tensor) -> Tensor:
+        """Means [B] float64 over the edges of each boundary of values [C]."""
+        return sum_by(self.of_edge, values[self.edges].double(), self.pairs.shape[1]) / self.num_edges
+
+
+def boundary_features(evidence: PieceGraph, region: Tensor) -> BoundaryFeatures:
+    """The features of each boundary between two regions.
+
+    Args:
+        evidence: the evidence of the cloud.
+        region: [N] int64, 0 ... R - 1, region of each point; each region is a union of pieces.
+    """
+    boundaries = _find_boundaries(evidence, region)
+    statistics = pooled(evidence.statistics, boundaries.of_piece, boundaries.num_regions)
+    a, b = boundaries.pairs
+    a_is_small = statistics.size[a] <= statistics.size[b]
+    small, large = torch.where(a_is_small, a, b), torch.where(a_is_small, b, a)
+    edges, images = evidence.edges, evidence.images
+    measures = [edges.crease, edges.bend, edges.wide_bend, edges.offset, edges.larger_offset, edges.gap]
+    optional = [edges.color_step, edges.disagreement, edges.contour]
+    missing = boundaries.num_edges.new_full((len(a), 1), torch.nan)
+
+    def summary(measure: Measure | None) -> Tensor:
+        return missing.expand(-1, 4) if measure is None else boundaries.summary(measure)
+
+    *geometry, color_step, disagreement, contour = parallel_map(summary, measures + optional)
+    crease = boundaries.mean(edges.crease.values.clamp(min=0))
+    columns = [
+        *geometry,
+        boundaries.mean(edges.unoriented)[:, None],
+        _sizes(statistics, small, large, boundaries.num_edges),
+        _shapes(statistics, small, large),
+        _colors(statistics, boundaries.pairs, small, large),
+        color_step,
+        color_step[:, 2:3] / (evidence.typical_color_step or 1),
+        disagreement,
+        contour,
+    ]
+    if images is None or edges.views is None:
+        columns += [missing.expand(-1, 2 + NUM_VALUES), _in_context(crease, boundaries, small, large)]
+        columns += [missing.expand(-1, 3)]
+    else:
+        columns += [boundaries.mean(edges.views > 0)[:, None], boundaries.mean(edges.views).log1p()[:, None]]
+        columns += [image_agreement(images, boundaries.of_piece, boundaries.num_regions, boundaries.pairs)]
+        columns += [_in_context(values, boundaries, small, large) for values in (crease, disagreement[:, 0])]
+    columns += [_neighborhood(boundaries, small), _bulges(statistics, small, large)]
+    columns += [_textures(statistics, small, large, bend=geometry[1][:, 2], color_step=color_step[:, 2])]
+    values = torch.cat([values.float() for values in columns], 1)
+    return BoundaryFeatures(boundaries.pairs, values, boundaries.of_any_edge)
+
+
+def _find_boundaries(evidence: PieceGraph, region: Tensor) -> _Boundaries:
+    of_piece = evidence.regions_of_pieces(region)
+    num_regions = int(region.max()) + 1
+    first, second = of_piece[evidence.pairs]
+    across = first != second
+    key = torch.minimum(first, second) * num_regions + torch.maximum(first, second)
+    key, of_crossing = torch.unique(key[across], return_inverse=True)
+    of_pair = torch.full((len(first),), -1, dtype=torch.int64)
+    of_pair[across] = of_crossing
+    of_any_edge = of_pair[evidence.edges.pair]
+    edges = torch.nonzero(of_any_edge >= 0).squeeze(1)
+    of_edge = of_any_edge[edges]
+    num_edges = torch.bincount(of_edge, minlength=len(key)).double()
+    pairs = torch.stack([key // num_regions, key % num_regions])
+    return _Boundaries(of_piece, num_regions, pairs, edges, of_edge, of_any_edge, num_edges)
+
+
+def _sizes(regions: RegionStatistics, small: Tensor, large: Tensor, num_edges: Tensor) -> Tensor:
+    """Sizes of both regions, and of the boundary relative to them: [B, 5]."""
+    one, other = regions.size[small], regions.size[large]
+    return torch.stack(
+        [one.log(), other.log(), num_edges / one.sqrt(), num_edges / other.sqrt(), num_edges / (num_edges + one)], 1
+    )
+
+
+def _shapes(regions: RegionStatistics, small: Tensor, large: Tensor) -> Tensor:
+    """Shapes of both regions and of their union, and their positions relative to each other: [B, 18]."""
+    deviations = axes(regions.covariance)
+    thin, middle, long = deviations.unbind(1)
+    own = torch.stack(
+        [
+            thin / regions.noise,
+            middle / regions.spacing,
+            long / middle.clamp(min=TINY),
+            thin / middle.clamp(min=TINY),
+            length(regions.normal),
+        ],
+        1,
+    )
+    union = axes(covariance_of_unions(regions, small, large))
+    between = regions.mean[small] - regions.mean[large]
+    normal_small, normal_large = normalize(regions.normal[small], dim=1), normalize(regions.normal[large], dim=1)
+    reach = long[small].clamp(min=TINY)
+    extent = length(deviations)
+    together = [
+        union[:, 0] / torch.maximum(regions.noise[small], regions.noise[large]),
+        union[:, 0] / union[:, 1].clamp(min=TINY),
+        union[:, 0] / torch.maximum(thin[small], thin[large]).clamp(min=TINY),
+        torch.minimum(long[small], long[large]) / union[:, 2].clamp(min=TINY),
+        dot(normal_small, normal_large),
+        dot(between, normal_large) / reach,
+        dot(-between, normal_small) / reach,
+        length(between) / (extent[small] + extent[large]),
+    ]
+    return torch.cat([own[small], own[large], torch.stack(together, 1)], 1)
+
+
+def _colors(regions: RegionStatistics, pairs: Tensor, small: Tensor, large: Tensor) -> Tensor:
+    """Differences of the regions' colours, and the spreads of the colours: [B, 5], NaN without colours."""
+    if regions.color is None or regions.color_variance is None:
+        return torch.full((pairs.shape[1], 5), torch.nan, dtype=torch.float32)
+    difference = regions.color[small] - regions.color[large]
+    spread = regions.color_variance.sum(1).sqrt()
+    contrast = color_contrasts(regions, small, large)
+    chroma = difference[:, 1:].square().sum(1).sqrt()
+    return torch.stack([difference[:, 0].abs(), chroma, contrast, spread[small], spread[large]], 1)
+
+
+def _in_context(value: Tensor, boundaries: _Boundaries, small: Tensor, large: Tensor) -> Tensor:
+    """The value of each boundary relative to the other boundaries of the same regions.
+
+    Args:
+        value: [B], a value of each boundary, NaN counts as TYPICAL.
+        boundaries: the boundaries.
+        small, large: [B] int64, the regions of each boundary.
+
+    Returns:
+        [B, 3]: above the mean of the small region's boundaries, above their minimum, above the large region's minimum.
+    """
+    value = value.nan_to_num(nan=TYPICAL)
+    ends = boundaries.pairs.flatten()
+    weighted = sum_by(ends, (value * boundaries.num_edges).repeat(2), boundaries.num_regions)
+    mean = weighted / sum_by(ends, boundaries.num_edges.repeat(2), boundaries.num_regions)
+    least = value.new_zeros(boundaries.num_regions)
+    least = least.scatter_reduce(0, ends, value.repeat(2), "amin", include_self=False)
+    return torch.stack([value - mean[small], value - least[small], value - least[large]], 1)
+
+
+def _neighborhood(boundaries: _Boundaries, small: Tensor) -> Tensor:
+    """The boundary's share of all edges around the small region, and the log of its number of neighbours: [B, 2]."""
+    ends = boundaries.pairs.flatten()
+    perimeter = sum_by(ends, boundaries.num_edges.repeat(2), boundaries.num_regions)
+    neighbors = torch.bincount(ends, minlength=boundaries.num_regions).double()
+    return torch.stack([boundaries.num_edges / perimeter[small], neighbors[small].log()], 1)
+
+
+def _bulges(regions: RegionStatistics, small: Tensor, large: Tensor) -> Tensor:
+    """How far both regions and their union bulge out of their surface, relative to their extents: [B, 4].
+
+    The last column is the union's bulge less the mean of both: a whole thing bulges more than its sides.
+    """
+    bulge = regions.bulge / _extent(regions.covariance)
+    union = bulge_of_unions(regions, small, large) / _extent(covariance_of_unions(regions, small, large))
+    share = regions.size[small] / (regions.size[small] + regions.size[large])
+    mean = share * bulge[small] + (1 - share) * bulge[large]
+    return torch.stack([bulge[small], bulge[large], union, union - mean], 1)
+
+
+def _extent(covariance: Tensor) -> Tensor:
+    """Root mean square distances [R] from the means, metres, of covariances [R, 3, 3]."""
+    return torch.diagonal(covariance, dim1=1, dim2=2).sum(1).sqrt().clamp(min=TINY)
+
+
+def _textures(regions: RegionStatistics, small: Tensor, large: Tensor, bend: Tensor, color_step: Tensor) -> Tensor:
+    """Roughness and texture of both regions, and the bend and colour step [B] of the boundary above them: [B, 6]."""
+    roughness = [regions.roughness[small], regions.roughness[large]]
+    if regions.texture is None:
+        texture = [torch.full_like(roughness[0], torch.nan)] * 2
+    else:
+        texture = [regions.texture[small], regions.texture[large]]
+    bend_above = bend.double() / (torch.maximum(*roughness) + SMALLEST_ROUGHNESS)
+    step_above = color_step.double() / (torch.maximum(*texture) + SMALLEST_TEXTURE)
+    return torch.stack([*roughness, bend_above, *texture, step_above], 1)

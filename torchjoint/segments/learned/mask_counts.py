@@ -1,0 +1,96 @@
+"""Step 6, method learned: which masks of a network the points of each piece lie in.
+
+All counts are whole numbers, and sums over points. So those of a region are the sums of those of its pieces, and the
+order of the frames does not change a single bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.ops.mask_merges import WEIGHT_UNIT
+from torchjoint.runtime.sorted_groups import members_of_groups
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.scene.masks import Masks
+from torchjoint.views.observation import Observation
+from torchjoint.views.visibility import Visible
+
+
+class MaskCounts(NamedTuple):
+    """How many points of each piece lie in each mask. The masks of all frames have different numbers, 0 ... M - 1."""
+
+    in_mask: Tensor  #: [3, I] int64: piece, mask, number of points
+    in_frame: Tensor  #: [3, J] int64: piece, frame, number of points that the frame sees
+    weight: Tensor  #: [M] int64, score of each mask in units of 1 / WEIGHT_UNIT
+    frame_of_mask: Tensor  #: [M] int64, numbers of the frames, of which some may have no masks
+
+    def of_regions(self, of_piece: Tensor) -> tuple[Tensor, Tensor]:
+        """`in_mask` and `in_frame` of regions instead of pieces; `of_piece` is the region of each piece, [P] int64."""
+        (piece, mask, in_mask), (seen_piece, frame, in_frame) = self.in_mask, self.in_frame
+        return _added(of_piece[piece], mask, in_mask), _added(of_piece[seen_piece], frame, in_frame)
+
+
+def masks_of_pieces(
+    piece: Tensor, observations: Sequence[Observation], is_counted: Callable[[int, Tensor], Tensor] | None = None
+) -> MaskCounts | None:
+    """Counts the visible points of each piece in each mask.
+
+    Args:
+        piece: [N] int64, piece of each point.
+        observations: the frames; those without masks do not count.
+        is_counted: of the number of a frame and points [V] that it sees, whether they count, [V] bool; None: all do.
+
+    Returns:
+        None if no frame has masks.
+    """
+
+    def count(frame: int) -> tuple[Tensor, Tensor, Tensor, int] | None:
+        seen = observations[frame]
+        if seen.masks is None:
+            return None
+        chosen = slice(None) if is_counted is None else is_counted(frame, seen.visible.point)
+        return _count(piece, seen.visible, seen.masks, frame, chosen)
+
+    tables = [one for one in parallel_map(count, range(len(observations))) if one is not None]
+    if not tables:
+        return None
+    num_masks = torch.tensor([len(scores) for _, _, scores, _ in tables])
+    first = num_masks.cumsum(0) - num_masks
+    in_mask = [
+        rows + torch.tensor([[0], [start], [0]]) for (rows, *_), start in zip(tables, first.tolist(), strict=True)
+    ]
+    in_frame = [rows for _, rows, *_ in tables]
+    scores = torch.cat([scores for _, _, scores, _ in tables])
+    return MaskCounts(
+        torch.cat(in_mask, 1),
+        torch.cat(in_frame, 1),
+        (scores.double() * WEIGHT_UNIT).round().long(),
+        torch.cat([torch.full((len(scores),), frame) for _, _, scores, frame in tables]),
+    )
+
+
+def _count(
+    piece: Tensor, visible: Visible, masks: Masks, frame: int, chosen: Tensor | slice
+) -> tuple[Tensor, Tensor, Tensor, int]:
+    """One frame's rows (piece, mask, points), (piece, frame, points that it sees), scores of the masks, and number."""
+    there = piece[visible.point[chosen]]
+    of_piece, num_seen = torch.unique(there, return_counts=True)
+    in_frame = torch.stack([of_piece, torch.full_like(of_piece, frame), num_seen])
+    atom = masks.atom[visible.row[chosen], visible.column[chosen]].long()
+    key, count = torch.unique(there * masks.num_atoms + atom, return_counts=True)
+    # Each atom counts for all masks in which it lies.
+    atoms, mask = masks.pairs[:, torch.argsort(masks.pairs[0], stable=True)]
+    row, member = members_of_groups(torch.bincount(atoms, minlength=masks.num_atoms), key % masks.num_atoms)
+    return _added(key[row] // masks.num_atoms, mask[member], count[row]), in_frame, masks.scores, frame
+
+
+def _added(region: Tensor, key: Tensor, count: Tensor) -> Tensor:
+    """The sorted rows [3, K] of (region, key, count), where the counts of equal region and key are added."""
+    num_keys = int(key.max()) + 1 if key.numel() else 1
+    pair, inverse = torch.unique(region * num_keys + key, return_inverse=True)
+    total = torch.zeros_like(pair).index_add_(0, inverse, count)
+    return torch.stack([pair // num_keys, pair % num_keys, total])

@@ -1,0 +1,74 @@
+"""Step 6, method learned, the default: pieces of the cloud merge where a model says that they are one object."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from torchjoint.cloud.graph import PointGraph, build_point_graph
+from torchjoint.cloud.prepared import PreparedCloud
+from torchjoint.cloud.working_cloud import working_cloud
+from torchjoint.images.segmenter import ImageSegments
+from torchjoint.runtime.stopwatch import Stopwatch
+from torchjoint.scene import Cloud, Frame, Hierarchy
+from torchjoint.segments.learned.agglomeration import build_hierarchy
+from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.segments.learned.mask_majority import move_to_majority
+from torchjoint.segments.learned.occluded_surfaces import lines_across
+from torchjoint.segments.learned.piece_graph import build_piece_graph
+from torchjoint.segments.method import Method
+from torchjoint.views.frame_evidence import FrameEvidence
+from torchjoint.views.propagation import edge_contours
+from torchjoint.views.state import JointState
+
+
+class Learned(Method):
+    """Measures all distances in units of the cloud's own noise and spacing, so it has no parameter of its own."""
+
+    name = "learned"
+
+    def prepare(self, cloud: Cloud, merge_within: float) -> PreparedCloud:
+        """As all methods; colours that are all the same count as none."""
+        return super().prepare(cloud.with_telling_colors(), merge_within)
+
+    def build_graph(self, cloud: Cloud) -> tuple[PointGraph, Tensor | None]:
+        """Measures the scales; thins a cloud that is much denser than its noise."""
+        working, scales, of_point = working_cloud(cloud)
+        return build_point_graph(working, self.config.point_graph.neighbors, scales), of_point
+
+    def observe(
+        self, frame: Frame, segments: ImageSegments, cloud: PreparedCloud, stopwatch: Stopwatch
+    ) -> FrameEvidence:
+        """Without masks also the boundaries across edges, and the lines across something nearer."""
+        seen = super().observe(frame, segments, cloud, stopwatch)
+        if segments.masks is not None:
+            return seen
+        with stopwatch("propagation"):
+            observation, scales = seen.observation, cloud.graph.scales
+            assert scales is not None  # build_graph has measured them
+            contours = edge_contours(cloud.graph.adjacency, observation.visible, observation.boundary)
+            lines = lines_across(observation.visible, scales.noise)
+        return seen._replace(observation=replace(observation, lines=lines), contours=contours)
+
+    def segment(self, graph: PointGraph, state: JointState) -> Hierarchy:
+        """All levels of the segmentation.
+
+        Raises:
+            ValueError: the graph was built without scales.
+        """
+        if graph.scales is None:
+            raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
+        evidence = build_piece_graph(graph, graph.scales, state)
+        hierarchy = build_hierarchy(evidence, load_boundary_model())
+        if evidence.masks is None:
+            return hierarchy
+        return move_to_majority(hierarchy, graph.edge_index, evidence.masks, state.observations)
+
+    def measured(self, graph: PointGraph) -> str:
+        """Spacing and noise of the points, and where the normals come from."""
+        if graph.scales is None:
+            return ""
+        spacing, noise = (1000 * float(of_points.median()) for of_points in (graph.scales.spacing, graph.scales.noise))
+        normals = "given" if graph.has_given_normals else f"from {graph.scales.normal_neighbors} neighbours"
+        return f", spacing {spacing:.2g} mm, noise {noise:.2g} mm, normals {normals}"

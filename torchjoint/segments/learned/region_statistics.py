@@ -1,0 +1,195 @@
+"""Step 6, method learned: statistics of the points of each region: shape, bulge, noise, spacing, colour and texture.
+
+They are computed once from the points of small pieces. A region is a union of pieces, so its statistics follow from
+those of its pieces.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.cloud._vectors import dot, length
+from torchjoint.segments.learned.summaries import sum_by
+
+#: Added to the spread of colours before a division, units of Lab: colours of one surface differ by about as much.
+COLOR_NOISE = 2.0
+
+
+class RegionStatistics(NamedTuple):
+    """Statistics of R regions, all float64."""
+
+    size: Tensor  #: [R] points
+    mean: Tensor  #: [R, 3] metres
+    covariance: Tensor  #: [R, 3, 3] square metres
+    normal: Tensor  #: [R, 3] mean of the points' unit normals: short if the surface turns
+    noise: Tensor  #: [R] metres, mean
+    spacing: Tensor  #: [R] metres, mean
+    color: Tensor | None  #: [R, 3] mean Lab colour
+    color_variance: Tensor | None  #: [R, 3] of each channel of Lab
+    outward: Tensor  #: [R, 3] mean of the oriented unit normals, 0 where a point's normal is not oriented
+    bulge: Tensor  #: [R] metres, mean of (point - mean) . outward normal: > 0 if convex, < 0 if hollow
+    #: [R] right angles, mean angle between the normals of neighbours; of a union the mean of its parts by their points
+    roughness: Tensor
+    texture: Tensor | None  #: [R] Lab, mean difference of the colours of neighbours; of a union as the roughness
+    colored: Tensor | None = None  #: [R] points that have a colour; None: all. Without any, what is of colours is NaN
+
+
+class Surface(NamedTuple):
+    """What the points of a cloud say about their surface."""
+
+    points: Tensor  #: [N, 3] metres
+    normals: Tensor  #: [N, 3] unit length
+    oriented: Tensor  #: [N] bool, the normal points out of the surface
+    noise: Tensor  #: [N] metres
+    spacing: Tensor  #: [N] metres
+    lab: Tensor | None  #: [N, 3] Lab colours, NaN = none
+
+
+class InnerEdges(NamedTuple):
+    """Edges between neighbouring points of the same region."""
+
+    region: Tensor  #: [E] int64
+    turn: Tensor  #: [E] right angles, angle between the normals
+    color_step: Tensor | None  #: [E] Lab, difference of the colours, NaN if an end has none
+
+
+def statistics_of_points(region: Tensor, surface: Surface, inner: InnerEdges) -> RegionStatistics:
+    """The statistics of each region of points.
+
+    Args:
+        region: [N] int64, 0 ... R - 1, each with at least one point.
+        surface: of the points.
+        inner: edges inside the regions; a region without edges has roughness and texture 0.
+    """
+    size = int(region.max()) + 1
+    lab = surface.lab
+    count = torch.bincount(region, minlength=size).double()
+
+    def mean_of(values: Tensor) -> Tensor:
+        return sum_by(region, values.double(), size) / count.view(-1, *[1] * (values.ndim - 1))
+
+    def mean_inside(values: Tensor) -> Tensor:
+        edges = torch.bincount(inner.region, minlength=size).clamp(min=1)
+        return sum_by(inner.region, values.double(), size) / edges
+
+    mean = mean_of(surface.points)
+    away = surface.points.double() - mean[region]
+    outward = torch.where(surface.oriented[:, None], surface.normals.double(), 0.0)
+    color = variance = colored = texture = None
+    if lab is not None:
+        has_color = lab[:, 0].isfinite()
+        if not has_color.all():
+            colored = torch.bincount(region[has_color], minlength=size).double()
+        color = _mean_of_known(lab.double(), has_color, region, size)
+        variance = _mean_of_known((lab.double() - color[region]).square(), has_color, region, size)
+    if inner.color_step is not None:
+        known = inner.color_step.isfinite()
+        edges = torch.bincount(inner.region[known], minlength=size).clamp(min=1)
+        texture = sum_by(inner.region[known], inner.color_step[known].double(), size) / edges
+        texture = texture if colored is None else torch.where(colored > 0, texture, torch.nan)
+    return RegionStatistics(
+        count,
+        mean,
+        mean_of(_outer(away)),
+        mean_of(surface.normals),
+        mean_of(surface.noise),
+        mean_of(surface.spacing),
+        color,
+        variance,
+        mean_of(outward),
+        mean_of(dot(away, outward)),
+        mean_inside(inner.turn),
+        texture,
+        colored,
+    )
+
+
+def _mean_of_known(values: Tensor, is_known: Tensor, region: Tensor, size: int) -> Tensor:
+    """The mean [R, ...] of the known ones of the values [N, ...] of each region; NaN where none is."""
+    region = region[is_known]
+    count = torch.bincount(region, minlength=size)
+    return sum_by(region, values[is_known], size) / count.view(-1, *[1] * (values.ndim - 1))
+
+
+def pooled(parts: RegionStatistics, of_part: Tensor, num_regions: int) -> RegionStatistics:
+    """The statistics of regions that consist of parts.
+
+    Args:
+        parts: statistics of P parts.
+        of_part: [P] int64, region of each part, 0 ... R - 1, each with at least one part.
+        num_regions: R.
+    """
+    count = sum_by(of_part, parts.size, num_regions)
+
+    def mean_of(values: Tensor) -> Tensor:
+        ones = [1] * (values.ndim - 1)
+        return sum_by(of_part, parts.size.view(-1, *ones) * values, num_regions) / count.view(-1, *ones)
+
+    mean = mean_of(parts.mean)
+    # Squares relative to the mean: sums of squares of coordinates would cancel out for flat regions.
+    covariance = mean_of(parts.covariance + _outer(parts.mean - mean[of_part]))
+    color = variance = texture = colored = None
+    if parts.color is not None and parts.color_variance is not None:
+        weight = parts.size if parts.colored is None else parts.colored
+        of_colors = count if parts.colored is None else sum_by(of_part, weight, num_regions)
+        colored = None if parts.colored is None else of_colors
+
+        def mean_of_colors(values: Tensor) -> Tensor:
+            ones = [1] * (values.ndim - 1)
+            values = values if parts.colored is None else values.nan_to_num()  # of parts without colours, weight 0
+            return sum_by(of_part, weight.view(-1, *ones) * values, num_regions) / of_colors.view(-1, *ones)
+
+        color = mean_of_colors(parts.color)
+        variance = mean_of_colors(parts.color_variance + (parts.color - color[of_part]).square())
+        texture = None if parts.texture is None else mean_of_colors(parts.texture)
+    normal, noise, spacing = (mean_of(values) for values in (parts.normal, parts.noise, parts.spacing))
+    bulge = mean_of(parts.bulge + dot(parts.mean - mean[of_part], parts.outward))
+    outward, roughness = mean_of(parts.outward), mean_of(parts.roughness)
+    return RegionStatistics(
+        count, mean, covariance, normal, noise, spacing, color, variance, outward, bulge, roughness, texture, colored
+    )
+
+
+def covariance_of_unions(regions: RegionStatistics, first: Tensor, second: Tensor) -> Tensor:
+    """The covariance of each union of two regions.
+
+    Args:
+        regions: statistics of R regions.
+        first, second: [B] int64, the two regions of each union.
+
+    Returns:
+        [B, 3, 3] float64 square metres.
+    """
+    one, other = (regions.size[which][:, None, None] for which in (first, second))
+    total = one + other
+    within = (one * regions.covariance[first] + other * regions.covariance[second]) / total
+    return within + one * other / total.square() * _outer(regions.mean[first] - regions.mean[second])
+
+
+def bulge_of_unions(regions: RegionStatistics, first: Tensor, second: Tensor) -> Tensor:
+    """The bulge of each union of two regions, [B] float64 metres; arguments as in :func:`covariance_of_unions`."""
+    one, other = regions.size[first], regions.size[second]
+    total = one + other
+    within = (one * regions.bulge[first] + other * regions.bulge[second]) / total
+    between = dot(regions.mean[first] - regions.mean[second], regions.outward[first] - regions.outward[second])
+    return within + one * other / total.square() * between
+
+
+def axes(covariance: Tensor) -> Tensor:
+    """Standard deviations along the principal axes, [R, 3] ascending, metres, of covariances [R, 3, 3]."""
+    return torch.linalg.eigvalsh(covariance).clamp(min=0).sqrt()
+
+
+def _outer(vectors: Tensor) -> Tensor:
+    return vectors[:, :, None] * vectors[:, None, :]
+
+
+def color_contrasts(regions: RegionStatistics, one: Tensor, other: Tensor) -> Tensor:
+    """Distances [B] of the mean colours of pairs of regions, in multiples of the spread within them, NaN without."""
+    if regions.color is None or regions.color_variance is None:
+        return torch.full((len(one),), torch.nan, dtype=torch.float64)
+    spread = regions.color_variance.sum(1).sqrt()
+    return length(regions.color[one] - regions.color[other]) / ((spread[one] + spread[other]) / 2 + COLOR_NOISE)

@@ -1,0 +1,45 @@
+"""Step 6, method learned: mean and quantiles of a measure of edges, over each boundary between two regions."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.ops.ascending_order import ascending_order
+from torchjoint.ops.group_summaries import group_summaries
+
+#: The quantiles of a summary; they follow the mean.
+QUANTILES = (0.1, 0.5, 0.9)
+
+
+class Measure(NamedTuple):
+    """A measure of C edges. Its order is computed once, so that the quantiles of any groups need nothing sorted."""
+
+    values: Tensor  #: [C] float32, NaN = missing
+    order: Tensor  #: [C] int32, places of the values in ascending order, missing ones last
+
+    @classmethod
+    def of(cls, values: Tensor) -> Measure:
+        """Puts values [C] float32 in order."""
+        return cls(values, ascending_order(values))
+
+
+def summarize(measure: Measure, group: Tensor, num_groups: int) -> Tensor:
+    """Mean and QUANTILES of the measure over the edges of each group; missing values do not count.
+
+    Args:
+        measure: of C edges.
+        group: [C] int64, group of each edge, 0 ... G - 1, -1 = none.
+        num_groups: G.
+
+    Returns:
+        [G, 1 + len(QUANTILES)] float64; NaN for a group without a value.
+    """
+    return group_summaries(*measure, group, num_groups, torch.tensor(QUANTILES, dtype=torch.float32))
+
+
+def sum_by(group: Tensor, values: Tensor, num_groups: int) -> Tensor:
+    """Sums of values [n, ...] over groups [n] int64: [G, ...], added in the order of the values."""
+    return values.new_zeros(num_groups, *values.shape[1:]).index_add_(0, group, values)

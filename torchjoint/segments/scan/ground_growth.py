@@ -1,0 +1,89 @@
+"""Step 6, method scan: grows the ground of a scan over kerbs, pavements, verges and slopes that its profiles missed.
+
+A profile (:mod:`torchjoint.segments.scan.ground`) holds for a whole column, and ends where something hides the ground.
+So a pavement beside a street, rough terrain and a slope behind a car lie a little above the profiles. Nothing rises
+from them, which tells them from objects (:mod:`torchjoint.segments.scan.rising`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.config import ScanConfig
+from torchjoint.segments.scan.directions import Directions
+from torchjoint.segments.scan.ground import GROUND_HEIGHT, MAX_SLOPE
+from torchjoint.segments.scan.rising import something_rises
+
+#: Largest horizontal way from the ground to a patch that joins it: metres, and metres per metre of distance from the
+#: sensor, because the rings on the ground are far from each other there; the larger one counts.
+HOP, HOP_GROWTH = 2.0, 0.1
+
+#: A patch joins the ground if this share of those of its points that are near the ground fits to it.
+SHARE = 0.8
+
+#: Most rounds in which patches join the ground.
+ROUNDS = 12
+
+
+def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor, config: ScanConfig) -> Tensor:
+    """Which points of a scan belong to the ground.
+
+    1. Points lower than GROUND_HEIGHT above the profiles.
+    2. Points lower than `object_height` above the profiles, if nothing rises from them.
+    3. Patches: connected points from which nothing rises. A patch joins the ground if it continues it: its points near
+       the ground differ from the nearest point of the ground, in height, by at most GROUND_HEIGHT plus MAX_SLOPE
+       times the horizontal way. This is repeated, because the next patch may continue this one.
+
+    Args:
+        points: [N, 3] metres, z up.
+        height: [N] float64 metres above the profiles.
+        seen: directions of the points.
+        edges: [2, E] int64, connected points.
+        config: object_height.
+
+    Returns:
+        [N] bool, True for ground.
+    """
+    on_ground = height < GROUND_HEIGHT
+    if config.object_height == 0:
+        return on_ground
+    standing = torch.nonzero(~on_ground).flatten()
+    flat = standing[~something_rises(seen, points[:, 2].double(), standing, config.object_height)]
+    on_ground[flat[height[flat] < config.object_height]] = True
+    flat = flat[~on_ground[flat]]
+    patch = _patches(flat, edges, len(points))
+    place: NDArray[np.float64] = points.double().numpy()
+    hop = (HOP_GROWTH * seen.distance).clamp(min=HOP).numpy()
+    slope = math.tan(math.radians(MAX_SLOPE))
+    for _ in range(ROUNDS):
+        left = flat[~on_ground[flat]].numpy()
+        ground = torch.nonzero(on_ground).flatten().numpy()
+        if len(left) == 0 or len(ground) == 0:
+            break
+        way, nearest = cKDTree(place[ground, :2]).query(place[left, :2])
+        step = np.abs(place[left, 2] - place[ground[nearest], 2])
+        near, fits = way <= hop[left], step <= GROUND_HEIGHT + slope * way
+        of_patch = patch[left]
+        num_near = np.bincount(of_patch[near], minlength=len(flat))
+        joins = (num_near > 0) & (np.bincount(of_patch[near & fits], minlength=len(flat)) >= SHARE * num_near)
+        if not joins.any():
+            break
+        on_ground[torch.from_numpy(left[joins[of_patch]])] = True
+    return on_ground
+
+
+def _patches(flat: Tensor, edges: Tensor, num_points: int) -> NDArray[np.int64]:
+    """The connected components of the flat points: [N] their numbers, 0 for other points."""
+    number = torch.full((num_points,), -1)
+    number[flat] = torch.arange(len(flat))
+    ends = number[edges]
+    patch = torch.zeros(num_points, dtype=torch.int64)
+    patch[flat] = ops.connected_components(ends[:, (ends >= 0).all(dim=0)], len(flat))
+    return patch.numpy()

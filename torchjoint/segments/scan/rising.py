@@ -1,0 +1,53 @@
+"""Step 6, method scan: from which points of a scan something rises, which tells objects from ground."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchjoint.segments.scan.directions import Directions
+
+#: Size of a cell as a share of its horizontal distance from the sensor, about: 1.5 degrees wide, and as long.
+CELL = math.radians(1.0)
+
+#: Metres. What is higher than this above a point hangs over it (crowns, signs) and does not rise from it.
+OVERHANG = 2.5
+
+#: Larger than any height, metres: one sorted tensor holds all cells, one after the other, at offsets of FAR.
+FAR = 1e4
+
+
+def something_rises(seen: Directions, height: Tensor, which: Tensor, object_height: float) -> Tensor:
+    """Whether something rises from points: another point in the same cell or in one of the 8 cells around it.
+
+    This point must be more than `object_height` higher, but lower than `OVERHANG` above. The cells divide the plane by
+    azimuth and by the logarithm of the horizontal distance.
+
+    Args:
+        seen: directions of N points.
+        height: [N] float64 metres, over anything.
+        which: [M] int64, the points in question.
+        object_height: metres.
+
+    Returns:
+        [M] bool.
+    """
+    num_columns = round(2 * math.pi / CELL)
+    column = ((seen.azimuth + math.pi) / (2 * math.pi) * num_columns).long() % num_columns
+    ring = (seen.distance.clamp(min=1e-3).log() / CELL).floor().long()
+    ring = ring - ring.min() + 1
+    height = height.clamp(-FAR / 4, FAR / 4)
+    rows = int(ring.max()) + 2
+    place = ((column * rows + ring) * FAR + height).sort().values
+    low = height[which]
+    rises = torch.zeros(len(which), dtype=torch.bool)
+    for side in (-1, 0, 1):
+        beside = (column[which] + side) % num_columns * rows
+        for away in (-1, 0, 1):
+            start = (beside + ring[which] + away) * FAR + low
+            found = torch.searchsorted(place, start + object_height, right=True).clamp(max=len(place) - 1)
+            over = place[found] - start
+            rises |= (over > object_height) & (over < OVERHANG)
+    return rises

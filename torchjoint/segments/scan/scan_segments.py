@@ -1,0 +1,131 @@
+"""Step 6, method scan: segments a LiDAR scan into the ground and the connected objects on it.
+
+It uses a neighbour graph like step 3, with other weights: the weight of an edge is its length divided by the gap that
+is allowed at its range. The segments are the connected components of the edges with weight <= 1.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.cloud.graph import undirected_edges
+from torchjoint.cloud.neighbors import nearest_neighbors
+from torchjoint.config import ScanConfig
+from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.scene.checks import as_points
+from torchjoint.segments.scan.directions import directions
+from torchjoint.segments.scan.ground import GROUND_HEIGHT, height_over_ground
+from torchjoint.segments.scan.ground_growth import grow_ground
+from torchjoint.segments.scan.recognition import Rings, find_rings
+
+#: Neighbours of a point in the graph: fewer lose thin parts between denser ones, more take longer.
+NEIGHBORS = 12
+
+#: Largest distance over which a small segment is joined to a neighbour, in allowed gaps. Farther away it is mostly
+#: another object: a small segment that stands far from all others keeps its own label.
+JOINING_GAP = 2.0
+
+#: So many rings are joined across an allowed gap, without the part of the gap that does not grow with range.
+RINGS_IN_GAP = 4
+
+
+def segment_scan(points: Tensor, config: ScanConfig | None = None, sensor: Tensor | None = None) -> Tensor:
+    """Segments one scan of a LiDAR, without training, colours or normals.
+
+    Points on the ground (:func:`~torchjoint.segments.scan.ground_growth.grow_ground`) are one segment. All other points
+    are nodes of a graph of nearest neighbours, with weights from :func:`gap_weights`. Its connected components with
+    weights <= 1 are segments. A segment of fewer than `config.min_size` points is joined to the neighbour along its
+    lightest edge, if the weight of this edge is at most JOINING_GAP. Neighbours and weights are those of the
+    scan in which rings are drawn together (:func:`with_near_rings`).
+
+    Args:
+        points: [N, 3] metres, z up.
+        config: see :class:`ScanConfig`.
+        sensor: [3] metres, position of the LiDAR; default: the origin.
+
+    Returns:
+        [N] int64 labels 0, 1, 2, ... in the order of their first points. The labels do not depend on the number of
+        threads.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+    """
+    config = config or ScanConfig()
+    with torch.no_grad(), one_thread_per_operation():
+        return components(*scan_graph(as_points(points), config, sensor), config)
+
+
+def scan_graph(points: Tensor, config: ScanConfig, sensor: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    """The graph of what stands on the ground.
+
+    Args:
+        points: [N, 3] metres, z up.
+        config: see :class:`ScanConfig`.
+        sensor: [3] metres, position of the LiDAR; default: the origin.
+
+    Returns:
+        [2, E] int64 edges; [E] float32 weights; [N] bool, True for ground.
+    """
+    height = height_over_ground(points, sensor)
+    from_sensor = points if sensor is None else (points.double() - sensor.double()).float()
+    drawn = with_near_rings(from_sensor, find_rings(from_sensor), config)
+    standing = torch.nonzero(height >= GROUND_HEIGHT).flatten()
+    edges = standing[undirected_edges(nearest_neighbors(drawn[standing], NEIGHBORS).indices)]
+    weight = gap_weights(drawn, edges, config)
+    on_ground = grow_ground(points, height, directions(from_sensor), edges[:, weight <= 1], config)
+    above = ~on_ground[edges].any(0)
+    return edges[:, above], weight[above], on_ground
+
+
+def with_near_rings(points: Tensor, rings: Rings | None, config: ScanConfig) -> Tensor:
+    """The points [N, 3] with elevations reduced so far that a step between rings is a quarter of the gap's growth.
+
+    The rings of a sensor with few beams are farther from each other than things are that stand side by side. Drawn
+    together, they are joined by the same gap that separates these things. If rings are already so near, or if no rings
+    are known, the points stay as they are.
+
+    Args:
+        points: [N, 3] metres, z up, the sensor at the origin.
+        rings: of the scan, None: unknown.
+        config: gap_growth.
+    """
+    if rings is None or config.gap_growth >= RINGS_IN_GAP * rings.step:
+        return points
+    seen = directions(points)
+    elevation = seen.elevation * (config.gap_growth / (RINGS_IN_GAP * rings.step))
+    flat = seen.range * elevation.cos()
+    x, y, z = flat * seen.azimuth.cos(), flat * seen.azimuth.sin(), seen.range * elevation.sin()
+    return torch.stack([x, y, z], dim=1).float()
+
+
+def gap_weights(points: Tensor, edges: Tensor, config: ScanConfig, sensor: Tensor | None = None) -> Tensor:
+    """Length of each edge divided by the allowed gap: w = |p_u - p_v| / (gap + gap_growth min(r_u, r_v)), r = range.
+
+    Args:
+        points: [N, 3] metres.
+        edges: [2, E] int64.
+        config: gap and gap_growth.
+        sensor: [3] metres, position of the LiDAR; default: the origin.
+
+    Returns:
+        [E] float32.
+    """
+    u, v = edges
+    x, y, z = (points[u].double() - points[v].double()).unbind(1)
+    length = ((x.square() + y.square()) + z.square()).sqrt()
+    reach = directions(points, sensor).range
+    return (length / (config.gap + config.gap_growth * torch.minimum(reach[u], reach[v]))).float()
+
+
+def components(edges: Tensor, weight: Tensor, on_ground: Tensor, config: ScanConfig) -> Tensor:
+    """Connected components of edges with weight <= 1, and the ground; small ones are joined along their lightest edge.
+
+    The two passes of Felzenszwalb-Huttenlocher do this with k = 0, if the weights are max(0, w - 1).
+    """
+    near = weight <= JOINING_GAP
+    of_ground = torch.nonzero(on_ground).flatten()
+    chain = torch.stack([of_ground[:-1], of_ground[1:]])
+    excess = torch.cat([(weight[near] - 1).clamp(min=0), torch.zeros(chain.shape[1], dtype=torch.float32)])
+    return ops.felzenszwalb(torch.cat([edges[:, near], chain], 1), excess, len(on_ground), 0.0, config.min_size)
