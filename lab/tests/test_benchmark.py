@@ -151,7 +151,8 @@ SETTINGS = {
 
 class TestMethods:
     def test_presets_have_nothing_to_search(self):
-        assert {name for name in METHODS if name.startswith("preset_")} == {f"preset_{name}" for name in (*presets(), *PRESETS)}
+        expected = {f"preset_{name}" for name in (*presets(), *PRESETS)}
+        assert {name for name in METHODS if name.startswith("preset_")} == expected
         assert METHODS["preset_paper"].space_in("mosd") == {}
 
     @pytest.mark.parametrize("name", METHODS)

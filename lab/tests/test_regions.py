@@ -46,7 +46,7 @@ class TestConfig:
         assert RegionsConfig.from_preset("regions") == RegionsConfig()
 
     def test_an_unknown_preset(self):
-        with pytest.raises(ValueError, match="preset: expected one of regions, indoor, tabletop, or a YAML file, got 'x'"):
+        with pytest.raises(ValueError, match="preset: expected one of regions, indoor, tabletop, or a YAML file, got "):
             segmenter("x")
 
     def test_a_config_without_the_parameters(self):
@@ -242,9 +242,9 @@ class TestSameLabels:
     def test_from_two_segmenters_merged(self, synthetic, case, labels):
         scene, (config, _, _) = synthetic.scene, case
         first, second = (tj.JointSegmenter(config, method=make_regions) for _ in range(2))
-        for segmenter, frames in ((first, scene.frames[1::2]), (second, scene.frames[::2])):
-            segmenter.reset(scene.points, scene.colors)
-            segmenter.update(list(frames))
+        for joint, frames in ((first, scene.frames[1::2]), (second, scene.frames[::2])):
+            joint.reset(scene.points, scene.colors)
+            joint.update(list(frames))
         first.merge(second)
         assert torch.equal(first.compute(images=False).points, labels)
 

@@ -64,8 +64,8 @@ _SCAN: Space = {
     "scan.min_size": Between(5, 40, whole=True),
 }
 
-#: Method learned, which segments all other suites, has nothing to tune. Rooms have too many images to segment them again
-#: for every setting: rooms use the default image settings.
+#: Method learned, which segments all other suites, has nothing to tune. Rooms use the default image settings: they have
+#: too many images to segment them again for every setting.
 JOINT: dict[str, Space] = {
     "synthetic": {**_REGIONS, **_IMAGE_EVIDENCE},
     "mosd": {**_REGIONS, **_IMAGE_EVIDENCE},
