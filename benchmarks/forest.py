@@ -1,8 +1,7 @@
-"""The structured forest against OpenCV's, in one run: `python benchmarks/forest.py BSDS_DIR [FOLDER]`.
+"""The structured forest against OpenCV's, on photographs: `python benchmarks/forest.py`.
 
-FOLDER is a recording in the style of 7-Scenes (optional). Times are processor time, as medians; calls of the compared
-functions alternate, on the same image and with as many threads. ODS is measured on val, with the package's forest.
-Since it has seen these images, only the difference between the strides counts.
+Times are processor time, as medians; calls of the compared functions alternate, on the same image and with as many
+threads. lab/studies/strides.py measures how good the boundaries are with each stride.
 """
 
 import argparse
@@ -10,21 +9,19 @@ import statistics
 import time
 from collections.abc import Callable
 from importlib.resources import as_file, files
-from pathlib import Path
 
 import cv2
 import numpy as np
 import report
 import torch
-from torchjoint_lab.datasets.bsds import bsds_images
-from torchjoint_lab.evaluation.boundary_scores import evaluate_boundaries
+from instances import photograph
 
-import torchjoint as tj
-from torchjoint import ops
 from torchjoint.images.forest import read_forest
 from torchjoint.images.non_maximum_suppression import suppress_non_maxima
-from torchjoint.images.structured_forest import StructuredForestBoundary
+from torchjoint.ops.structured_forest import structured_forest
 
+#: OpenCV resamples odd sides, ours are mirrored: compare the answers on even ones.
+SIZES = {"320x320": (320, 320), "640x480": (480, 640)}
 MODEL = files("torchjoint.models") / "bsds500.yml.gz"
 
 
@@ -52,13 +49,13 @@ def measure(image: torch.Tensor, rounds: int) -> tuple[dict[str, float], float]:
     )
     pixels = np.ascontiguousarray(image.permute(1, 2, 0).numpy())
     edges = detector.detectEdges(pixels)
-    differ = float((np.abs(ops.structured_forest(image[None], *trees)[0].numpy() - edges) > 1e-6).mean())
+    differ = float((np.abs(structured_forest(image[None], *trees)[0].numpy() - edges) > 1e-6).mean())
     strength = torch.from_numpy(edges)
     times = processor_times(
         {
             "detectEdges": lambda: detector.detectEdges(pixels),
-            "ours": lambda: ops.structured_forest(image[None], *trees),
-            "stride 4": lambda: ops.structured_forest(image[None], *trees, stride=4),
+            "ours": lambda: structured_forest(image[None], *trees),
+            "stride 4": lambda: structured_forest(image[None], *trees, stride=4),
             "OpenCV's nms": lambda: detector.edgesNms(edges, detector.computeOrientation(edges)),
             "our nms": lambda: suppress_non_maxima(strength),
         },
@@ -69,40 +66,21 @@ def measure(image: torch.Tensor, rounds: int) -> tuple[dict[str, float], float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("bsds", type=Path)
-    parser.add_argument("folder", type=Path, nargs="?")
-    parser.add_argument("--cloud", type=Path, help="of the recording, kept here, so that it is fused once")
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--images", type=int, default=100, help="of val, for ODS")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     cv2.setNumThreads(arguments.threads)
-    val = bsds_images(arguments.bsds, "val")
-    # OpenCV resamples odd sides, we mirror them: compare the answers on even ones.
-    images = {"320x320 (BSDS500)": val[0].image[:, :320, :320]}
-    if arguments.folder is not None:
-        frames = tj.load_scene(arguments.folder, cloud=arguments.cloud).frames
-        images["640x480 (recording)"] = frames[len(frames) // 2].image
     rows = []
-    for name, image in images.items():
-        times, differ = measure(image.contiguous(), arguments.rounds)
-        reference, nms = times["detectEdges"], times["OpenCV's nms"]
-        rows.append([name, f"{reference:.1f}"])
-        rows[-1] += [f"{times[ours]:.1f} ({times[ours] / reference:.2f}x)" for ours in ("ours", "stride 4")]
-        rows[-1] += [f"{100 * differ:.2f} %", f"{nms:.1f}", f"{times['our nms']:.1f} ({times['our nms'] / nms:.2f}x)"]
-    columns = ["image", "detectEdges, ms", "structured_forest, ms", "stride 4, ms", "pixels that differ"]
-    text = report.table([*columns, "OpenCV's orientation and nms, ms", "our nms, ms"], rows)
-    step = max(1, len(val) // arguments.images)
-    scores = [
-        [str(stride), *(f"{value:.4f}" for value in (score.ods, score.ois, score.ap))]
-        for stride in (2, 4)
-        for score in [evaluate_boundaries(StructuredForestBoundary(stride=stride), val[::step], 19, progress=True)]
-    ]
-    text += f"\n\n{report.table(['stride', 'ODS', 'OIS', 'AP'], scores)}\n\n{len(val[::step])} images of val.\n\n"
-    text += f"{report.machine()}."
-    print(text)
-    report.write_part("forest", text)
+    for name, size in SIZES.items():
+        times, differ = measure(photograph(*size).contiguous(), arguments.rounds)
+        edges, nms = times["detectEdges"], times["OpenCV's nms"]
+        forests = [value for ours in ("ours", "stride 4") for value in (times[ours], times[ours] / edges)]
+        rows.append([name, edges, *forests, 100 * differ, nms, times["our nms"], times["our nms"] / nms])
+    columns = {"image": 0, "detectEdges, ms": 1, "ours, ms": 1, "ours / detectEdges": 2, "stride 4, ms": 1}
+    columns |= {"stride 4 / detectEdges": 2, "pixels that differ, %": 2}
+    columns |= {"OpenCV's orientation and nms, ms": 1, "our nms, ms": 1, "our nms / OpenCV's": 2}
+    report.save("forest", [report.Table(columns, rows)])
 
 
 if __name__ == "__main__":

@@ -24,6 +24,13 @@ import torchjoint as tj
 #: Stages of the stopwatch that run per frame, in the order of the method.
 STAGES = ("boundaries", "image segments", "visibility", "propagation", "image labels")
 BATCH = 8
+#: From this number of frames on, the result is another one: step 6, which runs once, is shared by more frames.
+MANY = 100
+TITLES = {
+    "all": "whole",
+    "all but boundaries": "whole but boundary detection",
+    "detectEdges": "structured edges (`detectEdges`)",
+}
 
 
 class Given(nn.Module):
@@ -91,31 +98,28 @@ def main() -> None:
         scenes = {"recording": dataclasses.replace(recording, frames=recording.frames[::step])} | scenes
     results = {name: measure(scene, arguments.rounds) for name, scene in scenes.items()}
 
-    def row(title: str, value: Callable[[dict[str, float]], str]) -> list[str]:
+    def row(title: str, value: Callable[[dict[str, float]], float]) -> list[str | float]:
         return [title, *(value(result) for result in results.values())]
 
-    rows = [row(stage, lambda result, stage=stage: f"{result[stage]:.1f}") for stage in STAGES]
+    times, ratios = [row(stage, lambda result, stage=stage: result[stage]) for stage in STAGES], []
     for clock in ("wall clock", "processor time"):
-        for title, name in (
-            ("whole", "all"),
-            ("whole but boundary detection", "all but boundaries"),
-            ("structured edges (`detectEdges`)", "detectEdges"),
-        ):
-            of = f"{name}, {clock}"
-            rows.append(row(f"**{title}, {clock}**", lambda result, of=of: f"**{result[of]:.1f}**"))
         edges = f"detectEdges, {clock}"
-        for title, name in (("whole", "all"), ("whole but boundary detection", "all but boundaries")):
+        for name, title in TITLES.items():
             of = f"{name}, {clock}"
-            ratio = lambda result, of=of, edges=edges: f"{result[of] / result[edges]:.2f}"  # noqa: E731
-            rows.append(row(f"{title} / detectEdges, {clock}", ratio))
+            times.append(row(f"{title}, {clock}", lambda result, of=of: result[of]))
+            if name != "detectEdges":
+                ratio = lambda result, of=of, edges=edges: result[of] / result[edges]  # noqa: E731
+                ratios.append(row(f"{title}, {clock}", ratio))
     sizes = "; ".join(
-        f"{name}: {len(scene.frames)} frames {scene.frames[0].size[1]}x{scene.frames[0].size[0]}, "
-        f"{len(scene.points)} points"
+        f"{name}: {len(scene.frames)} frames of {scene.frames[0].size[1]}x{scene.frames[0].size[0]}, "
+        f"{len(scene.points):,} points"
         for name, scene in scenes.items()
     )
-    text = f"{sizes}.\n\n{report.table(['ms a frame', *results], rows)}\n\n{report.machine()}."
-    print(text)
-    report.write_part("frame", text)
+    tables = [
+        report.Table({"ms a frame": 0} | dict.fromkeys(results, 1), times),
+        report.Table({"ratio to `detectEdges`": 0} | {f"{name}, ratio": 2 for name in results}, ratios),
+    ]
+    report.save("frame" if arguments.frames < MANY else "frame_many", tables, f"{sizes}.")
 
 
 if __name__ == "__main__":

@@ -132,31 +132,21 @@ def write(records: list[dict], size: str, limit: str) -> None:
     points = [one for one in records if one["task"].startswith("points")]
     frames = [one for one in records if one["task"].startswith("frames")]
     rows = [
-        [
-            *(f"{one['count']:,}", f"{one['gb']:.2f}", f"{one['disk']:.2f}", f"{one['update']:.0f}"),
-            *(f"{one['compute']:.0f}", f"{1000 * one['work'] / one['count']:.0f}"),
-        ]
+        [f"{one['count']:,}", one["gb"], one["disk"], one["update"], one["compute"], 1000 * one["work"] / one["count"]]
         for one in frames
     ]
-    columns = ["frames", "GB above the cloud", "GB on disk", "update, s", "compute, s", "processor time, ms a frame"]
-    text = f"Frames of {size}, {POINTS:,} points, memory={limit!r}:\n\n" + report.table(columns, rows)
-    if len(frames) > 1:
-        text += f"\n\nA frame more takes {1e6 * slope(frames, 'gb'):.0f} kB of memory"
-        text += f" and {1000 * slope(frames, 'work'):.0f} ms of processor time."
-    rows = [
-        [f"{one['count']:,}", f"{one['gb']:.2f}", f"{one['seconds']:.1f}", f"{one['work']:.1f}", f"{one['segments']:,}"]
-        for one in points
-    ]
-    if rows:
-        columns = ["points", "GB, whole process", "s", "processor time, s", "segments"]
-        text += "\n\nA cloud without frames, from points to labels:\n\n" + report.table(columns, rows)
+    columns = {"frames": 0, "GB above the cloud": 2, "GB on disk": 2, "update, s": 0, "compute, s": 0}
+    columns |= {"processor time, ms a frame": 0}
+    tables = [report.Table(columns, rows, f"Frames of {size}, {POINTS:,} points, memory={limit!r}")]
+    rows = [[f"{one['count']:,}", *(one[key] for key in ("gb", "seconds", "work", "segments"))] for one in points]
+    columns = {"points": 0, "GB, whole process": 2, "s": 1, "processor time, s": 1, "segments": 0}
+    tables.append(report.Table(columns, rows, "A cloud without frames, from points to labels"))
+    more = [["a frame", 1e6 * slope(frames, "gb"), 1e6 * slope(frames, "work")]] if len(frames) > 1 else []
     if len(points) > 1:
-        text += f"\n\nA point more takes {1e9 * slope(points, 'gb'):.0f} bytes"
-        text += f" and {1e6 * slope(points, 'work'):.0f} microseconds of processor time."
-    text += f"\n\n{report.machine()}."
-    print(text)
+        more.append(["a point", 1e6 * slope(points, "gb"), 1e6 * slope(points, "work")])
+    columns = {"one more": 0, "memory, kB": 1, "processor time, microseconds": 0}
+    report.save("growth", [table for table in (*tables, report.Table(columns, more)) if table.rows])
     plot(points, frames)
-    report.write_part("growth", text)
 
 
 def plot(points: list[dict], frames: list[dict]) -> None:

@@ -4,7 +4,7 @@ Pieces stand on a floor, PER_OBJECT neighbours make an object, and a camera walk
 pieces of a disc, whose area is a share of the floor's, and its masks are the objects there, some split in two, some
 joined, some missing. So the counts are those of a recording, without its images. Each row is a process of its own:
 the size of the counts, the time of the merging in the model's steps, and the largest resident memory above what the
-process took before the counts. Writes its part of benchmarks/README.md.
+process took before the counts.
 """
 
 import argparse
@@ -47,14 +47,11 @@ def main() -> None:
         measured = json.loads(output.splitlines()[-1])
         print(row, measured, flush=True)
         pieces, frames, share = row
-        cells = [f"{pieces:,}", f"{frames:,}", f"{share:.0%}", f"{measured['rows'] / 1e6:.2f}"]
-        cells += [f"{measured['far']:,}", f"{measured['regions']:,}"]
-        rows.append(
-            [*cells, f"{measured['touching']:.1f}", f"{measured['all pairs']:.1f}", f"{measured['memory']:.2f}"]
-        )
-    columns = ["pieces", "frames", "seen by a frame", "million counts", "pairs that do not touch", "regions at the end"]
-    columns += ["s, touching", "s, all pairs", "GB"]
-    report.write_part("mask cost", report.table(columns, rows))
+        sizes = [f"{pieces:,}", frames, f"{share:.0%}", measured["rows"] / 1e6, measured["far"], measured["regions"]]
+        rows.append([*sizes, measured["touching"], measured["all pairs"], measured["memory"]])
+    columns = {"pieces": 0, "frames": 0, "seen by a frame": 0, "million counts": 2, "pairs that do not touch": 0}
+    columns |= {"regions at the end": 0, "s, touching": 1, "s, all pairs": 1, "GB": 2}
+    report.save("mask_cost", [report.Table(columns, rows)])
 
 
 def measure(num_pieces: int, num_frames: int, share: float) -> dict[str, float]:
@@ -104,7 +101,7 @@ def merged(
         cost = torch.cat([cost, torch.ones(far.shape[1])])
     joined, _ = linkage.merges(of_piece, between, cost, threshold)
     num_regions = int(of_piece.max()) + 1
-    return ops.felzenszwalb(joined, torch.zeros(joined.shape[1]), num_regions, scale=1.0)[of_piece]
+    return ops.connected_components(joined, num_regions)[of_piece]
 
 
 def counts(

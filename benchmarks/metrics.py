@@ -35,13 +35,13 @@ def regions(points: Tensor, count: int, generator: torch.Generator) -> Tensor:
     return torch.from_numpy(cKDTree(seeds.numpy()).query(points[:, :2].numpy())[1]).long()
 
 
-def milliseconds(function: Callable[[], object]) -> str:
+def milliseconds(function: Callable[[], object]) -> float:
     seconds = []
     for _ in range(ROUNDS):
         start = time.process_time()
         function()
         seconds.append(time.process_time() - start)
-    return f"{statistics.median(seconds) * 1000:.0f}"
+    return statistics.median(seconds) * 1000
 
 
 def main() -> None:
@@ -59,8 +59,8 @@ def main() -> None:
         rows.append([f"`{name}`", *(milliseconds(lambda f=function, p=pred: f(p, target)) for pred in preds)])
     recall = [milliseconds(lambda p=pred: metrics.boundary_recall(p, target, edges)) for pred in preds]
     rows.append([f"`boundary_recall`, {edges.shape[1] / 1e6:.1f} M edges", *recall])
-    columns = [f"{count:,} regions, ms" for count in NUM_PREDICTED]
-    report.write_part("metrics", f"{report.table(['measure', *columns], rows)}\n\n{report.machine()}.")
+    columns = {"measure": 0} | {f"{count:,} regions, ms": 0 for count in NUM_PREDICTED}
+    report.save("metrics", [report.Table(columns, rows)])
 
 
 if __name__ == "__main__":

@@ -2,13 +2,16 @@
 
 Each finds the same neighbours of all points. Processor time is given, the least of calls in turn, because other work on
 the machine changes it less than wall time; on one thread, because threads that wait take some, too. Open3D and pgeof
-are included if they are installed, with the environment variable OMP_NUM_THREADS=1.
+are included if they are installed. Clouds of a million points and more are searched once.
 """
 
 import argparse
+import os
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
+
+os.environ["OMP_NUM_THREADS"] = "1"
 
 import report
 import torch
@@ -26,7 +29,7 @@ Search = Callable[[Tensor, int], object]
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--points", type=int, nargs="+", default=[10_000, 100_000, 1_000_000])
+    parser.add_argument("--points", type=int, nargs="+", default=[10_000, 100_000])
     parser.add_argument("--count", type=int, nargs="+", default=[4, 24, 30, 45])
     parser.add_argument("--calls", type=int, default=3)
     arguments = parser.parse_args()
@@ -39,11 +42,12 @@ def main() -> None:
                 calls = arguments.calls if num_points < LARGE else 1
                 times = least(searches, points, count, calls)
                 ours, *others = times.values()
-                cells = [f"{1e6 * taken / len(points):.2f}" for taken in times.values()]
-                rows.append([f"{kind}, {len(points):,}", str(count), *cells, f"{min(others) / ours:.2f}"])
+                name = f"{kind}, {len(points):,}, {count}"
+                rows.append([name, *(1e6 * taken / len(points) for taken in times.values()), min(others) / ours])
                 print(rows[-1], flush=True)
-    columns = ["points", "K", *(f"{name}, µs a point" for name in searches), "best other / ours"]
-    report.write_part("neighbors", f"{report.table(columns, rows)}\n\n{report.machine()}.")
+    columns = {"points, neighbours": 0} | {f"{name}, µs a point": 2 for name in searches} | {"best other / ours": 2}
+    name = "neighbors_large" if min(arguments.points) >= LARGE else "neighbors"
+    report.save(name, [report.Table(columns, rows)])
 
 
 def clouds(num_points: int) -> dict[str, Tensor]:

@@ -52,19 +52,9 @@ def main() -> None:
         return
     wall, work = zip(*(seconds_after_one_more(made.scene) for _ in range(arguments.rounds)), strict=True)
     size = "x".join(map(str, reversed(made.scene.frames[0].size)))
-    text = (
-        f"{len(made.scene.points)} points, {FRAMES} frames of {size} and one more. Medians of {arguments.rounds}.\n\n"
-        + report.table(
-            ["`compute(images=False)`", "s"],
-            [
-                ["by the clock", f"{statistics.median(wall):.2f}"],
-                ["of the processors", f"{statistics.median(work):.2f}"],
-            ],
-        )
-        + f"\n\n{report.machine()}."
-    )
-    print(text)
-    report.write_part("one more frame", text)
+    about = f"{len(made.scene.points):,} points, {FRAMES} frames of {size} and one more; medians of {arguments.rounds}."
+    rows = [["wall clock", statistics.median(wall)], ["processor time", statistics.median(work)]]
+    report.save("one_more_frame", [report.Table({"`compute(images=False)`": 0, "s": 2}, rows)], about)
 
 
 if __name__ == "__main__":

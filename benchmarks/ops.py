@@ -60,14 +60,13 @@ def main() -> None:
     parser.add_argument("--largest", type=float, default=1e7, help="edges of the largest graph in the plot")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    for name, measure in (("edges given", edge_lists), ("images", images), ("cuts", cuts), ("threads", threads)):
-        text = f"{measure()}\n\n{report.machine()}."
-        print(text, flush=True)
-        report.write_part(name, text)
+    measures = {"felzenszwalb": edge_lists, "felzenszwalb_image": images, "min_cut": cuts, "two_threads": threads}
+    for name, measure in measures.items():
+        report.save(name, [measure()])
     growth(np.geomspace(1e4, arguments.largest, 7))
 
 
-def edge_lists() -> str:
+def edge_lists() -> report.Table:
     """Table: felzenszwalb and its lower bound (floor.py)."""
     rows = []
     graphs = {f"8-connected {name}": image_graph(photograph(*size)) for name, size in SIZES.items()}
@@ -79,9 +78,8 @@ def edge_lists() -> str:
                 "ours": lambda g=graph: tj.ops.felzenszwalb(*g, SCALE, MIN_SIZE),
             }
         )
-        ratio = times["ours"] / times["floor"]
-        rows.append([name, f"{len(graph.weight):,}", f"{times['floor']:.1f}", f"{times['ours']:.1f}", f"{ratio:.2f}"])
-    return report.table(["graph", "edges", "floor, ms", "felzenszwalb, ms", "ratio"], rows)
+        rows.append([name, len(graph.weight), times["floor"], times["ours"], times["ours"] / times["floor"]])
+    return report.Table({"graph": 0, "edges": 0, "floor, ms": 1, "felzenszwalb, ms": 1, "ratio": 2}, rows)
 
 
 def point_graph(num_points: int) -> Graph:
@@ -93,9 +91,9 @@ def point_graph(num_points: int) -> Graph:
     return Graph(edges, geometric_weights(points, edges, normals, signs_known, PointGraphConfig()), num_points)
 
 
-def images() -> str:
+def images() -> report.Table:
     """Table: image segmentation, from pixels to labels."""
-    names, rows = [], []
+    rows, columns = [], {}
     for name, size in SIZES.items():
         image = photograph(*size)
         times = medians(
@@ -105,10 +103,15 @@ def images() -> str:
                 **peers.image_segmenters(image, SCALE, MIN_SIZE),
             }
         )
-        names = list(times)
-        ours = times["felzenszwalb_image"]
-        rows.append([name, *(f"{taken:.0f} ({taken / ours:.1f}x)" for taken in times.values())])
-    return report.table(["image", *(f"{name}, ms" for name in names)], rows)
+        columns = against("felzenszwalb_image", times)
+        rows.append([name, *columns.values()])
+    return report.Table({"image": 0} | dict.fromkeys(columns, 1), rows)
+
+
+def against(ours: str, times: dict[str, float], calls: int = 1) -> dict[str, float]:
+    """Cells of a row by column: milliseconds of each of the calls, and the others' ratios to ours."""
+    found = {f"{name}, ms": taken / calls for name, taken in times.items()}
+    return found | {f"{name} / ours": taken / times[ours] for name, taken in times.items() if name != ours}
 
 
 def segment(image: torch.Tensor) -> torch.Tensor:
@@ -123,8 +126,9 @@ def segment_by_edge_list(image: torch.Tensor) -> torch.Tensor:
     return tj.ops.felzenszwalb(edges, weight, height * width, SCALE, MIN_SIZE)
 
 
-def cuts() -> str:
-    names, rows = [], []
+def cuts() -> report.Table:
+    """Table: minimum cuts, from tensors to labels."""
+    rows, columns = [], {}
     for name, make in CUTS.items():
         instances = make()
         contenders: dict[str, list[Callable[[], object]]] = {}
@@ -135,13 +139,12 @@ def cuts() -> str:
         times = peers.best_of_each(
             medians({peer: lambda runs=runs: [run() for run in runs] for peer, runs in contenders.items()})
         )
-        names = list(times)
-        ours = times["min_cut"]
-        rows.append([name, *(f"{taken / len(instances):.2f} ({taken / ours:.2f}x)" for taken in times.values())])
-    return report.table(["graph", *(f"{name}, ms" for name in names)], rows)
+        columns = against("min_cut", times, len(instances))
+        rows.append([name, *columns.values()])
+    return report.Table({"graph": 0} | dict.fromkeys(columns, 2), rows)
 
 
-def threads() -> str:
+def threads() -> report.Table:
     """Table: two simultaneous calls in two Python threads, and a single call."""
     graph, image, cut = image_graph(photograph(480, 640)), photograph(480, 640), image_cut(200)
     functions = {
@@ -153,9 +156,8 @@ def threads() -> str:
     with ThreadPoolExecutor(2) as pool:
         for name, function in functions.items():
             times = medians({"one": function, "two": lambda f=function: list(pool.map(lambda _: f(), range(2)))})
-            ratio = f"{2 * times['one'] / times['two']:.2f}"
-            rows.append([name, f"{times['one']:.1f}", f"{times['two']:.1f}", ratio])
-    return report.table(["", "one call, ms", "two at once, ms", "speed-up"], rows)
+            rows.append([name, times["one"], times["two"], 2 * times["one"] / times["two"]])
+    return report.Table({"operator": 0, "one call, ms": 1, "two at once, ms": 1, "speed-up": 2}, rows)
 
 
 def growth(edges: np.ndarray) -> None:

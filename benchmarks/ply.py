@@ -4,8 +4,7 @@
     python benchmarks/ply.py --points 10000000 --no-meshes
 
 The files are written by Open3D (ascii: six digits), and once with the 17 digits of a double. All readers run in one
-thread, in turn; their points are compared first. Prints milliseconds, and the time of the faster one of Open3D's over
-ours.
+thread, in turn; their points are compared first. The ratio is the time of the faster one of Open3D's over ours.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ os.environ["OMP_NUM_THREADS"] = "1"
 
 import numpy as np
 import open3d as o3d
+import report
 import torch
 from interleaved import medians
 
@@ -82,7 +82,7 @@ def main() -> None:
     parser.add_argument("--no-meshes", action="store_true")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    print("| points, file | torchjoint | Open3D | Open3D's tensors | ratio |\n|---|---:|---:|---:|---:|")
+    rows = []
     for num_points in arguments.points:
         with tempfile.TemporaryDirectory() as folder:
             for name, file in write_files(Path(folder), num_points, not arguments.no_meshes).items():
@@ -92,8 +92,11 @@ def main() -> None:
                     np.testing.assert_allclose(points_of(function()), expected, rtol=1e-6, atol=1e-7)
                 times = medians(functions, arguments.seconds)
                 ratio = min(times["Open3D"], times["Open3D's tensors"]) / times["torchjoint"]
-                row = " | ".join(f"{time:,.0f}" for time in times.values())
-                print(f"| {num_points:,}, {name} | {row} | {ratio:.1f} |", flush=True)
+                rows.append([f"{num_points:,}, {name}", *times.values(), ratio])
+                print(rows[-1], flush=True)
+    columns = {"points, file": 0, "torchjoint, ms": 0, "Open3D, ms": 0, "Open3D's tensors, ms": 0}
+    name = "ply_large" if min(arguments.points) > MOST_PRECISE else "ply"
+    report.save(name, [report.Table(columns | {"Open3D / torchjoint": 1}, rows)])
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ interleaved.
 
     python benchmarks/scale.py scenes             # slopes: cost of a frame and of a point
     python benchmarks/scale.py workers --rounds 3
-    python benchmarks/scale.py engine --engine dask:2 --tasks 1000
+    python benchmarks/scale.py engine --engine loky:2 dask:2 --tasks 1000
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import report
 import torch
 
 import torchjoint as tj
@@ -47,23 +48,26 @@ def scenes(folder: Path) -> None:
     torch.set_num_threads(1)  # as a worker has; threads that wait for one another would count
     rows = []
     segment_recording(write_room(folder / "warm", 1, 2, 5000), folder / "warm-up", tj.Config(), RecordingOptions())
-    print("| frames | points | CPU s | peak memory, MB | result on disk, MB |\n|---:|---:|---:|---:|---:|")
     for index, (frames, points) in enumerate(SCENES):
         room, out = write_room(folder / f"room{index}", 1, frames, points), folder / f"out{index}"
         reset_peak_memory()
         start = time.process_time()
         segment_recording(room, out, tj.Config(), RecordingOptions())
         rows.append((frames, points, time.process_time() - start, peak_memory() or 0, megabytes(out)))
-        print("| {} | {:,} | {:.1f} | {:.0f} | {:.1f} |".format(*rows[-1]), flush=True)
+        print(rows[-1], flush=True)
     table = np.array(rows)
     design = np.column_stack([np.ones(len(rows)), table[:, 0], table[:, 1] / 1e5])
-    for name, column in (("CPU s", 2), ("peak memory, MB", 3), ("disk, MB", 4)):
-        fixed, frame, point = np.linalg.lstsq(design, table[:, column], rcond=None)[0]
-        print(f"{name}: {fixed:.2f} + {frame:.3f} a frame + {point:.2f} per 100,000 points")
+    slopes = np.linalg.lstsq(design, table[:, 2:], rcond=None)[0].tolist()
+    columns = {"CPU s": 2, "peak memory, MB": 1, "result on disk, MB": 2}
+    measured = [[f"{frames} frames, {points:,} points", *values] for frames, points, *values in rows]
+    fitted = [[name, *line] for name, line in zip(("fixed", "a frame", "100,000 points"), slopes, strict=True)]
+    titles = {"recording": measured, "by least squares": fitted}
+    report.save("scale_scenes", [report.Table({name: 0} | columns, lines) for name, lines in titles.items()])
 
 
 def workers(folder: Path, rounds: int) -> None:
     """The same scenes on one and two workers in turn: wall-clock and CPU seconds, without the workers' start."""
+    rows = []
     rooms = [write_room(folder / f"room{seed}", seed, 8, 50_000) for seed in range(8)]
     with open_engine("loky:1") as one, open_engine("loky:2") as two:
         for engine in (one, two):
@@ -77,13 +81,9 @@ def workers(folder: Path, rounds: int) -> None:
                 seconds.append(time.perf_counter() - start)
                 assert all(outcome.error is None for outcome in outcomes)
                 cpu.append(sum(outcome.value for outcome in outcomes))
-            one_worker, two_workers = seconds
-            print(
-                f"1 worker: {one_worker:.1f} s, {cpu[0]:.1f} CPU s; "
-                f"2 workers: {two_workers:.1f} s, {cpu[1]:.1f} CPU s; "
-                f"{one_worker / two_workers:.2f} times as fast",
-                flush=True,
-            )
+            rows.append([f"round {round_ + 1}", *seconds, seconds[0] / seconds[1], cpu[1] / cpu[0]])
+    columns = {"run": 0, "one worker, s": 1, "two workers, s": 1, "times as fast": 2, "times the CPU seconds": 2}
+    report.save("scale_workers", [report.Table(columns, rows)])
 
 
 def cpu_seconds(job: Job, scene: tuple[str, Path]) -> float:
@@ -93,15 +93,20 @@ def cpu_seconds(job: Job, scene: tuple[str, Path]) -> float:
     return time.process_time() - start
 
 
-def engine(name: str, tasks: int) -> None:
-    """What an engine adds to each task, in the head: CPU milliseconds for a task that does nothing."""
+def engines(names: list[str], tasks: int) -> None:
+    """What each engine adds to a task, in the head: CPU milliseconds for a task that does nothing."""
+    columns = {"engine": 0, "CPU ms a task in the head": 1, "tasks a second": 0}
+    report.save("scale_engines", [report.Table(columns, [[name, *engine(name, tasks)] for name in names])])
+
+
+def engine(name: str, tasks: int) -> tuple[float, float]:
     with open_engine(name) as opened:
         list(opened.run(nothing, range(10), None))
         cpu, start = time.process_time(), time.perf_counter()
         for outcome in opened.run(nothing, range(tasks), None):
             assert outcome.error is None
         cpu, wall = time.process_time() - cpu, time.perf_counter() - start
-    print(f"{name}: {cpu / tasks * 1e3:.2f} CPU ms a task in the head; {tasks / wall:.0f} tasks a second")
+    return cpu / tasks * 1e3, tasks / wall
 
 
 def nothing(shared: None, task: int) -> int:
@@ -112,7 +117,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("scenes", "workers", "engine"))
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--engine", default="loky:2")
+    parser.add_argument("--engine", nargs="+", default=["loky:2"])
     parser.add_argument("--tasks", type=int, default=1000)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
@@ -121,7 +126,7 @@ def main() -> None:
         elif arguments.what == "workers":
             workers(Path(temporary), arguments.rounds)
         else:
-            engine(arguments.engine, arguments.tasks)
+            engines(arguments.engine, arguments.tasks)
 
 
 if __name__ == "__main__":

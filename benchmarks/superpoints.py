@@ -18,7 +18,6 @@ from interleaved import medians
 from torch import Tensor
 
 import torchjoint as tj
-from torchjoint.ops.reference import fit_normals_reference
 
 NEIGHBORS, SCALE, MIN_SIZE = 16, 1.0, 20
 LARGE = """
@@ -51,13 +50,13 @@ def main() -> None:
         seconds=12,
     )
     ours = times["`tj.superpoints`"]
-    rows = [[name, f"{taken:.0f}", f"{ours / taken:.2f}"] for name, taken in times.items()]
-    text = f"{arguments.points:,} points, {NEIGHBORS} neighbours.\n\n" + report.table(["", "ms", "ours / this"], rows)
+    rows = [[name, taken, ours / taken] for name, taken in times.items()]
+    title = f"{arguments.points:,} points, {NEIGHBORS} neighbours"
+    small = report.Table({"way": 0, "ms": 0, "ours / this": 2}, rows, title)
     rows = [[name, *large(arguments.large, sort)] for name, sort in (("in no order", False), ("along x and y", True))]
-    text += f"\n\n{arguments.large:,} points, preset `room` (without colours), the whole process:\n\n"
-    text += report.table(["points", "s", "peak GB", "superpoints"], rows) + f"\n\n{report.machine()}."
-    print(text)
-    report.write_part("superpoints", text)
+    title = f"{arguments.large:,} points, the preset without colours, the whole process"
+    whole = report.Table({"points": 0, "s": 0, "peak GB": 1, "superpoints": 0}, rows, title)
+    report.save("superpoints", [small, whole])
 
 
 def superpoints(points: Tensor) -> Tensor:
@@ -87,14 +86,17 @@ def open3d_normals(points: Tensor, neighbors: Tensor) -> Tensor:
 
 
 def torch_normals(points: Tensor, neighbors: Tensor) -> Tensor:
-    return fit_normals_reference(points, neighbors)
+    points = points.double()
+    around = torch.cat([points[:, None], points[neighbors]], dim=1)
+    around = around - around.mean(dim=1, keepdim=True)
+    return torch.linalg.eigh(around.transpose(1, 2) @ around).eigenvectors[:, :, 0].float()
 
 
-def large(count: int, sort: bool) -> list[str]:
-    code = LARGE.format(folder=str(report.README.parent), count=count, sort=sort)
+def large(count: int, sort: bool) -> tuple[float, float, int]:
+    code = LARGE.format(folder=str(report.HERE), count=count, sort=sort)
     output = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
     seconds, peak, number = output.split()
-    return [f"{float(seconds):.0f}", f"{float(peak):.1f}", f"{int(number):,}"]
+    return float(seconds), float(peak), int(number)
 
 
 if __name__ == "__main__":

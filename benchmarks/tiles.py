@@ -223,17 +223,24 @@ def main() -> None:
     elif arguments.command == "likeness":
         likeness(*files, *sizes)
     else:
-        with laspy.open(files[0]) as reader:
-            count = reader.header.point_count
-        for command in ("one", "tiles") if arguments.command == "compare" else ("tiles",):
-            out = files[0].with_suffix(".npy") if command == "one" else files[1]
-            result = measured([command, str(files[0]), str(out), *(given if command == "tiles" else [])])
-            per_point = {name: 1e6 * result[name] / count for name in ("seconds", "cpu")}
-            print(
-                f"{command}: {count} points, {per_point['seconds']:.2f} us a point, {per_point['cpu']:.2f} us of "
-                f"processors, {result['peak_gb']:.2f} GB",
-                flush=True,
-            )
+        compare(files[0], files[1], given, alone=arguments.command == "run")
+
+
+def compare(city: Path, out: Path, sizes: list[str], alone: bool) -> None:
+    """Writes what a point takes in memory and in tiles, or in tiles alone."""
+    import report
+
+    with laspy.open(city) as reader:
+        count = reader.header.point_count
+    rows = []
+    for command in ("tiles",) if alone else ("one", "tiles"):
+        paths = [str(city), str(city.with_suffix(".npy") if command == "one" else out)]
+        result = measured([command, *paths, *(sizes if command == "tiles" else [])])
+        name = "`tj.superpoints` in memory" if command == "one" else " ".join(["tiles", *sizes])
+        rows.append([f"{name}, {count:,} points", *(1e6 * result[key] / count for key in ("seconds", "cpu"))])
+        rows[-1].append(result["peak_gb"])
+    columns = {"way": 0, "clock, µs a point": 2, "processor time, µs a point": 2, "peak memory of all processes, GB": 2}
+    report.save("tiles_alone" if alone else "tiles", [report.Table(columns, rows)])
 
 
 if __name__ == "__main__":

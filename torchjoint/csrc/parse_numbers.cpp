@@ -20,9 +20,14 @@ namespace {
 
 // std::from_chars of doubles is younger than the C++ library that a manylinux_2_28 wheel may ask for.
 double slow_value(const char* begin, const char* end) {
-  static const locale_t plain = newlocale(LC_ALL_MASK, "C", nullptr);
   const std::string word(begin, end);
+#ifdef _WIN32
+  static const _locale_t plain = _create_locale(LC_ALL, "C");
+  return _strtod_l(word.c_str(), nullptr, plain);
+#else
+  static const locale_t plain = newlocale(LC_ALL_MASK, "C", nullptr);
   return strtod_l(word.c_str(), nullptr, plain);
+#endif
 }
 
 bool is_digit(char c) { return c >= '0' && c <= '9'; }

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -23,7 +23,7 @@ def lock(path: Path, busy: str) -> Iterator[None]:
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _take(descriptor)
         except OSError as error:
             os.close(descriptor)
             raise BusyError(busy) from error
@@ -37,5 +37,26 @@ def lock(path: Path, busy: str) -> Iterator[None]:
     try:
         yield
     finally:
+        _release(path, descriptor)
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _take(descriptor: int) -> None:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+
+    def _release(path: Path, descriptor: int) -> None:
+        os.close(descriptor)  # Windows removes no open file
+        with suppress(PermissionError):  # another run has opened it meanwhile
+            path.unlink(missing_ok=True)
+
+else:
+    import fcntl
+
+    def _take(descriptor: int) -> None:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def _release(path: Path, descriptor: int) -> None:
         path.unlink(missing_ok=True)
         os.close(descriptor)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import re
+import sys
 from pathlib import Path
 
 #: Share of the memory that is kept if the user says nothing.
@@ -39,7 +41,7 @@ def available_memory(root: Path = Path("/")) -> int:
     Args:
         root: where /proc and /sys are.
     """
-    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    limits = [_installed_memory()]
     own = root / "proc/self/cgroup"
     lines = own.read_text(encoding="utf-8", errors="replace").splitlines() if own.is_file() else []
     for line in lines:
@@ -49,6 +51,27 @@ def available_memory(root: Path = Path("/")) -> int:
         elif "memory" in controllers.split(","):
             limits += _limits(root / "sys/fs/cgroup/memory", group, "memory.limit_in_bytes")
     return min(limits)
+
+
+if sys.platform == "win32":
+
+    class _MemoryStatus(ctypes.Structure):
+        """MEMORYSTATUSEX of the Windows API."""
+
+        _fields_ = [("length", ctypes.c_uint32), ("load", ctypes.c_uint32), ("total", ctypes.c_uint64)] + [
+            (name, ctypes.c_uint64) for name in ("free", "pages", "free_pages", "virtual", "free_virtual", "extended")
+        ]
+
+    def _installed_memory() -> int:
+        status = _MemoryStatus(length=ctypes.sizeof(_MemoryStatus))
+        if not ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status)):
+            raise ctypes.WinError()
+        return int(status.total)
+
+else:
+
+    def _installed_memory() -> int:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 def _limits(base: Path, group: str, name: str) -> list[int]:

@@ -1,0 +1,326 @@
+"""Does the model of boundaries carry over? Leaves each kind of data out of the training, and scores it there.
+
+    python lab/studies/domains.py WORK --data ../shared/data [--models FOLDER] [--seeds 5] [--draws 8 --steps 4]
+
+For each kind of data and each training seed, a model is trained on all other kinds; each, and their mean, is scored on
+scenes of the kind that they never saw, at the threshold of .5. Beside it: the model that saw scenes of all kinds, the
+same without images, the presets, and the common methods without learning, each at the best setting that a search finds
+on other scenes of the very kind that it is scored on. Also: the final images beside the initial ones. WORK keeps what
+is done, so that an interrupted run continues. The tables are written to lab/studies/README.md, the short one also to
+README.md and docs/evaluation.md. Without 3D models, the generated scenes have built-in shapes only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import report
+import torch
+from torch import Tensor
+from torchjoint_lab.benchmark.case import Case
+from torchjoint_lab.benchmark.methods import METHODS
+from torchjoint_lab.benchmark.search import Budget, run_scores, search
+from torchjoint_lab.synthetic import make_domain_scene
+from torchjoint_lab.training import save_boundary_model
+from torchjoint_lab.training.boundary_examples import (
+    BoundaryModelOptions,
+    LabelledEvidence,
+    labelled_evidence,
+    learned_config,
+)
+from torchjoint_lab.training.boundary_model import fit_boundary_model
+from torchjoint_lab.training.piece_graph_files import load_evidence, save_evidence
+
+import torchjoint as tj
+from torchjoint.evaluation.scores import score, score_images
+from torchjoint.runtime.files import write_text
+from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.scene import Scene
+from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.segments.learned.agglomeration import build_hierarchy
+from torchjoint.segments.learned.boundary_model import BoundaryModel
+from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+
+DOMAINS = ("table", "shelf", "bin", "desk", "kitchen", "room", "workshop")
+#: Seeds of the generated scenes for training, for tuning the other methods (a part of these), and for scoring. The
+#: things of the scenes for scoring are of kinds that no other scene has (`held_out`).
+TRAINING, TUNING, SCORING = (*range(10), *range(14, 24)), range(4), (*range(10, 14), *range(40, 44))
+#: mOSD: every other scene trains, the others score. The real desk is never trained on.
+REAL = ("mosd", "ycb")
+#: What is left out of the training, and what the model is scored on: the real desk is of the kind "desk".
+LEFT_OUT = {**{kind: (kind,) for kind in (*DOMAINS, "mosd")}, "desk": ("desk", "ycb")}
+TITLES = {"mosd": "real table-tops (mOSD)", "ycb": "real desk (YCB-Video)"}
+#: As the model in the package was trained, but for fewer folds and fewer scenes, which take less time.
+OPTIONS = BoundaryModelOptions(folds=2)
+ROOT = Path(__file__).parents[2]
+PAGES = (ROOT / "README.md", ROOT / "docs" / "evaluation.md")
+PRESETS = ("regions", "indoor", "tabletop")
+SIMPLE = ("normals", "distance_normal_color", "ransac_dbscan")
+
+
+class Named(NamedTuple):
+    """A scene that is made or read when it is needed."""
+
+    name: str
+    load: Callable[[], Scene]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--data", type=Path, required=True, help="folder with mosd/ and ycb/")
+    parser.add_argument("--models", type=Path, help="folder of 3D models for the generated scenes")
+    parser.add_argument("--seeds", type=int, default=5, help="training seeds of each left-out model")
+    parser.add_argument("--draws", type=int, default=8)
+    parser.add_argument("--steps", type=int, default=4)
+    parser.add_argument("--part", choices=("all", "left-out", "others", "images", "tables"), default="all")
+    arguments = parser.parse_args()
+    work: Path = arguments.work
+    work.mkdir(parents=True, exist_ok=True)
+    kinds = (*DOMAINS, *REAL)
+    if arguments.part in ("all", "left-out"):
+        prepare(arguments)
+        for seed in range(arguments.seeds):
+            for kind in LEFT_OUT:
+                score_left_out(work, kind, str(seed), left_out_model(work, kind, seed, arguments), arguments)
+        for kind in LEFT_OUT:
+            members = [left_out_model(work, kind, seed, arguments) for seed in range(arguments.seeds)]
+            score_left_out(work, kind, f"mean{len(members)}", BoundaryModel.mean_of(members), arguments)
+        score_packaged(work, kinds, arguments)
+    if arguments.part in ("all", "others"):
+        for kind in kinds:
+            score_others(work, kind, arguments)
+    if arguments.part in ("all", "images"):
+        for kind in kinds:
+            score_final_images(work, kind, arguments)
+    write_tables(work, kinds)
+
+
+def scenes(kind: str, purpose: str, arguments: argparse.Namespace) -> list[Named]:
+    """The scenes of a kind of data for a purpose: training, tuning or scoring."""
+    if kind in DOMAINS:
+        seeds = {"training": TRAINING, "tuning": TUNING, "scoring": SCORING}[purpose]
+        make = partial(make_scene, kind, models=arguments.models, held_out=purpose == "scoring")
+        return [Named(f"{kind}-{seed}{'-held' * (purpose == 'scoring')}", partial(make, seed)) for seed in seeds]
+    found = tj.datasets.list_scenes(arguments.data / kind)
+    names = sorted(found, key=lambda name: (len(name), name))
+    if kind == "ycb":
+        chosen = [] if purpose == "training" else names
+    else:
+        chosen = {"training": names[0::2], "tuning": names[0::2][:6], "scoring": names[1::2]}[purpose]
+    return [Named(f"{kind}-{name}", partial(load_thinned, found[name], kind)) for name in chosen]
+
+
+def make_scene(domain: str, seed: int, models: Path | None, held_out: bool) -> Scene:
+    return make_domain_scene(domain, seed, models=models, held_out=held_out).scene
+
+
+def load_thinned(path: Path, kind: str) -> Scene:
+    scene = tj.load_scene(path)
+    return scene.select_points(voxel_subsample(scene.points, 0.005)) if kind == "mosd" else scene
+
+
+class Judged(NamedTuple):
+    """A scene to be scored: its evidence with and without images, and the truth of its points."""
+
+    with_images: LabelledEvidence
+    without: LabelledEvidence
+    of_point: Tensor | None
+    truth: Tensor
+
+    def scores(self, model: BoundaryModel, images: bool) -> tuple[float, float]:
+        """F for objects and parts, and mean best IoU."""
+        with one_thread_per_operation():
+            labels = build_hierarchy((self.with_images if images else self.without).evidence, model).at()
+        judged = score(labels if self.of_point is None else labels[self.of_point], self.truth)
+        return judged.f, judged.best_iou
+
+
+def prepare(arguments: argparse.Namespace) -> None:
+    """Collects the evidence of all scenes that is not in the folder yet."""
+    folder: Path = arguments.work / "evidence"
+    folder.mkdir(exist_ok=True)
+    for kind in (*DOMAINS, *REAL):
+        for name, load in scenes(kind, "training", arguments):
+            if not (folder / f"{name}.pt").is_file():
+                save_evidence(folder / f"{name}.pt", labelled_evidence(load()))
+        for name, load in scenes(kind, "scoring", arguments):
+            path = folder / f"{name}-of-point.pt"
+            if path.is_file():
+                continue
+            scene = load()
+            save_evidence(folder / f"{name}.pt", labelled_evidence(scene))
+            without = learned_config().set(["propagation.weight=0"])
+            save_evidence(folder / f"{name}-without.pt", labelled_evidence(scene, without))
+            segmenter = tj.JointSegmenter(learned_config())
+            segmenter.reset(scene.points, scene.colors, scene.normals)
+            assert scene.truth is not None
+            torch.save((segmenter.cloud.of_point, scene.truth.points), path)
+
+
+def judged_scenes(kind: str, arguments: argparse.Namespace) -> list[Judged]:
+    folder = arguments.work / "evidence"
+    return [
+        Judged(
+            load_evidence(folder / f"{name}.pt"),
+            load_evidence(folder / f"{name}-without.pt"),
+            *torch.load(folder / f"{name}-of-point.pt"),
+        )
+        for name, _ in scenes(kind, "scoring", arguments)
+    ]
+
+
+def score_left_out(work: Path, left_out: str, name: str, model: BoundaryModel, arguments: argparse.Namespace) -> None:
+    """Scores a model that was trained without a kind of data on scenes of this kind."""
+    for kind in LEFT_OUT[left_out]:
+        done = work / f"left-out-{kind}-{name}.json"
+        if done.is_file():
+            continue
+        cases = judged_scenes(kind, arguments)
+        rows = {
+            row: [case.scores(model, images) for case in cases]
+            for row, images in (("learned, left out", True), ("learned, left out, no images", False))
+        }
+        write_text(done, json.dumps(rows))
+        print(kind, name, {row: np.mean(values, 0).round(3).tolist() for row, values in rows.items()}, flush=True)
+
+
+def left_out_model(work: Path, left_out: str, seed: int, arguments: argparse.Namespace) -> BoundaryModel:
+    """The model that never saw a kind of data; trained if it is not in the folder yet."""
+    path = work / f"model-without-{left_out}-{seed}.npz"
+    if path.is_file():
+        return load_boundary_model(path)
+    names = [named.name for kind in LEFT_OUT if kind != left_out for named in scenes(kind, "training", arguments)]
+    examples = [training_evidence(work / "evidence" / f"{name}.pt") for name in names]
+    model = fit_boundary_model(examples, replace(OPTIONS, seed=seed))
+    save_boundary_model(path, model)
+    return model
+
+
+#: Most scenes serve all trainings but one.
+training_evidence = lru_cache(maxsize=None)(load_evidence)
+
+
+def score_packaged(work: Path, kinds: Sequence[str], arguments: argparse.Namespace) -> None:
+    """Scores the model of the package, which saw other scenes of all kinds but the real desk."""
+    model, rows = load_boundary_model(), {}
+    for kind in kinds:
+        cases = judged_scenes(kind, arguments)
+        rows[kind] = {
+            name: [case.scores(model, images) for case in cases]
+            for name, images in (("default", True), ("default, no images", False))
+        }
+    write_text(work / "packaged.json", json.dumps(rows))
+
+
+def score_others(work: Path, kind: str, arguments: argparse.Namespace) -> None:
+    """Scores the presets, and the common methods at the best settings for this kind of data."""
+    done = work / f"others-{kind}.json"
+    if done.is_file():
+        return
+    config = tj.Config()
+    tuning = [Case(named.load(), config) for named in scenes(kind, "tuning", arguments)]
+    budget = Budget(arguments.draws, arguments.steps)
+    settings = {
+        name: search(METHODS[name], kind, tuning, budget, work / f"search-{kind}-{name}.jsonl").setting
+        for name in SIMPLE
+    }
+    rows: dict[str, list[tuple[float, float]]] = {}
+    for named in scenes(kind, "scoring", arguments):
+        case = Case(named.load(), config)
+        for name in (*(f"preset_{preset}" for preset in PRESETS), *SIMPLE):
+            judged = run_scores(METHODS[name], settings.get(name, {}), case, False)["3D"]
+            rows.setdefault(name, []).append((judged.f, judged.best_iou))
+    write_text(done, json.dumps(rows))
+    print(kind, {name: np.mean(values, 0).round(3).tolist() for name, values in rows.items()}, flush=True)
+
+
+def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> None:
+    """Scores the default's final images, beside its initial images."""
+    done = work / f"images-{kind}.json"
+    if done.is_file():
+        return
+    rows: dict[str, list[tuple[float, float]]] = {"initial": [], "final": []}
+    for named in scenes(kind, "scoring", arguments):
+        scene = named.load()
+        result = tj.JointSegmenter()(scene)
+        assert scene.truth is not None
+        for name, images in zip(rows, (result.initial_images, result.images), strict=True):
+            judged = score_images(images, scene.truth.images)
+            if judged is not None:
+                rows[name].append((judged.f, judged.best_iou))
+    write_text(done, json.dumps(rows))
+    print(kind, {name: np.mean(values, 0).round(3).tolist() for name, values in rows.items()}, flush=True)
+
+
+def write_tables(work: Path, kinds: Sequence[str]) -> None:
+    """Writes the tables of what has been scored so far to lab/studies/README.md and PAGES."""
+    packaged = json.loads((work / "packaged.json").read_text())
+    short = ["kind of data, scenes", "left out", "default", "preset regions", "best simple method"]
+    columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "mean of models", "default"]
+    columns += [*(f"preset {preset}" for preset in PRESETS), "best simple method", "left out - preset regions"]
+    columns += ["left out - best simple method"]
+    rows = []
+    for kind in kinds:
+        files = sorted(work.glob(f"left-out-{kind}-[0-9]*.json"))
+        mean = work / f"left-out-{kind}-mean{len(files)}.json"  # a mean of fewer seeds is another model
+        if not mean.is_file() or not (work / f"others-{kind}.json").is_file():
+            continue
+        runs = [json.loads(file.read_text()) for file in files]
+        left = np.array([run["learned, left out"] for run in runs])  # [seeds, scenes, 2]
+        blind = np.array([run["learned, left out, no images"] for run in runs])
+        together = np.array(json.loads(mean.read_text())["learned, left out"])[None]
+        others = {n: np.array(v) for n, v in json.loads((work / f"others-{kind}.json").read_text()).items()}
+        simple = max(SIMPLE, key=lambda name: float(others[name].mean()))
+        gains = [left.mean(0) - others[name] for name in ("preset_regions", simple)]
+        cells = [f"{TITLES.get(kind, kind)}, {left.shape[1]}", f"{_both(left)}, {len(runs)}"]
+        cells += [_both(blind), _both(together)]
+        cells += [_both(np.array(packaged[kind]["default"])[None])]
+        cells += [_both(others[f"preset_{preset}"][None]) for preset in PRESETS]
+        cells += [f"{_both(others[simple][None])} ({simple})", *map(difference, gains)]
+        rows.append(cells)
+    report.write_part("domains", report.table(columns, rows))
+    chosen = [columns.index(name) for name in ("preset regions", "best simple method")]
+    brief = [[row[0], row[1].rpartition(",")[0], row[4], *(row[place] for place in chosen)] for row in rows]
+    for page in PAGES:
+        report.write_part("domains", report.table(short, brief), page)
+    rows = []
+    for kind in kinds:
+        if not (work / f"images-{kind}.json").is_file():
+            continue
+        of_images = {n: np.array(v) for n, v in json.loads((work / f"images-{kind}.json").read_text()).items()}
+        initial, final = of_images.values()
+        in_3d = [np.array(packaged[kind][name]) for name in ("default", "default, no images")]
+        cells = [f"{TITLES.get(kind, kind)}, {len(initial)}", *(_both(scores[None]) for scores in (initial, final))]
+        rows.append([*cells, difference(final - initial), difference(in_3d[0] - in_3d[1])])
+    columns = ["kind of data, scenes", "initial images", "final images", "final - initial"]
+    report.write_part("images or not", report.table([*columns, "3D: with - without images"], rows))
+
+
+def _both(scores: np.ndarray) -> str:
+    """F / best IoU of [seeds, scenes, 2]; with several seeds, the standard deviation of the seeds' means."""
+    mean = scores.mean((0, 1))
+    if len(scores) == 1:
+        return f"{mean[0]:.3f} / {mean[1]:.3f}"
+    spread = scores.mean(1).std(0, ddof=1)
+    return f"{mean[0]:.3f} ± {spread[0]:.3f} / {mean[1]:.3f} ± {spread[1]:.3f}"
+
+
+def difference(gain: np.ndarray) -> str:
+    """Mean of differences [scenes, 2], paired by scene, with its standard error."""
+    if len(gain) == 1:
+        return f"{gain[0, 0]:+.3f} / {gain[0, 1]:+.3f}"
+    error = gain.std(0, ddof=1) / len(gain) ** 0.5
+    mean = gain.mean(0)
+    return f"{mean[0]:+.3f} ± {error[0]:.3f} / {mean[1]:+.3f} ± {error[1]:.3f}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,208 @@
+"""Judges methods on LiDAR scans: KITTI's boxes, a fully annotated sweep of SemanticKITTI, generated streets.
+
+`python lab/studies/streets.py --data FOLDER [--only kitti semantickitti develop check] [--set scan.gap=0.3]
+[--simple 40] [--regions]`, FOLDER with `kitti/`, `semantickitti/`. Each row: F for objects and parts, mean best IoU,
+number of ground crumbs (segments of which most points are ground, besides the largest), seconds; for other methods than
+the default's, what method scan has more, scan by scan, with the standard errors.
+
+In a full annotation, and on generated streets, the points are of three kinds: things and ground are instances; void
+points do not count; all others (houses, hedges) are no instances, but they count where a segment mixes them with one.
+"""
+
+import argparse
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from statistics import fmean
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torchjoint_lab.benchmark import spaces
+from torchjoint_lab.benchmark.planes import planes_and_clusters
+from torchjoint_lab.benchmark.space import draw
+from torchjoint_lab.synthetic import make_domain_scene
+
+from torchjoint.config import Config, ScanConfig
+from torchjoint.datasets import list_scenes, load_scene
+from torchjoint.evaluation.table import standard_error
+from torchjoint.joint import JointSegmenter
+from torchjoint.metrics.objects_and_parts import objects_and_parts_of
+from torchjoint.metrics.overlaps import Overlaps
+from torchjoint.scene import Scene
+from torchjoint.segments.scan.scan_segments import segment_scan
+from torchjoint.views.projection import in_any_view
+
+#: Classes of SemanticKITTI.
+THINGS = (10, 11, 13, 15, 16, 18, 20, 30, 31, 32, *range(252, 260))
+GROUND = (40, 44, 48, 49, 60, 72)
+VOID = (0, 1)
+
+#: Seeds of generated streets on which settings may be chosen, and of those that check them.
+SEEDS = {"develop": range(10), "check": range(10, 20)}
+
+
+class Sweep(NamedTuple):
+    """One labelled LiDAR scan."""
+
+    name: str
+    points: Tensor  #: [N, 3] metres
+    instance: Tensor  #: [N] int64, -1 = none
+    other: Tensor  #: [N] bool, points of no instance that count where they leak into one
+    ground: int | None  #: the instance that is ground
+
+
+class Score(NamedTuple):
+    """One row of the table."""
+
+    f: float
+    best_iou: float
+    crumbs: float  #: nan without a known ground
+    seconds: float
+
+
+def kitti(data: Path) -> Iterator[Sweep]:
+    """Points in boxes, in the camera's view; what is outside all boxes is void."""
+    for name, path in list_scenes(data / "kitti" / "training").items():
+        scene = load_scene(path)
+        scene = scene.select_points(in_any_view(scene.points, scene.frames))
+        instance = known_instances(scene)
+        yield Sweep(name, scene.points, instance, torch.zeros_like(instance, dtype=torch.bool), None)
+
+
+def semantickitti(data: Path) -> Iterator[Sweep]:
+    """Every vehicle and person an instance, all ground one."""
+    for path in sorted((data / "semantickitti").glob("*.bin")):
+        points = torch.from_numpy(np.fromfile(path, dtype=np.float32).reshape(-1, 4)[:, :3].copy())
+        label = torch.from_numpy(np.fromfile(path.with_suffix(".label"), dtype=np.uint32).astype(np.int64))
+        kind = label & 0xFFFF
+        instance = torch.where(torch.isin(kind, torch.tensor(THINGS)), label, -1)
+        instance = torch.where(torch.isin(kind, torch.tensor(GROUND)), 0, instance)
+        yield Sweep(path.stem, points, instance, (instance < 0) & ~torch.isin(kind, torch.tensor(VOID)), 0)
+
+
+def streets(half: str) -> Iterator[Sweep]:
+    """Generated streets; vegetation, houses and fences are no instances."""
+    for seed in SEEDS[half]:
+        made = make_domain_scene("street", seed, num_views=1)
+        instance = known_instances(made.scene)
+        other = (instance < 0) & (made.point_labels >= 0)
+        yield Sweep(made.scene.name, made.scene.points, instance, other, made.instance_names.index("ground"))
+
+
+def known_instances(scene: Scene) -> Tensor:
+    """The instances [N] of a labelled scene's points."""
+    assert scene.truth is not None
+    assert scene.truth.points is not None
+    return scene.truth.points.long()
+
+
+def judge(labels: Tensor, sweep: Sweep, seconds: float = 0.0) -> Score:
+    """Scores the labels [N] of a scan."""
+    counts = (sweep.instance >= 0) | sweep.other
+    region = labels[counts].unique(return_inverse=True)[1]
+    instance = sweep.instance[counts]
+    known = instance >= 0
+    num_regions = int(region.max()) + 1
+    table = Overlaps(region[known], num_regions, instance[known])
+    # What leaks into a region is of no instance, but belongs to the region's size.
+    table.pred_area = torch.bincount(region, minlength=num_regions)
+    table.precision = table.count.double() / table.pred_area[table.pred]
+    iou = table.count / (table.pred_area[table.pred] + table.target_area[table.target] - table.count).double()
+    best = iou.new_zeros(len(table.target_area)).scatter_reduce(0, table.target, iou, "amax")
+    # Regions of houses and hedges are not judged, unless they hold most of an instance.
+    of_instances = torch.bincount(region[known], minlength=num_regions)
+    judged = 2 * of_instances >= table.pred_area
+    judged[table.pred[table.recall >= 0.5]] = True
+    f = objects_and_parts_of(torch.where(judged, table.pred_area, 0), [table]).f
+    return Score(f, best.mean().item(), crumbs(labels, sweep), seconds)
+
+
+def crumbs(labels: Tensor, sweep: Sweep) -> float:
+    """Number of segments of which most points are ground, besides the largest; nan without a known ground."""
+    if sweep.ground is None:
+        return torch.nan
+    size = torch.bincount(labels)
+    of_ground = torch.bincount(labels[sweep.instance == sweep.ground], minlength=len(size))
+    return float(max(0, int((2 * of_ground > size).sum()) - 1))
+
+
+def run(method: Callable[[Tensor], Tensor], sweep: Sweep) -> Score:
+    """Runs and scores a method on a scan."""
+    start = time.perf_counter()
+    labels = method(sweep.points)
+    return judge(labels, sweep, time.perf_counter() - start)
+
+
+def best_simple(sweeps: list[Sweep], count: int) -> tuple[list[Score], dict[str, object]]:
+    """Plane removal and DBSCAN at the best of `count` random settings for these very scans; (F + best IoU) / 2."""
+    random = np.random.default_rng(0)
+    space = spaces.RANSAC_DBSCAN["kitti"]
+    best: tuple[float, list[Score], dict[str, object]] = (-1, [], {})
+    for _ in range(count):
+        setting = draw(space, random)
+        scores = [run(lambda points, s=setting: planes_and_clusters(points, **s), sweep) for sweep in sweeps]
+        quality = fmean(score.f + score.best_iou for score in scores)
+        best = max(best, (quality, scores, dict(setting)), key=lambda found: found[0])
+    return best[1], best[2]
+
+
+def preset_regions(points: Tensor) -> Tensor:
+    """Labels [N] of preset `regions`, without images."""
+    segmenter = JointSegmenter(Config.from_preset("regions"))
+    segmenter.reset(points)
+    return segmenter.compute(images=False).points
+
+
+def show(name: str, scores: list[Score], scan: list[Score] | None = None) -> None:
+    """Prints the means as a row of a Markdown table, and how much higher the scores of method scan are."""
+    f, best_iou, num, seconds = (fmean(values) for values in zip(*scores, strict=True))
+    more = ["", ""] if scan is None else [gain(scan, scores, place) for place in (0, 1)]
+    crumbs = "" if math.isnan(num) else f"{num:.1f}"
+    print(f"| {name} | {f:.3f} / {best_iou:.3f} | {' | '.join(more)} | {crumbs} | {seconds:.1f} |", flush=True)
+
+
+def gain(scan: list[Score], scores: list[Score], place: int) -> str:
+    """Mean difference of one score, method scan minus the other, with its standard error."""
+    differences = [one[place] - other[place] for one, other in zip(scan, scores, strict=True)]
+    error = f" ± {standard_error(differences):.3f}" if len(differences) > 1 else ""
+    return f"{fmean(differences):+.3f}{error}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, required=True, help="folder with kitti/ and semantickitti/")
+    parser.add_argument("--only", nargs="+", default=["kitti", "semantickitti", "develop", "check"])
+    parser.add_argument("--set", nargs="*", default=[], help="parameters of method scan, scan.NAME=VALUE")
+    parser.add_argument("--simple", type=int, default=0, metavar="COUNT", help="tries plane removal + DBSCAN")
+    parser.add_argument("--regions", action="store_true", help="preset regions")
+    parser.add_argument("--each", action="store_true", help="a row for every scan")
+    arguments = parser.parse_args()
+    config: ScanConfig = Config.from_preset("lidar").set(arguments.set).scan
+    loaders: dict[str, Callable[[], Iterator[Sweep]]] = {
+        "kitti": lambda: kitti(arguments.data),
+        "semantickitti": lambda: semantickitti(arguments.data),
+        "develop": lambda: streets("develop"),
+        "check": lambda: streets("check"),
+    }
+    print(
+        "| scans | F / best IoU | scan - it: F | best IoU | ground crumbs | seconds |\n|---|---:|---:|---:|---:|---:|"
+    )
+    for name in arguments.only:
+        sweeps = list(loaders[name]())
+        scores = [run(lambda points: segment_scan(points, config), sweep) for sweep in sweeps]
+        if arguments.each:
+            for sweep, score in zip(sweeps, scores, strict=True):
+                show(f"{name} {sweep.name}", [score])
+        show(f"{name}, method scan", scores)
+        if arguments.regions:
+            show(f"{name}, preset regions", [run(preset_regions, sweep) for sweep in sweeps], scores)
+        if arguments.simple:
+            found, setting = best_simple(sweeps, arguments.simple)
+            show(f"{name}, plane removal + DBSCAN {setting}", found, scores)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,52 @@
+// The merges of region merging by mean boundary cost, in their order: see region_graph.h.
+#include "merged_regions.h"
+
+#include <tuple>
+
+namespace torchjoint {
+namespace {
+
+std::tuple<Tensor, Tensor> region_dendrogram(const Tensor& edge_index, const Tensor& cost, int64_t num_regions,
+                                         double threshold) {
+  const Tensor edges = checked_edge_index(edge_index);
+  const int64_t num_edges = edges.size(1);
+  const Tensor costs = checked_array(cost, ScalarType::Float, {num_edges}, "cost");
+  check(num_regions >= 0 && num_regions <= kMaxCount, "num_regions: expected 0 to 2^31 - 1, got ", num_regions);
+  check(threshold >= 0, "threshold: expected a number >= 0, got ", threshold);
+
+  RegionAdjacencyGraph graph =
+      boundaries_of(edges.const_data_ptr<int64_t>(), costs.const_data_ptr<float>(), num_edges, num_regions);
+  const std::vector<int64_t> points(num_regions, 1);
+  Merged merged(points.data(), num_regions);
+  std::vector<int64_t> lower, higher;
+  std::vector<double> mean;
+  graph.merge_weakest(
+      [&](const RegionBoundary& border) { return border.mean() <= threshold * kUnit; },
+      [&](int32_t number) {
+        const RegionBoundary& border = graph.border(number);
+        const int32_t a = merged.find(border.region[0]), b = merged.find(border.region[1]);
+        lower.push_back(std::min(a, b));
+        higher.push_back(std::max(a, b));
+        mean.push_back(border.mean() / kUnit);
+        merged.join(a, b);
+      });
+
+  const int64_t num_merges = static_cast<int64_t>(mean.size());
+  Tensor pairs = torch::stable::new_empty(edges, {2, num_merges}, ScalarType::Long);
+  int64_t* const out = pairs.mutable_data_ptr<int64_t>();
+  std::copy(lower.begin(), lower.end(), out);
+  std::copy(higher.begin(), higher.end(), out + num_merges);
+  return {pairs, to_tensor(mean, ScalarType::Double, edges)};
+}
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
+  m.def("region_dendrogram(Tensor edge_index, Tensor cost, int num_regions, float threshold) -> (Tensor, Tensor)");
+}
+
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
+  m.impl("region_dendrogram", TORCH_BOX(&region_dendrogram));
+}
+
+}  // namespace torchjoint
