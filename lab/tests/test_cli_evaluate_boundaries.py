@@ -103,7 +103,7 @@ def truncate(file):
 )
 def test_wrong_predictions(bsds, predictions, tmp_path, run_lab, damage, message):
     damage(predictions / "c.npy")
-    with pytest.raises(SystemExit, match="torchjoint: error: .*" + message):
+    with pytest.raises(SystemExit, match="torchjoint-lab: error: .*" + message):
         run_lab("evaluate-boundaries", predictions, bsds, "-o", tmp_path / "scores", "--thresholds", 1)
     assert not (tmp_path / "scores").exists()
 
