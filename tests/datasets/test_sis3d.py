@@ -199,7 +199,7 @@ class TestVolume:
     def test_its_matrix_leads_from_voxels_to_the_world(self, file):
         volume = read_volume(file)
         assert volume.voxels_to_world[:3, 3].tolist() == [1, 2, 3]
-        place = volume.world_to_chunk @ torch.tensor([1 + 2 * VOXEL, 2, 3, 1]).double()
+        place = torch.linalg.inv(volume.voxels_to_world) @ torch.tensor([1 + 2 * VOXEL, 2, 3, 1]).double()
         torch.testing.assert_close(place, torch.tensor([2.0, 0, 0, 1]).double())
 
     def test_the_first_bytes_are_x_fastest(self, file):
