@@ -7,10 +7,11 @@ import functools
 import numpy as np
 import pytest
 import torch
-from torchjoint_lab.synthetic import DOMAINS, SyntheticScene, domain_settings, make_domain_scene, mesh
+from torchjoint_lab import synthetic
+from torchjoint_lab.synthetic import DOMAINS, SyntheticScene, domain_settings, make_domain_scene
 from torchjoint_lab.synthetic.rigs import Rig
 
-from torchjoint import synthetic
+from torchjoint.synthetic import mesh
 
 pytest.importorskip("open3d")
 

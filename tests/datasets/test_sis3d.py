@@ -186,7 +186,7 @@ class TestVolume:
 
     def test_it_comes_back(self, file):
         volume = read_volume(file)
-        assert volume.dims == (3, 4, 5)
+        assert volume.sdf.shape == (3, 4, 5)
         assert volume.sdf.tolist() == np.arange(60).reshape(3, 4, 5).tolist()
         assert volume.boxes.tolist() == [[1.5, 0, 2.25, 2, 2, 5], [0, 1, 2, 2, 3, 4]]
         assert volume.corners.tolist() == [[1, 0, 2], [0, 1, 2]]

@@ -81,9 +81,7 @@ def test_separate_graphs_do_not_touch_one_another(threads):
 
 @settings(max_examples=100, derandomize=True)  # costs hardly ever tie, but they may
 @given(seed=st.integers(0, 2**32 - 1), num_regions=st.integers(1, 60), threshold=st.sampled_from([0.1, 0.3, 0.6]))
-def test_without_ties_the_order_of_edges_changes_nothing(
-    seed: int, num_regions: int, threshold: float
-) -> None:
+def test_without_ties_the_order_of_edges_changes_nothing(seed: int, num_regions: int, threshold: float) -> None:
     """Float32 would tell sums in another order apart; sums of whole numbers do not."""
     generator = torch.Generator().manual_seed(seed)
     edges, size = random_regions(seed, num_regions, 5 * num_regions)
