@@ -110,3 +110,10 @@ def test_the_program_that_judges_a_change_runs(capsys):
     exec(compile(re.sub(r"^  ", "", program, flags=re.MULTILINE), "CONTRIBUTING.md", "exec"), names)
     assert names["scores"].shape == (4, 2)
     assert (names["scores"].std(0) > 0).all()  # moved points do change labels
+
+
+def test_no_test_has_a_long_name():
+    files = [*ROOT.glob("tests/**/*.py"), *ROOT.glob("lab/tests/**/*.py")]
+    names = [name for file in files for name in re.findall(r"def (test_\w+)", file.read_text(encoding="utf-8"))]
+    assert len(names) > 1000
+    assert [name for name in names if len(name) > 60] == []

@@ -104,7 +104,7 @@ def test_a_cloud_that_is_fused_far_from_the_origin_is_as_exact(synthetic):
     torch.testing.assert_close(moved - offset, here.double(), atol=1e-6, rtol=0)
 
 
-def test_without_cloud_and_depth_there_is_nothing_to_segment(tmp_path, synthetic):
+def test_a_recording_needs_a_cloud_or_depth(tmp_path, synthetic):
     recording = write_folder(tmp_path / "recording", synthetic, cloud=False, depth=False)
     with pytest.raises(ValueError, match=r"none has a depth image, and there is no cloud\.ply"):
         tj.load_scene(recording)
