@@ -16,9 +16,9 @@ import report
 import torch
 from instances import photograph
 
-from torchjoint import ops
 from torchjoint.images.forest import read_forest
 from torchjoint.images.non_maximum_suppression import suppress_non_maxima
+from torchjoint.ops.structured_forest import structured_forest
 
 #: OpenCV resamples odd sides, ours are mirrored: compare the answers on even ones.
 SIZES = {"320x320": (320, 320), "640x480": (480, 640)}
@@ -49,13 +49,13 @@ def measure(image: torch.Tensor, rounds: int) -> tuple[dict[str, float], float]:
     )
     pixels = np.ascontiguousarray(image.permute(1, 2, 0).numpy())
     edges = detector.detectEdges(pixels)
-    differ = float((np.abs(ops.structured_forest(image[None], *trees)[0].numpy() - edges) > 1e-6).mean())
+    differ = float((np.abs(structured_forest(image[None], *trees)[0].numpy() - edges) > 1e-6).mean())
     strength = torch.from_numpy(edges)
     times = processor_times(
         {
             "detectEdges": lambda: detector.detectEdges(pixels),
-            "ours": lambda: ops.structured_forest(image[None], *trees),
-            "stride 4": lambda: ops.structured_forest(image[None], *trees, stride=4),
+            "ours": lambda: structured_forest(image[None], *trees),
+            "stride 4": lambda: structured_forest(image[None], *trees, stride=4),
             "OpenCV's nms": lambda: detector.edgesNms(edges, detector.computeOrientation(edges)),
             "our nms": lambda: suppress_non_maxima(strength),
         },

@@ -23,7 +23,7 @@ import shutil
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,6 @@ import numpy as np
 import torch
 from fuzz_files import FindingError, file_case, make_samples
 
-from torchjoint.ops import reference
 from torchjoint.runtime.files import write_text
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -86,36 +85,36 @@ def changed_number(value: float, rng: np.random.Generator, values_only: bool) ->
 
 def operator_case(index: int, seed: int) -> str:
     """One call of an operator; returns how it ended."""
-    from operator_arguments import VALID
+    from reference import operators
 
     rng = np.random.default_rng([seed, index])
-    operator = list(VALID)[rng.integers(len(VALID))]
-    arguments, values_only = dict(VALID[operator]), bool(rng.integers(2))
+    known = operators()
+    operator = known[rng.integers(len(known))]
+    arguments, values_only = dict(operator.example), bool(rng.integers(2))
     for name, value in arguments.items():
         if rng.random() < 0.4:
             change = changed_tensor if isinstance(value, torch.Tensor) else changed_number
             arguments[name] = change(value, rng, values_only)
     if rng.random() < 0.3:
-        raw = getattr(torch.ops.torchjoint, operator.__name__).default
         try:
-            raw(*arguments.values())
+            operator.kernel(*arguments.values())
         except (*CLEAR, RuntimeError, NotImplementedError, IndexError):
             return "torch.ops: error"
         return "torch.ops: result"
     try:
-        result = operator(**arguments)
+        result = operator.function(**arguments)
     except CLEAR as error:
         if not str(error):
             raise FindingError("an error without words") from error
         return "wrapper: error"
-    twin = getattr(reference, f"{operator.__name__}_reference", None)
-    if operator.__name__ in AMBIGUOUS or twin is None or set(inspect.signature(twin).parameters) < set(arguments):
+    twin = operator.twin
+    if operator.name in AMBIGUOUS or twin is None or set(inspect.signature(twin).parameters) < set(arguments):
         return "wrapper: result, without a twin"
-    compare(operator, result, twin(**arguments))
+    compare(operator.name, result, twin(**arguments))
     return "wrapper: result of the twin"
 
 
-def compare(operator: Callable[..., Any], result: Any, expected: Any) -> None:
+def compare(operator: str, result: Any, expected: Any) -> None:
     pairs = zip(
         result if isinstance(result, tuple) else (result,),
         expected if isinstance(expected, tuple) else (expected,),
@@ -125,13 +124,13 @@ def compare(operator: Callable[..., Any], result: Any, expected: Any) -> None:
         if isinstance(one, torch.Tensor):
             if one.is_floating_point():
                 if not torch.allclose(one, other.to(one.dtype), equal_nan=True, rtol=1e-4, atol=1e-5):
-                    raise FindingError(f"{operator.__name__}: {one.tolist()} instead of {other.tolist()}")
+                    raise FindingError(f"{operator}: {one.tolist()} instead of {other.tolist()}")
             elif not torch.equal(one, other.to(one.dtype)):
-                raise FindingError(f"{operator.__name__}: {one.tolist()} instead of {other.tolist()}")
+                raise FindingError(f"{operator}: {one.tolist()} instead of {other.tolist()}")
         elif isinstance(one, (list, tuple)):
             compare(operator, tuple(one), tuple(other))
         elif not math.isclose(one, other, rel_tol=1e-6, abs_tol=1e-9):
-            raise FindingError(f"{operator.__name__}: {one} instead of {other}")
+            raise FindingError(f"{operator}: {one} instead of {other}")
 
 
 def worker(begin: int, end: int, seed: int, kind: str, place: Any, connection: Any) -> None:

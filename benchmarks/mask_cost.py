@@ -101,7 +101,7 @@ def merged(
         cost = torch.cat([cost, torch.ones(far.shape[1])])
     joined, _ = linkage.merges(of_piece, between, cost, threshold)
     num_regions = int(of_piece.max()) + 1
-    return ops.felzenszwalb(joined, torch.zeros(joined.shape[1]), num_regions, scale=1.0)[of_piece]
+    return ops.connected_components(joined, num_regions)[of_piece]
 
 
 def counts(

@@ -32,10 +32,8 @@ PUBLIC = {
         save_masks
     """,
     "torchjoint.ops": """
-        ascending_order boosted_trees felzenszwalb felzenszwalb_image fit_normals group_summaries line_maxima
-        mask_merges match_pixels merge_regions min_cut nearest_neighbors neighbor_edges outvoted_markers pair_counts
-        parse_numbers project propagate_labels region_merges region_planes segment_graphs splat_depth structured_forest
-        ultrametric_contours window_overlaps
+        connected_components felzenszwalb felzenszwalb_image fit_normals match_pixels merge_regions min_cut
+        nearest_neighbors neighbor_edges project propagate_labels region_dendrogram splat_depth ultrametric_contours
     """,
     "torchjoint.metrics": """
         AchievableSegmentationAccuracyMetric AveragePrecision AveragePrecisionObjectsMetric

@@ -5,6 +5,8 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from reference.fit_normals import fit_normals_reference
+from reference.neighbor_edges import neighbor_edges_reference
 
 from torchjoint import ops
 from torchjoint.cloud.edge_weights import geometric_weights
@@ -12,7 +14,6 @@ from torchjoint.cloud.graph import undirected_edges
 from torchjoint.cloud.neighbors import nearest_neighbors, order_along_space
 from torchjoint.cloud.normals import angle_between, estimate_normals
 from torchjoint.config import PointGraphConfig
-from torchjoint.ops.reference import fit_normals_reference, neighbor_edges_reference
 
 
 def random_points(count, seed=0):

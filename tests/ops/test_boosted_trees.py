@@ -7,11 +7,11 @@ import pytest
 import torch
 from examples import few_and_many
 from hypothesis import strategies as st
-from operator_arguments import BOOSTED_TREES
+from reference.boosted_trees import EXAMPLE as BOOSTED_TREES
+from reference.boosted_trees import boosted_trees_reference
 from torch import Tensor
 
-from torchjoint.ops import boosted_trees
-from torchjoint.ops.reference import boosted_trees_reference
+from torchjoint.ops.boosted_trees import boosted_trees
 
 
 def random_trees(seed: int, trees: int, nodes: int, features: int) -> dict[str, Tensor]:

@@ -8,11 +8,11 @@ import pytest
 import torch
 from examples import few_and_many
 from hypothesis import strategies as st
+from reference.felzenszwalb import felzenszwalb_reference
 from skimage.segmentation import felzenszwalb as skimage_felzenszwalb
 from torch import Tensor
 
 from torchjoint.ops import felzenszwalb
-from torchjoint.ops.reference import felzenszwalb_reference
 
 # Few distinct values, so that ties are common; both zeros, both signs, subnormals, infinities.
 TIED_WEIGHTS = st.sampled_from(

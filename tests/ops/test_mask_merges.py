@@ -9,11 +9,10 @@ import pytest
 import torch
 from examples import few_and_many
 from hypothesis import strategies as st
+from reference.mask_merges import mask_merges_reference
 from torch import Tensor
 
-from torchjoint.ops import mask_merges
-from torchjoint.ops.mask_merges import WEIGHT_UNIT
-from torchjoint.ops.reference import mask_merges_reference
+from torchjoint.ops.mask_merges import WEIGHT_UNIT, mask_merges
 
 
 def random_views(seed: int, num_regions: int, num_edges: int, num_frames: int) -> dict[str, Any]:

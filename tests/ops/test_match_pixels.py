@@ -7,12 +7,12 @@ import pytest
 import torch
 from examples import few_and_many
 from hypothesis import strategies as st
+from reference.match_pixels import match_pixels_reference
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 from torch import Tensor
 
 from torchjoint.ops import match_pixels
-from torchjoint.ops.reference import match_pixels_reference
 
 RADII = st.sampled_from([0.0, 0.5, 1.0, 1.5, 2.0, 2.3, 5.0, 1e9])
 

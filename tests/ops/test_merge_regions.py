@@ -10,10 +10,10 @@ import torch
 from examples import few_and_many
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference.merge_regions import merge_regions_reference
 from torch import Tensor
 
 from torchjoint.ops import merge_regions
-from torchjoint.ops.reference import merge_regions_reference
 from torchjoint.runtime.threads import one_thread_per_operation
 
 

@@ -11,12 +11,12 @@ import torch
 from examples import few_and_many
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference.min_cut import min_cut_reference
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 from torch import Tensor
 
 from torchjoint.ops import min_cut
-from torchjoint.ops.reference import min_cut_reference
 
 Problem = tuple[Tensor, Tensor, Tensor, Tensor]
 

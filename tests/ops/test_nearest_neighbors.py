@@ -6,9 +6,9 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from reference.nearest_neighbors import nearest_neighbors_reference
 
 from torchjoint.ops import nearest_neighbors
-from torchjoint.ops.reference import nearest_neighbors_reference
 
 
 def cloud(kind: str, num_points: int, seed: int, dtype: torch.dtype) -> torch.Tensor:

@@ -7,6 +7,15 @@ import torch
 from examples import few_and_many
 from hypothesis import given
 from hypothesis import strategies as st
+from reference.line_maxima import line_maxima_reference
+from reference.outvoted_markers import outvoted_markers_reference
+from reference.pair_counts import pair_counts_reference
+from reference.project import project_reference
+from reference.propagate_labels import propagate_labels_reference
+from reference.segment_graphs import segment_graphs_reference
+from reference.splat_depth import splat_depth_reference
+from reference.ultrametric_contours import ultrametric_contours_reference
+from reference.window_overlaps import window_overlaps_reference
 from torch import Tensor
 
 from torchjoint import ops
@@ -14,7 +23,11 @@ from torchjoint.cloud.adjacency import CsrAdjacency
 from torchjoint.config import ImageGraphConfig
 from torchjoint.images.pixel_graph import grid_edges, pixel_weights
 from torchjoint.images.smoothing import smooth
-from torchjoint.ops import reference
+from torchjoint.ops.line_maxima import line_maxima
+from torchjoint.ops.outvoted_markers import outvoted_markers
+from torchjoint.ops.pair_counts import pair_counts
+from torchjoint.ops.segment_graphs import segment_graphs
+from torchjoint.ops.window_overlaps import window_overlaps
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -39,7 +52,7 @@ def test_project(seed: int, count: int, margin: float) -> None:
     pose[:3, :3], pose[:3, 3] = rotation, torch.randn(3, generator=generator, dtype=torch.float64)
     intrinsics = torch.tensor([[50.3, 0, 31.5], [0, 48.7, 23.5], [0, 0, 1]], dtype=torch.float64)
     arguments = (points, pose, intrinsics, 0.1, 4.0, 48, 64, margin)
-    assert_same(ops.project(*arguments), reference.project_reference(*arguments))
+    assert_same(ops.project(*arguments), project_reference(*arguments))
 
 
 @given(seed=SEEDS, count=st.integers(0, 30), height=st.integers(1, 12), width=st.integers(1, 12))
@@ -49,7 +62,7 @@ def test_splat_depth(seed: int, count: int, height: int, width: int) -> None:
     depth, reach = torch.rand(count, generator=generator), integers(generator, 0, 5, count)
     reach[:1] = 2**31 - 2
     arguments = (row, column, depth, reach, height, width)
-    assert_same((ops.splat_depth(*arguments),), (reference.splat_depth_reference(*arguments),))
+    assert_same((ops.splat_depth(*arguments),), (splat_depth_reference(*arguments),))
 
 
 def visible_edges(generator: torch.Generator, num_nodes: int, height: int, width: int) -> tuple[Tensor, ...]:
@@ -66,7 +79,7 @@ def test_window_overlaps(seed: int, num_nodes: int, window: int, num_labels: int
     height, width = integers(generator, 1, 12, 2).tolist()
     labels = integers(generator, -1, num_labels, height, width).int()
     arguments = (*visible_edges(generator, num_nodes, height, width), labels, window)
-    assert_same(ops.window_overlaps(*arguments), reference.window_overlaps_reference(*arguments))
+    assert_same(window_overlaps(*arguments), window_overlaps_reference(*arguments))
 
 
 @given(seed=SEEDS, num_nodes=st.integers(1, 25), height=st.integers(1, 40), width=st.integers(1, 40))
@@ -74,7 +87,7 @@ def test_line_maxima(seed: int, num_nodes: int, height: int, width: int) -> None
     generator = torch.Generator().manual_seed(seed)
     image = integers(generator, 0, 256, height, width).byte()
     arguments = (*visible_edges(generator, num_nodes, height, width), image)
-    assert_same(ops.line_maxima(*arguments), reference.line_maxima_reference(*arguments))
+    assert_same(line_maxima(*arguments), line_maxima_reference(*arguments))
 
 
 def test_line_maxima_round_halves_to_even() -> None:
@@ -84,7 +97,7 @@ def test_line_maxima_round_halves_to_even() -> None:
     for column in range(11):
         image = torch.zeros(1, 11, dtype=torch.uint8)
         image[0, column] = 9
-        _, maximum = ops.line_maxima(order, other_end, start, *pixels, image)
+        _, maximum = line_maxima(order, other_end, start, *pixels, image)
         assert maximum.item() == 9 * (column in (0, 2, 5, 8, 10))
 
 
@@ -104,7 +117,7 @@ def test_pair_counts(seed: int, count: int, num_labels: int, spread: float, radi
     u, v = position.round() if on_grid else position  # on a grid, distances of exactly the radius occur
     pixel, segment = integers(generator, 0, 40, count), integers(generator, -1, num_labels, count)
     arguments = (u, v, pixel, segment, integers(generator, 0, num_labels, count), radius)
-    assert_same(ops.pair_counts(*arguments), reference.pair_counts_reference(*arguments))
+    assert_same(pair_counts(*arguments), pair_counts_reference(*arguments))
 
 
 def test_pair_counts_in_a_crowd() -> None:
@@ -112,7 +125,7 @@ def test_pair_counts_in_a_crowd() -> None:
     count = 40_000
     u = torch.rand(count, generator=torch.Generator().manual_seed(0)) * 20
     label = (u > 10).long()
-    group, number = ops.pair_counts(u, torch.zeros(count), torch.arange(count), torch.zeros(count).long(), label, 1.0)
+    group, number = pair_counts(u, torch.zeros(count), torch.arange(count), torch.zeros(count).long(), label, 1.0)
     ordered = u.double().sort().values
     left, right = ordered[ordered <= 10], ordered[ordered > 10]
     expected = (torch.searchsorted(right, left + 1, right=True)).sum()
@@ -133,7 +146,7 @@ def images(draw: st.DrawFn) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 @given(image=images(), boundary_weight=st.sampled_from([0.0, 0.3]))
 def test_segment_graphs(image: tuple[Tensor, Tensor, Tensor, Tensor], boundary_weight: float) -> None:
     arguments = (*image, 0.9, boundary_weight)
-    assert_same(ops.segment_graphs(*arguments), reference.segment_graphs_reference(*arguments))
+    assert_same(segment_graphs(*arguments), segment_graphs_reference(*arguments))
 
 
 def test_a_whole_image_is_one_segment_graph() -> None:
@@ -141,7 +154,7 @@ def test_a_whole_image_is_one_segment_graph() -> None:
     generator = torch.Generator().manual_seed(0)
     colors, boundary = torch.rand(3, 9, 13, generator=generator), torch.rand(9, 13, generator=generator)
     labels, chosen = torch.zeros(9, 13, dtype=torch.int32), torch.tensor([True])
-    pixel, node_ptr, edge_index, edge_ptr, relative = ops.segment_graphs(labels, chosen, colors, boundary, 0.8, 0.3)
+    pixel, node_ptr, edge_index, edge_ptr, relative = segment_graphs(labels, chosen, colors, boundary, 0.8, 0.3)
     weights = pixel_weights(colors, boundary, ImageGraphConfig(0.0, 0.8, 0.3)).double()
     assert torch.equal(pixel, torch.arange(9 * 13))
     assert torch.equal(edge_index, grid_edges(9, 13))
@@ -156,11 +169,11 @@ def test_any_strides() -> None:
     pixel, segment, label = integers(generator, 0, 3, 30, 3).T
     assert not u.is_contiguous()
     dense = (tensor.contiguous() for tensor in (u, v, pixel, segment, label))
-    assert_same(ops.pair_counts(u, v, pixel, segment, label, 2.0), ops.pair_counts(*dense, 2.0))
+    assert_same(pair_counts(u, v, pixel, segment, label, 2.0), pair_counts(*dense, 2.0))
     labels, colors = integers(generator, 0, 2, 8, 5).int().T, torch.rand(5, 8, 3, generator=generator).permute(2, 0, 1)
     chosen, boundary = torch.tensor([True, True]), torch.rand(8, 5, generator=generator).T
     dense = (tensor.contiguous() for tensor in (labels, chosen, colors, boundary))
-    assert_same(ops.segment_graphs(labels, chosen, colors, boundary, 1.0, 0.5), ops.segment_graphs(*dense, 1.0, 0.5))
+    assert_same(segment_graphs(labels, chosen, colors, boundary, 1.0, 0.5), segment_graphs(*dense, 1.0, 0.5))
 
 
 @few_and_many(
@@ -170,7 +183,7 @@ def test_ultrametric_contours(seed: int, height: int, width: int, levels: int) -
     generator = torch.Generator().manual_seed(seed)
     boundary, relief = torch.randint(0, levels + 1, (2, height, width), generator=generator) / levels
     arguments = (boundary, relief)
-    assert_same((ops.ultrametric_contours(*arguments),), (reference.ultrametric_contours_reference(*arguments),))
+    assert_same((ops.ultrametric_contours(*arguments),), (ultrametric_contours_reference(*arguments),))
 
 
 def test_ultrametric_contours_by_hand() -> None:
@@ -221,7 +234,7 @@ def test_spread_labels(
     markers = integers(generator, -20, 4, height, width).clamp(min=-1).int()
     image = torch.randint(0, levels + 1, (4, height, width), generator=generator) / levels
     arguments = (markers, image[:3], image[3], *weights, min_markers)
-    assert_same((ops.propagate_labels(*arguments),), (reference.propagate_labels_reference(*arguments),))
+    assert_same((ops.propagate_labels(*arguments),), (propagate_labels_reference(*arguments),))
 
 
 def test_spread_labels_by_hand() -> None:
@@ -270,7 +283,7 @@ def test_outvoted_markers(
     markers[torch.rand(height, width, generator=generator) >= share] = -1
     colors = torch.randint(0, levels + 1, (3, height, width), generator=generator) / levels
     arguments = (markers, colors, 8.0, num_voters, near)
-    assert_same((ops.outvoted_markers(*arguments),), (reference.outvoted_markers_reference(*arguments),))
+    assert_same((outvoted_markers(*arguments),), (outvoted_markers_reference(*arguments),))
 
 
 def test_spread_labels_of_nothing() -> None:

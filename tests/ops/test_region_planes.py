@@ -6,10 +6,11 @@ import pytest
 import torch
 from examples import few_and_many
 from hypothesis import strategies as st
+from reference.region_planes import region_planes_reference
 from torch import Tensor
 
-from torchjoint.ops import fit_normals, region_planes
-from torchjoint.ops.reference import region_planes_reference
+from torchjoint.ops import fit_normals
+from torchjoint.ops.region_planes import region_planes
 
 UP = torch.tensor([0.0, 0.0, 1.0])
 

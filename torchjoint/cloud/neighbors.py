@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.ops.ascending_order import ascending_order
 from torchjoint.runtime.threads import all_threads, num_threads
 
 Array = npt.NDArray[Any]
@@ -106,7 +107,7 @@ def order_along_space(points: Tensor) -> Tensor | None:
         for shift, kept in ((8, 0x00F00F), (4, 0x0C30C3), (2, 0x249249)):  # the bits move to every third place
             cell = (cell | cell << shift) & kept
         code |= cell << axis
-    return ops.ascending_order(code.float())
+    return ascending_order(code.float())
 
 
 def _reach_farther(points: Tensor, near: Array, reach: float, indices: Array) -> None:

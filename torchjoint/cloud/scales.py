@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint import ops
 from torchjoint.cloud._vectors import dot
 from torchjoint.cloud.neighbors import nearest_neighbors
+from torchjoint.ops.region_planes import region_planes
 from torchjoint.runtime.threads import all_threads, parallel_map
 
 #: Number of neighbours to which the plane of a point is fitted, and around which the noise is measured.
@@ -61,7 +61,7 @@ def measure_scales(points: Tensor) -> Scales:
     one_region, upwards = torch.zeros(len(points), dtype=torch.int64), torch.zeros_like(points)
     upwards[:, 2] = 1
     with all_threads():
-        mean, normal = ops.region_planes(points, indices.contiguous(), one_region, upwards, MIN_POINTS)
+        mean, normal = region_planes(points, indices.contiguous(), one_region, upwards, MIN_POINTS)
     residual = dot(points - mean, normal).abs()
 
     def noise_at(start: int) -> Tensor:

@@ -19,7 +19,8 @@ from setuptools.errors import CompileError
 TORCH_TARGET_VERSION = "0x020a000000000000"
 PYTHON_LIMITED_API = "0x030b0000"
 
-
+#: Relative to the folder of pyproject.toml, where setuptools runs: it takes no absolute paths.
+SOURCES = Path("torchjoint/csrc")
 # -ffp-contract=off: no fused multiply-add, so every machine gives the same labels.
 # -fno-trapping-math: nobody reads the flags of floating-point exceptions; to keep them, GCC leaves many comparisons as
 # branches. No value changes. Torch's headers come as those of the system, without warnings about them.
@@ -47,10 +48,17 @@ CLANG_CL_FLAGS = [
 
 
 class BuildStableExtension(build_ext):
-    """Adds torch's headers and libraries to every extension, and the flags of the stable ABI."""
+    """Adds the source files, torch's headers and libraries, and the flags of the stable ABI to the extension."""
+
+    def finalize_options(self) -> None:
+        """Find the source files: an operator is compiled because its file is there."""
+        super().finalize_options()
+        for ext in self.extensions:
+            ext.sources = sorted(path.as_posix() for path in SOURCES.glob("*.cpp"))
+            ext.depends = sorted(path.as_posix() for path in SOURCES.glob("*.h"))
 
     def build_extension(self, ext: Extension) -> None:
-        """Compile one extension module."""
+        """Compile an extension module."""
         import torch  # imported here, because reading metadata and building an sdist must not need torch
 
         root = Path(torch.__file__).parent

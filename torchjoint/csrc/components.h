@@ -1,5 +1,5 @@
 // Graph-based segmentation: P. Felzenszwalb, D. Huttenlocher, "Efficient Graph-Based Image Segmentation", IJCV 2004.
-// This file has its components (union-find), its two passes over the edges, and the algorithm for any edge source.
+// This file has its components, its two passes over the edges, and the algorithm for any edge source.
 #pragma once
 
 #include <algorithm>
@@ -9,49 +9,21 @@
 
 #include "array.h"
 #include "ascending.h"
+#include "union_find.h"
 
 namespace torchjoint {
 
-// Union-find; each root stores the values that the merging predicate needs.
-class Components {
+// Union-find; each root also stores the values that the merging predicate needs.
+class Components : public UnionFind {
  public:
   Components(int64_t num_nodes, float scale, int64_t min_size)
-      : link_(num_nodes), threshold_(num_nodes), scale_(scale),
+      : UnionFind(num_nodes), threshold_(num_nodes), scale_(scale),
         min_size_(static_cast<int32_t>(std::min(min_size, num_nodes))) {
-    std::fill_n(link_.data(), num_nodes, -1);
     std::fill_n(threshold_.data(), num_nodes, scale);
   }
 
-  size_t num_nodes() const { return link_.size(); }
-  int32_t size(int32_t root) const { return -link_[root]; }
   bool is_small(int32_t root) const { return size(root) < min_size_; }
   float threshold(int32_t root) const { return threshold_[root]; }
-
-  int32_t find(int32_t node) {
-    while (true) {
-      const int32_t parent = link_[node];
-      if (parent < 0) return node;
-      const int32_t grandparent = link_[parent];
-      if (grandparent < 0) return parent;
-      node = link_[node] = grandparent;  // path halving
-    }
-  }
-
-  // Two steps towards the root, with path halving. It has no branches, because they would be unpredictable.
-  int32_t climb(int32_t node) {
-    const int32_t link = link_[node];
-    const int32_t parent = select(link < 0, node, link);
-    const int32_t link_of_parent = link_[parent];
-    link_[node] = select(link_of_parent < 0, link, link_of_parent);
-    return select(link_of_parent < 0, parent, link_of_parent);
-  }
-
-  int32_t join(int32_t a, int32_t b) {
-    if (size(a) < size(b)) std::swap(a, b);
-    link_[a] += link_[b];
-    link_[b] = a;
-    return a;
-  }
 
   // Joins two components by an edge. Edges come in ascending order, so this edge is the heaviest in the spanning tree
   // of the joined component.
@@ -61,8 +33,8 @@ class Components {
   }
 
   void prefetch(Ends ends) const {
-    __builtin_prefetch(&link_[ends.u], 1);
-    __builtin_prefetch(&link_[ends.v], 1);
+    UnionFind::prefetch(ends.u);
+    UnionFind::prefetch(ends.v);
   }
 
   void prefetch_root(Ends ends) const {
@@ -71,26 +43,8 @@ class Components {
     __builtin_prefetch(&threshold_[ends.v], 1);
   }
 
-  // Labels in the order of first appearance.
-  void write_labels(int64_t* labels) {
-    int64_t next = 0;
-    std::fill_n(labels, num_nodes(), -1);
-    for (size_t i = 0; i < num_nodes(); ++i) {
-      int64_t& label = labels[find(static_cast<int32_t>(i))];
-      if (label < 0) label = next++;
-      labels[i] = label;
-    }
-  }
-
  private:
-  // `condition ? yes : no` without a branch, which compilers tend to generate.
-  static int32_t select(bool condition, int32_t yes, int32_t no) {
-    const int32_t mask = -static_cast<int32_t>(condition);
-    return (yes & mask) | (no & ~mask);
-  }
-
-  // Two arrays, because links are needed far more often than thresholds.
-  Array<int32_t> link_;     // the parent, or, at a root, minus the size
+  // An array of its own, because links are needed far more often than thresholds.
   Array<float> threshold_;  // of a root: Int(C) + k / |C|
   float scale_;
   int32_t min_size_;

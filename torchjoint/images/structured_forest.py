@@ -14,9 +14,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from torchjoint import ops
 from torchjoint.images.forest import read_forest
 from torchjoint.images.non_maximum_suppression import suppress_non_maxima
+from torchjoint.ops.structured_forest import structured_forest
 from torchjoint.runtime.threads import all_threads, parallel_map
 
 #: Width in pixels of the mirrored margin around the image. With it boundaries near the image border get as many votes
@@ -101,7 +101,7 @@ class StructuredForestBoundary(nn.Module):
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
         planes = torch.stack(parallel_map(lambda image: _padded_planes(_resized(image, size, scale < 1)), images))
         with all_threads():
-            votes = ops.structured_forest(planes, *_trees(self.model, self._file_version), self.stride)
+            votes = structured_forest(planes, *_trees(self.model, self._file_version), self.stride)
         inside = votes[:, MARGIN : MARGIN + size[1], MARGIN : MARGIN + size[0]]
         return [_resized(one.numpy(), (width, height)) for one in inside]
 

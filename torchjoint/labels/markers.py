@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchjoint import ops
+from torchjoint.ops.outvoted_markers import outvoted_markers
 from torchjoint.views.nearest_points import nearest_in_cells
 from torchjoint.views.visibility import Visible
 
@@ -55,5 +55,5 @@ def without_outvoted(markers: Tensor, colors: Tensor, color_weight: float) -> Te
     Returns:
         [H, W] int32.
     """
-    outvoted = ops.outvoted_markers(markers, colors, color_weight, VOTERS, NEAR)
+    outvoted = outvoted_markers(markers, colors, color_weight, VOTERS, NEAR)
     return markers.masked_fill(outvoted, -1)

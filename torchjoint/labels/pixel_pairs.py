@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torchjoint import ops
+from torchjoint.ops.pair_counts import pair_counts
 from torchjoint.views.visibility import Visible
 
 #: R, pixels: about the spacing of projected points in an image of 640 x 480. More counts more pairs and takes longer.
@@ -43,5 +43,5 @@ def pixel_pairs(visible: Visible, segment: Tensor, point_labels: Tensor, width: 
         radius: R, pixels.
     """
     pixel = visible.row * width + visible.column
-    group, num_pairs = ops.pair_counts(visible.u, visible.v, pixel, segment, point_labels, radius)
+    group, num_pairs = pair_counts(visible.u, visible.v, pixel, segment, point_labels, radius)
     return PixelPairs(group[0], group[1], group[2], group[3], num_pairs)

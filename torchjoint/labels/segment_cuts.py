@@ -10,6 +10,7 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.config import ImageGraphConfig, PaperConfig
 from torchjoint.labels.pixel_pairs import RADIUS, PixelPairs, pixel_pairs
+from torchjoint.ops.segment_graphs import segment_graphs
 from torchjoint.runtime.sorted_groups import starts_group
 from torchjoint.views.visibility import Visible
 
@@ -112,7 +113,7 @@ def _cut(
     if not active.any():
         return source[:0]
     # In a segment of one exact colour, sigma and all w are 0: then every edge has the same capacity, 1.
-    pixel, node_ptr, edge_index, edge_ptr, w_over_sigma = ops.segment_graphs(
+    pixel, node_ptr, edge_index, edge_ptr, w_over_sigma = segment_graphs(
         labels, active, colors, boundary, graph.color_weight, graph.boundary_weight
     )
     capacity = torch.exp(-w_over_sigma)

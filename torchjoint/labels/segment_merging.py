@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import torch
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
+from torchjoint import ops
 from torchjoint.config import PaperConfig
 from torchjoint.labels._tables import look_up
 from torchjoint.labels.pixel_pairs import RADIUS, pixel_pairs
@@ -41,11 +40,6 @@ def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, confi
     internal = pairs.num_pairs * (pairs.low_label == pairs.high_label)
     n_all, n_internal = (torch.zeros_like(keys).index_add(0, of_key, counts) for counts in (pairs.num_pairs, internal))
     merging = keys[n_internal / n_all >= config.merge_ratio]
-    graph = coo_matrix(
-        (torch.ones(len(merging), dtype=torch.float32), (merging // num_labels, merging % num_labels)),
-        (num_labels,) * 2,
-    )
-    _, component = connected_components(graph, directed=False)
-    component = torch.from_numpy(component).long()
+    component = ops.connected_components(torch.stack([merging // num_labels, merging % num_labels]), num_labels)
     lowest = torch.full((num_labels,), num_labels).scatter_reduce(0, component, torch.arange(num_labels), "amin")
     return look_up(lowest[component].to(labels.dtype), labels, -1)

@@ -1,4 +1,4 @@
-"""Calls a compiled kernel; its errors have the same types with every version of torch."""
+"""Calls a compiled kernel, without gradient; its errors have the same types with every version of torch."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import re
 from typing import Any
 
 import torch
+from torch import Tensor
 
 
 def call(kernel: Any, *arguments: Any) -> Any:
-    """What ``kernel``, such as ``torch.ops.torchjoint.min_cut.default``, returns for the arguments.
+    """What ``kernel``, such as ``torch.ops.torchjoint.min_cut.default``, returns for the arguments, without gradient.
 
     Kernels throw C++ exceptions of the standard library. Up to 2.14, torch translates them to ValueError and
     MemoryError; from 2.15 on to RuntimeError, which is undone here. Where torch.compile traces there is nothing to
@@ -19,6 +20,7 @@ def call(kernel: Any, *arguments: Any) -> Any:
         ValueError: an argument is wrong; the message begins with its name.
         MemoryError: there is not enough memory.
     """
+    arguments = tuple(value.detach() if isinstance(value, Tensor) else value for value in arguments)
     if torch.compiler.is_compiling():
         return kernel(*arguments)
     try:

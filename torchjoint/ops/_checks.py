@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 FLOATING = (torch.float32, torch.float64)
+MAX_NODES = 2**31 - 1
 
 
 def check_tensor(name: str, value: object, dtypes: tuple[torch.dtype, ...]) -> None:
@@ -60,6 +61,13 @@ def check_number(name: str, value: object, kinds: tuple[type, ...]) -> None:
         return  # a traced number has no value yet; the kernel checks it
     if not value >= 0:  # type: ignore[operator]  # also refuses NaN
         raise ValueError(f"{name}: expected a number >= 0, got {value}")
+
+
+def check_num_nodes(num_nodes: int) -> None:
+    """Raise unless ``num_nodes`` is a number of nodes that the kernels can store."""
+    check_number("num_nodes", num_nodes, (int,))
+    if not torch.compiler.is_compiling() and num_nodes > MAX_NODES:
+        raise ValueError(f"num_nodes: expected less than 2^31, got {num_nodes}")
 
 
 def check_neighbors(neighbors: object, length: int | None) -> None:

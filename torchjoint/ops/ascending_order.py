@@ -32,7 +32,7 @@ def ascending_order(values: Tensor) -> Tensor:
         tensor([1, 4, 0, 3, 2], dtype=torch.int32)
     """
     check_array("values", values, torch.float32, (None,), "[C]")
-    return cast(Tensor, call(torch.ops.torchjoint.ascending_order.default, values.detach()))
+    return cast(Tensor, call(torch.ops.torchjoint.ascending_order.default, values))
 
 
 @torch.library.register_fake("torchjoint::ascending_order")

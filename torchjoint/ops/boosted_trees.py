@@ -74,13 +74,13 @@ def boosted_trees(
         Tensor,
         call(
             torch.ops.torchjoint.boosted_trees.default,
-            values.detach(),
+            values,
             feature,
-            threshold.detach(),
+            threshold,
             missing_left,
             left,
             right,
-            leaf_value.detach(),
+            leaf_value,
         ),
     )
 

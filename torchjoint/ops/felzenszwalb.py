@@ -8,9 +8,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops._call import call
-from torchjoint.ops._checks import check_edge_index, check_number, check_vector
-
-MAX_NODES = 2**31 - 1
+from torchjoint.ops._checks import check_edge_index, check_num_nodes, check_number, check_vector
 
 
 def felzenszwalb(edge_index: Tensor, weight: Tensor, num_nodes: int, scale: float, min_size: int = 0) -> Tensor:
@@ -47,14 +45,10 @@ def felzenszwalb(edge_index: Tensor, weight: Tensor, num_nodes: int, scale: floa
     """
     check_edge_index(edge_index)
     check_vector("weight", weight, edge_index.shape[1], "E")
-    check_number("num_nodes", num_nodes, (int,))
+    check_num_nodes(num_nodes)
     check_number("scale", scale, (int, float))
     check_number("min_size", min_size, (int,))
-    if not torch.compiler.is_compiling() and num_nodes > MAX_NODES:
-        raise ValueError(f"num_nodes: expected less than 2^31, got {num_nodes}")
-    labels = call(
-        torch.ops.torchjoint.felzenszwalb.default, edge_index, weight.detach(), num_nodes, float(scale), min_size
-    )
+    labels = call(torch.ops.torchjoint.felzenszwalb.default, edge_index, weight, num_nodes, float(scale), min_size)
     return cast(Tensor, labels)
 
 

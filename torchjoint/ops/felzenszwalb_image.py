@@ -60,14 +60,13 @@ def felzenszwalb_image(
         expected = [images.shape[0], images.shape[2], images.shape[3]]
         if list(boundaries.shape) != expected:
             raise ValueError(f"boundaries: expected shape [B, H, W] = {expected}, got {list(boundaries.shape)}")
-        boundaries = boundaries.detach()
     check_number("scale", scale, (int, float))
     check_number("min_size", min_size, (int,))
     check_number("color_weight", color_weight, (int, float))
     check_number("boundary_weight", boundary_weight, (int, float))
     labels = call(
         torch.ops.torchjoint.felzenszwalb_image.default,
-        images.detach(),
+        images,
         boundaries,
         float(scale),
         min_size,

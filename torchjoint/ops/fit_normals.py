@@ -47,7 +47,7 @@ def fit_normals(points: Tensor, neighbors: Tensor, order: Tensor | None = None) 
         raise ValueError(f"points: expected shape [N, 3], got {list(points.shape)}")
     check_neighbors(neighbors, points.shape[0])
     check_order(order, points.shape[0])
-    return cast(Tensor, call(torch.ops.torchjoint.fit_normals.default, points.detach(), neighbors, order))
+    return cast(Tensor, call(torch.ops.torchjoint.fit_normals.default, points, neighbors, order))
 
 
 @torch.library.register_fake("torchjoint::fit_normals")

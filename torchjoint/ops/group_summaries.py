@@ -54,11 +54,11 @@ def group_summaries(values: Tensor, order: Tensor, group: Tensor, num_groups: in
     check_array("quantiles", quantiles, torch.float32, (None,), "[Q]")
     result = call(
         torch.ops.torchjoint.group_summaries.default,
-        values.detach(),
+        values,
         order,
         group,
         num_groups,
-        quantiles.detach(),
+        quantiles,
     )
     return cast(Tensor, result)
 

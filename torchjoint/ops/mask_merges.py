@@ -92,7 +92,7 @@ def mask_merges(
     return cast(
         "tuple[Tensor, Tensor]",
         call(torch.ops.torchjoint.mask_merges.default,
-            edge_index, cost.detach(), size, in_mask, in_frame, weight, frame_of_mask, float(apart_weight),
+            edge_index, cost, size, in_mask, in_frame, weight, frame_of_mask, float(apart_weight),
             float(prior_weight), float(threshold), stays, min_size,
         ),
     )  # fmt: skip

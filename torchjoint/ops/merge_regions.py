@@ -51,7 +51,7 @@ def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: flo
     check_number("min_size", min_size, (int,))
     return cast(
         Tensor,
-        call(torch.ops.torchjoint.merge_regions.default, edge_index, cost.detach(), size, float(threshold), min_size),
+        call(torch.ops.torchjoint.merge_regions.default, edge_index, cost, size, float(threshold), min_size),
     )
 
 

@@ -60,9 +60,9 @@ def min_cut(
     result = call(
         torch.ops.torchjoint.min_cut.default,
         edge_index,
-        capacity.detach(),
-        source_capacity.detach(),
-        sink_capacity.detach(),
+        capacity,
+        source_capacity,
+        sink_capacity,
     )
     return cast(tuple[Tensor, Tensor], result)
 

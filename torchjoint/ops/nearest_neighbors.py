@@ -46,7 +46,7 @@ def nearest_neighbors(points: Tensor, count: int, num_distances: int | None = No
     if num_distances is None:
         num_distances = count
     check_number("num_distances", num_distances, (int,))
-    found = call(torch.ops.torchjoint.nearest_neighbors.default, points.detach(), count, num_distances)
+    found = call(torch.ops.torchjoint.nearest_neighbors.default, points, count, num_distances)
     return cast(tuple[Tensor, Tensor], found)
 
 

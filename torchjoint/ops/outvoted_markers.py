@@ -47,7 +47,7 @@ def outvoted_markers(markers: Tensor, colors: Tensor, color_weight: float, num_v
     check_number("color_weight", color_weight, (int, float))
     check_number("num_voters", num_voters, (int,))
     check_number("near", near, (int, float))
-    arguments = (markers, colors.detach(), float(color_weight), num_voters, float(near))
+    arguments = (markers, colors, float(color_weight), num_voters, float(near))
     return cast(Tensor, call(torch.ops.torchjoint.outvoted_markers.default, *arguments))
 
 

@@ -53,9 +53,7 @@ def pair_counts(
     ):
         check_array(name, value, dtype, (u.shape[0],), f"[M] = [{u.shape[0]}]")
     check_number("radius", radius, (int, float))
-    result = call(
-        torch.ops.torchjoint.pair_counts.default, u.detach(), v.detach(), pixel, segment, label, float(radius)
-    )
+    result = call(torch.ops.torchjoint.pair_counts.default, u, v, pixel, segment, label, float(radius))
     return cast(tuple[Tensor, Tensor], result)
 
 

@@ -58,7 +58,7 @@ def project(
     check_number("width", width, (int,))
     result = call(
         torch.ops.torchjoint.project.default,
-        points.detach(),
+        points,
         camera_from_world,
         intrinsics,
         float(near),

@@ -63,7 +63,7 @@ def propagate_labels(
     check_number("color_weight", color_weight, (int, float))
     check_number("boundary_weight", boundary_weight, (int, float))
     check_number("min_markers", min_markers, (int,))
-    arguments = (markers, colors.detach(), boundary.detach(), float(color_weight), float(boundary_weight), min_markers)
+    arguments = (markers, colors, boundary, float(color_weight), float(boundary_weight), min_markers)
     return cast(Tensor, call(torch.ops.torchjoint.propagate_labels.default, *arguments))
 
 

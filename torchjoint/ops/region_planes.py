@@ -52,9 +52,7 @@ def region_planes(
     check_number("min_points", min_points, (int,))
     return cast(
         "tuple[Tensor, Tensor]",
-        call(
-            torch.ops.torchjoint.region_planes.default, points.detach(), neighbors, region, normals.detach(), min_points
-        ),
+        call(torch.ops.torchjoint.region_planes.default, points, neighbors, region, normals, min_points),
     )
 
 

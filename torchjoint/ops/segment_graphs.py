@@ -65,8 +65,8 @@ def segment_graphs(
         torch.ops.torchjoint.segment_graphs.default,
         labels,
         chosen,
-        colors.detach(),
-        boundary.detach(),
+        colors,
+        boundary,
         float(color_weight),
         float(boundary_weight),
     )

@@ -45,7 +45,7 @@ def splat_depth(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, heigh
         check_array(name, value, dtype, (row.shape[0],), f"[M] = [{row.shape[0]}]")
     check_number("height", height, (int,))
     check_number("width", width, (int,))
-    result = call(torch.ops.torchjoint.splat_depth.default, row, column, depth.detach(), reach, height, width)
+    result = call(torch.ops.torchjoint.splat_depth.default, row, column, depth, reach, height, width)
     return cast(Tensor, result)
 
 

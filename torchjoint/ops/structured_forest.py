@@ -74,8 +74,8 @@ def structured_forest(
     for name, number in (("trees_per_site", trees_per_site), ("stride", stride)):
         if isinstance(number, bool) or not isinstance(number, int):
             raise TypeError(f"{name}: expected int, got {type(number).__name__}")
-    trees = (children, features, thresholds.detach(), boundary_counts, boundary_pixels, trees_per_site)
-    return cast(Tensor, call(torch.ops.torchjoint.structured_forest.default, images.detach(), *trees, stride))
+    trees = (children, features, thresholds, boundary_counts, boundary_pixels, trees_per_site)
+    return cast(Tensor, call(torch.ops.torchjoint.structured_forest.default, images, *trees, stride))
 
 
 @torch.library.register_fake("torchjoint::structured_forest")

@@ -50,7 +50,7 @@ def ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
     """
     check_array("boundary", boundary, torch.float32, (None, None), "[H, W]")
     check_array("relief", relief, torch.float32, tuple(boundary.shape), f"[H, W] = {list(boundary.shape)}")
-    return cast(Tensor, call(torch.ops.torchjoint.ultrametric_contours.default, boundary.detach(), relief.detach()))
+    return cast(Tensor, call(torch.ops.torchjoint.ultrametric_contours.default, boundary, relief))
 
 
 @torch.library.register_fake("torchjoint::ultrametric_contours")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
+import torch
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse.csgraph import breadth_first_order
 
+from torchjoint import ops
 from torchjoint.scene import Hierarchy
 
 Table = npt.NDArray[np.int64]
@@ -100,6 +100,6 @@ def _smaller_sides(tree: Table, sizes: Table, root: int) -> Table:
     return np.minimum(below[child], below[root] - below[child])
 
 
-def _parts(merges: npt.NDArray[np.int64], count: int) -> npt.NDArray[Any]:
-    graph = coo_array((np.ones(len(merges), dtype=bool), (merges[:, 0], merges[:, 1])), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1])
+def _parts(merges: Table, count: int) -> Table:
+    parts: Table = ops.connected_components(torch.from_numpy(merges).t(), count).numpy()
+    return parts

@@ -89,9 +89,7 @@ class Hierarchy:
     @one_thread_per_operation()
     def segments_of_pieces(self, height: float) -> Tensor:
         """The segment of each piece, [P] int64, where all merges up to a height have happened."""
-        edges = self.merges[self.heights <= height].t()
-        # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect, and numbers by first appearance.
-        return ops.felzenszwalb(edges, torch.zeros(edges.shape[1], dtype=torch.float32), self.num_pieces, scale=1.0)
+        return ops.connected_components(self.merges[self.heights <= height].t(), self.num_pieces)
 
     @one_thread_per_operation()
     def cut(self, height: float) -> Tensor:

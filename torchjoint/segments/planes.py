@@ -10,6 +10,7 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.cloud.edge_weights import EdgeWeights, geometric_weights, segmentator_turn
 from torchjoint.cloud.graph import PointGraph
+from torchjoint.ops.region_planes import region_planes
 from torchjoint.runtime.threads import all_threads
 
 #: Smallest number of points to which a plane is fitted.
@@ -65,4 +66,4 @@ def one_sided_planes(graph: PointGraph, region: Tensor, normals: Tensor) -> Plan
         means [N, 3] metres, and normals [N, 3].
     """
     with all_threads():
-        return Planes(*ops.region_planes(graph.points, graph.neighbors, region, normals, MIN_POINTS))
+        return Planes(*region_planes(graph.points, graph.neighbors, region, normals, MIN_POINTS))

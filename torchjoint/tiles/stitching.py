@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+import torch
 
+from torchjoint import ops
 from torchjoint.tiles.tile import OwnLabels, SharedLabels
 
 Ints = npt.NDArray[np.int64]
@@ -99,8 +99,8 @@ def _ranks(united: Ints, first: Ints, none: int) -> tuple[int, Ints]:
     Those without a point (`first` is `none`) unite nothing: what a tile sees in its buffer alone is for others to say.
     """
     united = united[(first[united] < none).all(1)]
-    graph = coo_matrix((np.ones(len(united), bool), tuple(united.T)), shape=(len(first), len(first)))
-    num_groups, group = connected_components(graph, directed=False)
+    group = ops.connected_components(torch.from_numpy(united).t(), len(first)).numpy()
+    num_groups = int(group.max(initial=-1)) + 1
     first_of_group = np.full(num_groups, none)
     np.minimum.at(first_of_group, group, first)
     rank = np.empty(num_groups, np.int64)

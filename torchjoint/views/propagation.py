@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from torchjoint import ops
 from torchjoint.cloud.adjacency import CsrAdjacency
+from torchjoint.ops.line_maxima import line_maxima
+from torchjoint.ops.window_overlaps import window_overlaps
 from torchjoint.views.visibility import Visible
 
 #: Overlaps are rounded to multiples of this before they are summed. Sums of up to 2^29 overlaps are then exact in
@@ -33,7 +34,7 @@ def edge_overlaps(edges: CsrAdjacency, visible: Visible, labels: Tensor, window:
         ([S] int64, [S] float64): the edges for which the image has evidence (both ends are visible and have a labelled
         pixel in their windows), each once; and their overlaps in [0, 1], rounded to OVERLAP_RESOLUTION.
     """
-    edge, overlap = ops.window_overlaps(*edges, visible.point, visible.row, visible.column, labels, window)
+    edge, overlap = window_overlaps(*edges, visible.point, visible.row, visible.column, labels, window)
     return edge, round_overlaps(overlap)
 
 
@@ -48,7 +49,7 @@ def edge_contours(edges: CsrAdjacency, visible: Visible, boundary: Tensor) -> tu
     Returns:
         ([S] int64, [S] uint8): the edges with two visible ends, each once, and the strength x 255.
     """
-    return ops.line_maxima(*edges, visible.point, visible.row, visible.column, boundary)
+    return line_maxima(*edges, visible.point, visible.row, visible.column, boundary)
 
 
 def round_overlaps(overlap: Tensor) -> Tensor:

@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
+from torchjoint import ops
 from torchjoint.cloud._vectors import dot, length, rows_of
 from torchjoint.config import OcclusionBridgingConfig
 from torchjoint.runtime.sorted_groups import starts_group
@@ -74,12 +73,8 @@ def bridge(
     num_lines = torch.bincount(of_pair, minlength=len(pairs))
     num_votes = torch.bincount(of_pair[goes_on], minlength=len(pairs))
     joined = pairs[(num_votes >= config.min_votes) & (num_votes >= SHARE * num_lines.double())]
-    graph = coo_matrix(
-        (torch.ones(len(joined), dtype=torch.float32), (joined // num_segments, joined % num_segments)),
-        (num_segments, num_segments),
-    )
-    _, component = connected_components(graph, directed=False)
-    return torch.from_numpy(component).long()[point_labels]
+    ends = torch.stack([joined // num_segments, joined % num_segments])
+    return ops.connected_components(ends, num_segments)[point_labels]
 
 
 def _votes(point_labels: Tensor, planes: Planes, visible: Visible, num_segments: int) -> tuple[Tensor, Tensor]:

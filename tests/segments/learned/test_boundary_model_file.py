@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from operator_arguments import BOOSTED_TREES
+from reference.boosted_trees import EXAMPLE as BOOSTED_TREES
 
 from torchjoint.segments.learned import boundary_model_file
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES

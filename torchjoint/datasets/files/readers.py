@@ -19,10 +19,10 @@ import torch
 from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
+from torchjoint.datasets.files import las
 from torchjoint.datasets.files.e57 import read_e57
 from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.ply import Ply, read_ply
-from torchjoint.datasets.files import las
 
 #: Larger images are rejected before they are decoded.
 MAX_PIXELS = 64_000_000

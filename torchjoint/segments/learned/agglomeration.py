@@ -123,14 +123,13 @@ def _merge_in_steps(
         if linkage is not None and far:
             ends, cost = _with_far_pairs(ends, cost, pairs, linkage.far_pairs(of_piece), num_regions)
         if linkage is None:
-            joined, height = ops.region_merges(ends, cost, num_regions, threshold)
+            joined, height = ops.region_dendrogram(ends, cost, num_regions, threshold)
         elif only_crumbs:
             joined, height = linkage.crumbs(of_piece, ends, cost)
         else:
             joined, height = linkage.merges(of_piece, ends, cost, threshold)
         merges.add(of_piece, joined, height, threshold)
-        # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect.
-        region = ops.felzenszwalb(joined, torch.zeros(len(height), dtype=torch.float32), num_regions, scale=1.0)[region]
+        region = ops.connected_components(joined, num_regions)[region]
     return region
 
 
@@ -144,9 +143,9 @@ def _join_behind_occluders(
     of_piece = evidence.regions_of_pieces(region)
     num_regions = int(region.max()) + 1
     pairs, against = continued_surfaces(occlusions, evidence.statistics, evidence.pairs, of_piece)
-    joined, height = ops.region_merges(pairs, against, num_regions, threshold)
+    joined, height = ops.region_dendrogram(pairs, against, num_regions, threshold)
     merges.add(of_piece, joined, torch.full_like(height, threshold), threshold)
-    return ops.felzenszwalb(joined, torch.zeros(len(height), dtype=torch.float32), num_regions, scale=1.0)[region]
+    return ops.connected_components(joined, num_regions)[region]
 
 
 def _with_far_pairs(

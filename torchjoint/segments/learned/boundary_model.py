@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchjoint import ops
+from torchjoint.ops.boosted_trees import boosted_trees
 
 _MOST_ROUNDS = _MOST_MEMBERS = 100
 #: The arrays of trees, and their types.
@@ -53,7 +53,7 @@ class BoostedTrees:
 
     def score(self, values: Tensor) -> Tensor:
         """The baseline plus the sum over the trees: the log odds of rows [B, F] float32; returns [B] float64."""
-        return self.baseline + ops.boosted_trees(values, *self.arrays())
+        return self.baseline + boosted_trees(values, *self.arrays())
 
 
 def no_calibration() -> Tensor:

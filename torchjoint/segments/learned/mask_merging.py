@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchjoint import ops
+from torchjoint.ops.mask_merges import mask_merges
 from torchjoint.runtime.sorted_groups import find, members_of_groups
 from torchjoint.segments.learned.mask_counts import MaskCounts
 from torchjoint.segments.learned.summaries import sum_by
@@ -56,7 +56,7 @@ class MaskLinkage:
         return None if masks is None else cls(masks, size.long())
 
     def merges(self, of_piece: Tensor, ends: Tensor, cost: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
-        """As :func:`torchjoint.ops.region_merges`, with masks.
+        """As :func:`torchjoint.ops.region_dendrogram`, with masks.
 
         Args:
             of_piece: [P] int64, region of each piece, 0 ... R - 1.
@@ -64,7 +64,7 @@ class MaskLinkage:
             cost: [C] float32, the model's probability that the ends belong to different objects.
             threshold: largest cost of two regions that merge.
         """
-        return ops.mask_merges(ends, cost, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, threshold)
+        return mask_merges(ends, cost, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, threshold)
 
     def far_pairs(self, of_piece: Tensor) -> Tensor:
         """Pairs of regions that lie in one mask, whether or not they touch: [2, B] int64, a < b, ascending."""
@@ -85,7 +85,7 @@ class MaskLinkage:
         best = torch.zeros(len(size), dtype=torch.float64)
         best.scatter_reduce_(0, in_mask[0], overlaps(self.masks, in_mask, in_frame), "amax")
         stays = best >= CONFIRMED
-        return ops.mask_merges(ends, cost, *tables, APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE)
+        return mask_merges(ends, cost, *tables, APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE)
 
     def _tables(self, of_piece: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         size = sum_by(of_piece, self.size, int(of_piece.max()) + 1)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.ops.mask_merges import mask_merges
 from torchjoint.segments.learned.mask_counts import MaskCounts, masks_of_pieces
 from torchjoint.segments.learned.mask_merging import APART_WEIGHT, shares_against
 from torchjoint.views.observation import Observation
@@ -57,8 +58,7 @@ def cut_by_masks(piece: Tensor, edge_index: Tensor, observations: Sequence[Obser
     counts = _frames_that_see_most(masks.in_frame, num_pieces, len(observations))
     of_points = masks_of_pieces(region, observations, lambda frame, point: counts[frame, piece[point]])
     joined = _merges_of_parts(ends, torch.bincount(region), of_points)
-    # With weights of 0, Felzenszwalb-Huttenlocher joins whatever edges connect, and numbers by first appearance.
-    return ops.felzenszwalb(joined, torch.zeros(joined.shape[1]), int(region.max()) + 1, scale=1.0)[region]
+    return ops.connected_components(joined, int(region.max()) + 1)[region]
 
 
 def _frames_that_see_most(in_frame: Tensor, num_pieces: int, num_frames: int) -> Tensor:
@@ -79,6 +79,6 @@ def _merges_of_parts(edge_index: Tensor, size: Tensor, masks: MaskCounts | None)
     assert masks is not None  # the observations have masks
     tables = masks.of_regions(torch.arange(len(size)))
     prior = torch.zeros(edge_index.shape[1], dtype=torch.float32)
-    return ops.mask_merges(
+    return mask_merges(
         edge_index, prior, size, *tables, masks.weight, masks.frame_of_mask, APART_WEIGHT, PRIOR_WEIGHT, THRESHOLD
     )[0]

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint import ops
+from torchjoint.ops.ascending_order import ascending_order
+from torchjoint.ops.group_summaries import group_summaries
 
 #: The quantiles of a summary; they follow the mean.
 QUANTILES = (0.1, 0.5, 0.9)
@@ -22,7 +23,7 @@ class Measure(NamedTuple):
     @classmethod
     def of(cls, values: Tensor) -> Measure:
         """Puts values [C] float32 in order."""
-        return cls(values, ops.ascending_order(values))
+        return cls(values, ascending_order(values))
 
 
 def summarize(measure: Measure, group: Tensor, num_groups: int) -> Tensor:
@@ -36,7 +37,7 @@ def summarize(measure: Measure, group: Tensor, num_groups: int) -> Tensor:
     Returns:
         [G, 1 + len(QUANTILES)] float64; NaN for a group without a value.
     """
-    return ops.group_summaries(*measure, group, num_groups, torch.tensor(QUANTILES, dtype=torch.float32))
+    return group_summaries(*measure, group, num_groups, torch.tensor(QUANTILES, dtype=torch.float32))
 
 
 def sum_by(group: Tensor, values: Tensor, num_groups: int) -> Tensor:

@@ -12,11 +12,10 @@ import math
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from torchjoint import ops
 from torchjoint.config import ScanConfig
 from torchjoint.segments.scan.directions import Directions
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, MAX_SLOPE
@@ -59,7 +58,7 @@ def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor,
     flat = standing[~something_rises(seen, points[:, 2].double(), standing, config.object_height)]
     on_ground[flat[height[flat] < config.object_height]] = True
     flat = flat[~on_ground[flat]]
-    patch, num_patches = _patches(flat, edges, len(points))
+    patch = _patches(flat, edges, len(points))
     place: NDArray[np.float64] = points.double().numpy()
     hop = (HOP_GROWTH * seen.distance).clamp(min=HOP).numpy()
     slope = math.tan(math.radians(MAX_SLOPE))
@@ -72,23 +71,19 @@ def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor,
         step = np.abs(place[left, 2] - place[ground[nearest], 2])
         near, fits = way <= hop[left], step <= GROUND_HEIGHT + slope * way
         of_patch = patch[left]
-        num_near = np.bincount(of_patch[near], minlength=num_patches)
-        joins = (num_near > 0) & (np.bincount(of_patch[near & fits], minlength=num_patches) >= SHARE * num_near)
+        num_near = np.bincount(of_patch[near], minlength=len(flat))
+        joins = (num_near > 0) & (np.bincount(of_patch[near & fits], minlength=len(flat)) >= SHARE * num_near)
         if not joins.any():
             break
         on_ground[torch.from_numpy(left[joins[of_patch]])] = True
     return on_ground
 
 
-def _patches(flat: Tensor, edges: Tensor, num_points: int) -> tuple[NDArray[np.int64], int]:
-    """The connected components of the flat points: [N] their numbers (0 for other points), and how many there are."""
+def _patches(flat: Tensor, edges: Tensor, num_points: int) -> NDArray[np.int64]:
+    """The connected components of the flat points: [N] their numbers, 0 for other points."""
     number = torch.full((num_points,), -1)
     number[flat] = torch.arange(len(flat))
-    u, v = number[edges]
-    both = (u >= 0) & (v >= 0)
-    u, v = u[both].numpy(), v[both].numpy()
-    graph = coo_matrix((np.ones(len(u), dtype=bool), (u, v)), shape=(len(flat), len(flat)))
-    num_patches, component = connected_components(graph, directed=False) if len(flat) else (0, np.zeros(0, np.int32))
-    patch = np.zeros(num_points, dtype=np.int64)
-    patch[flat.numpy()] = component
-    return patch, int(num_patches)
+    ends = number[edges]
+    patch = torch.zeros(num_points, dtype=torch.int64)
+    patch[flat] = ops.connected_components(ends[:, (ends >= 0).all(dim=0)], len(flat))
+    return patch.numpy()

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
+from torchjoint import ops
 from torchjoint.scene.masks import Masks
 from torchjoint.views.visibility import Visible
 from torchjoint_lab.benchmark.mask_merging.sightings import Array, Sightings, sightings
@@ -105,7 +105,7 @@ def _clusters(observed: Array, contained: sparse.csr_array, frame_of_mask: Array
             of_frame = within[:, frame_of_mask == frame]
             support += ((of_frame @ of_frame.T) > 0).toarray()
         merge = (together >= least) & (support >= consensus * together)
-        group = connected_components(sparse.csr_array(merge), directed=False)[1]
+        group = ops.connected_components(torch.from_numpy(np.stack(merge.nonzero())), len(merge)).numpy()
         members = sparse.csr_array((np.ones(len(group), dtype=np.float32), (group, np.arange(len(group)))))
         seen = ((members @ seen) > 0).astype(np.float32)
         within = ((members @ within) > 0).astype(np.float32)

@@ -11,7 +11,7 @@ from torchjoint.ops._call import call
 from torchjoint.ops._checks import check_array, check_edge_index, check_number
 
 
-def region_merges(edge_index: Tensor, cost: Tensor, num_regions: int, threshold: float) -> tuple[Tensor, Tensor]:
+def region_dendrogram(edge_index: Tensor, cost: Tensor, num_regions: int, threshold: float) -> tuple[Tensor, Tensor]:
     """List the merges that :func:`torchjoint.ops.merge_regions` makes up to a threshold.
 
     The mean costs ascend: a merge joins boundaries whose means are not below its own. The groups that the merges
@@ -36,7 +36,7 @@ def region_merges(edge_index: Tensor, cost: Tensor, num_regions: int, threshold:
     Example:
         >>> import torch
         >>> edge_index = torch.tensor([[0, 1, 0], [1, 2, 2]])
-        >>> region_merges(edge_index, torch.tensor([0.0, 0.25, 0.75]), 3, 1.0)
+        >>> region_dendrogram(edge_index, torch.tensor([0.0, 0.25, 0.75]), 3, 1.0)
         (tensor([[0, 0],
                 [1, 2]]), tensor([0.0000, 0.5000], dtype=torch.float64))
     """
@@ -46,11 +46,11 @@ def region_merges(edge_index: Tensor, cost: Tensor, num_regions: int, threshold:
     check_number("threshold", threshold, (int, float))
     return cast(
         "tuple[Tensor, Tensor]",
-        call(torch.ops.torchjoint.region_merges.default, edge_index, cost.detach(), num_regions, float(threshold)),
+        call(torch.ops.torchjoint.region_dendrogram.default, edge_index, cost, num_regions, float(threshold)),
     )
 
 
-@torch.library.register_fake("torchjoint::region_merges")
+@torch.library.register_fake("torchjoint::region_dendrogram")
 def _fake(edge_index: Tensor, cost: Tensor, num_regions: int, threshold: float) -> tuple[Tensor, Tensor]:
     num_merges = torch.library.get_ctx().new_dynamic_size()
     return edge_index.new_empty((2, num_merges)), cost.new_empty((num_merges,), dtype=torch.float64)

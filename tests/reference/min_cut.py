@@ -1,58 +1,41 @@
-"""Reference versions of the graph algorithms (steps 2, 6 and 7); shapes and units are those of the operators."""
+"""min_cut: the slow twin, and arguments that are right and wrong."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
+from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from reference.arguments import EDGES, NAN, SINK, SOURCE, VALUES, changed, large_graph
+from torchjoint.ops.min_cut import min_cut
 
-def felzenszwalb_reference(
-    edge_index: Tensor, weight: Tensor, num_nodes: int, scale: float, min_size: int = 0
-) -> Tensor:
-    """What :func:`torchjoint.ops.felzenszwalb` computes, without union-find or radix sort.
-
-    Shapes, units and meaning are those of the operator; the arguments are not checked.
-
-    Example:
-        >>> edge_index = torch.tensor([[0, 1, 2], [1, 2, 3]])
-        >>> felzenszwalb_reference(edge_index, torch.tensor([0.1, 5.0, 0.2]), num_nodes=4, scale=1.0)
-        tensor([0, 0, 1, 1])
-    """
-    weights = weight.to(torch.float32)
-    k = np.float32(scale)
-    component = list(range(num_nodes))  # of each node
-    members = [[node] for node in range(num_nodes)]  # of each component
-    threshold = [k] * num_nodes  # Int(C) + k / |C|
-
-    def join(a: int, b: int) -> None:
-        for node in members[b]:
-            component[node] = a
-        members[a] += members[b]
-        members[b] = []
-
-    edges = [
-        (int(edge_index[0, e]), int(edge_index[1, e]), np.float32(float(weights[e])))
-        for e in torch.argsort(weights, stable=True).tolist()
-    ]
-    with np.errstate(over="ignore", invalid="ignore"):  # infinite weights and scales are allowed
-        for u, v, w in edges:
-            a, b = component[u], component[v]
-            if a != b and w <= threshold[a] and w <= threshold[b]:
-                join(a, b)
-                threshold[a] = w + k / np.float32(len(members[a]))
-
-    for u, v, _ in edges:
-        a, b = component[u], component[v]
-        if a != b and min(len(members[a]), len(members[b])) < min_size:
-            join(a, b)
-
-    number: dict[int, int] = {}
-    labels = [number.setdefault(component[node], len(number)) for node in range(num_nodes)]
-    return torch.tensor(labels, dtype=torch.int64)
+EXAMPLE: dict[str, Any] = {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK}
+ERRORS = [
+    ({"edge_index": EDGES.float()}, TypeError, "edge_index: expected dtype torch.int64, got torch.float32"),
+    ({"edge_index": EDGES.t()}, ValueError, "edge_index: expected shape [2, E], got [3, 2]"),
+    ({"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
+    ({"edge_index": changed(EDGES, -7, 1, 0)}, ValueError, "numbers in [0, 4), got -7 at edge 0"),
+    ({"capacity": VALUES.long()}, TypeError, "capacity: expected dtype torch.float32 or torch.float64, got"),
+    ({"capacity": VALUES[1:]}, ValueError, "capacity: expected shape [E] = [3], got [2]"),
+    ({"capacity": -VALUES}, ValueError, "capacity: expected finite numbers >= 0, got -0.1 at edge 0"),
+    ({"capacity": changed(VALUES, NAN, 2)}, ValueError, "capacity: expected finite numbers >= 0, got nan"),
+    ({"capacity": changed(VALUES, torch.inf, 2)}, ValueError, "numbers >= 0, got inf at edge 2"),
+    ({"source_capacity": SOURCE[None]}, ValueError, "source_capacity: expected shape [N], got [1, 4]"),
+    ({"source_capacity": SOURCE - 1}, ValueError, "source_capacity: expected numbers >= 0, got -1 at node 1"),
+    ({"source_capacity": SOURCE.bool()}, TypeError, "source_capacity: expected dtype torch.float32 or"),
+    ({"sink_capacity": SINK[:3]}, ValueError, "sink_capacity: expected shape [N] = [4], got [3]"),
+    ({"sink_capacity": changed(SINK, NAN, 1)}, ValueError, "sink_capacity: expected numbers >= 0, got nan"),
+    ({"sink_capacity": SOURCE}, ValueError, "source_capacity and sink_capacity: both are infinite at node 0"),
+]
+REFUSED = [
+    {"capacity": VALUES[:2]},
+    {"sink_capacity": SINK[:2]},
+    {"source_capacity": SOURCE[None]},
+]
 
 
 def quantise_reference(capacity: Tensor, source_capacity: Tensor, sink_capacity: Tensor) -> tuple[list[int], list[int]]:
@@ -144,3 +127,9 @@ def min_cut_reference(
     for inside, from_source, to_sink in zip(side, source_capacity.tolist(), sink_capacity.tolist(), strict=True):
         flow += to_sink if inside else from_source
     return torch.tensor(side, dtype=torch.bool), torch.tensor(flow, dtype=torch.float64)
+
+
+def long_call(share: float = 1) -> Callable[[], Any]:
+    """A call that takes some tenths of a second, or about such a share of that."""
+    edges, capacity = large_graph(int(1_000_000 * share))
+    return lambda: min_cut(edges, capacity, 9 * capacity, 9 * capacity.flip(0))

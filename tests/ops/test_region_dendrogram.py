@@ -1,4 +1,4 @@
-"""region_merges: by hand, against its slow twin exactly, and that it makes the merges of merge_regions."""
+"""region_dendrogram: by hand, against its slow twin exactly, and that it makes the merges of merge_regions."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import pytest
 import torch
 from examples import few_and_many
 from hypothesis import strategies as st
+from reference.region_dendrogram import region_dendrogram_reference
 from torch import Tensor
 
-from torchjoint.ops import felzenszwalb, merge_regions, region_merges
-from torchjoint.ops.reference import region_merges_reference
+from torchjoint.ops import connected_components, merge_regions, region_dendrogram
 
 
 def random_regions(seed: int, num_regions: int, num_edges: int, levels: int) -> tuple[Tensor, Tensor]:
@@ -32,8 +32,8 @@ def random_regions(seed: int, num_regions: int, num_edges: int, levels: int) -> 
 )
 def test_the_twin(seed: int, num_regions: int, num_edges: int, levels: int, threshold: float) -> None:
     edges, cost = random_regions(seed, num_regions, num_edges, levels)
-    merges, mean = region_merges(edges, cost, num_regions, threshold)
-    expected, expected_mean = region_merges_reference(edges, cost, num_regions, threshold)
+    merges, mean = region_dendrogram(edges, cost, num_regions, threshold)
+    expected, expected_mean = region_dendrogram_reference(edges, cost, num_regions, threshold)
     assert torch.equal(merges, expected)
     assert torch.equal(mean, expected_mean)
 
@@ -48,8 +48,8 @@ def test_the_twin(seed: int, num_regions: int, num_edges: int, levels: int, thre
 )
 def test_they_are_the_merges_of_merge_regions(seed: int, num_regions: int, levels: int, threshold: float) -> None:
     edges, cost = random_regions(seed, num_regions, 4 * num_regions, levels)
-    merges, mean = region_merges(edges, cost, num_regions, threshold)
-    groups = felzenszwalb(merges, torch.zeros(merges.shape[1]), num_regions, scale=1.0)
+    merges, mean = region_dendrogram(edges, cost, num_regions, threshold)
+    groups = connected_components(merges, num_regions)
     assert torch.equal(groups, merge_regions(edges, cost, torch.ones(num_regions, dtype=torch.int64), threshold))
     assert merges.shape[1] == num_regions - int(groups.max()) - 1  # no merge is listed twice
     assert (mean.diff() >= 0).all()
@@ -60,16 +60,16 @@ def test_they_are_the_merges_of_merge_regions(seed: int, num_regions: int, level
 def test_by_hand() -> None:
     # 2 and 3 merge first. Their two boundaries to 1 then have the mean 0.5. The boundary of 0 and 1 goes last.
     edges = torch.tensor([[3, 1, 1, 0], [2, 2, 3, 1]])
-    merges, mean = region_merges(edges, torch.tensor([0.25, 0.375, 0.625, 0.75]), 4, 1.0)
+    merges, mean = region_dendrogram(edges, torch.tensor([0.25, 0.375, 0.625, 0.75]), 4, 1.0)
     assert merges.tolist() == [[2, 1, 0], [3, 2, 1]]
     assert mean.tolist() == [0.25, 0.5, 0.75]
-    merges, mean = region_merges(edges, torch.tensor([0.25, 0.375, 0.625, 0.75]), 4, 0.5)
+    merges, mean = region_dendrogram(edges, torch.tensor([0.25, 0.375, 0.625, 0.75]), 4, 0.5)
     assert merges.tolist() == [[2, 1], [3, 2]]
 
 
 @pytest.mark.parametrize("num_regions", [0, 1, 3])
 def test_without_edges(num_regions: int) -> None:
-    merges, mean = region_merges(torch.empty(2, 0, dtype=torch.int64), torch.empty(0), num_regions, math.inf)
+    merges, mean = region_dendrogram(torch.empty(2, 0, dtype=torch.int64), torch.empty(0), num_regions, math.inf)
     assert merges.shape == (2, 0)
     assert mean.shape == (0,)
     assert mean.dtype == torch.float64
@@ -78,5 +78,7 @@ def test_without_edges(num_regions: int) -> None:
 def test_any_strides() -> None:
     edges, cost = random_regions(0, 30, 100, 1000)
     strided = edges.t().contiguous().t(), cost.repeat_interleave(2)[::2]
-    for got, expected in zip(region_merges(*strided, 30, 0.6), region_merges(edges, cost, 30, 0.6), strict=True):
+    for got, expected in zip(
+        region_dendrogram(*strided, 30, 0.6), region_dendrogram(edges, cost, 30, 0.6), strict=True
+    ):
         assert torch.equal(got, expected)

@@ -1,9 +1,76 @@
-"""Reference version of the structured forest (step 1); shapes and units are those of the operator."""
+"""structured_forest: the slow twin, and arguments that are right and wrong."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import torch
 from torch import Tensor
+
+from reference.arguments import IMAGES, LABELS, NAN, changed
+from torchjoint.ops.structured_forest import structured_forest
+
+EXAMPLE: dict[str, Any] = {
+    "images": IMAGES, "children": torch.tensor([[2, 0, 0], [0, 0, 0]], dtype=torch.int32),
+    "features": torch.tensor([[7, 0, 0], [0, 0, 0]], dtype=torch.int32), "thresholds": torch.full((2, 3), 0.3),
+    "boundary_counts": torch.tensor([[0, 1, 2], [1, 0, 0]], dtype=torch.int32),
+    "boundary_pixels": torch.tensor([136, 1, 2, 255], dtype=torch.uint8), "trees_per_site": 1, "stride": 2,
+}  # fmt: skip
+
+
+def first(name: str, value: float) -> Tensor:
+    """An array of the example, with another first value."""
+    return changed(EXAMPLE[name], value, 0, 0)
+
+
+ERRORS = [
+    ({"children": first("children", 9)}, ValueError, "less than 3, got 9 at node 0 of tree 0"),
+    (
+        {"children": first("children", 1)},
+        ValueError,
+        "children: expected 0, or more than the node's place + 1",
+    ),
+    ({"children": first("children", -2)}, ValueError, "got -2 at node 0 of tree 0"),
+    (
+        {"features": first("features", 7228)},
+        ValueError,
+        "in [0, 7228), got 7228 at node 0 of tree 0",
+    ),
+    (
+        {"features": first("features", -1)},
+        ValueError,
+        "features: expected numbers in [0, 7228), got -1",
+    ),
+    (
+        {"thresholds": first("thresholds", NAN)},
+        ValueError,
+        "thresholds: expected finite numbers, got nan at",
+    ),
+    (
+        {"boundary_counts": first("boundary_counts", -1)},
+        ValueError,
+        "boundary_counts: expected counts >= 0, got -1 at",
+    ),
+    (
+        {"boundary_counts": first("boundary_counts", 5)},
+        ValueError,
+        "expected counts of 4 pixels in all, got 9",
+    ),
+    ({"images": changed(IMAGES, torch.inf, 0, 0, 0, 0)}, ValueError, "images: expected finite numbers, got inf at 0"),
+    ({"trees_per_site": 3}, ValueError, "trees_per_site: expected 1 to 2, got 3"),
+    ({"trees_per_site": 0}, ValueError, "trees_per_site: expected 1 to 2, got 0"),
+    ({"stride": 3}, ValueError, "stride: expected 2 or 4, got 3"),
+]
+REFUSED = [
+    {"images": IMAGES[0]},
+    {"children": LABELS},
+    {"features": LABELS},
+    {"thresholds": IMAGES[0, 0]},
+    {"boundary_counts": LABELS},
+    {"boundary_pixels": LABELS},
+    {"images": torch.zeros(1, 3, 1, 2**14 + 1)},
+]
 
 #: The image is mirrored by so many pixels on each side. A patch has 16 x 16 cells, a leaf 16 x 16 pixels.
 PADDING, PATCH = 8, 16
@@ -142,3 +209,10 @@ def _sum_of_cells(values: Tensor) -> Tensor:
 def _mean_of_cells(values: Tensor) -> Tensor:
     above, below = values[..., ::2, :], values[..., 1::2, :]
     return ((above[..., ::2] + above[..., 1::2]) + (below[..., ::2] + below[..., 1::2])) * 0.25
+
+
+def long_call(share: float = 1) -> Callable[[], Any]:
+    """A call that takes some tenths of a second, or about such a share of that."""
+    side = share**0.5
+    images = torch.rand(1, 3, int(1500 * side), int(1500 * side), generator=torch.Generator().manual_seed(0))
+    return lambda: structured_forest(**EXAMPLE | {"images": images})

@@ -6,7 +6,7 @@
 namespace torchjoint {
 namespace {
 
-std::tuple<Tensor, Tensor> region_merges(const Tensor& edge_index, const Tensor& cost, int64_t num_regions,
+std::tuple<Tensor, Tensor> region_dendrogram(const Tensor& edge_index, const Tensor& cost, int64_t num_regions,
                                          double threshold) {
   const Tensor edges = checked_edge_index(edge_index);
   const int64_t num_edges = edges.size(1);
@@ -42,11 +42,11 @@ std::tuple<Tensor, Tensor> region_merges(const Tensor& edge_index, const Tensor&
 }  // namespace
 
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("region_merges(Tensor edge_index, Tensor cost, int num_regions, float threshold) -> (Tensor, Tensor)");
+  m.def("region_dendrogram(Tensor edge_index, Tensor cost, int num_regions, float threshold) -> (Tensor, Tensor)");
 }
 
 STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("region_merges", TORCH_BOX(&region_merges));
+  m.impl("region_dendrogram", TORCH_BOX(&region_dendrogram));
 }
 
 }  // namespace torchjoint
