@@ -9,7 +9,7 @@ export PIP_BUILD_CONSTRAINT ?= $(CURDIR)/constraints.txt
 
 install: # as README's test command does
 	python3 -m venv $(VENV)
-	$(PYTHON) -m pip install -e '.[test]'
+	$(PYTHON) -m pip install -e '.[test]' -e lab
 
 test:
 	$(PYTHON) -m pytest -n 2
