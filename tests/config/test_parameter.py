@@ -1,4 +1,4 @@
-"""Declared parameters: their types however annotations are stored, their sensible ranges, and old names.
+"""Declared parameters: their types however annotations are stored, and their sensible ranges.
 
 This module has no `from __future__ import annotations`, as a user's own may not have it either: annotations are types.
 """
@@ -6,12 +6,10 @@ This module has no `from __future__ import annotations`, as a user's own may not
 import dataclasses
 import re
 from dataclasses import dataclass
-from importlib import import_module
 
 import pytest
-from torchjoint.config.removed import REMOVED
 
-from torchjoint.config import STAGES, Config, SuperpointsConfig, marked_parameters, marked_table, parameter_table
+from torchjoint.config import Config, SuperpointsConfig, marked_parameters, marked_table, parameter_table
 from torchjoint.config.parameter import Stage, parameter
 
 
@@ -21,7 +19,7 @@ class TypesConfig(Stage):
 
     count: int = parameter(3, "how many", low=1)
     share: float | None = parameter(None, "which part", high=1)
-    method: str = parameter("new", "by which means", choices=("new", "other"), renamed={"old": "new"})
+    method: str = parameter("new", "by which means", choices=("new", "other"))
     on: bool = parameter(True, "whether at all")
 
 
@@ -31,7 +29,7 @@ class TextsConfig(Stage):
 
     count: "int" = parameter(3, "how many", low=1)  # noqa: RUF009
     share: "float | None" = parameter(None, "which part", high=1)  # noqa: RUF009
-    method: "str" = parameter("new", "by which means", choices=("new", "other"), renamed={"old": "new"})  # noqa: RUF009
+    method: "str" = parameter("new", "by which means", choices=("new", "other"))  # noqa: RUF009
     on: "bool" = parameter(True, "whether at all")  # noqa: RUF009
 
 
@@ -54,7 +52,6 @@ class TestBothWaysToAnnotate:
             ("share", 2, "expected <= 1, got 2"),
             ("method", 3, "expected a text, got 3"),
             ("method", "strange", "expected one of new, other, got 'strange'"),
-            ("method", "old", "'old' is now called 'new'"),
             ("on", 1, "expected true or false, got 1"),
         ],
     )
@@ -63,7 +60,7 @@ class TestBothWaysToAnnotate:
             stage(**{name: value})
 
 
-EVERY = (*STAGES.values(), SuperpointsConfig)
+EVERY = (*Config.stages().values(), SuperpointsConfig)
 PARAMETERS = {f"{stage.key()}.{spec.name}": spec for stage in EVERY for spec in dataclasses.fields(stage)}
 
 
@@ -89,8 +86,11 @@ def test_most_ranges_are_numbers():
     assert sum(sensible_range(spec) is not None for spec in PARAMETERS.values()) > 20
 
 
-def test_there_are_not_too_many():
-    assert sum(len(dataclasses.fields(stage)) for stage in STAGES.values()) <= 40
+def test_the_default_reads_at_most_twenty():
+    """Stage `paper` comes last, and only method paper reads it."""
+    *default, last = Config.stages().items()
+    assert last[0] == "paper"
+    assert sum(len(dataclasses.fields(stage)) for _, stage in default) <= 20
 
 
 def test_those_that_a_user_turns():
@@ -104,60 +104,3 @@ def test_those_that_a_user_turns():
         assert f"| `{name.partition('.')[2]}` |" in parameter_table()
     others = [spec.metadata for name, spec in PARAMETERS.items() if name not in marked_parameters()]
     assert not any(meta["too_low"] or meta["too_high"] for meta in others)
-
-
-OLD_STAGES = {
-    "borders": "region_merging",
-    "bridges": "occlusion_bridging",
-    "confirmation": "image_support",
-    "sweep": "scan",
-}
-
-
-class TestRemoved:
-    @pytest.mark.parametrize("name", [name for name in REMOVED if "." in name])
-    def test_parameters(self, tmp_path, name):
-        stage, _, parameter_name = name.partition(".")
-        message = rf"{stage}\.{parameter_name}: this parameter {re.escape(REMOVED[name])}$"
-        with pytest.raises(ValueError, match=f"^{message}"):
-            Config().set([f"{name}=1"])
-        file = tmp_path / "mine.yaml"
-        file.write_text(f"{stage}: {{{parameter_name}: 1}}\n")
-        with pytest.raises(ValueError, match=rf"mine\.yaml: {message}"):
-            Config.from_yaml(file)
-        assert name not in PARAMETERS
-
-    @pytest.mark.parametrize("stage", [name for name in REMOVED if "." not in name])
-    def test_stages(self, stage):
-        for parameters in ({}, {"scale": 1}):
-            with pytest.raises(ValueError, match=rf"^{stage}: this stage {re.escape(REMOVED[stage])}$"):
-                Config.from_dict({stage: parameters})
-        assert stage not in STAGES
-
-    @pytest.mark.parametrize("name", [name for name, reason in REMOVED.items() if "torchjoint/" in reason])
-    def test_constants_are_where_the_message_says(self, name):
-        constant, file = re.search(r"(\w+) in torchjoint/(\S+)\.py$", REMOVED[name]).groups()
-        assert hasattr(import_module(f"torchjoint.{file.replace('/', '.')}"), constant)
-
-
-class TestOldNames:
-    @pytest.mark.parametrize("old", OLD_STAGES)
-    def test_of_stages(self, tmp_path, old):
-        file = tmp_path / "mine.yaml"
-        file.write_text(f"{old}: {{}}\n")
-        with pytest.raises(ValueError, match=rf"mine\.yaml: {old}: this stage is now called {OLD_STAGES[old]}$"):
-            Config.from_yaml(file)
-        with pytest.raises(ValueError, match=rf"^{old}: this stage is now called {OLD_STAGES[old]}$"):
-            Config().set([f"{old}.threshold=1"])
-        assert OLD_STAGES[old] in STAGES
-
-    @pytest.mark.parametrize(
-        ("stage", "old", "new"), [("point_segments", "sweep", "scan"), ("refinement", "spread", "geodesic")]
-    )
-    def test_of_choices(self, tmp_path, stage, old, new):
-        file = tmp_path / "mine.yaml"
-        file.write_text(f"{stage}: {{method: {old}}}\n")
-        with pytest.raises(ValueError, match=rf"mine\.yaml: {stage}\.method: '{old}' is now called '{new}'$"):
-            Config.from_yaml(file)
-        file.write_text(f"{stage}: {{method: {new}}}\n")
-        assert getattr(Config.from_yaml(file), stage).method == new

@@ -50,7 +50,7 @@ class PaperConfig(Stage):
     merge_ratio: float | None = parameter(
         0.8, "eq. 12: r_m, two image segments merge if at least this share of the point pairs between them has one 3D "
         "label; less merges more, and chains whole images together on real data; null: never", low=0, high=1,
-        sensible="null, or 0.9-1",
+        sensible="null, or 0.8-1",
     )  # fmt: skip
     split_min_edges: int | None = parameter(
         10, "step 7: n_s, an image segment is cut in two if it contains at least this many pairs of points with "
