@@ -119,7 +119,7 @@ def main() -> None:
         report.Table({"ms a frame": 0} | dict.fromkeys(results, 1), times),
         report.Table({"ratio to `detectEdges`": 0} | {f"{name}, ratio": 2 for name in results}, ratios),
     ]
-    report.save("frame" if arguments.frames < MANY else "frame_many", tables, f"{sizes}.")
+    report.save("frame" if arguments.frames < MANY else "frame_many", tables, f"{sizes[0].upper()}{sizes[1:]}.")
 
 
 if __name__ == "__main__":

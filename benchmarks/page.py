@@ -54,13 +54,14 @@ def filled(mark: str, found: dict[str, dict]) -> str:
 def whole(result: dict, rows: str = ".*") -> str:
     """How, when and where a result was measured, and its tables."""
     threads = "1 thread" if result["threads"] == 1 else f"{result['threads']} threads"
-    about = f"{result['about']} " if result["about"] else ""
-    source = f"{about}`{result['command']}`: {result['date']}, {result['machine']}, {threads}, "
+    source = (
+        f"`{result['command']}`: {result['date']}, {result['machine']}, {threads}, torch {result['versions']['torch']}."
+    )
     tables = [
         table | {"rows": [row for row in table["rows"] if re.fullmatch(rows, row[0])]} for table in result["tables"]
     ]
     shown_tables = [markdown(table) for table in tables if table["rows"]]
-    return "\n\n".join([f"{source}torch {result['versions']['torch']}.", *shown_tables])
+    return "\n\n".join([f"{source} {result['about']}".rstrip(), *shown_tables])
 
 
 def main() -> None:

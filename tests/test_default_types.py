@@ -35,7 +35,7 @@ def segmented(scene, method):
     """Scene and frames are made anew, too."""
     frames = [dataclasses.replace(frame) for frame in scene.frames]
     made = tj.Scene(scene.points, frames, colors=scene.colors)
-    options = [f"point_segments.method={method}", "point_segments.min_size=20"]
+    options = [f"point_segments.method={method}", "paper.min_size=20"]
     result = tj.JointSegmenter(tj.Config().set(options))(made)
     return [result.points, *result.images]
 

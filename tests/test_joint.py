@@ -12,14 +12,12 @@ import torchjoint as tj
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.results.checkpoint import Checkpoint, run_key
-from torchjoint.segments import segments
-from torchjoint.segments.planes import SmoothRegions
 from torchjoint.segments.scan.scan_segments import segment_scan
 from torchjoint.views.pose_check import NUM_FRAMES, PoseWarning, check_poses
 
-CONFIG = tj.Config().set(["point_segments.min_size=20", "image_segments.min_size=20"])
-REGIONS = CONFIG.set(["point_segments.method=regions"])
-PAPER = tj.Config.from_preset("paper").set(["point_segments.min_size=20", "image_segments.min_size=20"])
+CONFIG = tj.Config().set(["paper.min_size=20", "image_segments.min_size=20"])
+REGIONS = CONFIG.set(["point_segments.method=paper"])
+PAPER = tj.Config.from_preset("paper").set(["paper.min_size=20", "image_segments.min_size=20"])
 
 
 @pytest.fixture(scope="module")
@@ -360,11 +358,10 @@ class TestEdges:
         with pytest.raises(ValueError, match="points: expected finite values, got 1 NaN"):
             tj.JointSegmenter(CONFIG).reset(points)
 
-    def test_given_normals_are_used(self, synthetic, monkeypatch):
-        monkeypatch.setattr(segments, "SMOOTH_REGIONS", SmoothRegions(scale=0))  # each point keeps its normal
+    def test_given_normals_are_used(self, synthetic):
         points = synthetic.scene.points
         flat = torch.tensor([0.0, 0.0, 1.0]).expand(len(points), -1)
-        config = REGIONS.set(["propagation.weight=0", "region_merging.min_size=0"])
+        config = PAPER.set(["paper.distance_weight=0", "paper.min_size=0"])
         result = tj.JointSegmenter(config)(tj.Scene(points, normals=flat))
         assert result.num_point_segments < 10  # all is flat: the segments are the graph's components
 
@@ -578,7 +575,7 @@ def many_frames(synthetic):
     return [dataclasses.replace(frames[i % len(frames)], name=f"frame-{i:06d}") for i in range(NUM_FRAMES + 5)]
 
 
-@pytest.mark.parametrize("method", ["regions", "scan"])
+@pytest.mark.parametrize("method", ["learned", "scan"])
 @pytest.mark.parametrize("count", [2, NUM_FRAMES + 5])
 def test_each_frame_is_decoded_once(synthetic, many_frames, method, count):
     """Those that check_poses looked at are kept until their turn."""
@@ -624,7 +621,7 @@ class TestScan:
             segmenter.update([frame, frame])
         assert "segments the points without images" in caplog.text
 
-    @pytest.mark.parametrize("method", ["regions", "edges"])
+    @pytest.mark.parametrize("method", ["learned", "paper"])
     def test_another_method_would_miss_the_edges(self, synthetic, scanner, method):
         other = CONFIG.set([f"point_segments.method={method}"])
         message = r"config: what was seen depends on point_segments\.method; see the frames again"

@@ -46,8 +46,8 @@ def test_the_table_of_superpoint_parameters_is_the_code_s():
 
 @pytest.mark.slow
 def test_the_warnings_about_poses_are_the_code_s(monkeypatch):
-    """If not: `python benchmarks/pictures.py` writes them. Numbers may differ a little from machine to machine."""
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    """If not: `python lab/studies/pictures.py` writes them. Numbers may differ a little from machine to machine."""
+    monkeypatch.syspath_prepend(ROOT / "lab" / "studies")
     pictures = importlib.import_module("pictures")
     said, written = (
         re.sub(r"[\d.]+", "N", text) for text in (pictures.messages(), between("mistakes", "docs/your_data.md"))

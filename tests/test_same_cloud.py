@@ -29,7 +29,7 @@ def result_of(scene):
 
 
 def segmented(scene, method="learned"):
-    options = [f"point_segments.method={method}", "point_segments.min_size=20", "boundary.detector=gradient"]
+    options = [f"point_segments.method={method}", "paper.min_size=20", "boundary.detector=gradient"]
     return tj.JointSegmenter(tj.Config().set(options))(scene)
 
 
@@ -76,7 +76,7 @@ class TestCopies:
     @pytest.mark.parametrize("method", ["learned", "edges"])
     def test_points_within_a_cube(self, scene, method):
         """Nearly equal points, as of scans that overlap: each pair counts as one point, and gets one label."""
-        options = [f"point_segments.method={method}", "point_segments.min_size=20", "boundary.detector=gradient"]
+        options = [f"point_segments.method={method}", "paper.min_size=20", "boundary.detector=gradient"]
         segmenter = tj.JointSegmenter(tj.Config().set(options), merge_within=0.01)
         count = len(scene.points)
         jitter = 1e-5 * torch.randn(count, 3, generator=torch.Generator().manual_seed(0))

@@ -123,7 +123,7 @@ def test_mesh_edges_and_normals_by_hand():
 
 
 @pytest.mark.parametrize(
-    ("preset", "size", "parameters"), [("room", 1, {}), ("outdoor", 10, {}), ("segmentator", 1, {"scale": 0.1})]
+    ("preset", "size", "parameters"), [("default", 1, {}), ("scan", 10, {}), ("segmentator", 1, {"scale": 0.1})]
 )
 def test_sides_of_a_box_are_separate(preset, size, parameters):
     points, truth = box_on_floor()
@@ -184,7 +184,7 @@ def clouds_of_several_kinds():
     return [uneven, torch.rand(1, 3, generator=random(1)), box, torch.zeros(30, 3), box[:777]]
 
 
-@pytest.mark.parametrize("preset", ["room", "outdoor"])
+@pytest.mark.parametrize("preset", ["default", "scan"])
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_a_cloud_in_a_batch_is_the_cloud_alone(threads, preset, set_threads):
     clouds = clouds_of_several_kinds()
@@ -287,8 +287,8 @@ def test_errors_name_the_argument(change, error, message):
 
 def test_module_is_the_function():
     points, _ = box_on_floor()
-    module = tj.Superpoints("outdoor", scale=0.5)
-    assert torch.equal(module(points), tj.superpoints(points, preset="outdoor", scale=0.5))
+    module = tj.Superpoints("scan", scale=0.5)
+    assert torch.equal(module(points), tj.superpoints(points, preset="scan", scale=0.5))
     ptr = torch.tensor([0, 100, len(points)])
     assert torch.equal(module(points, ptr=ptr), tj.superpoints(points, ptr=ptr, preset=module.config))
     assert "scale=0.5" in repr(module)
@@ -297,9 +297,9 @@ def test_module_is_the_function():
 
 
 def test_presets(tmp_path):
-    assert set(superpoint_presets()) == {"room", "outdoor", "segmentator"}
+    assert set(superpoint_presets()) == {"default", "scan", "segmentator"}
     assert not set(superpoint_presets()) & set(tj.config.presets())
-    assert SuperpointsConfig.from_preset("room") == SuperpointsConfig()
+    assert SuperpointsConfig.from_preset("default") == SuperpointsConfig()
     for name in superpoint_presets():
         config = SuperpointsConfig.from_preset(name)
         assert f"`{name}`" in superpoint_table()
@@ -338,12 +338,7 @@ def test_outdoor_joins_the_rings_of_a_lidar():
         rings.append(torch.stack([radius * angle.cos(), radius * angle.sin(), torch.zeros_like(angle)], dim=1))
     road = torch.cat(rings)
     road = road + 0.01 * torch.randn(road.shape, generator=random(0))
-    share = tj.superpoints(road, preset="outdoor").bincount().max() / len(road)
-    share_without = tj.superpoints(road, preset="outdoor", reach=0.0).bincount().max() / len(road)
+    share = tj.superpoints(road, preset="scan").bincount().max() / len(road)
+    share_without = tj.superpoints(road, preset="scan", reach=0.0).bincount().max() / len(road)
     assert share > 0.9
     assert share_without < 0.5
-
-
-@pytest.mark.parametrize(("name", "same"), [("indoor", "room"), ("lidar", "outdoor")])
-def test_presets_have_the_joint_method_s_names_too(name, same):
-    assert tj.SuperpointsConfig.from_preset(name) == tj.SuperpointsConfig.from_preset(same)

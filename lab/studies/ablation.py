@@ -24,8 +24,9 @@ from torchjoint_lab.benchmark.settings import read_settings
 from torchjoint_lab.benchmark.space import Setting
 from torchjoint_lab.benchmark.suites import Suite
 
-from torchjoint.config import Config, RegionsConfig
+from torchjoint.config import Config
 from torchjoint.evaluation.table import Row, markdown, standard_error, write_csv
+from torchjoint.segments.planes import SmoothRegions
 
 #: A weight without effect on decisions, but not 0, which would switch off the images: agreement and image support stay.
 NEXT_TO_NOTHING = 1e-9
@@ -40,7 +41,7 @@ class Switch(NamedTuple):
     changes_points: bool = True
     constants: Mapping[
         str, Any
-    ] = {}  #: changed in addition, by their names in the package: "points.segments.MIN_PIECE"
+    ] = {}  #: changed in addition, by their names in the package: "segments.scan.ground.MAX_BUMP"
 
 
 IMAGE_LABELS = tuple(
@@ -75,15 +76,15 @@ REGIONS = (
     Switch(
         "small regions (planes are those of all neighbours)",
         {},
-        constants={"points.segments.SMOOTH_REGIONS": RegionsConfig(scale=0)},
+        constants={"segments.learned.piece_graph.SMOOTH_REGIONS": SmoothRegions(scale=0)},
     ),
     *IMAGE_LABELS,
 )
 SCAN = (
     Switch("growth of the ground over what nothing rises from", {"scan.object_height": 0}),
-    Switch("removal of bumps from the ground", {}, constants={"points.lidar.ground.MAX_BUMP": 1e3}),
+    Switch("removal of bumps from the ground", {}, constants={"segments.scan.ground.MAX_BUMP": 1e3}),
     Switch(
-        "the distance limit for joining small segments", {}, constants={"points.lidar.scan_segments.JOINING_GAP": 1e6}
+        "the distance limit for joining small segments", {}, constants={"segments.scan.scan_segments.JOINING_GAP": 1e6}
     ),
     Switch("joining of small segments", {"scan.min_size": 0}),
     Switch("growth of the gap with distance", {"scan.gap_growth": 0}),

@@ -24,7 +24,7 @@ from torchjoint_lab.evaluation.paper_tables import ROWS, Row, Scores, comparable
 
 import torchjoint as tj
 
-SMALL = ["--set", "point_segments.min_size=20", "image_segments.min_size=20"]
+SMALL = ["--set", "paper.min_size=20", "image_segments.min_size=20"]
 SCANS = ("scene0011_00", "scene0025_01")
 
 

@@ -17,7 +17,7 @@ from torchjoint.results.figures import overview
 from torchjoint.results.folder import read_points
 from torchjoint.results.output_folder import output_folder
 
-SMALL = ["--set", "point_segments.min_size=20", "image_segments.min_size=20"]
+SMALL = ["--set", "paper.min_size=20", "image_segments.min_size=20"]
 
 
 @pytest.fixture(scope="module")

@@ -147,8 +147,8 @@ class TestCommands:
         ("arguments", "message"),
         [
             (
-                ["--granularity", 0.5, "--preset", "tabletop"],
-                r"--granularity: method regions has one level only; --preset",
+                ["--granularity", 0.5, "--preset", "paper"],
+                r"--granularity: method paper has one level only; --preset",
             ),
             (["--granularity", -0.1], r"--granularity: expected a number from 0 \(coarse\)"),
         ],

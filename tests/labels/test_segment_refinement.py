@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchjoint.config import ImageGraphConfig, RefinementConfig
+from torchjoint.config import ImageGraphConfig, PaperConfig
 from torchjoint.images.pixel_graph import grid_edges
 from torchjoint.labels import segment_cuts, segment_merging
 from torchjoint.labels.joint_ids import joint_labels
@@ -55,7 +55,7 @@ class TestMerge:
 
     def merged(self, point_labels, ratio):
         visible = visible_at([(row, column) for row in range(4) for column in (1, 2)])
-        config = RefinementConfig(merge_ratio=ratio)
+        config = PaperConfig(merge_ratio=ratio)
         return merge_segments(self.labels, visible, torch.tensor(point_labels), config)  # 4 pairs across, 6 along
 
     def test_eq_10_to_12_by_hand(self):
@@ -66,21 +66,21 @@ class TestMerge:
         assert torch.equal(self.merged(point_labels, None), self.labels)
 
     def test_no_pairs_never_merge(self):
-        config = RefinementConfig(merge_ratio=0.0)
+        config = PaperConfig(merge_ratio=0.0)
         got = merge_segments(self.labels, visible_at([(0, 0), (0, 3)]), torch.tensor([1, 1]), config)
         assert torch.equal(got, self.labels)
 
     def test_merging_is_transitive_and_leaves_unlabelled_pixels(self):
         labels = torch.tensor([[0, 1, 2, -1]], dtype=torch.int32)
         visible = visible_at([(0, 0), (0, 1), (0, 2), (0, 3)])
-        config = RefinementConfig(merge_ratio=1.0)
+        config = PaperConfig(merge_ratio=1.0)
         got = merge_segments(labels, visible, torch.zeros(4, dtype=torch.int64), config)
         assert got.tolist() == [[0, 0, 0, -1]]
         assert got.dtype == torch.int32
 
 
 class TestSplit:
-    config = RefinementConfig(split_min_edges=2)
+    config = PaperConfig(split_min_edges=2)
     graph = ImageGraphConfig(color_weight=1, boundary_weight=0)
 
     @pytest.fixture(autouse=True)
@@ -125,7 +125,7 @@ class TestSplit:
         """Capacities exp(-w / sigma), sigma the mean weight of the segment and not of the one beside it."""
         gray = torch.rand(2, 6, generator=torch.Generator().manual_seed(seed)) * torch.tensor([1, 1, 1, 9, 9, 9])
         labels = torch.tensor([[0, 0, 0, 1, 1, 1]] * 2)
-        config = RefinementConfig(split_min_edges=1)
+        config = PaperConfig(split_min_edges=1)
         got = self.split(labels, gray, [(0, 0), (1, 0), (0, 2), (1, 2)], [1, 1, 2, 2], config)
         assert got[:, [0, 2]].tolist() == [[0, 2]] * 2
         assert (got[:, 3:] == 1).all()
@@ -142,7 +142,7 @@ class TestSplit:
         labels, gray = self.edge_image()
         pixels, point_labels = [(1, 1), (1, 3)], [4, 9]  # one external pair
         assert (self.split(labels, gray, pixels, point_labels) == 0).all()
-        assert self.split(labels, gray, pixels, point_labels, RefinementConfig(split_min_edges=1)).max() == 1
+        assert self.split(labels, gray, pixels, point_labels, PaperConfig(split_min_edges=1)).max() == 1
 
     def test_most_external_pairs_choose_the_labels(self, monkeypatch):
         monkeypatch.setattr(segment_cuts, "RADIUS", 3.0)
@@ -151,7 +151,7 @@ class TestSplit:
         gray = (torch.arange(9) // 3).float().expand(4, 9)
         pixels = [(0, 2), (0, 3), (1, 5), (2, 5), (3, 5), (1, 6), (2, 6), (3, 6)]
         point_labels = [10, 20, 20, 20, 20, 30, 30, 30]
-        config = RefinementConfig(split_min_edges=1)
+        config = PaperConfig(split_min_edges=1)
         with monkeypatch.context() as patch:
             patch.setattr(segment_cuts, "MAX_SPLITS", 1)
             got = self.split(labels, gray, pixels, point_labels, config)
@@ -177,14 +177,14 @@ class TestSplit:
 
     def test_points_in_one_pixel_cannot_be_cut_apart(self):
         labels, gray = self.edge_image()
-        got = self.split(labels, gray, [(1, 1), (1, 1), (1, 1)], [4, 9, 9], RefinementConfig(split_min_edges=1))
+        got = self.split(labels, gray, [(1, 1), (1, 1), (1, 1)], [4, 9, 9], PaperConfig(split_min_edges=1))
         assert (got == 0).all()
 
     def test_flat_segments_and_unlabelled_pixels(self):
         labels = torch.tensor([[0, 0, 0, 0, -1, -1]])
         gray = torch.zeros(1, 6)  # sigma = 0
         pixels = [(0, 0), (0, 2), (0, 4), (0, 5)]
-        got = self.split(labels, gray, pixels, [1, 2, 1, 2], RefinementConfig(split_min_edges=1))
+        got = self.split(labels, gray, pixels, [1, 2, 1, 2], PaperConfig(split_min_edges=1))
         assert got[0, 4:].tolist() == [-1, -1]
         assert got[0, 0] != got[0, 2]
 

@@ -6,10 +6,9 @@ import re
 import pytest
 import torch
 from lidar_scans import HEIGHT, scan
-from torchjoint.segments.segments import segment_points
 
 import torchjoint as tj
-from torchjoint.segments.method import with_method
+from torchjoint.segments.choice import choose_method
 from torchjoint.segments.scan.scan_segments import segment_scan
 
 AUTO = tj.Config().set(["point_segments.method=auto", "boundary.detector=gradient"])
@@ -33,16 +32,14 @@ def reset(config, points):
 
 
 def method_of(config, points):
-    return with_method(config, points).point_segments.method
+    return choose_method(config, points).name
 
 
 def test_a_cloud_decides(street, room):
     assert method_of(AUTO, street) == "scan"
     assert method_of(AUTO, room.points) == "learned"
-    assert with_method(AUTO, street).replace({"point_segments": {"method": "auto"}}) == AUTO
-    for method in ("regions", "edges", "learned", "scan"):
-        config = AUTO.set([f"point_segments.method={method}"])
-        assert with_method(config, street) is config
+    for method in ("paper", "learned", "scan"):
+        assert method_of(AUTO.set([f"point_segments.method={method}"]), street) == method
 
 
 def test_a_scan_is_segmented_as_a_scan(street):
@@ -92,12 +89,6 @@ def test_segmenters_of_parts_can_be_merged(room):
     assert len(first.state.observations) == 2
 
 
-def test_step_6_itself_wants_a_definite_method(street):
-    segmenter = reset(AUTO, street)
-    with pytest.raises(ValueError, match=r"config: expected a definite point_segments\.method, got auto"):
-        segment_points(segmenter.cloud.graph, segmenter.state, AUTO)
-
-
 class TestLine:
     def line(self, caplog, config, points, normals=None):
         caplog.clear()
@@ -126,9 +117,7 @@ class TestLine:
         assert ", normals given, no colours" in self.line(caplog, AUTO, room.points, normals)
 
     def test_of_the_other_methods(self, caplog, room):
-        assert (
-            self.line(caplog, tj.Config.from_preset("regions"), room.points) == "points: 6000; step 6 by method regions"
-        )
+        assert self.line(caplog, tj.Config.from_preset("paper"), room.points) == "points: 6000; step 6 by method paper"
 
 
 def test_the_command_line_prints_it(run, tmp_path, capsys, shared):

@@ -271,7 +271,7 @@ def test_parameters_of_a_run_in_memory(browser, out, scene_of):
     from torchjoint.viewer.shown import Shown
 
     scene = scene_of(3).scene
-    segmenter = tj.JointSegmenter(tj.Config.from_preset("regions").set(["boundary.detector=gradient"]))
+    segmenter = tj.JointSegmenter(tj.Config().set(["point_segments.method=paper", "boundary.detector=gradient"]))
     result = tj.Result.of(segmenter(scene), scene)
     viewer = Viewer(result, Shown(run=LiveRun(segmenter, scene)), port=8960)
     page = browser.new_page(viewport={"width": 1280, "height": 1400})  # the whole panel, without scrolling

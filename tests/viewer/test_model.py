@@ -12,6 +12,7 @@ from torchjoint.results.edits import Edit, Edits, read_edits, write_edits
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.splits import place_to_split
 from torchjoint.scene import Hierarchy
+from torchjoint.segments.choice import METHODS
 from torchjoint.viewer.cloud import blocks_of
 from torchjoint.viewer.model import Model
 from torchjoint.viewer.pick import pick_point
@@ -270,30 +271,28 @@ def test_a_static_page_is_whole_and_upright(out, run, tmp_path, capsys):
 
 
 def test_a_run_in_memory_is_computed_again(scene_of):
-    from torchjoint.viewer.parameters import LIVE, LiveRun
+    from torchjoint.viewer.parameters import LiveRun
 
     scene = scene_of(3).scene
-    segmenter = tj.JointSegmenter(tj.Config.from_preset("regions").set(["boundary.detector=gradient"]))
+    segmenter = tj.JointSegmenter(tj.Config().set(["point_segments.method=paper", "boundary.detector=gradient"]))
     before = segmenter(scene)
     run = LiveRun(segmenter, scene)
-    assert tuple(run.parameters) == LIVE["regions"]
+    assert tuple(run.parameters) == segmenter.method.turned
     assert torch.equal(run.compute(run.parameters).points, before.points)
-    values = run.parameters | {"region_merging.threshold": 0.2, "image_support.min_size": 30.0}
-    config = segmenter.config.set(["region_merging.threshold=0.2", "image_support.min_size=30"])
+    values = run.parameters | {"paper.scale": 2.0, "paper.min_size": 30.0}
+    config = segmenter.config.set(["paper.scale=2", "paper.min_size=30"])
     again = run.compute(values)
     assert again.config == config
     assert torch.equal(again.points, segmenter.with_config(config).compute(images=False).points)
     assert not torch.equal(again.points, before.points)
-    with pytest.raises(ValueError, match=r"image_support\.min_size: expected"):
-        run.compute({"image_support.min_size": -5.0})
+    with pytest.raises(ValueError, match=r"paper\.min_size: expected"):
+        run.compute({"paper.min_size": -5.0})
 
 
-@pytest.mark.parametrize("method", ["learned", "regions", "edges", "scan"])
+@pytest.mark.parametrize("method", METHODS)
 def test_live_parameters_need_no_frames_again(method):
-    from torchjoint.viewer.parameters import LIVE
-
     config = tj.Config().set([f"point_segments.method={method}"])
-    for name in LIVE[method]:
+    for name in METHODS[method].turned:
         stage, _, parameter = name.partition(".")
         value = getattr(getattr(config, stage), parameter)
         changed = config.replace({stage: {parameter: value + (1 if isinstance(value, int) else 0.01)}})

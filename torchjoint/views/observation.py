@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,12 +14,15 @@ from torchjoint.scene import Masks
 from torchjoint.views.visibility import Visible
 
 _OF_POINTS = ("row", "column", "u", "v", "z")
-_WHOLE = ("labels", "image", "boundary", "intrinsics", "world_to_camera", "lines")
 
 
 @dataclass(frozen=True)
 class Observation:
-    """What is stored of one frame. Images have 8 bits per channel: enough for step 7, and small for long sequences."""
+    """What is stored of one frame. Images have 8 bits per channel: enough for step 7, and small for long sequences.
+
+    A new field needs no change elsewhere: packing, files and memory follow from the fields. One that is no tensor needs
+    an entry in `_SPLIT`.
+    """
 
     name: str
     labels: Tensor  #: [H, W] int32, the initial segmentation, labels 0, 1, ... without gaps, -1 = none; or masks' atoms
@@ -29,7 +31,7 @@ class Observation:
     world_to_camera: Tensor  #: [4, 4] float32, of the prepared cloud's own frame
     image: Tensor  #: [3, H, W] uint8
     boundary: Tensor  #: [H, W] uint8, boundary strength x 255
-    masks: Masks | None = None
+    masks: Masks | None = field(default_factory=lambda: None)
     #: [2, V] int64, points at the two ends of lines across something nearer; only method learned, without masks
     lines: Tensor = field(default_factory=lambda: torch.empty(2, 0, dtype=torch.int64))
 
@@ -43,13 +45,21 @@ class Observation:
         """The initial segmentation as it is shown, [H, W] integers, -1 = none; of masks that overlap the smallest."""
         return self.labels if self.masks is None else self.masks.labels()
 
+    def tensors(self) -> dict[str, Tensor]:
+        """All that it holds, by name."""
+        found: dict[str, Tensor] = {}
+        for spec in fields(Observation):
+            value = getattr(self, spec.name)
+            if isinstance(value, Tensor):
+                found[spec.name] = value
+            elif spec.name in _SPLIT:
+                found |= _SPLIT[spec.name].split(value)
+        return found
+
     @property
     def num_bytes(self) -> int:
         """Memory that the tensors take; masks share their atoms with the labels."""
-        tensors = [*(getattr(self, name) for name in _WHOLE), *self.visible]
-        if self.masks is not None:
-            tensors += [self.masks.pairs, self.masks.scores]
-        return sum(tensor.numel() * tensor.element_size() for tensor in tensors)
+        return sum(tensor.numel() * tensor.element_size() for tensor in self.tensors().values())
 
     @property
     def num_points(self) -> int:
@@ -63,12 +73,7 @@ class Observation:
 
     def pack(self) -> PackedObservation:
         """The same, much smaller."""
-        steps = torch.diff(self.visible.point, prepend=torch.zeros(1, dtype=torch.int64))  # ascending: small numbers
-        tensors = {name: getattr(self, name) for name in _WHOLE} | {"point_steps": steps}
-        tensors |= {name: getattr(self.visible, name) for name in _OF_POINTS}
-        if self.masks is not None:
-            tensors |= {"mask_pairs": self.masks.pairs, "mask_scores": self.masks.scores}
-        return PackedObservation(self.name, {name: pack(tensor) for name, tensor in tensors.items()})
+        return PackedObservation(self.name, {name: pack(tensor) for name, tensor in self.tensors().items()})
 
     def open(self) -> Observation:
         """Itself, because nothing is packed."""
@@ -135,41 +140,43 @@ class _Opened(Observation):
     def __init__(self, packed: PackedObservation) -> None:
         vars(self).update(name=packed.name, _parts=packed.parts)
 
-    def _part(self, name: str) -> Tensor:
-        part: Packed = vars(self)["_parts"][name]
-        return part.unpack()
+    def __getattr__(self, name: str) -> Any:
+        """Called for what is not unpacked yet."""
+        parts = vars(self).get("_parts", {})
+        if name in _SPLIT:
+            value = _SPLIT[name].join(self, parts)
+        elif name in parts:
+            value = parts[name].unpack()
+        else:
+            raise AttributeError(name)
+        vars(self)[name] = value
+        return value
 
-    @cached_property
-    def labels(self) -> Tensor:
-        return self._part("labels")
 
-    @cached_property
-    def visible(self) -> Visible:
-        row, column, u, v, z = (self._part(name) for name in _OF_POINTS)
-        return Visible(self._part("point_steps").cumsum(0), row, column, u, v, z)
+class _Split(NamedTuple):
+    """How a field that is no tensor becomes tensors, and is made of them again."""
 
-    @cached_property
-    def intrinsics(self) -> Tensor:
-        return self._part("intrinsics")
+    split: Callable[[Any], dict[str, Tensor]]
+    join: Callable[[Observation, Mapping[str, Packed]], Any]
 
-    @cached_property
-    def world_to_camera(self) -> Tensor:
-        return self._part("world_to_camera")
 
-    @cached_property
-    def image(self) -> Tensor:
-        return self._part("image")
+def _split_visible(visible: Visible) -> dict[str, Tensor]:
+    steps = torch.diff(visible.point, prepend=torch.zeros(1, dtype=torch.int64))  # ascending: small numbers
+    return {"point_steps": steps, **{name: getattr(visible, name) for name in _OF_POINTS}}
 
-    @cached_property
-    def boundary(self) -> Tensor:
-        return self._part("boundary")
 
-    @cached_property
-    def lines(self) -> Tensor:
-        return self._part("lines")
+def _join_visible(_: Observation, parts: Mapping[str, Packed]) -> Visible:
+    return Visible(parts["point_steps"].unpack().cumsum(0), *(parts[name].unpack() for name in _OF_POINTS))
 
-    @cached_property
-    def masks(self) -> Masks | None:
-        if "mask_pairs" not in vars(self)["_parts"]:
-            return None
-        return Masks(self.labels, self._part("mask_pairs"), self._part("mask_scores"))
+
+def _split_masks(masks: Masks | None) -> dict[str, Tensor]:
+    return {} if masks is None else {"mask_pairs": masks.pairs, "mask_scores": masks.scores}
+
+
+def _join_masks(seen: Observation, parts: Mapping[str, Packed]) -> Masks | None:
+    if "mask_pairs" not in parts:
+        return None
+    return Masks(seen.labels, parts["mask_pairs"].unpack(), parts["mask_scores"].unpack())
+
+
+_SPLIT = {"visible": _Split(_split_visible, _join_visible), "masks": _Split(_split_masks, _join_masks)}

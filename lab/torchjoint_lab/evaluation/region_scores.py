@@ -30,7 +30,7 @@ class RegionSetting(NamedTuple):
 
 
 #: For a structured forest: the best of 15 random settings on every other image of BSDS500's val, by covering + F
-#: (benchmarks/boundaries.py).
+#: (lab/studies/boundaries.py).
 WITH_BOUNDARIES = RegionSetting(
     (1.5, 3.0),
     ImageGraphConfig(smoothing=0.8, color_weight=0.0914, boundary_weight=1.0),

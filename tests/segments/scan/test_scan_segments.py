@@ -152,7 +152,7 @@ def test_bad_config():
 
 
 class TestRealScans:
-    """What benchmarks/streets.py measures, with some room."""
+    """What lab/studies/streets.py measures, with some room."""
 
     def test_the_boxes_of_kitti(self, shared):
         scores = []
