@@ -17,6 +17,8 @@ include_patterns = [
     "docs/*.md",
     "notebooks/*.ipynb",
     "benchmarks/README.md",
+    "lab/README.md",
+    "lab/studies/README.md",
     "CHANGELOG.md",
     "torchjoint/models/MODEL_CARD.md",
 ]

@@ -28,7 +28,7 @@ def scene(scene_of):
     return scene_of(3).scene
 
 
-METHODS = ["learned", "regions", "edges", "scan"]
+METHODS = ["learned", "paper", "scan"]
 
 
 def segmented(scene, method):

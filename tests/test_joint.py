@@ -365,7 +365,7 @@ class TestEdges:
         result = tj.JointSegmenter(config)(tj.Scene(points, normals=flat))
         assert result.num_point_segments < 10  # all is flat: the segments are the graph's components
 
-    def test_the_signs_of_given_normals_do_not_matter_where_cameras_look(self, synthetic):
+    def test_cameras_decide_the_signs_of_given_normals(self, synthetic):
         points = synthetic.scene.points
         normals = estimate_normals(points, nearest_neighbors(points, 30).indices)
         signs = torch.where(torch.rand(len(points), 1, generator=torch.Generator().manual_seed(0)) < 0.5, -1.0, 1.0)

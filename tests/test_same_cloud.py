@@ -8,7 +8,7 @@ import torch
 import torchjoint as tj
 from torchjoint.cloud.local import LocalFrame, composed, distinct_points, without_copies
 
-METHODS = ["learned", "regions", "edges", "scan"]
+METHODS = ["learned", "paper", "scan"]
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ class TestCopies:
         number = torch.cat([torch.arange(count), drawn])
         assert torch.equal(tj.superpoints(scene.points[number], scene.colors[number]), plain[number])
 
-    @pytest.mark.parametrize("method", ["learned", "edges"])
+    @pytest.mark.parametrize("method", ["learned", "paper"])
     def test_points_within_a_cube(self, scene, method):
         """Nearly equal points, as of scans that overlap: each pair counts as one point, and gets one label."""
         options = [f"point_segments.method={method}", "paper.min_size=20", "boundary.detector=gradient"]
@@ -150,7 +150,7 @@ class TestCopies:
 
 
 class TestOrigin:
-    @pytest.mark.parametrize("method", ["learned", pytest.param("regions", marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("method", ["learned", pytest.param("paper", marks=pytest.mark.slow)])
     @pytest.mark.parametrize("offset", [(8000.0, -1000.0, 256.0), (500_000.0, 5_400_000.0, 0.0)])
     def test_it_changes_no_label(self, scene, result_of, method, offset):
         there = moved(scene, torch.tensor(offset, dtype=torch.float64))

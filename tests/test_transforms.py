@@ -45,8 +45,8 @@ def test_a_dict_gets_labels_and_is_not_changed():
     assert result is not sample
     assert torch.equal(result["superpoints"], tj.superpoints(cloud(0), cloud(0), color_weight=1.0))
     assert result["points"] is sample["points"]
-    renamed = AddSuperpoints(points="xyz", colors=None, to="sp", preset="outdoor")({"xyz": cloud(0), "colors": "blue"})
-    assert torch.equal(renamed["sp"], tj.superpoints(cloud(0), preset="outdoor"))
+    renamed = AddSuperpoints(points="xyz", colors=None, to="sp", preset="scan")({"xyz": cloud(0), "colors": "blue"})
+    assert torch.equal(renamed["sp"], tj.superpoints(cloud(0), preset="scan"))
 
 
 def test_an_object_gets_labels_and_is_not_changed():

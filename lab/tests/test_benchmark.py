@@ -22,6 +22,7 @@ from torchjoint_lab.benchmark.settings import read_settings, write_settings
 from torchjoint_lab.benchmark.space import Between, Choice, draw, near
 from torchjoint_lab.benchmark.suites import SUITES
 from torchjoint_lab.benchmark.vote import vote
+from torchjoint_lab.regions import PRESETS, RegionsConfig, segmenter
 
 import torchjoint as tj
 from torchjoint.config import presets
@@ -150,7 +151,8 @@ SETTINGS = {
 
 class TestMethods:
     def test_presets_have_nothing_to_search(self):
-        assert {name for name in METHODS if name.startswith("preset_")} == {f"preset_{name}" for name in presets()}
+        expected = {f"preset_{name}" for name in (*presets(), *PRESETS)}
+        assert {name for name in METHODS if name.startswith("preset_")} == expected
         assert METHODS["preset_paper"].space_in("mosd") == {}
 
     @pytest.mark.parametrize("name", METHODS)
@@ -167,9 +169,9 @@ class TestMethods:
     @pytest.mark.parametrize(
         "settings",
         [
-            [{"propagation.weight": 0.3}, {"image_segments.scale": 10.0}],
+            [{"propagation.window": 3}, {"image_segments.scale": 10.0}],
             pytest.param(
-                [{"propagation.weight": 0.3}, {"propagation.window": 3}, {"image_segments.scale": 10.0}],
+                [{"refinement.color_weight": 50.0}, {"propagation.window": 3}, {"image_segments.scale": 10.0}],
                 marks=pytest.mark.slow,
             ),
         ],
@@ -183,10 +185,18 @@ class TestMethods:
             assert torch.equal(result.points, expected.points), setting
             assert all(torch.equal(a, b) for a, b in zip(result.images, expected.images, strict=True)), setting
 
-    def test_geometry_does_without_images(self, case):
+    def test_joint_is_the_segmenter_of_the_suite_s_preset(self, scene):
+        case = Case(scene, tj.Config(), RegionsConfig.from_preset("indoor"))
+        expected = segmenter("indoor")(scene)
+        assert torch.equal(METHODS["joint"].run(case, {}, False).points, expected.points)
+        merged = METHODS["joint"].run(case, {"region_merging.threshold": 0.6}, False).points
+        assert merged.max() < expected.points.max()
+
+    def test_geometry_does_without_images(self, scene):
+        case = Case(scene, tj.Config(), RegionsConfig.from_preset("indoor"))
         assert torch.equal(
             METHODS["geometry"].run(case, {}, False).points,
-            METHODS["joint"].run(case, {"propagation.weight": 0.0}, False).points,
+            METHODS["joint"].run(case, {"region_costs.weight": 0.0}, False).points,
         )
 
     @pytest.mark.parametrize("suite", SUITES)
@@ -372,7 +382,7 @@ class TestSuites:
             assert made == {3: {"num_views": 24, "num_points": 120_000, "depth_ripple": 0.002, "hard": True}}
 
     @pytest.mark.slow
-    def test_sparse_is_set_as_synthetic(self, monkeypatch, tmp_path, capsys, run):
+    def test_sparse_is_set_as_synthetic(self, monkeypatch, tmp_path, capsys, run_lab):
         small = tj.synthetic.make_scene
         monkeypatch.setattr(suites, "make_scene", lambda seed, size, **_: small(seed, num_views=2, num_points=3000))
         monkeypatch.setitem(
@@ -381,7 +391,7 @@ class TestSuites:
             replace(SUITES["sparse"], checking=lambda _: dict([*SUITES["synthetic"].checking(None).items()][:2])),
         )
         out = tmp_path / "out"
-        run("benchmark", "sparse", "-o", out, "--methods", "normals")
+        run_lab("benchmark", "sparse", "-o", out, "--methods", "normals")
         used = yaml.safe_load((out / "settings.yaml").read_text())
         assert used == {"normals": read_settings("synthetic")["normals"]}
         table = (out / "table.md").read_text()
@@ -390,26 +400,26 @@ class TestSuites:
         assert "flat_iou" in (out / "scores.csv").read_text().splitlines()[0]
         assert "not tuned" not in capsys.readouterr().out
         with pytest.raises(SystemExit, match="--tuning: suite sparse uses the settings of suite synthetic; tune that"):
-            run("benchmark", "sparse", "-o", tmp_path / "other", "--tuning", 1, 1)
+            run_lab("benchmark", "sparse", "-o", tmp_path / "other", "--tuning", 1, 1)
 
     #: Two of them in every run, all of them among the slow tests.
     @pytest.mark.slow
     @pytest.mark.parametrize("methods", [("joint", "ransac_dbscan"), METHODS])
-    def test_the_command(self, methods, data, run, tmp_path, capsys):
+    def test_the_command(self, methods, data, run_lab, tmp_path, capsys):
         page = tmp_path / "page.md"
         page.write_text("# Page\n\n<!-- benchmark scannet -->\nold\n<!-- end benchmark scannet -->\nrest\n")
         common = ["--data", data, "-o", tmp_path / "out"]
         chosen = [] if methods is METHODS else ["--methods", *methods]
         draws, steps = (1, 1) if chosen else (2, 1)
         tuning = ["--tuning", draws, steps]
-        run("benchmark", "scannet", *common, *tuning, "--methods", "joint_painted", "ransac_dbscan")
+        run_lab("benchmark", "scannet", *common, *tuning, "--methods", "joint_painted", "ransac_dbscan")
         assert set(yaml.safe_load((tmp_path / "out" / "settings.yaml").read_text())) == {"ransac_dbscan"}
         if chosen:
             with pytest.raises(SystemExit, match="--page: is for the table of all methods"):
-                run("benchmark", "scannet", *common, *tuning, *chosen, "--page", page, "--overwrite")
+                run_lab("benchmark", "scannet", *common, *tuning, *chosen, "--page", page, "--overwrite")
         else:
             tuning += ["--page", page]
-        run("benchmark", "scannet", *common, *tuning, *chosen, "--overwrite")
+        run_lab("benchmark", "scannet", *common, *tuning, *chosen, "--overwrite")
         printed = capsys.readouterr().out
         out = tmp_path / "out"
         names = {"table.md", "scores.csv", "scores.png", "settings.yaml", "search"}
@@ -426,25 +436,25 @@ class TestSuites:
         else:
             assert filled.strip() in printed
             assert table.startswith(filled)
-        assert len((out / "search" / "joint.jsonl").read_text().splitlines()) == 1 + draws + steps
+        assert len((out / "search" / "ransac_dbscan.jsonl").read_text().splitlines()) == 1 + draws + steps
         found = yaml.safe_load((out / "settings.yaml").read_text())
-        assert set(found) == {name for name in methods if METHODS[name].space}
+        assert set(found) == {name for name in methods if METHODS[name].space_in("scannet")}
         before = (out / "scores.csv").read_text()
-        run("benchmark", "scannet", *common, *chosen, "--settings", out / "settings.yaml", "--overwrite")
+        run_lab("benchmark", "scannet", *common, *chosen, "--settings", out / "settings.yaml", "--overwrite")
         assert (out / "scores.csv").read_text() == before
         with pytest.raises(SystemExit, match="exists already; choose another folder with -o, or --overwrite"):
-            run("benchmark", "scannet", *common)
+            run_lab("benchmark", "scannet", *common)
 
-    def test_mistakes_on_the_command_line(self, run, tmp_path):
+    def test_mistakes_on_the_command_line(self, run_lab, tmp_path):
         out = ["-o", tmp_path / "out"]
         with pytest.raises(SystemExit, match="--methods: expected some of joint"):
-            run("benchmark", "synthetic", *out, "--methods", "jiont")
+            run_lab("benchmark", "synthetic", *out, "--methods", "jiont")
         with pytest.raises(SystemExit, match="--data: suite mosd needs the folder"):
-            run("benchmark", "mosd", *out)
+            run_lab("benchmark", "mosd", *out)
         with pytest.raises(SystemExit, match=r"--settings: .*nope\.yaml does not exist"):
-            run("benchmark", "synthetic", *out, "--settings", Path("nope.yaml"))
+            run_lab("benchmark", "synthetic", *out, "--settings", Path("nope.yaml"))
         with pytest.raises(SystemExit, match="--tuning: expected draws >= 1 and steps >= 0, got 0 0"):
-            run("benchmark", "synthetic", *out, "--tuning", 0, 0)
+            run_lab("benchmark", "synthetic", *out, "--tuning", 0, 0)
         with pytest.raises(SystemExit, match=r"--page: .*nope\.md has no part"):
-            run("benchmark", "synthetic", *out, "--page", "nope.md")
+            run_lab("benchmark", "synthetic", *out, "--page", "nope.md")
         assert list(tmp_path.iterdir()) == []

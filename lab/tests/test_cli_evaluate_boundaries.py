@@ -26,9 +26,9 @@ def predictions(tmp_path):
     return folder
 
 
-def test_a_detector(bsds, tmp_path, run, capsys):
+def test_a_detector(bsds, tmp_path, run_lab, capsys):
     out = tmp_path / "scores"
-    run("evaluate-boundaries", "gradient", bsds, "-o", out, "--thresholds", 9)
+    run_lab("evaluate-boundaries", "gradient", bsds, "-o", out, "--thresholds", 9)
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].split() == ["boundaries", "ODS", "at", "precision", "recall", "OIS", "AP"]
     assert printed[1].split()[0] == "1.000"
@@ -40,8 +40,8 @@ def test_a_detector(bsds, tmp_path, run, capsys):
     assert max(float(row["f"]) for row in rows) == 1
 
 
-def test_a_folder_of_predictions(bsds, predictions, tmp_path, run, capsys):
-    run(
+def test_a_folder_of_predictions(bsds, predictions, tmp_path, run_lab, capsys):
+    run_lab(
         "evaluate-boundaries",
         predictions,
         bsds,
@@ -59,13 +59,13 @@ def test_a_folder_of_predictions(bsds, predictions, tmp_path, run, capsys):
     assert [float(row["precision"]) for row in rows] == [1] * 7 + [0] * 2
 
 
-def test_nothing_is_overwritten(bsds, tmp_path, run):
+def test_nothing_is_overwritten(bsds, tmp_path, run_lab):
     out = tmp_path / "scores"
     out.mkdir()
     (out / "boundaries.csv").write_text("precious")
     with pytest.raises(SystemExit, match=r"boundaries\.csv: exists already; choose another folder with -o"):
-        run("evaluate-boundaries", "gradient", bsds, "-o", out)
-    run("evaluate-boundaries", "gradient", bsds, "-o", out, "--overwrite", "--thresholds", 1, "--no-regions")
+        run_lab("evaluate-boundaries", "gradient", bsds, "-o", out)
+    run_lab("evaluate-boundaries", "gradient", bsds, "-o", out, "--overwrite", "--thresholds", 1, "--no-regions")
     assert (out / "boundaries.csv").read_text() != "precious"
 
 
@@ -101,30 +101,30 @@ def truncate(file):
         (lambda file: file.with_suffix(".png").touch(), r"holds both c\.png and c\.npy; remove one"),
     ],
 )
-def test_wrong_predictions(bsds, predictions, tmp_path, run, damage, message):
+def test_wrong_predictions(bsds, predictions, tmp_path, run_lab, damage, message):
     damage(predictions / "c.npy")
-    with pytest.raises(SystemExit, match="torchjoint: error: .*" + message):
-        run("evaluate-boundaries", predictions, bsds, "-o", tmp_path / "scores", "--thresholds", 1)
+    with pytest.raises(SystemExit, match="torchjoint-lab: error: .*" + message):
+        run_lab("evaluate-boundaries", predictions, bsds, "-o", tmp_path / "scores", "--thresholds", 1)
     assert not (tmp_path / "scores").exists()
 
 
-def test_wrong_arguments(bsds, predictions, tmp_path, monkeypatch, run):
+def test_wrong_arguments(bsds, predictions, tmp_path, monkeypatch, run_lab):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(
         SystemExit, match=r"nothing: neither a folder of predictions, nor a forest, nor a detector: .*gradient"
     ):
-        run("evaluate-boundaries", "nothing", bsds)
+        run_lab("evaluate-boundaries", "nothing", bsds)
     with pytest.raises(SystemExit, match=r"nothing\.yml\.gz: missing; expected a structured forest"):
-        run("evaluate-boundaries", "nothing.yml.gz", bsds)
+        run_lab("evaluate-boundaries", "nothing.yml.gz", bsds)
     with pytest.raises(SystemExit, match="--multi-scale: only for structured forests, got gradient"):
-        run("evaluate-boundaries", "gradient", bsds, "--multi-scale")
+        run_lab("evaluate-boundaries", "gradient", bsds, "--multi-scale")
     with pytest.raises(SystemExit, match="no such folder; expected the BSDS500 data set"):
-        run("evaluate-boundaries", "gradient", tmp_path / "nowhere")
+        run_lab("evaluate-boundaries", "gradient", tmp_path / "nowhere")
     with pytest.raises(SystemExit, match="thresholds: expected a whole number >= 1, got 0"):
-        run("evaluate-boundaries", "gradient", bsds, "--thresholds", 0)
+        run_lab("evaluate-boundaries", "gradient", bsds, "--thresholds", 0)
     with pytest.raises(SystemExit, match="test: missing; expected the folder of the split 'test'"):
-        run("evaluate-boundaries", "gradient", bsds, "--split", "test")
+        run_lab("evaluate-boundaries", "gradient", bsds, "--split", "test")
     Image.new("RGB", (60, 40)).save(predictions / "a.png")
     with pytest.raises(SystemExit, match=r"a\.png: expected a grey image of 8 or 16 bits, got mode RGB"):
-        run("evaluate-boundaries", predictions, bsds)
+        run_lab("evaluate-boundaries", predictions, bsds)
     assert not (tmp_path / "boundary-scores").exists()

@@ -21,21 +21,22 @@ def small_scenes(scene_of, monkeypatch):
         made.append(seed)
         return scene_of(seed)
 
-    monkeypatch.setattr("torchjoint.synthetic.make_domain_scene", make)
+    monkeypatch.setattr("torchjoint_lab.synthetic.make_domain_scene", make)
     return made
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_goes_on(small_scenes, tmp_path, run, capsys, monkeypatch):
+def test_an_interrupted_run_goes_on(small_scenes, tmp_path, run_lab, capsys, monkeypatch):
     out = tmp_path / "model.npz"
-    arguments = ["train-borders", "--domains", "room", "--seeds", 0, 1, 4, 5, "--trees", 2, "--members", 2, "-o", out]
+    options = ["--domains", "room", "--seeds", 0, 1, 4, 5, "--trees", 2, "--members", 2, "-o", out]
+    arguments = ["train-boundary-model", *options]
     fit = training.fit_boundary_model
     monkeypatch.setattr(training, "fit_boundary_model", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        run(*arguments)
+        run_lab(*arguments)
     assert small_scenes == [0, 4]
     monkeypatch.setattr(training, "fit_boundary_model", fit)
-    run(*arguments)
+    run_lab(*arguments)
     assert small_scenes == [0, 4]  # the evidence was on disk
     printed = capsys.readouterr().out
     assert "merging up to 0.15: " in printed
@@ -43,7 +44,7 @@ def test_an_interrupted_run_goes_on(small_scenes, tmp_path, run, capsys, monkeyp
     assert list(tmp_path.iterdir()) == [out]
     assert len(load_boundary_model(out).thresholds) == len(boundary_examples.BoundaryModelOptions().thresholds)
     with pytest.raises(SystemExit, match=r"model\.npz: exists already"):
-        run(*arguments)
+        run_lab(*arguments)
 
 
 def test_evidence_of_other_scenes_is_deleted(tmp_path):
@@ -72,9 +73,9 @@ def test_evidence_of_other_scenes_is_deleted(tmp_path):
         (["--domains", "table", "-o", "no/model.npz"], "-o: no is no folder"),
     ],
 )
-def test_errors_are_one_line(tmp_path, monkeypatch, arguments, message, run):
+def test_errors_are_one_line(tmp_path, monkeypatch, arguments, message, run_lab):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit, match=message) as error:
-        run("train-borders", *arguments)
+        run_lab("train-boundary-model", *arguments)
     assert "\n" not in str(error.value)
     assert not list(Path().iterdir())

@@ -23,10 +23,10 @@ def bsds(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_from_images_to_scores(bsds, tmp_path, run, capsys):
+def test_from_images_to_scores(bsds, tmp_path, run_lab, capsys):
     forest = tmp_path / "small.yml.gz"
     quick = ["--splits", "train", "--trees", 2, "--samples", 1000]
-    run("train-boundaries", bsds, "-o", forest, *quick)
+    run_lab("train-forest", bsds, "-o", forest, *quick)
     assert capsys.readouterr().out.startswith("2 trees of up to ")
     assert list(tmp_path.iterdir()) == [forest]
     left = torch.zeros(1, 3, 50, 70)
@@ -34,12 +34,12 @@ def test_from_images_to_scores(bsds, tmp_path, run, capsys):
     strength = StructuredForestBoundary(forest)(left)[0, 25]
     assert abs(int(strength.argmax()) - 29.5) < 2
     assert strength[:20].max() < strength.max() / 2
-    run("evaluate-boundaries", forest, bsds, "-o", tmp_path / "scores", "--split", "train", "--no-regions")
+    run_lab("evaluate-boundaries", forest, bsds, "-o", tmp_path / "scores", "--split", "train", "--no-regions")
     rows = list(csv.DictReader((tmp_path / "scores" / "boundaries.csv").read_text().splitlines()))
     assert max(float(row["f"]) for row in rows) > 0.6
     before = forest.read_bytes()
     with pytest.raises(SystemExit, match=r"small\.yml\.gz: exists already; choose another name"):
-        run("train-boundaries", bsds, "-o", forest, *quick, "--seed", 1)
+        run_lab("train-forest", bsds, "-o", forest, *quick, "--seed", 1)
     assert forest.read_bytes() == before
 
 
@@ -55,9 +55,9 @@ def test_from_images_to_scores(bsds, tmp_path, run, capsys):
         (["BSDS", "--splits", "train", "--samples", "10"], "samples: expected a whole number >= 1000, got 10"),
     ],
 )
-def test_errors_are_one_line(bsds, tmp_path, monkeypatch, arguments, message, run):
+def test_errors_are_one_line(bsds, tmp_path, monkeypatch, arguments, message, run_lab):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit, match=message) as error:
-        run("train-boundaries", *(bsds if part == "BSDS" else part for part in arguments))
+        run_lab("train-forest", *(bsds if part == "BSDS" else part for part in arguments))
     assert "\n" not in str(error.value)
     assert not list(tmp_path.iterdir())

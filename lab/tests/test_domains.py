@@ -7,10 +7,10 @@ import functools
 import numpy as np
 import pytest
 import torch
-from torchjoint_lab.synthetic import DOMAINS, SyntheticScene, domain_settings, make_domain_scene, mesh
+from torchjoint_lab.synthetic import DOMAINS, SyntheticScene, domain_settings, make_domain_scene
 from torchjoint_lab.synthetic.rigs import Rig
 
-from torchjoint import synthetic
+from torchjoint.synthetic import mesh
 
 pytest.importorskip("open3d")
 
@@ -139,10 +139,6 @@ def test_rooms_have_few_loose_sheets_left() -> None:
 def test_bad_arguments_are_named(arguments: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_domain_scene(**arguments)
-
-
-def test_is_public() -> None:
-    assert {"DOMAINS", "make_domain_scene", "domain_settings", "DomainSettings"} <= set(synthetic.__all__)
 
 
 def test_no_camera_stands_in_a_high_heap() -> None:

@@ -6,9 +6,9 @@ import pytest
 import torch
 from hand_wall import LEFT, RIGHT, STRIP, wall_behind_a_strip
 from torchjoint_lab.regions import occlusion_bridging
+from torchjoint_lab.regions.config import OcclusionBridgingConfig
 from torchjoint_lab.regions.occlusion_bridging import bridge
 
-from torchjoint.config import OcclusionBridgingConfig
 from torchjoint.segments.planes import Planes
 from torchjoint.views.visibility import Visible
 

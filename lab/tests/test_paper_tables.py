@@ -24,7 +24,7 @@ from torchjoint_lab.evaluation.paper_tables import ROWS, Row, Scores, comparable
 
 import torchjoint as tj
 
-SMALL = ["--set", "paper.min_size=20", "image_segments.min_size=20"]
+SMALL = ["--set", "image_segments.min_size=20"]
 SCANS = ("scene0011_00", "scene0025_01")
 
 
@@ -78,9 +78,9 @@ def read_rows(file):
 
 
 @pytest.fixture(scope="module")
-def out(data, run):
+def out(data, run_lab):
     baselines = ["--sis3d", data / "3dsis", "--scenecut", data / "scenecut"]
-    run("paper-tables", data, "-o", data / "out", *baselines, "--max-frames", 2, *SMALL)
+    run_lab("paper-tables", data, "-o", data / "out", *baselines, "--max-frames", 2, *SMALL)
     return data / "out"
 
 
@@ -141,13 +141,13 @@ def test_the_page(out):
 
 
 @pytest.mark.slow
-def test_results_that_are_there_already(data, out, run, tmp_path):
+def test_results_that_are_there_already(data, out, run, run_lab, tmp_path):
     """The same rows from the folders that `segment` wrote, the initial segmentation included."""
     for scan in SCANS:
         source = data / "scans" / scan
         run("segment", source, "-o", tmp_path / "results" / scan, "--max-frames", 2, *SMALL)
     baselines = ["--sis3d", data / "3dsis", "--scenecut", data / "scenecut"]
-    run("paper-tables", data, "-o", tmp_path / "out", *baselines, "--results", tmp_path / "results")
+    run_lab("paper-tables", data, "-o", tmp_path / "out", *baselines, "--results", tmp_path / "results")
     assert (tmp_path / "out" / "tables.csv").read_text() == (out / "tables.csv").read_text()
     (tmp_path / "results" / SCANS[0] / "images" / "9.png").write_bytes(b"")
     shutil.copytree(tmp_path / "results" / SCANS[1], tmp_path / "wrong" / SCANS[0])
@@ -157,13 +157,13 @@ def test_results_that_are_there_already(data, out, run, tmp_path):
     ):
         arguments = [data / "scans" / SCANS[0], "-o", tmp_path / "x", "--results", tmp_path / folder]
         with pytest.raises(SystemExit, match=message):
-            run("paper-tables", *arguments)
+            run_lab("paper-tables", *arguments)
     assert not (tmp_path / "x").exists()
 
 
-def test_rows_of_baselines_that_are_missing(data, run, tmp_path, capsys):
+def test_rows_of_baselines_that_are_missing(data, run_lab, tmp_path, capsys):
     scan = data / "scans" / SCANS[0]
-    run("paper-tables", scan, "-o", tmp_path / "out", "--max-frames", 1, *SMALL)
+    run_lab("paper-tables", scan, "-o", tmp_path / "out", "--max-frames", 1, *SMALL)
     assert list(read_rows(tmp_path / "out" / "tables.csv")) == [
         ("I", "ours", "P"), ("II", "initial", "images"), ("II", "final", "images"),
     ]  # fmt: skip
@@ -173,16 +173,16 @@ def test_rows_of_baselines_that_are_missing(data, run, tmp_path, capsys):
     assert "SceneCut on images: nothing to score; the row is left out" in printed
     (tmp_path / "empty").mkdir()
     baselines = ["--sis3d", tmp_path / "empty", "--scenecut", tmp_path / "empty", "--max-frames", 1]
-    run("paper-tables", scan, "-o", tmp_path / "out", *baselines, *SMALL, "--overwrite")
+    run_lab("paper-tables", scan, "-o", tmp_path / "out", *baselines, *SMALL, "--overwrite")
     assert "scene0011_00: no result of 3D-SIS" in capsys.readouterr().out
 
 
-def test_what_is_wrong_is_told_before_the_work(data, monkeypatch, tmp_path, run):
+def test_what_is_wrong_is_told_before_the_work(data, monkeypatch, tmp_path, run_lab):
     scan = data / "scans" / SCANS[0]
 
     def fails(message, *arguments):
         with pytest.raises(SystemExit, match=message):
-            run("paper-tables", scan, "-o", tmp_path / "out", *arguments)
+            run_lab("paper-tables", scan, "-o", tmp_path / "out", *arguments)
         assert not (tmp_path / "out").exists()
 
     monkeypatch.setattr(tj.JointSegmenter, "forward", lambda *_, **__: pytest.fail("it was segmented"))
@@ -195,26 +195,26 @@ def test_what_is_wrong_is_told_before_the_work(data, monkeypatch, tmp_path, run)
         shutil.rmtree(tmp_path / "copy")
 
 
-def test_nothing_is_overwritten(data, run, tmp_path):
+def test_nothing_is_overwritten(data, run_lab, tmp_path):
     (tmp_path / "tables.csv").write_text("precious")
     with pytest.raises(SystemExit, match=r"tables\.csv: exists already; choose another folder with -o"):
-        run("paper-tables", data, "-o", tmp_path)
+        run_lab("paper-tables", data, "-o", tmp_path)
 
 
-def test_a_map_of_another_shape(data, run, tmp_path):
+def test_a_map_of_another_shape(data, run_lab, tmp_path):
     shutil.copytree(data / "scenecut", tmp_path / "maps")
     np.save(tmp_path / "maps" / SCANS[0] / "1.npy", np.ones((80, 60)))
     arguments = ["--scenecut", tmp_path / "maps", "--max-frames", 3, *SMALL]
     with pytest.raises(SystemExit, match=r"1\.npy: expected a map of the image's shape, 120 x 160 .*, got 80 x 60"):
-        run("paper-tables", data / "scans" / SCANS[0], "-o", tmp_path / "out", *arguments)
+        run_lab("paper-tables", data / "scans" / SCANS[0], "-o", tmp_path / "out", *arguments)
 
 
-def test_scenes_without_truth(data, run, tmp_path):
+def test_scenes_without_truth(data, run_lab, tmp_path):
     scan = tmp_path / "scene0700_00"
     scan.mkdir()
     write_mesh(scan / "scene0700_00_vh_clean_2.ply", np.eye(3), np.zeros((3, 3)))
     with pytest.raises(SystemExit, match="none of its 1 scenes has a truth to compare with"):
-        run("paper-tables", scan, "-o", tmp_path / "out")
+        run_lab("paper-tables", scan, "-o", tmp_path / "out")
 
 
 def test_where_nothing_was_detected_there_is_no_p_d():

@@ -4,18 +4,18 @@ import pytest
 import torch
 from torchjoint_lab.regions.pieces import MIN_POINTS, piece_disagreement
 
-from torchjoint.config import PropagationConfig
 from torchjoint.views.propagation import OVERLAP_RESOLUTION
 
 #: Piece 0 has points 0-3, piece 1 has 4-9, piece 2 has 10-12.
 PIECES = [0] * 4 + [1] * 6 + [2] * 3
 #: One edge in piece 0, two between 0 and 1 (in either direction), one between 1 and 2.
 EDGES = torch.tensor([[0, 3, 5, 9], [1, 4, 2, 10]])
-CONFIG = PropagationConfig(overlap_threshold=0.5)
+#: The overlap at which an image is neutral.
+NEUTRAL = 0.5
 
 
-def disagreements(*observations, config=CONFIG, edges=EDGES, pieces=PIECES):
-    return piece_disagreement(torch.tensor(pieces), edges, observations, config).tolist()
+def disagreements(*observations, r_o=NEUTRAL, edges=EDGES, pieces=PIECES):
+    return piece_disagreement(torch.tensor(pieces), edges, observations, r_o).tolist()
 
 
 def test_one_segment_on_both_sides_is_0_two_are_1(seen):
@@ -38,20 +38,15 @@ def test_what_no_image_sees_is_neutral(seen):
     assert MIN_POINTS == 3
     few = seen([0, 1, 4, 5, 6, 7, 10, 11, 12], [1, 1, 1, 1, 1, 1, 1, 1, 1])  # of piece 0 there are but two
     for r_o in (0.3, 0.5, 0.9):
-        config = PropagationConfig(overlap_threshold=r_o)
-        assert disagreements(few, config=config) == pytest.approx([0, 1 - r_o, 1 - r_o, 0])
-        assert disagreements(seen([], []), config=config) == pytest.approx([0, 1 - r_o, 1 - r_o, 1 - r_o])
-        assert disagreements(config=config) == pytest.approx([0, 1 - r_o, 1 - r_o, 1 - r_o])
+        assert disagreements(few, r_o=r_o) == pytest.approx([0, 1 - r_o, 1 - r_o, 0])
+        assert disagreements(seen([], []), r_o=r_o) == pytest.approx([0, 1 - r_o, 1 - r_o, 1 - r_o])
+        assert disagreements(r_o=r_o) == pytest.approx([0, 1 - r_o, 1 - r_o, 1 - r_o])
 
 
 def test_views_are_averaged_as_in_eq_6(seen):
     same, other = seen(range(13), [5] * 13), seen(range(10), [1] * 4 + [2] * 6)
     assert disagreements(same, other, same) == pytest.approx([0, 1 / 3, 1 / 3, 0])
-    # L = 4 views, r = 1 - r_o + (v r_o - sum o) / L: pieces 0 and 1: v = 3, sum o = 2; 1 and 2: v = 2, sum o = 2.
-    letter = PropagationConfig(overlap_threshold=0.5, normalization="all")
-    assert disagreements(same, other, same, seen([], []), config=letter) == pytest.approx(
-        [0, 0.5 + (1.5 - 2) / 4, 0.5 + (1.5 - 2) / 4, 0.5 + (1 - 2) / 4]
-    )
+    assert disagreements(same, other, same, seen([], [])) == pytest.approx([0, 1 / 3, 1 / 3, 0])  # that sees none
 
 
 def test_pixels_without_a_label_are_left_out(seen):
@@ -103,8 +98,8 @@ def test_against_the_slow_twin_with_any_threads_and_order(seed, seen, set_thread
     for _ in range(5):
         point = torch.randperm(60, generator=generator)[:35].sort().values
         views.append(seen(point.tolist(), torch.randint(-1, 4, (35,), generator=generator).tolist()))
-    r = piece_disagreement(piece, edges, views, CONFIG)
+    r = piece_disagreement(piece, edges, views, NEUTRAL)
     assert r.tolist() == pytest.approx(slow(piece, edges, views, 0.5), abs=4 * OVERLAP_RESOLUTION)
     for count in (1, 2, 4):
         set_threads(count)
-        assert torch.equal(piece_disagreement(piece, edges, views[::-1], CONFIG), r)
+        assert torch.equal(piece_disagreement(piece, edges, views[::-1], NEUTRAL), r)

@@ -164,7 +164,7 @@ def test_a_fused_cloud_is_kept_beside_the_output(synthetic, run, tmp_path):
     ("arguments", "message"),
     [
         (["--set", "propagation.wieght=1"], r"torchjoint: error: propagation\.wieght: unknown parameter"),
-        (["--preset", "nope"], r"torchjoint: error: preset: expected one of default, indoor"),
+        (["--preset", "nope"], r"torchjoint: error: preset: expected one of default, paper"),
         (["--preset", "nope.yaml"], r"torchjoint: error: .*nope\.yaml"),
         (["--max-frames", "-1"], r"torchjoint: error: --max-frames: expected >= 0, got -1"),
     ],

@@ -47,8 +47,8 @@ def test_what_it_writes(tmp_path, run, capsys):
     assert f"400 points in {int(expected.max()) + 1} superpoints" in capsys.readouterr().out
     assert t.io.read_point_cloud(str(tmp_path / "a.ply")).point.label.numpy().ravel().tolist() == expected.tolist()
     assert np.array(Image.open(tmp_path / "a.png")).shape[1] > 1000
-    run("superpoints", cloud, "-o", tmp_path / "b.npy", "--no-picture", "--preset", "outdoor")
-    assert np.load(tmp_path / "b.npy").tolist() == tj.superpoints(POINTS, COLORS, preset="outdoor").tolist()
+    run("superpoints", cloud, "-o", tmp_path / "b.npy", "--no-picture", "--preset", "scan")
+    assert np.load(tmp_path / "b.npy").tolist() == tj.superpoints(POINTS, COLORS, preset="scan").tolist()
     run("superpoints", cloud, "-o", tmp_path / "c.npz", "--no-picture", "--viewpoint", 0, 0, 5)
     assert (
         np.load(tmp_path / "c.npz")["labels"].tolist()
@@ -87,7 +87,7 @@ def test_nothing_is_overwritten(tmp_path, run):
         (["cloud.doc"], r"cloud\.doc: expected a file that ends in \.ply, \.pcd"),
         (["cloud.npz", "-o", "out.txt"], r"-o: expected a file that ends in \.ply, \.npy or \.npz, got out\.txt"),
         (["cloud.npz", "-o", "no/out.ply"], r"-o: no is no folder"),
-        (["cloud.npz", "--preset", "nope"], r"preset: expected one of outdoor, room, segmentator"),
+        (["cloud.npz", "--preset", "nope"], r"preset: expected one of default, scan, segmentator"),
         (["cloud.npz", "--set", "sclae=1"], r"superpoints\.sclae: unknown parameter"),
         (["cloud.npz", "--set", "scale"], r"--set: expected parameter=value, got 'scale'"),
         (["cloud.npz", "--set", "scale=["], r"scale: expected a value, got '\['"),

@@ -9,11 +9,10 @@ from reference.fit_normals import fit_normals_reference
 from reference.neighbor_edges import neighbor_edges_reference
 
 from torchjoint import ops
-from torchjoint.cloud.edge_weights import geometric_weights
+from torchjoint.cloud.edge_weights import EdgeWeights, discounted_angle, geometric_weights
 from torchjoint.cloud.graph import undirected_edges
 from torchjoint.cloud.neighbors import nearest_neighbors, order_along_space
 from torchjoint.cloud.normals import angle_between, estimate_normals
-from torchjoint.config import PointGraphConfig
 
 
 def random_points(count, seed=0):
@@ -146,7 +145,7 @@ def test_degenerate_neighbourhoods():
     assert ops.fit_normals(tiny, everyone).tolist() == [[1.0, 0.0, 0.0]] * 3
 
 
-def test_neighbours_normals_and_edges_do_not_depend_on_threads_or_order(set_threads):
+def test_threads_and_order_do_not_change_the_graph(set_threads):
     points = random_points(5000) ** 3
     results = []
     for threads in (1, 2, 5):
@@ -173,13 +172,16 @@ def test_points_are_asked_for_in_pieces(monkeypatch):
     points, expected = random_points(500), nearest_neighbors(random_points(500), 6, reach=0.3)
     normals = torch.nn.functional.normalize(random_points(500, 1), dim=1)
     edges, known = undirected_edges(expected.indices), torch.ones(500, dtype=torch.bool)
-    whole = geometric_weights(points, edges, normals, known, PointGraphConfig())
+    terms = EdgeWeights(discounted_angle(0.05), distance=0.2)
+    whole = geometric_weights(points, edges, normals, known, terms)
     monkeypatch.setattr("torchjoint.cloud.neighbors.QUERIES", 64)
     monkeypatch.setattr("torchjoint.cloud.edge_weights.EDGES", 128)
     pieces = nearest_neighbors(points, 6, reach=0.3)
     assert torch.equal(pieces.indices, expected.indices)
     assert torch.equal(pieces.spacing, expected.spacing)
-    assert torch.equal(geometric_weights(points, edges, normals, known, PointGraphConfig()), whole)
+    assert torch.equal(
+        geometric_weights(points, edges, normals, known, EdgeWeights(discounted_angle(0.05), distance=0.2)), whole
+    )
 
 
 def test_normals_of_a_tilted_plane():
@@ -210,11 +212,11 @@ def test_eq_3_by_hand():
     points = torch.tensor([[0.0, 0, 0], [3.0, 4, 0]])  # 5 m apart
     normals = torch.tensor([[1.0, 0, 0], [0, 0, 1.0]])  # pi / 2
     colors = torch.tensor([[0.0, 0, 0], [0.6, 0.0, 0.8]])  # 1 apart
-    config = PointGraphConfig(distance_weight=0.1, color_weight=0.25, convex_factor=1)
+    terms = EdgeWeights(discounted_angle(1.0), distance=0.1, color=0.25)
     edge_index, oriented = torch.tensor([[0], [1]]), torch.tensor([True, True])
-    weight = geometric_weights(points, edge_index, normals, oriented, config, colors)
+    weight = geometric_weights(points, edge_index, normals, oriented, terms, colors)
     assert weight.item() == pytest.approx(0.1 * 5 + math.pi / 2 + 0.25 * 1)
-    weight = geometric_weights(points, edge_index, normals, oriented, config, colors, angle_weight=2.0)
+    weight = geometric_weights(points, edge_index, normals, oriented, terms._replace(angle=2.0), colors)
     assert weight.item() == pytest.approx(0.1 * 5 + 2.0 * math.pi / 2 + 0.25 * 1)
 
 
@@ -223,10 +225,10 @@ def test_convex_edges_count_less():
     points = torch.tensor([[-1.0, 0, 0], [0, 0, -1]])
     edge_index, known = torch.tensor([[0], [1]]), torch.ones(2, dtype=torch.bool)
     box, corner = torch.tensor([[0.0, 0, 1], [1, 0, 0]]), torch.tensor([[0.0, 0, -1], [-1, 0, 0]])
-    config = PointGraphConfig(convex_factor=0.25, distance_weight=0)
+    terms = EdgeWeights(discounted_angle(0.25))
 
     def weight(normals, oriented):
-        return geometric_weights(points, edge_index, normals, oriented, config).item()
+        return geometric_weights(points, edge_index, normals, oriented, terms).item()
 
     assert weight(box, known) == pytest.approx(0.25 * math.pi / 2)
     assert weight(corner, known) == pytest.approx(math.pi / 2)
@@ -234,8 +236,8 @@ def test_convex_edges_count_less():
 
 
 def test_colour_needs_colours():
-    config = PointGraphConfig(color_weight=1.0)
-    with pytest.raises(ValueError, match=r"colors: point_graph\.color_weight > 0 needs the colours"):
+    terms = EdgeWeights(discounted_angle(1.0), color=1.0)
+    with pytest.raises(ValueError, match="colors: color_weight > 0 needs the colours"):
         geometric_weights(
-            torch.zeros(2, 3), torch.tensor([[0], [1]]), torch.ones(2, 3), torch.ones(2, dtype=torch.bool), config
+            torch.zeros(2, 3), torch.tensor([[0], [1]]), torch.ones(2, 3), torch.ones(2, dtype=torch.bool), terms
         )

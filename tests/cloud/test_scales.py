@@ -6,8 +6,7 @@ import torch
 import torchjoint.cloud.graph as graph_module
 from torchjoint.cloud.graph import build_point_graph
 from torchjoint.cloud.scales import NEIGHBORS_PER_NOISE, NOISE_QUANTILE, NORMAL_NEIGHBORS, low_quantile, measure_scales
-from torchjoint.config import PointGraphConfig
-from torchjoint.scene import Scene
+from torchjoint.scene import Cloud
 
 STEP = 0.01
 
@@ -83,9 +82,9 @@ def test_the_graph_s_neighbours_follow_from_the_scales(monkeypatch):
     scales = measure_scales(points)
     cases = ((20, 40), (40, 60), (128, 128))  # neighbours of normals, and of planes
     for for_normals, for_planes in cases:
-        graph = build_point_graph(Scene(points), PointGraphConfig(), scales._replace(normal_neighbors=for_normals))
+        graph = build_point_graph(Cloud(points), 16, scales._replace(normal_neighbors=for_normals))
         monkeypatch.setattr(graph_module, "PLANE_NEIGHBORS", for_planes)
-        expected = build_point_graph(Scene(points), PointGraphConfig(normal_neighbors=for_normals))
+        expected = build_point_graph(Cloud(points), 16, for_normals)
         assert graph.is_same(expected)
         assert torch.equal(graph.neighbors, expected.neighbors)
         assert torch.equal(graph.edge_index, expected.edge_index)

@@ -47,7 +47,7 @@ class TestImagesOfAnotherSize:
         got = scale_intrinsics(pinhole_matrix(20, 21, 7.5, 5.5), (12, 16), (24, 32))
         assert got.tolist() == [[40, 0, 15.5], [0, 42, 11.5], [0, 0, 1]]
 
-    def test_the_centre_of_the_first_pixel_comes_to_lie_where_it_does_in_a_mean_of_four(self):
+    def test_half_size_puts_the_first_centre_between_four_pixels(self):
         # In half the size, a pixel's centre lies between the centres of the four it is made of.
         half = scale_intrinsics(pinhole_matrix(2, 2, 0.5, 0.5), (12, 16), (6, 8))
         assert half.tolist() == [[1, 0, 0], [0, 1, 0], [0, 0, 1]]

@@ -13,6 +13,7 @@ from PIL import Image
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import fingerprint, read_array, read_cloud, read_depth, read_image
+from torchjoint.datasets.formats.folder import read_frames
 from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.datasets.recording import invert_pose
 from torchjoint.results.output_folder import output_folder, own_files
@@ -103,7 +104,7 @@ def test_a_cloud_that_is_fused_far_from_the_origin_is_as_exact(synthetic):
     torch.testing.assert_close(moved - offset, here.double(), atol=1e-6, rtol=0)
 
 
-def test_without_cloud_and_depth_there_is_nothing_to_segment(tmp_path, synthetic):
+def test_a_recording_needs_a_cloud_or_depth(tmp_path, synthetic):
     recording = write_folder(tmp_path / "recording", synthetic, cloud=False, depth=False)
     with pytest.raises(ValueError, match=r"none has a depth image, and there is no cloud\.ply"):
         tj.load_scene(recording)
@@ -269,7 +270,7 @@ class TestKitchen:
     """The real recording."""
 
     def test_frames(self, shared):
-        frames = tj.datasets.folder.read_frames(shared / "data" / "kitchen")
+        frames = read_frames(shared / "data" / "kitchen")
         assert len(frames) == 200
         frame = frames[3]
         assert frame.name == "frame-000015"

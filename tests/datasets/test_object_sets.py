@@ -7,6 +7,7 @@ import samples
 import torch
 
 import torchjoint as tj
+from torchjoint.datasets.files.ply import write_cloud
 
 
 def load(name, tmp_path):
@@ -76,7 +77,7 @@ class TestCloudAlone:
 
     def test_can_be_segmented(self, tmp_path, run, scene_of):
         cloud = scene_of(2).scene
-        tj.datasets.ply.write_cloud(tmp_path / "cloud.ply", cloud.points, cloud.colors)
+        write_cloud(tmp_path / "cloud.ply", cloud.points, cloud.colors)
         (tmp_path / "other.bin").write_bytes(b"changes nothing")
         run("segment", tmp_path / "cloud.ply", "-o", tmp_path / "out")
         result = tj.load_result(tmp_path / "out")

@@ -5,8 +5,8 @@ import pytest
 import torch
 from damage import CLEAR, damage
 
+from torchjoint.datasets.files import ply_ascii, ply_binary
 from torchjoint.datasets.files.ply import read_ply, read_vertex_property, write_cloud
-from torchjoint.datasets.files.readers import ply_ascii, ply_binary
 
 POINTS = torch.rand(50, 3, generator=torch.Generator().manual_seed(0))
 COLORS = torch.randint(256, (50, 3), generator=torch.Generator().manual_seed(1)) / 255

@@ -8,7 +8,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 
-from torchjoint.datasets.files.readers import ros_packing
+from torchjoint.datasets.files import ros_packing
 from torchjoint.datasets.files.ros_bag import Bag
 from torchjoint.datasets.files.ros_packing import unpack
 from torchjoint.runtime import archives

@@ -22,6 +22,7 @@ from scannet_files import (
 
 import torchjoint as tj
 from torchjoint.datasets.files.sis3d_volume import read_volume
+from torchjoint.datasets.formats import sis3d
 from torchjoint.datasets.scannet_cameras import NOMINAL
 from torchjoint.datasets.voxels import label_voxels, read_world_to_scene, voxels_of
 
@@ -71,12 +72,12 @@ def test_a_scene_by_any_of_its_paths(root, synthetic, path):
 
 def test_a_scan_with_frames_of_its_own_is_scannet_s(root, synthetic):
     mesh = root / "scans" / SCAN
-    assert tj.datasets.sis3d.recognizes(mesh)
+    assert sis3d.recognizes(mesh)
     intrinsics = synthetic.scene.frames[0].intrinsics
     write_sens(mesh / f"{SCAN}.sens", shots_of(synthetic.scene), intrinsics, intrinsics)
-    assert not tj.datasets.sis3d.recognizes(mesh)
+    assert not sis3d.recognizes(mesh)
     assert [frame.name for frame in tj.load_scene(mesh).frames] == ["0", "1"]
-    assert tj.datasets.sis3d.find_folders(mesh).images == root / "images_square" / SCAN  # whose voxels these still are
+    assert sis3d.find_folders(mesh).images == root / "images_square" / SCAN  # whose voxels these still are
 
 
 def test_several_scenes_are_listed(root):
@@ -186,7 +187,7 @@ class TestVolume:
 
     def test_it_comes_back(self, file):
         volume = read_volume(file)
-        assert volume.dims == (3, 4, 5)
+        assert volume.sdf.shape == (3, 4, 5)
         assert volume.sdf.tolist() == np.arange(60).reshape(3, 4, 5).tolist()
         assert volume.boxes.tolist() == [[1.5, 0, 2.25, 2, 2, 5], [0, 1, 2, 2, 3, 4]]
         assert volume.corners.tolist() == [[1, 0, 2], [0, 1, 2]]
@@ -199,7 +200,7 @@ class TestVolume:
     def test_its_matrix_leads_from_voxels_to_the_world(self, file):
         volume = read_volume(file)
         assert volume.voxels_to_world[:3, 3].tolist() == [1, 2, 3]
-        place = volume.world_to_chunk @ torch.tensor([1 + 2 * VOXEL, 2, 3, 1]).double()
+        place = torch.linalg.inv(volume.voxels_to_world) @ torch.tensor([1 + 2 * VOXEL, 2, 3, 1]).double()
         torch.testing.assert_close(place, torch.tensor([2.0, 0, 0, 1]).double())
 
     def test_the_first_bytes_are_x_fastest(self, file):

@@ -100,7 +100,7 @@ class TestAssociation:
                 pairs[i] = j
         assert tum.associate(first, second) == sorted(pairs.items())
 
-    def test_images_without_depth_are_kept_and_those_without_a_pose_left_out(self, folder):
+    def test_an_image_needs_a_pose_but_no_depth(self, folder):
         lines = (folder / "depth.txt").read_text().splitlines()
         (folder / "depth.txt").write_text("\n".join(line for line in lines if "1105.0" not in line))
         lines = (folder / "groundtruth.txt").read_text().splitlines()

@@ -32,7 +32,7 @@ def labelled(masks: list[Tensor], points: list[tuple[int, int, int]]) -> tuple[T
     return label_image(seen, label, torch.bincount(label, minlength=5), Config())
 
 
-def test_a_mask_of_one_object_stays_whole_in_spite_of_points_from_behind() -> None:
+def test_points_from_behind_do_not_split_a_mask() -> None:
     mask = box(2, 2, 6, 8)
     points = [(3, 3, 1), (3, 5, 1), (4, 6, 1), (5, 7, 0)] + [(r, c, 0) for r in (0, 7) for c in range(12)]
     labels, _ = labelled([mask], points)
@@ -60,13 +60,13 @@ def test_a_mask_without_points_keeps_an_id_of_its_own() -> None:
     assert torch.equal(labels == 5, unseen)
 
 
-def test_an_image_in_which_a_network_found_nothing_gets_the_labels_of_its_points() -> None:
+def test_an_image_without_masks_gets_the_labels_of_its_points() -> None:
     labels, next_free = labelled([], [(r, c, int(c > 5)) for r in (2, 5) for c in (2, 9)])
     assert next_free == 5
     assert set(labels.flatten().tolist()) == {0, 1}
 
 
-def test_points_from_behind_do_not_give_a_mask_the_label_of_a_thing_of_which_they_are_a_small_part() -> None:
+def test_a_few_points_from_behind_do_not_label_a_mask() -> None:
     """The mask's object is not in the cloud. What lies behind it is seen through the hole."""
     large, missing = box(0, 0, 8, 8), box(2, 9, 6, 12)
     of_large = [(r, c, 1) for r in range(8) for c in range(8)] * 2
@@ -78,7 +78,7 @@ def test_points_from_behind_do_not_give_a_mask_the_label_of_a_thing_of_which_the
     assert next_free == 5
 
 
-def test_a_small_mask_of_a_thing_that_the_network_splits_is_a_part_of_it() -> None:
+def test_a_small_mask_is_a_part_of_a_thing_split_by_the_network() -> None:
     parts = [box(0, 0, 4, 8), box(4, 0, 8, 8), box(2, 9, 6, 12)]
     of_parts = [(r, c, 1) for r in range(8) for c in range(8)] * 2
     labels, next_free = labelled(parts, of_parts + [(r, c, 1) for r in (3, 4) for c in (9, 10, 11, 9)])
@@ -101,14 +101,14 @@ def test_a_part_without_points_belongs_to_its_whole() -> None:
     assert (labels[box(1, 1, 7, 9)] == 3).all()
 
 
-def test_a_small_mask_gets_a_label_of_its_points_not_of_what_is_around() -> None:
+def test_a_small_mask_gets_the_label_of_its_own_points() -> None:
     small = box(3, 3, 5, 5)
     points = [(3, 3, 1), (3, 4, 1), (4, 4, 1)] + [(r, c, 0) for r in (0, 7) for c in range(12)]
     labels, _ = labelled([small, box(0, 0, 8, 12)], points)
     assert torch.equal(labels == 1, small)
 
 
-def test_a_few_points_do_not_make_a_mask_a_part_of_something_larger() -> None:
+def test_a_few_points_do_not_make_a_mask_a_part() -> None:
     """They may lie behind its object; but if nothing else shows what they belong to, they are believed."""
     large, small = box(1, 1, 6, 6), box(1, 8, 4, 11)
     of_large = [(r, c, 3) for r in (2, 3, 4) for c in (2, 3, 4)]

@@ -21,22 +21,21 @@ class TestByHand:
     def test_each_pixel_takes_its_point_s_piece(self, seen):
         assert pieces_of(seen([0, 1, 2, 3], [0] * 4), [0, 0, 1, 1], [0, 1, 2, 2], [0, 0, 1]) == [0, 1, 2, 2]
 
-    def test_a_pixel_of_another_segment_takes_the_nearest_point_of_its_own(self, seen):
+    def test_a_pixel_takes_the_nearest_point_of_its_own_segment(self, seen):
         # Pixel 3 holds a point of piece 2 (segment 1), but its label is segment 0, whose nearest point is in pixel 2.
         assert pieces_of(seen([0, 1, 2, 3, 4], [0] * 5), [0, 0, 0, 0, 1], [0, 1, 1, 2, 2], [0, 0, 1]) == [0, 1, 1, 1, 2]
 
     def test_pixels_without_a_3d_segment_have_no_piece(self, seen):
         assert pieces_of(seen([0, 1, 2], [0] * 3), [-1, 0, 7], [0, 1, 1], [0, 0]) == [-1, 1, -1]
 
-    def test_a_segment_that_is_not_visible_here_takes_its_first_piece(self, seen):
+    def test_a_hidden_segment_takes_its_first_piece(self, seen):
         assert pieces_of(seen([0, 1], [0] * 2), [0, 1], [0, 0, 1, 2], [0, 1, 1]) == [0, 1]
         assert pieces_of(seen([], []), [1], [0, 0, 1, 2], [0, 1, 1]) == [1]
 
 
-@pytest.fixture(scope="module", params=["geodesic", "cuts"])
-def result(scene_of, request):
-    segmenter = tj.JointSegmenter(LEARNED.set([f"refinement.method={request.param}"]))
-    return segmenter(scene_of(3).scene)
+@pytest.fixture(scope="module")
+def result(scene_of):
+    return tj.JointSegmenter(LEARNED)(scene_of(3).scene)
 
 
 def test_pieces_lie_inside_the_segments_of_the_images(result):
@@ -93,6 +92,6 @@ def test_neither_threads_nor_later_frames_matter(scene_of, result, set_threads):
 
 
 def test_other_methods_have_none(scene_of):
-    result = tj.JointSegmenter(tj.Config.from_preset("regions").set(["boundary.detector=gradient"]))(scene_of(3).scene)
+    result = tj.JointSegmenter(tj.Config.from_preset("paper").set(["boundary.detector=gradient"]))(scene_of(3).scene)
     assert result.hierarchy is None
     assert len(result.piece_images) == 0

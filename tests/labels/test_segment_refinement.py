@@ -34,7 +34,7 @@ class TestPairs:
         # Points 0 and 1 are close, of one 3D label; 1 and 2 of two.
         assert groups(list(self.pixels), [0, 1, 1, 1], [7, 7, 8, 7], 4.0) == [(0, 1, 7, 7, 1), (1, 1, 7, 8, 1)]
 
-    def test_internal_pairs_in_one_segment_and_points_outside_do_not_count(self):
+    def test_pairs_in_one_segment_or_outside_do_not_count(self):
         assert groups(list(self.pixels), [1, 1, -1, 1], [7, 7, 8, 7], 4.0) == []
 
     def test_pairs_in_one_pixel_do_not_count(self):

@@ -85,7 +85,7 @@ def test_a_coco_file(tmp_path):
         tj.masks.read_folder(path, scene_of("a"))
 
 
-def test_frames_without_masks_and_masks_without_frames_are_reported(tmp_path):
+def test_frames_and_masks_without_a_partner_are_reported(tmp_path):
     for name in ("b", "x", "y"):
         write_labels(tmp_path / f"{name}.png")
     with (
@@ -127,7 +127,7 @@ def test_masks_are_read_with_their_frame(tmp_path):
         masked.frames[1]
 
 
-def test_names_of_some_lazy_frames_are_known_without_reading_them():
+def test_names_of_lazy_frames_are_known_without_reading():
     frames = LazySequence(3, lambda _: pytest.fail("read a frame"), ["a", "b", "c"])
     scene = tj.Scene(torch.rand(5, 3), frames)
     assert frame_names(scene.select_frames([2, 0]).frames) == ["c", "a"]

@@ -64,7 +64,7 @@ def test_checked_values(cases):
     assert len(cases) >= 21
 
 
-def test_only_one_checked_case_depends_on_what_an_unlabelled_prediction_is(cases):
+def test_one_checked_case_has_unlabelled_predictions(cases):
     assert [name for name, (pred, *_) in cases.items() if (pred < 0).any()] == ["R21"]
 
 
@@ -174,7 +174,7 @@ def test_objects_and_parts_are_the_loop(data, gammas):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_objects_and_parts_are_the_loop_where_small_regions_are_no_candidates(seed):
+def test_objects_and_parts_equal_the_loop_without_small_regions(seed):
     generator = torch.Generator().manual_seed(seed)
     target = torch.multinomial(0.5 ** torch.arange(14.0), 400, True, generator=generator)
     pred = torch.where(torch.rand(400, generator=generator) < 0.1, target.flip(0), target)
@@ -282,7 +282,7 @@ def test_a_perfect_prediction_has_1_everywhere(data):
     assert everything(target, target) == pytest.approx([1.0] * 11)
 
 
-def test_few_and_many_regions_go_different_ways_to_the_same_table():
+def test_few_and_many_regions_give_the_same_table():
     few = torch.arange(6000).view(60, 100) // 50
     pred, target = few // 3, few // 2
     assert everything(pred * 10**12, target * 10**15) == everything(pred, target)

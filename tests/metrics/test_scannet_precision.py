@@ -212,7 +212,7 @@ def test_void_counts_in_the_area_of_a_mask():
 
 @pytest.mark.parametrize(("void", "expected"), [(0, 0.75), (100, 0.75), (101, 1.0), (149, 1.0)])
 @pytest.mark.parametrize("label", [-1, 5])
-def test_a_mask_mostly_of_void_or_of_too_small_an_instance_is_no_false_positive(void, expected, label):
+def test_a_mask_of_void_or_a_tiny_instance_is_no_error(void, expected, label):
     """A mask of 200 points that matches nothing: at a threshold of .50 it counts unless more than half is ignored."""
     target, pred = runs((0, 300), (label, void), (0, 200 - void)), runs((0, 300), (1, 200))
     assert scannet_average_precision(pred, target, min_size=150).ap50 == pytest.approx(expected)
@@ -233,7 +233,7 @@ def test_without_predictions_it_is_0_and_without_instances_nan():
         assert all(value != value for value in scannet_average_precision(nothing, target, min_size=151))
 
 
-def test_a_mask_that_matches_two_instances_goes_to_the_first_that_takes_it_first():
+def test_a_mask_of_two_instances_goes_to_the_first_taker():
     """Only below 0.5 do numbers matter: the second mask matches both instances, the first one only instance 0."""
     target, pred = runs((0, 100), (1, 50)), runs((0, 50), (1, 100))
     scores = torch.tensor([0.4, 0.8])

@@ -56,7 +56,7 @@ def test_the_nearest_give_way_where_more_can_be_matched() -> None:
     assert match_pixels(pred, target, 1)[1].equal(target)
 
 
-def test_of_equally_near_ones_the_upper_then_the_left_one_is_taken() -> None:
+def test_of_equally_near_pixels_upper_then_left_wins() -> None:
     assert match_pixels(pixels("...", ".#.", "..."), pixels(".#.", "#.#", ".#."), 1)[1].equal(
         pixels(".#.", "...", "...")
     )

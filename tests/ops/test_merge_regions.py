@@ -55,7 +55,7 @@ def test_the_twin(seed: int, num_regions: int, num_edges: int, levels: int, thre
 
 
 @pytest.mark.parametrize(("levels", "threshold", "min_size"), [(5, 0.3, 0), (5, 0.0, 4), (1000, 0.2, 4)])
-def test_the_twin_with_more_borders_than_there_is_room_for_at_first(levels, threshold, min_size):
+def test_the_twin_agrees_when_borders_need_more_room(levels, threshold, min_size):
     edges, size = random_regions(seed=levels, num_regions=60, num_edges=3000)
     cost = torch.randint(levels, (3000,), generator=torch.Generator().manual_seed(1)) / (levels - 1)
     got = merge_regions(edges, cost, size, threshold, min_size)
@@ -81,9 +81,7 @@ def test_separate_graphs_do_not_touch_one_another(threads):
 
 @settings(max_examples=100, derandomize=True)  # costs hardly ever tie, but they may
 @given(seed=st.integers(0, 2**32 - 1), num_regions=st.integers(1, 60), threshold=st.sampled_from([0.1, 0.3, 0.6]))
-def test_without_ties_the_order_and_direction_of_edges_change_nothing(
-    seed: int, num_regions: int, threshold: float
-) -> None:
+def test_without_ties_the_order_of_edges_changes_nothing(seed: int, num_regions: int, threshold: float) -> None:
     """Float32 would tell sums in another order apart; sums of whole numbers do not."""
     generator = torch.Generator().manual_seed(seed)
     edges, size = random_regions(seed, num_regions, 5 * num_regions)
@@ -120,7 +118,7 @@ def test_a_self_loop_is_no_border() -> None:
     assert merged([(0, 0), (0, 1), (1, 1)], [9.0, 0.1, 9.0], 0.1 + 2**-20) == [0, 0]
 
 
-def test_of_equally_cheap_borders_that_of_the_first_edge_goes_first() -> None:
+def test_of_equal_costs_the_first_edge_merges_first() -> None:
     # Whichever of 0 and 2 comes first takes 1, and the other one is then too far away.
     near, far = (0.25, 1.0)
     assert merged([(0, 1), (1, 2), (0, 2)], [near, near, far], 0.3) == [0, 0, 1]

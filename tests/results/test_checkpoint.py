@@ -12,7 +12,7 @@ from torchjoint.results.checkpoint import Checkpoint
 
 @pytest.fixture(scope="module")
 def segmenter(scene_of):
-    made = tj.JointSegmenter(tj.Config().set(["point_segments.method=regions", "boundary.detector=gradient"]))
+    made = tj.JointSegmenter(tj.Config().set(["point_segments.method=paper", "boundary.detector=gradient"]))
     scene = scene_of(3).scene
     made.reset(scene.points, scene.colors)
     made.update(scene.frames[:2])

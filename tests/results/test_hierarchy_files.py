@@ -52,7 +52,7 @@ def test_equal_results_are_equal_bytes(tmp_path, scene, result):
 
 
 def test_a_result_without_levels(tmp_path, scene):
-    result = tj.JointSegmenter(tj.Config.from_preset("regions").set(["boundary.detector=gradient"]))(scene)
+    result = tj.JointSegmenter(tj.Config.from_preset("paper").set(["boundary.detector=gradient"]))(scene)
     (tmp_path / "out").mkdir()
     write_result(tmp_path / "out", scene, result, tj.Config(), "test")
     read = read_result(tmp_path / "out")

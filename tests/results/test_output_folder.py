@@ -117,7 +117,7 @@ def test_a_complete_result_is_not_computed_again(tmp_path):
     assert content(tmp_path / "out") == NEW
 
 
-def test_what_another_run_has_completed_stays_for_those_who_do_not_overwrite(tmp_path):
+def test_a_completed_run_stays_without_overwrite(tmp_path):
     """Its place has been taken meanwhile: nothing is lost."""
     out, partial = tmp_path / "out", tmp_path / "out.partial"
     write(out, OLD)

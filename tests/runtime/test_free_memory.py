@@ -31,7 +31,7 @@ print(full - resident(), sum(float(one.sum()) for one in kept))
 
 
 @pytest.mark.skipif(free_memory._malloc_trim() is None, reason="the C library is not glibc")
-def test_free_blocks_between_used_ones_go_back_and_used_ones_stay() -> None:
+def test_free_blocks_go_back_and_used_ones_stay() -> None:
     output = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True).stdout
     megabytes, total = map(float, output.split())
     assert megabytes > 150

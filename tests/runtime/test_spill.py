@@ -18,7 +18,7 @@ def test_what_is_written_is_read(tmp_path):
     assert pickle.loads(pickle.dumps(second)) == b"two two"
 
 
-def test_nothing_is_left_in_the_folder_and_the_file_is_closed_with_its_last_span(tmp_path):
+def test_the_last_span_closes_the_file_and_leaves_nothing(tmp_path):
     file = SpillFile(tmp_path)
     (span,) = file.write([b"bytes"])
     assert list(tmp_path.iterdir()) == []

@@ -124,7 +124,7 @@ def test_inside_the_package_may_use_as_many_as_before():
 
 
 class TestParallelMap:
-    def test_items_run_at_once_with_one_thread_each_and_keep_their_order(self):
+    def test_parallel_items_keep_their_order_with_one_thread_each(self):
         together = threading.Barrier(COUNT)
 
         def work(item):

@@ -9,8 +9,7 @@ from hand_graph import graph_of
 import torchjoint.cloud.graph as graph_module
 from torchjoint import ops
 from torchjoint.cloud.graph import build_point_graph
-from torchjoint.config import PointGraphConfig
-from torchjoint.scene import Scene
+from torchjoint.scene import Cloud
 from torchjoint.segments.planes import MIN_POINTS, SmoothRegions, one_sided_planes, small_regions
 
 ALL = SmoothRegions(scale=1e-9, min_size=0)
@@ -60,7 +59,7 @@ class TestSmallRegions:
 
     def test_none_reaches_around_a_corner(self):
         points, side = corner()
-        graph = build_point_graph(Scene(points), PointGraphConfig(normal_neighbors=20))
+        graph = build_point_graph(Cloud(points), 16, 20)
         known = torch.ones(len(points), dtype=torch.bool)
         region = small_regions(graph, graph.normals, known, SmoothRegions(scale=0.003, min_size=0))
         for label in region.unique():
@@ -79,7 +78,7 @@ class TestOneSidedPlanes:
     @pytest.mark.parametrize("noise", [0.0, 0.0005])
     def test_a_crease_is_sharp(self, noise):
         points, side = corner(noise=noise)
-        graph = build_point_graph(Scene(points), PointGraphConfig(normal_neighbors=20))
+        graph = build_point_graph(Cloud(points), 16, 20)
         truth = torch.where((side == 0)[:, None], torch.tensor([0.0, 0, 1]), torch.tensor([1.0, 0, 0]))
         toward = torch.where((graph.normals * truth).sum(1, keepdim=True) < 0, -graph.normals, graph.normals)
         planes = one_sided_planes(graph, side, toward)
@@ -93,7 +92,7 @@ class TestOneSidedPlanes:
     def test_too_small_a_region_keeps_its_normals(self, monkeypatch):
         monkeypatch.setattr(graph_module, "PLANE_NEIGHBORS", 20)
         points, _ = corner(side=6)
-        graph = build_point_graph(Scene(points), PointGraphConfig())
+        graph = build_point_graph(Cloud(points), 16, 45)
         given = torch.tensor([0.6, 0.0, 0.8]).expand(72, 3)
         region = torch.where(torch.arange(72) < MIN_POINTS - 1, 0, 1)
         planes = one_sided_planes(graph, region, given)
@@ -102,7 +101,7 @@ class TestOneSidedPlanes:
 
     def test_threads_change_nothing(self, set_threads):
         points, side = corner(side=70, noise=0.001)
-        graph = build_point_graph(Scene(points), PointGraphConfig())
+        graph = build_point_graph(Cloud(points), 16, 45)
         set_threads(1)
         expected = one_sided_planes(graph, side, graph.normals)
         set_threads(3)

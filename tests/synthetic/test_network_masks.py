@@ -38,7 +38,7 @@ def best_ious(masks, labels):
     return list(zip(best.indices.tolist(), best.values.tolist(), strict=True))
 
 
-def test_perfect_masks_are_the_truth_in_another_order_in_each_image():
+def test_perfect_masks_are_the_truth_in_a_shuffled_order():
     labels = checkerboard()
     masks = [tj.synthetic.make_network_masks(labels, "perfect", 0, index) for index in range(2)]
     for one in masks:

@@ -39,7 +39,7 @@ def keys_of_points(model):
     return model.parts.keys[model.table][model.parts.of_point]
 
 
-def test_ids_are_those_on_disk_at_its_level_and_stay_when_others_change(model, result):
+def test_ids_are_those_on_disk_and_stay_when_others_change(model, result):
     np.testing.assert_array_equal(keys_of_points(model), result.points)
     model.set_granularity(0.9)
     fine = keys_of_points(model)

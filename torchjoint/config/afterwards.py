@@ -9,19 +9,14 @@ from torchjoint.config.config import Config
 
 C = TypeVar("C", bound=Config)
 
-#: Stages of steps 6-8 whose parameters count only after all frames.
-AFTERWARDS = ("scan", "refinement", "paper")
-#: Parameters of these stages that count before: the point graph has the normals.
-BEFORE = ("paper.normal_neighbors",)
-
 
 def evidence_config(config: C) -> C:
-    """The config with the AFTERWARDS parameters at their defaults: two configs with equal results store the same."""
+    """The config with the `afterwards` parameters at their defaults: two configs with equal results store the same."""
     default = type(config)()
     stages = {}
-    for stage in AFTERWARDS:
+    for stage in config.afterwards:
         given = dataclasses.asdict(getattr(config, stage))
-        kept = {name: value for name, value in given.items() if f"{stage}.{name}" in BEFORE}
+        kept = {name: value for name, value in given.items() if f"{stage}.{name}" in config.before}
         stages[stage] = getattr(default, stage).replace(kept)
     return dataclasses.replace(config, **stages)
 

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, ClassVar, Self, cast
 
 from torchjoint.config.images import BoundaryConfig, ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.config.labels import RefinementConfig
@@ -37,6 +37,11 @@ class Config:
     scan: ScanConfig = field(default_factory=ScanConfig)
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
+
+    #: Stages of steps 6-8 whose parameters count only after all frames, see :mod:`torchjoint.config.afterwards`.
+    afterwards: ClassVar[tuple[str, ...]] = ("scan", "refinement", "paper")
+    #: Parameters of these stages (stage.parameter) that count before: the point graph has the normals.
+    before: ClassVar[tuple[str, ...]] = ("paper.normal_neighbors",)
 
     def __post_init__(self) -> None:
         for name, expected in self.stages().items():

@@ -34,26 +34,12 @@ def merge(region: Tensor, edge_index: Tensor, cost: Tensor, threshold: float, mi
     Returns:
         [N] int64 segments 0, 1, ..., numbered by their first regions.
     """
-    return _merged(region, edge_index, cost, torch.bincount(region), threshold, min_size)
+    return merge_sized(region, edge_index, cost, torch.bincount(region), threshold, min_size)
 
 
-def join_small(segment: Tensor, edge_index: Tensor, cost: Tensor, stays: Tensor, min_size: int) -> Tensor:
-    """Joins each segment of fewer than `min_size` points to a neighbour, unless `stays` protects the segment.
-
-    Args:
-        segment: [N] int64, segment of each point, 0 ... S - 1.
-        edge_index: [2, E] int64, edges between points.
-        cost: [E] float32 in [0, 1024].
-        stays: [S] bool, True for segments that are not joined.
-        min_size: points.
-
-    Returns:
-        [N] int64 segments 0, 1, ...
-    """
-    size = torch.bincount(segment, minlength=stays.shape[0])
-    return _merged(segment, edge_index, cost, torch.where(stays, size + min_size, size), 0, min_size)
-
-
-def _merged(region: Tensor, edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int) -> Tensor:
+def merge_sized(
+    region: Tensor, edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int
+) -> Tensor:
+    """As :func:`merge`, with sizes [R] int64 of the regions that need not be their numbers of points."""
     with all_threads():
         return ops.merge_regions(region[edge_index], cost, size, threshold, min_size)[region]

@@ -7,11 +7,8 @@ and fuses a point cloud (:mod:`~torchjoint.synthetic.cloud`).
 
 The scenes contain the difficulties of joint segmentation on purpose: prints and grain inside objects, neighbours of one
 colour, flat things on flat things, doors and posters flush with walls, slatted chairs in front of cupboards, hollow
-bowls, cast shadows, changing exposure, motion blur, depth noise, holes, pose errors, clouds of uneven density. Optional
-(they were added later): depth errors that are correlated between neighbours, and harder rooms
-(:mod:`~torchjoint.synthetic.hard`) with more flat things (:mod:`~torchjoint.synthetic.flats`), more slender occluders
-that split the object behind them (:mod:`~torchjoint.synthetic.occluders`), and more hollow things
-(:mod:`~torchjoint.synthetic.vessels`).
+bowls, cast shadows, changing exposure, motion blur, depth noise, holes, pose errors, clouds of uneven density.
+Optional: depth errors that are correlated between neighbours.
 
 :func:`with_network_masks` gives the frames of a scene masks as networks make them, from its truth: dropped, split,
 merged, nested, with outlines that are off.

@@ -21,7 +21,7 @@ class Footprints:
 
     def claim(self, item: Item, pose: Pose, margin: float = 0.0) -> bool:
         """Occupies the item's bounding box, grown sideways by ``margin``, metres; False (no change) if not free."""
-        new = _bounds(item, pose, margin)
+        new = bounds(item, pose, margin)
         for old in self.boxes:
             if (
                 new[0] < old[2]
@@ -35,20 +35,9 @@ class Footprints:
         self.boxes.append(new)
         return True
 
-    def add(self, item: Item, pose: Pose) -> None:
-        """Occupies the box around the item's triangles, also if it is not free; includes brackets and knobs.
 
-        Does not include the handles of an item with fronts: things on fronts keep clear of handles.
-        """
-        if item.fronts:
-            self.boxes.append(_bounds(item, pose, 0.0))
-            return
-        corners = np.concatenate([part.moved((pose.x, pose.y, pose.z), pose.yaw).positions for part, _ in item.parts])
-        low, high = corners.min(axis=(0, 1)) + 1e-6, corners.max(axis=(0, 1)) - 1e-6
-        self.boxes.append((low[0], low[1], high[0], high[1], low[2], high[2]))
-
-
-def _bounds(item: Item, pose: Pose, margin: float) -> tuple[float, float, float, float, float, float]:
+def bounds(item: Item, pose: Pose, margin: float) -> tuple[float, float, float, float, float, float]:
+    """The item's bounding box (x0, y0, x1, y1, bottom, top), grown sideways by ``margin``, metres."""
     c, s = abs(np.cos(pose.yaw)), abs(np.sin(pose.yaw))
     hx = (item.size[0] * c + item.size[1] * s) / 2 + margin - 1e-6
     hy = (item.size[0] * s + item.size[1] * c) / 2 + margin - 1e-6

@@ -23,9 +23,8 @@ class RayCaster:
             from embreex.mesh_construction import TriangleMesh
             from embreex.rtcore_scene import EmbreeScene
 
-        self._triangles = np.ascontiguousarray(triangles, dtype=np.float32)
         self._scene = EmbreeScene(robust=True)  # no ray slips through between two triangles
-        TriangleMesh(self._scene, self._triangles)
+        TriangleMesh(self._scene, np.ascontiguousarray(triangles, dtype=np.float32))
 
     def cast(self, rays: Array) -> tuple[Array, Array, Array]:
         """The first hit of each ray.
@@ -48,34 +47,6 @@ class RayCaster:
         reach = np.ones(len(origins), dtype=np.float32)
         return np.asarray(self._scene.run(origins, directions, dists=reach, query="OCCLUDED") >= 0)
 
-    def clearance(self, place: Array) -> float:
-        """Distance of a place [3] to the nearest triangle, metres."""
-        corners = self._triangles.astype(np.float64) - place
-        nearest = [_to_segment(corners[:, i], corners[:, (i + 1) % 3]) for i in range(3)]
-        return float(np.sqrt(np.min([*nearest, _to_inside(corners)])))
-
 
 def _halves(rays: Array) -> tuple[Array, Array]:
     return np.ascontiguousarray(rays[:, :3], np.float32), np.ascontiguousarray(rays[:, 3:], np.float32)
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
-
-
-def _to_segment(start: Array, end: Array) -> Array:
-    """[T] squared distance of the origin to segments."""
-    along = end - start
-    share = np.clip(-_dot(start, along) / np.maximum(_dot(along, along), 1e-30), 0, 1)
-    nearest = start + along * share[:, None]
-    return _dot(nearest, nearest)
-
-
-def _to_inside(corners: Array) -> Array:
-    """[T] squared distance of the origin to the planes of triangles; inf where its foot lies outside the triangle."""
-    a, b, c = corners.swapaxes(0, 1)
-    normal = np.cross(b - a, c - a)
-    squared = _dot(normal, normal)
-    sides = [_dot(np.cross(q - p, -p), normal) for p, q in ((a, b), (b, c), (c, a))]
-    inside = (np.min(sides, axis=0) >= 0) & (squared > 1e-30)
-    return np.where(inside, _dot(a, normal) ** 2 / np.maximum(squared, 1e-30), np.inf)

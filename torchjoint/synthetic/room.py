@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,6 @@ import numpy as np
 from torchjoint.synthetic import clutter, furniture
 from torchjoint.synthetic import materials as paint
 from torchjoint.synthetic.arrays import Rng
-from torchjoint.synthetic.hard import harden
 from torchjoint.synthetic.layout import Footprints, fill_shelf, furnish
 from torchjoint.synthetic.materials import Material
 from torchjoint.synthetic.mesh import box
@@ -20,14 +20,20 @@ from torchjoint.synthetic.world import Item, Light, Pose, World, WorldBuilder
 _ALONG_WALLS = {"cabinet": 0.42, "high": 0.1, "bookcase": 0.08, "sofa": 0.07, "lamp": 0.09, "bin": 0.06, "gap": 0.18}
 
 
-def make_world(rng: Rng, clutter_factor: float = 1.0, textures: bool = True, hardship: Rng | None = None) -> World:
+#: Adds more to a furnished room; its second argument is :attr:`World.focus`.
+FurnishMore = Callable[[Site, tuple[float, float, float, float]], None]
+
+
+def make_world(
+    rng: Rng, clutter_factor: float = 1.0, textures: bool = True, furnish_more: FurnishMore | None = None
+) -> World:
     """Makes a furnished room; its floor is at z = 0 and its middle at the origin.
 
     Args:
         rng: source of all random choices.
         clutter_factor: scales the number of small things on surfaces; 1 gives 90-180 instances.
         textures: False: every material gets the mean colour of its texture.
-        hardship: random source for :func:`~torchjoint.synthetic.hard.harden`; None: the room is not made harder.
+        furnish_more: adds more to the room when it is furnished; the rest of the room does not change.
     """
     size = (float(rng.uniform(3.9, 5.2)), float(rng.uniform(3.5, 4.4)), float(rng.uniform(2.4, 2.7)))
     site = Site(size, clutter_factor, WorldBuilder(), Footprints())
@@ -38,8 +44,8 @@ def make_world(rng: Rng, clutter_factor: float = 1.0, textures: bool = True, har
     for wall in range(4):
         _on_wall(site, rng, wall)
     _on_floor(site, rng)
-    if hardship is not None:
-        harden(site, hardship, focus)
+    if furnish_more is not None:
+        furnish_more(site, focus)
     world = site.builder.build(_lights(rng, size), float(rng.uniform(0.2, 0.5)), size, focus)
     return world if textures else replace(world, materials=tuple(map(_untextured, world.materials)))
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.synthetic import cloud, sensor, trajectory
 from torchjoint.synthetic.render import Renderer
-from torchjoint.synthetic.room import make_world
+from torchjoint.synthetic.room import FurnishMore, make_world
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def make_scene(
     shadows: bool = True,
     textures: bool = True,
     depth_ripple: float = 0.0,
-    hard: bool = False,
+    furnish_more: FurnishMore | None = None,
 ) -> SyntheticScene:
     """Makes a furnished room, recorded with a hand-held RGB-D camera.
 
@@ -117,8 +117,7 @@ def make_scene(
         depth_ripple: standard deviation at 1 m, metres, of a depth error that is correlated between neighbouring pixels
             and independent between views: fused walls become wavy and double. It grows with the square of the depth. 0
             (none) to 0.05; a Kinect has 0.002 to 0.003.
-        hard: adds flat things on flat surfaces, slender occluders that split the object behind them, and hollow things;
-            the rest of the room does not change. A large room gets 50 to 75 more instances, about 40 of them flat.
+        furnish_more: adds more to the room when it is furnished; the rest of the room does not change.
 
     Returns:
         The scene with its ground truth.
@@ -130,8 +129,7 @@ def make_scene(
     resolved = _resolve(size, num_views, height, width, num_points)
     _check_ranges(seed, pose_error, depth_noise, depth_ripple, depth_holes, image_noise, motion_blur, exposure)
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
-    hardship = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(5,))) if hard else None
-    world = make_world(streams[0], resolved.clutter, textures, hardship)
+    world = make_world(streams[0], resolved.clutter, textures, furnish_more)
     true_poses = trajectory.walk(streams[1], world, resolved.num_views)
     poses = trajectory.erroneous(streams[2], true_poses, pose_error)
     intrinsics = trajectory.intrinsics(resolved.height, resolved.width)

@@ -12,7 +12,7 @@ FIELD_OF_VIEW = 57.0
 #: Degrees between consecutive views, until the walk is a full circle.
 _STEP = 17.0
 #: Distance between camera and walls, metres: only the front of a wardrobe is farther from the wall.
-_WALL_MARGIN = 0.75
+WALL_MARGIN = 0.75
 
 
 def intrinsics(height: int, width: int) -> Array:
@@ -27,7 +27,7 @@ def walk(rng: Rng, world: World, num_views: int) -> list[Array]:
     arc = np.radians(min(_STEP * num_views, 360.0)) * rng.choice([-1, 1])
     angle = rng.uniform(0, 2 * np.pi) + arc * (np.arange(num_views) + rng.normal(0, 0.12, num_views)) / num_views
     away = 0.7 + 0.2 * _sway(rng, num_views)
-    reach = np.array([world.room[0], world.room[1]]) / 2 - _WALL_MARGIN
+    reach = np.array([world.room[0], world.room[1]]) / 2 - WALL_MARGIN
     eye_x = np.clip(x + (half_x + away) * np.cos(angle), -reach[0], reach[0])
     eye_y = np.clip(y + (half_y + away) * np.sin(angle), -reach[1], reach[1])
     eye_z = 1.5 + 0.17 * _sway(rng, num_views)
@@ -43,16 +43,6 @@ def walk(rng: Rng, world: World, num_views: int) -> list[Array]:
             zip(eye_x, eye_y, eye_z, strict=True), zip(target_x, target_y, target_z, strict=True), roll, strict=True
         )
     ]
-
-
-def surroundings(room: tuple[float, float, float], focus: tuple[float, float, float, float]) -> Array:
-    """Positions [K, 2] that cover the ring of camera positions of :func:`walk`, metres; arguments: see World."""
-    x, y, half_x, half_y = focus
-    angle, away = np.meshgrid(np.arange(0, 2 * np.pi, 0.05), np.linspace(0.5, 0.9, 5))
-    reach = np.array(room[:2]) / 2 - _WALL_MARGIN
-    ring_x = np.clip(x + (half_x + away) * np.cos(angle), -reach[0], reach[0])
-    ring_y = np.clip(y + (half_y + away) * np.sin(angle), -reach[1], reach[1])
-    return np.stack([ring_x.ravel(), ring_y.ravel()], axis=1)
 
 
 def erroneous(rng: Rng, poses: list[Array], pose_error: float) -> list[Array]:

@@ -26,7 +26,7 @@ class Case:
         scene: with ground truth.
         config: common to all methods on this data set, for example how visibility is computed; each method's own
             setting is applied on top.
-        preset: the package's preset for this kind of data; default: `config`.
+        preset: the parameters of the joint method for this kind of data; default: `config`.
     """
 
     def __init__(self, scene: Scene, config: Config, preset: Config | None = None) -> None:

@@ -7,22 +7,31 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchjoint.config import Config, SuperpointsConfig, evidence_config, presets
+from torchjoint.config import Config, SuperpointsConfig, evidence_config
 from torchjoint.joint import JointSegmenter
 from torchjoint.oversegmentation import superpoints
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.stopwatch import Stopwatch
+from torchjoint.segments.choice import choose_method
+from torchjoint.segments.method import Method as StepSix
+from torchjoint.segments.paper import Paper
+from torchjoint.views.state import JointState
 from torchjoint_lab.benchmark import spaces
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.known_images import KnownImages
 from torchjoint_lab.benchmark.method import Method, Result
 from torchjoint_lab.benchmark.planes import planes_and_clusters
+from torchjoint_lab.benchmark.presets import NAMES, preset_config
 from torchjoint_lab.benchmark.space import Setting
 from torchjoint_lab.benchmark.vote import vote
+from torchjoint_lab.regions import RegionsConfig, make_regions
+
+#: Makes the method of step 6 from the config and the points.
+MakeStepSix = Callable[[Config, Tensor], StepSix]
 
 
 def joint(case: Case, setting: Setting, images: bool) -> Result:
-    """The whole method; `setting` has keys `stage.parameter` and is applied on top of the package's preset."""
+    """The whole method; `setting` has keys `stage.parameter` and is applied on top of the suite's preset."""
     result = _seen(case, changed(case.preset, setting)).compute(images=images)
     return Result(result.points, result.images)
 
@@ -33,23 +42,34 @@ def joint_painted(case: Case, setting: Setting, images: bool) -> Result:
 
 
 def geometry(case: Case, setting: Setting, images: bool) -> Result:
-    """The joint method without votes of the images; the point labels are projected into the images."""
-    setting = setting | {"propagation.weight": 0.0}
-    return _painted(case, joint(case, setting, False).points, images)
+    """The joint method without votes of the images; the point labels are projected into the images.
+
+    Of the images it knows only which side of a surface their cameras are on.
+    """
+    segmenter = _seen(case, changed(case.preset, setting))
+    graph = segmenter.cloud.graph
+    blind = JointState.empty(graph.edge_index.shape[1], graph.num_points)
+    blind.facing = segmenter.state.facing
+    segmenter.state = blind
+    return _painted(case, segmenter.compute(images=False).points, images)
 
 
 def edges(case: Case, setting: Setting, images: bool) -> Result:
-    """The joint method with step 6 edge by edge, as in the paper; `setting` is applied on top of the suite's config."""
-    config = changed(case.config, {"point_segments.method": "edges"} | setting)
-    result = _seen(case, config).compute(images=images)
+    """The joint method with step 6 edge by edge, as in the paper; `setting` is applied on top of the suite's config.
+
+    Steps 7 and 8 are those of the joint method. L of eq. 6 is the edge's own number of views: with the number of images
+    r would be nearly constant in rooms.
+    """
+    config = changed(case.config, {"paper.normalization": "saturating"} | setting)
+    result = _seen(case, config, _edge_by_edge).compute(images=images)
     return Result(result.points, result.images)
 
 
 def preset(name: str) -> Callable[[Case, Setting, bool], Result]:
-    """Returns the joint method with one of the package's presets, for any data."""
+    """Returns the joint method with one of the presets, for any data."""
 
     def run(case: Case, setting: Setting, images: bool) -> Result:
-        result = _seen(case, Config.from_preset(name)).compute(images=images)
+        result = _seen(case, preset_config(name)).compute(images=images)
         return Result(result.points, result.images)
 
     return run
@@ -64,7 +84,7 @@ def initial(case: Case, setting: Setting, images: bool) -> Result:
 
 def scikit_image(case: Case, setting: Setting, images: bool) -> Result:
     """scikit-image's Felzenszwalb-Huttenlocher on each image, voted onto the points."""
-    with needed_for("the method of scikit-image", "scikit-image", "torchjoint[benchmark]"):
+    with needed_for("the method of scikit-image", "scikit-image", "torchjoint-lab"):
         from skimage.segmentation import felzenszwalb
 
     label_images = [
@@ -116,24 +136,35 @@ def _known_images(case: Case, config: Config) -> KnownImages:
     return known
 
 
-def _seen(case: Case, config: Config) -> JointSegmenter:
-    """A segmenter that has seen all frames; the frames are seen again only if the setting changes such a stage."""
+def _seen(case: Case, config: Config, make_method: MakeStepSix | None = None) -> JointSegmenter:
+    """A segmenter that has seen all frames; the frames are seen again only if the setting changes such a stage.
+
+    Args:
+        case: the scene.
+        config: of the segmenter.
+        make_method: of step 6; default: as the config says.
+    """
     before = evidence_config(config)
+    make = make_method or (make_regions if isinstance(config, RegionsConfig) else choose_method)
 
     def see() -> JointSegmenter:
-        segmenter = JointSegmenter(before)
+        segmenter = JointSegmenter(before, method=make)
         segmenter.image_segmenter = _known_images(case, before)
         segmenter.reset(case.scene.points, case.scene.colors, case.scene.normals)
         for start in range(0, len(case.frames), 8):
             segmenter.update(case.frames[start : start + 8])
         return segmenter
 
-    seen: JointSegmenter = case.keep("seen", before, see)
+    seen: JointSegmenter = case.keep("seen", (before, make), see)
     return seen.with_config(config)
 
 
+def _edge_by_edge(config: Config, points: Tensor) -> Paper:
+    return Paper(config)
+
+
 def _of_config(setting: Setting) -> Config:
-    return changed(Config(), setting)
+    return changed(RegionsConfig(), setting)  # it has the stages of all suites' presets
 
 
 METHODS = {
@@ -141,7 +172,7 @@ METHODS = {
     for method in (
         Method("joint", "joint (final)", joint, spaces.JOINT, checked=_of_config),
         Method("joint_painted", "joint, its points painted", joint_painted, like="joint"),
-        *(Method(f"preset_{name}", f"joint, preset {name}", preset(name)) for name in presets()),
+        *(Method(f"preset_{name}", f"joint, preset {name}", preset(name)) for name in NAMES),
         Method("edges", "joint, step 6 by edges", edges, spaces.EDGES, checked=_of_config),
         Method("geometry", "geometry only", geometry, spaces.GEOMETRY, checked=_of_config),
         Method("initial", "images only (initial), voted", initial, spaces.INITIAL, judged="2D", checked=_of_config),

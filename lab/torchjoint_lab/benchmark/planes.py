@@ -76,7 +76,7 @@ def _largest_plane(points: Tensor, distance: float, random: torch.Generator) -> 
 
 
 def _clusters(points: Tensor, eps: float, min_points: int, first: int) -> Tensor:
-    with needed_for("clustering by DBSCAN", "scikit-learn", "torchjoint[benchmark]"):
+    with needed_for("clustering by DBSCAN", "scikit-learn", "torchjoint-lab"):
         from sklearn.cluster import DBSCAN
 
     found = torch.from_numpy(DBSCAN(eps=eps, min_samples=min_points).fit_predict(points.numpy())).long()

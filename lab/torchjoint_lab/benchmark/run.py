@@ -7,11 +7,11 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from torchjoint.config import Config
 from torchjoint.evaluation.table import Row
 from torchjoint.scene import Scene
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.method import Method, Result
+from torchjoint_lab.benchmark.presets import preset_config
 from torchjoint_lab.benchmark.search import Budget, Trial, score_result, search
 from torchjoint_lab.benchmark.space import Setting
 from torchjoint_lab.benchmark.suites import Suite, load_all
@@ -26,7 +26,7 @@ def tune(suite: Suite, methods: Sequence[Method], data: Path | None, budget: Bud
     """Returns the best trial of each method on the tuning scenes; logs trials in `folder`, so that none runs twice."""
     scenes = dict(list(suite.scenes("tuning", data).items())[:MAX_TUNING_SCENES])
     loaded = tqdm(load_all(scenes), total=len(scenes), desc="load", unit="scene")
-    preset = Config.from_preset(suite.preset)
+    preset = preset_config(suite.preset)
     cases = [Case(scene, suite.config, preset) for scene in loaded]
     few = [Case(case.scene.sample_frames(TUNING_FRAMES), suite.config, preset) for case in cases]
     found = {}
@@ -45,7 +45,7 @@ def compare(
 ) -> Iterator[list[Row]]:
     """Yields the scores of all methods, scene by scene, for one half; no rows for a scene without ground truth."""
     scenes = suite.scenes(half, data)
-    preset = Config.from_preset(suite.preset)
+    preset = preset_config(suite.preset)
     for name, scene in zip(scenes, tqdm(load_all(scenes), total=len(scenes), unit="scene"), strict=True):
         case = Case(scene, suite.config, preset)
         rows = []

@@ -26,7 +26,7 @@ def read_settings(suite: str, file: Path | None = None) -> dict[str, Setting]:
         if not file.is_file():
             raise FileNotFoundError(f"--settings: {file} does not exist")
         return read_yaml(file, _checked, "methods with settings")
-    shipped = resources.files("torchjoint.configs").joinpath("benchmark", f"{suite}.yaml")
+    shipped = resources.files("torchjoint_lab.configs").joinpath("benchmark", f"{suite}.yaml")
     return _checked(yaml.safe_load(shipped.read_text(encoding="utf-8")) or {}) if shipped.is_file() else {}
 
 

@@ -3,14 +3,14 @@
 from torchjoint_lab.benchmark.space import Between, Choice, Space
 
 _REGIONS: Space = {
-    "point_graph.normal_neighbors": Choice((20, 30, 45, 60)),
-    "point_graph.convex_factor": Between(0.02, 0.3, or_zero=True),
+    "region_costs.normal_neighbors": Choice((20, 30, 45, 60)),
+    "region_costs.convex_factor": Between(0.02, 0.3, or_zero=True),
     "region_merging.threshold": Between(0.1, 0.5),
     "region_merging.min_size": Between(3, 600, whole=True),
     "occlusion_bridging.min_votes": Choice((None, 4)),
 }
 _IMAGE_EVIDENCE: Space = {
-    "propagation.weight": Between(0.05, 1.0),
+    "region_costs.weight": Between(0.05, 1.0),
     "pieces.threshold": Choice((None, 0.015, 0.03, 0.06)),
     "region_merging.agreement": Between(0.1, 0.9, or_zero=True),
     "image_support.min_size": Between(50, 1000, whole=True, or_zero=True),
@@ -18,26 +18,25 @@ _IMAGE_EVIDENCE: Space = {
 }
 _EDGES: Space = {
     "point_graph.neighbors": Choice((10, 16, 24)),
-    "point_graph.normal_neighbors": Choice((20, 30, 45, 60)),
-    "point_graph.convex_factor": Between(0.03, 1.0),
-    "point_graph.distance_weight": Between(0.05, 5.0, or_zero=True),
-    "point_graph.color_weight": Between(0.05, 1.0, or_zero=True),
-    "point_segments.scale": Between(0.3, 30.0),
-    "point_segments.min_size": Between(50, 1000, whole=True),
+    "paper.normal_neighbors": Choice((20, 30, 45, 60)),
+    "paper.convex_factor": Between(0.03, 1.0),
+    "paper.distance_weight": Between(0.05, 5.0, or_zero=True),
+    "paper.color_weight": Between(0.05, 1.0, or_zero=True),
+    "paper.scale": Between(0.3, 30.0),
+    "paper.min_size": Between(50, 1000, whole=True),
 }
 _LIDAR_EDGES: Space = {
     "point_graph.neighbors": Choice((8, 12, 16, 24)),
-    "point_graph.normal_neighbors": Choice((10, 20, 30)),
-    "point_graph.reach": Choice((0.0, 0.3, 0.5, 0.7)),
-    "point_graph.convex_factor": Between(0.03, 1.0),
-    "point_graph.distance_weight": Between(0.05, 5.0, or_zero=True),
-    "point_segments.scale": Between(0.3, 30.0),
-    "point_segments.min_size": Between(5, 100, whole=True),
+    "paper.normal_neighbors": Choice((10, 20, 30)),
+    "paper.convex_factor": Between(0.03, 1.0),
+    "paper.distance_weight": Between(0.05, 5.0, or_zero=True),
+    "paper.scale": Between(0.3, 30.0),
+    "paper.min_size": Between(5, 100, whole=True),
 }
 _EVIDENCE: Space = {
     "propagation.window": Choice((1, 3, 5)),
-    "propagation.overlap_threshold": Choice((0.5, 0.7, 0.9)),
-    "propagation.weight": Between(0.02, 0.6),
+    "paper.overlap_threshold": Choice((0.5, 0.7, 0.9)),
+    "paper.weight": Between(0.02, 0.6),
 }
 _IMAGES: Space = {
     "image_segments.scale": Between(0.5, 30.0),
@@ -65,9 +64,14 @@ _SCAN: Space = {
     "scan.min_size": Between(5, 40, whole=True),
 }
 
-#: Rooms have too many images to segment them again for every setting: rooms use the default image settings.
-JOINT = {"": {**_REGIONS, **_IMAGE_EVIDENCE}, "kitti": _SCAN}
-GEOMETRY = {"": _REGIONS, "kitti": _SCAN}
+#: Method learned, which segments all other suites, has nothing to tune. Rooms use the default image settings: they have
+#: too many images to segment them again for every setting.
+JOINT: dict[str, Space] = {
+    "synthetic": {**_REGIONS, **_IMAGE_EVIDENCE},
+    "mosd": {**_REGIONS, **_IMAGE_EVIDENCE},
+    "kitti": _SCAN,
+}
+GEOMETRY: dict[str, Space] = {"synthetic": _REGIONS, "mosd": _REGIONS, "kitti": _SCAN}
 EDGES = {
     "": {**_EDGES, **_EVIDENCE},
     "mosd": {**_EDGES, **_EVIDENCE, **_IMAGES},

@@ -36,7 +36,7 @@ class Suite:
         tuning: from the data folder, the loaders by scene name of the scenes on which settings are chosen.
         checking: the same for the scenes that the table shows.
         config: parameters common to all methods on this data, for example of visibility.
-        preset: name of the package's preset for this kind of data.
+        preset: name of the preset for this kind of data, see :mod:`torchjoint_lab.benchmark.presets`.
         needs_data: whether a data folder must be given.
         tuned_as: name of the suite whose settings are used, if this suite has no settings of its own.
     """
@@ -146,7 +146,7 @@ SUITES = {
             "street LiDAR and one camera, the points in its view",
             _load_in_view,
             Config(),
-            preset="lidar",
+            preset="scan",
         ),
         _folder_suite("scannet", "rooms, up to 20 frames each", _load_some_frames, Config()),
         *(_domain(name) for name in DOMAINS),

@@ -80,7 +80,7 @@ def benchmark(
     kind, chosen = SUITES[suite], _chosen(methods)
     out = out or Path(f"benchmark-{suite}")
     # Errors in the arguments, and missing packages, must be reported before hours of work.
-    with needed_for("torchjoint-lab benchmark", "scikit-image and scikit-learn", "torchjoint[benchmark]"):
+    with needed_for("torchjoint-lab benchmark", "scikit-image and scikit-learn", "torchjoint-lab"):
         import skimage.segmentation  # noqa: F401
         import sklearn.cluster  # noqa: F401
     check_output(out, (TABLE, SCORES, PICTURE, SETTINGS), overwrite)

@@ -1,10 +1,39 @@
-"""Parameters of step 6, method regions: region merging, image support and occlusion bridging (not in the paper)."""
+"""Parameters of step 6, method regions (not in the paper): :class:`RegionsConfig`, the package's stages and its own."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from importlib import resources
+from typing import ClassVar, Self
 
+from torchjoint.config import Config, read_preset
 from torchjoint.config.parameter import Stage, parameter
+
+#: The presets that were tuned with this method.
+PRESETS = ("regions", "indoor", "tabletop")
+
+
+@dataclass(frozen=True)
+class RegionCostsConfig(Stage):
+    """Steps 3 and 6, method regions: the cost of each edge of the point graph."""
+
+    normal_neighbors: int = parameter(
+        45, "neighbours to which a point's normal is fitted; more suits noisy clouds, but rounds edges", low=3,
+        high=500, sensible="10-80",
+    )  # fmt: skip
+    convex_factor: float = parameter(
+        0.05, "factor on the angle where the surface is convex and the normals are oriented; less keeps convex objects "
+        "whole, because boundaries between objects are mostly concave; 1: convex as concave", low=0, high=1,
+        sensible="0.03-1",
+    )  # fmt: skip
+    weight: float = parameter(
+        0.3, "w_r, weight of the images' disagreement r; more cuts where images show different segments; 0: images do "
+        "not affect the point segments, cameras only orient the normals", low=0, high=1000, sensible="0.05-1",
+    )  # fmt: skip
+    overlap_threshold: float = parameter(
+        0.7, "r_o, overlap of two windows at which an image is neutral; an edge that no image sees has r = 1 - r_o, so "
+        "more makes such edges cheaper", low=0, high=1,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -59,3 +88,34 @@ class OcclusionBridgingConfig(Stage):
         4, "smallest number of image lines across an occluder on which one plane continues on both sides; the two "
         "segments are then joined; more joins fewer; null: never", low=1, sensible="null, or 3-10",
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RegionsConfig(Config):
+    """The parameters of the package, and those of method regions.
+
+    Raises:
+        ValueError, TypeError: as of :class:`torchjoint.Config`.
+    """
+
+    region_costs: RegionCostsConfig = field(default_factory=RegionCostsConfig)
+    pieces: PiecesConfig = field(default_factory=PiecesConfig)
+    region_merging: RegionMergingConfig = field(default_factory=RegionMergingConfig)
+    image_support: ImageSupportConfig = field(default_factory=ImageSupportConfig)
+    occlusion_bridging: OcclusionBridgingConfig = field(default_factory=OcclusionBridgingConfig)
+
+    afterwards: ClassVar[tuple[str, ...]] = (
+        *Config.afterwards, "region_costs", "pieces", "region_merging", "image_support", "occlusion_bridging",
+    )  # fmt: skip
+    before: ClassVar[tuple[str, ...]] = (*Config.before, "region_costs.normal_neighbors")
+
+    @classmethod
+    def from_preset(cls, name: str) -> Self:
+        """Reads one of PRESETS, or a YAML file of your own.
+
+        Raises:
+            ValueError, TypeError: an unknown preset, or a bad file; the message names it.
+        """
+        folder = resources.files("torchjoint_lab.configs")
+        known = {preset: folder.joinpath(f"{preset}.yaml") for preset in PRESETS}
+        return read_preset(name, known, cls.from_dict, "stages with parameters")

@@ -13,7 +13,6 @@ import torch
 from scipy.sparse import csr_matrix
 from torch import Tensor
 
-from torchjoint.config import PropagationConfig
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.views.observation import Observation
 from torchjoint.views.propagation import disagreement, round_overlaps
@@ -25,7 +24,7 @@ BATCH = 32
 
 
 def piece_disagreement(
-    piece: Tensor, edge_index: Tensor, observations: Sequence[Observation], config: PropagationConfig
+    piece: Tensor, edge_index: Tensor, observations: Sequence[Observation], threshold: float
 ) -> Tensor:
     """The images' disagreement r between the two pieces that each edge connects (eq. 6); 0 within a piece.
 
@@ -33,7 +32,7 @@ def piece_disagreement(
         piece: [N] int64, piece of each point, 0 ... K - 1.
         edge_index: [2, E] int64.
         observations: the frames.
-        config: r_o and the normalization.
+        threshold: r_o, the overlap at which an image is neutral.
 
     Returns:
         [E] float32 in [0, 1]; 1 - r_o if no image sees both pieces.
@@ -52,7 +51,7 @@ def piece_disagreement(
             views[index] += 1
             overlap_sum[index] += overlap
     r = torch.zeros(edge_index.shape[1], dtype=torch.float32)
-    r[across] = disagreement(views, overlap_sum, len(observations), config)[of_pair]
+    r[across] = disagreement(views, overlap_sum, threshold)[of_pair]
     return r
 
 

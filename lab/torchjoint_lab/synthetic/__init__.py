@@ -2,11 +2,14 @@
 
 :func:`make_domain_scene` makes a scene of a domain (:data:`DOMAINS`: tables, shelves, bins, desks, kitchens, rooms,
 workshops, LiDAR streets); :func:`domain_settings` returns the difficulties that are drawn for a scene. The rooms of
-:mod:`torchjoint.synthetic` lie below.
+:mod:`torchjoint.synthetic` lie below; :func:`make_scene` can make them harder, with more flat things
+(:mod:`~torchjoint_lab.synthetic.flats`), more slender things that split the object behind them
+(:mod:`~torchjoint_lab.synthetic.occluders`), and more hollow things (:mod:`~torchjoint_lab.synthetic.vessels`).
 """
 
-from torchjoint.synthetic import MASK_LEVELS, SyntheticScene, make_network_masks, make_scene, with_network_masks
+from torchjoint.synthetic import MASK_LEVELS, SyntheticScene, make_network_masks, with_network_masks
 from torchjoint_lab.synthetic.domains import make_domain_scene
+from torchjoint_lab.synthetic.hard_rooms import make_scene
 from torchjoint_lab.synthetic.settings import DOMAINS, DomainSettings, domain_settings
 
 __all__ = [

@@ -7,6 +7,7 @@ import numpy as np
 from torchjoint.synthetic.arrays import Array
 from torchjoint.synthetic.render import Renderer, View
 from torchjoint.synthetic.world import World
+from torchjoint_lab.synthetic.clearance import clearance
 
 _OFFSET = 2e-4
 
@@ -38,7 +39,7 @@ class QuickRenderer(Renderer):
 
     def clearance(self, place: Array) -> float:
         """Distance of a place [3] to the nearest surface, metres."""
-        return self._rays.clearance(place)
+        return clearance(self._world.triangles, place)
 
     def view(self, camera_from_world: Array, intrinsics: Array, height: int, width: int) -> View:
         """As that of :class:`~torchjoint.synthetic.render.Renderer`, a little coarser."""

@@ -96,7 +96,7 @@ _RANGES = {
 
 
 def domain_settings(domain: str, seed: int = 0) -> DomainSettings:
-    """What :func:`~torchjoint.synthetic.make_domain_scene` draws for ``domain`` and ``seed``.
+    """What :func:`~torchjoint_lab.synthetic.make_domain_scene` draws for ``domain`` and ``seed``.
 
     Raises:
         ValueError: naming the argument.

@@ -116,7 +116,7 @@ class BoundaryExamples(NamedTuple):
 
 def learned_config(config: Config | None = None) -> Config:
     """The config (default: the package's) with step 6 by the method that this module trains."""
-    return (config or Config()).set(["point_segments.method=learned"])
+    return (config or Config()).replace({"point_segments": {"method": "learned"}})
 
 
 @torch.no_grad()
@@ -139,7 +139,7 @@ def labelled_evidence(scene: Scene, config: Config | None = None) -> LabelledEvi
     graph = segmenter.cloud.graph
     assert graph.scales is not None
     with one_thread_per_operation():
-        evidence = build_piece_graph(graph, graph.scales, segmenter.state, segmenter.config)
+        evidence = build_piece_graph(graph, graph.scales, segmenter.state)
     instance = scene.truth.points.long()
     if segmenter.cloud.of_point is not None:
         instance = _majority(instance, segmenter.cloud.of_point)

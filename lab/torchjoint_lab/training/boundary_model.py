@@ -148,7 +148,7 @@ def _fit_member(
 
 
 def _check_packages() -> None:
-    with needed_for("training a model of boundaries", "scikit-learn", "torchjoint[training]"):
+    with needed_for("training a model of boundaries", "scikit-learn", "torchjoint-lab"):
         import sklearn.ensemble  # noqa: F401
         import threadpoolctl  # noqa: F401
 

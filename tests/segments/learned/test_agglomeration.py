@@ -5,7 +5,6 @@ import torch
 from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
-from torchjoint.segments import segments
 from torchjoint.segments.learned.agglomeration import (
     COARSER,
     HEIGHT_STEP,
@@ -15,6 +14,7 @@ from torchjoint.segments.learned.agglomeration import (
 )
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.segments.learned.method import Learned
 from torchjoint.segments.learned.piece_graph import build_piece_graph
 from torchjoint.views.state import JointState
 
@@ -53,7 +53,7 @@ def segmenter(scene):
 @pytest.fixture(scope="module")
 def evidence(segmenter):
     graph = segmenter.cloud.graph
-    return build_piece_graph(graph, graph.scales, segmenter.state, LEARNED)
+    return build_piece_graph(graph, graph.scales, segmenter.state)
 
 
 class TestMerging:
@@ -154,7 +154,7 @@ class TestRounds:
 class TestMethod:
     @pytest.fixture(autouse=True)
     def _model(self, monkeypatch):
-        monkeypatch.setattr(segments, "load_boundary_model", lambda: ByCrease(0.1, 0.2, 0.3))
+        monkeypatch.setattr("torchjoint.segments.learned.method.load_boundary_model", lambda: ByCrease(0.1, 0.2, 0.3))
 
     def test_is_the_rounds(self, segmenter, evidence):
         expected = build_hierarchy(evidence, ByCrease(0.1, 0.2, 0.3)).at()
@@ -183,14 +183,14 @@ class TestMethod:
     def test_needs_the_scales(self, segmenter):
         graph = segmenter.cloud.graph._replace(scales=None)
         with pytest.raises(ValueError, match="graph: method learned needs a graph that was built with the scales"):
-            segments.segment_points(graph, JointState.empty(graph.edge_index.shape[1], graph.num_points), LEARNED)
+            Learned(LEARNED).segment(graph, JointState.empty(graph.edge_index.shape[1], graph.num_points))
 
     def test_no_parameter_of_step_6_counts(self, segmenter):
-        other = LEARNED.set(["region_merging.threshold=0.9", "pieces.threshold=null", "point_segments.scale=1"])
+        other = LEARNED.set(["paper.scale=1", "paper.weight=0", "scan.gap=1"])
         expected = segmenter.compute(images=False).points
         assert torch.equal(segmenter.with_config(other).compute(images=False).points, expected)
 
-    @pytest.mark.parametrize("method", ["regions", "edges", "scan"])
+    @pytest.mark.parametrize("method", ["paper", "scan"])
     def test_another_method_needs_another_graph(self, scene, segmenter, method):
         message = r"config: what was seen depends on point_segments\.method; see the frames again"
         other = LEARNED.set([f"point_segments.method={method}"])

@@ -9,7 +9,7 @@ import torch
 import torchjoint as tj
 from torchjoint.cloud.graph import build_point_graph
 from torchjoint.cloud.scales import measure_scales
-from torchjoint.scene import Scene
+from torchjoint.scene import Cloud, Scene
 from torchjoint.segments.learned import image_agreement as agreement_module
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, BoundaryFeatures, boundary_features
 from torchjoint.segments.learned.image_agreement import image_agreement
@@ -25,6 +25,7 @@ from torchjoint.segments.learned.region_statistics import (
     statistics_of_points,
 )
 from torchjoint.segments.learned.summaries import Measure, summarize
+from torchjoint.views.observations import Observations
 from torchjoint.views.state import JointState
 
 LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
@@ -57,8 +58,8 @@ def corner(step=0.01, side=20):
 def evidence_of(points, normals=None, colors=None) -> PieceGraph:
     """Without images."""
     scales = measure_scales(points)
-    graph = build_point_graph(Scene(points, colors=colors, normals=normals), LEARNED.point_graph, scales)
-    return build_piece_graph(graph, scales, JointState.empty(graph.edge_index.shape[1], len(points)), LEARNED)
+    graph = build_point_graph(Cloud(points, colors, normals), LEARNED.point_graph.neighbors, scales)
+    return build_piece_graph(graph, scales, JointState.empty(graph.edge_index.shape[1], len(points)))
 
 
 class TestCorner:
@@ -275,7 +276,7 @@ def seen_by_learned(scene, order=None) -> tuple[tj.JointSegmenter, PieceGraph, B
     segmenter.update([scene.frames[index] for index in order or range(len(scene.frames))])
     graph = segmenter.cloud.graph
     assert graph.scales is not None
-    evidence = build_piece_graph(graph, graph.scales, segmenter.state, LEARNED)
+    evidence = build_piece_graph(graph, graph.scales, segmenter.state)
     return segmenter, evidence, boundary_features(evidence, evidence.piece)
 
 
@@ -315,11 +316,11 @@ class TestInvariance:
         assert torch.equal(evidence.piece, reference[1].piece)
         torch.testing.assert_close(features.values, reference[2].values, rtol=1e-4, atol=1e-4, equal_nan=True)
 
-    def test_without_weight_images_do_not_count(self, reference):
+    def test_without_observations_images_do_not_count(self, reference):
         segmenter, _, _ = reference
         graph = segmenter.cloud.graph
-        config = LEARNED.set(["propagation.weight=0"])
-        evidence = build_piece_graph(graph, graph.scales, segmenter.state, config)
+        unseen = dataclasses.replace(segmenter.state, observations=Observations())
+        evidence = build_piece_graph(graph, graph.scales, unseen)
         assert evidence.images is None
         assert missing(boundary_features(evidence, evidence.piece)) == OF_IMAGES
 

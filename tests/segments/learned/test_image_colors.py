@@ -105,7 +105,7 @@ def test_what_no_image_sees_has_no_colors():
     segmenter.reset(scene.points)
     segmenter.update(scene.frames[0])
     graph, state = segmenter.cloud.graph, segmenter.state
-    evidence = build_piece_graph(graph, graph.scales, state, segmenter.config)
+    evidence = build_piece_graph(graph, graph.scales, state)
     is_seen = image_colors(graph.num_points, state.observations)[:, 0].isfinite()
     assert 0.1 < float(is_seen.float().mean()) < 0.9
     first, second = graph.edge_index
@@ -119,14 +119,13 @@ def test_what_no_image_sees_has_no_colors():
     assert len(torch.unique(segmenter.compute(images=False).points)) > 3
 
 
-@pytest.mark.parametrize("change", [[], ["propagation.weight=0"]])
-def test_given_colors_stay(monkeypatch, change):
+def test_given_colors_stay(monkeypatch):
     def fail(num_points, observations):
         raise AssertionError("not asked for")
 
     monkeypatch.setattr("torchjoint.segments.learned.piece_graph.image_colors", fail)
     scene = scene_of(colors=True)
-    segmenter = tj.JointSegmenter(tj.Config().set(change))
+    segmenter = tj.JointSegmenter()
     segmenter(scene)
     assert torch.equal(segmenter.cloud.graph.colors, scene.colors)
 
@@ -165,7 +164,7 @@ def test_the_log_says_which_colors_count(caplog):
 
 def test_a_weight_of_colors_takes_colors_that_are_all_the_same():
     scene = scene_of(colors=True)
-    config = tj.Config.from_preset("paper").set(["point_graph.color_weight=1"])
+    config = tj.Config.from_preset("paper").set(["paper.color_weight=1"])
     segmenter = tj.JointSegmenter(config)
     segmenter.reset(scene.points, torch.ones_like(scene.points))
     assert segmenter.cloud.graph.colors.eq(1).all()

@@ -42,20 +42,6 @@ class Volume:
     frame_ids: Tensor
 
     @property
-    def dims(self) -> tuple[int, int, int]:
-        """(X, Y, Z), voxels."""
-        x, y, z = self.sdf.shape
-        return x, y, z
-
-    @property
-    def world_to_chunk(self) -> Tensor:
-        """The inverse of `voxels_to_world`, [4, 4] float64. Raises ValueError if it is not invertible."""
-        inverse, error = torch.linalg.inv_ex(self.voxels_to_world)
-        if error.item() or not torch.isfinite(inverse).all():
-            raise ValueError(f"voxels_to_world: expected an invertible transform, got {self.voxels_to_world.tolist()}")
-        return inverse
-
-    @property
     def corners(self) -> Tensor:
         """The lowest voxel of each mask, [K, 3] int64."""
         return self.boxes[:, :3].floor().long()

@@ -1,18 +1,21 @@
-"""Makes a furnished room harder: adds flat things on flat surfaces, slender occluders, and hollow things."""
+"""Makes rooms harder: adds flat things on flat surfaces, slender occluders, and hollow things."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from torchjoint.synthetic import clutter, flats, furniture, occluders, vessels
+from torchjoint.synthetic import SyntheticScene, clutter, furniture
+from torchjoint.synthetic import make_scene as make_furnished_scene
 from torchjoint.synthetic import materials as paint
 from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.layout import Footprints
+from torchjoint.synthetic.layout import Footprints, bounds
 from torchjoint.synthetic.site import Site
-from torchjoint.synthetic.trajectory import surroundings
+from torchjoint.synthetic.trajectory import WALL_MARGIN
 from torchjoint.synthetic.world import Front, Item, Pose, Surface
+from torchjoint_lab.synthetic import flats, occluders, vessels
 
 #: Names of the items that form the room itself.
 _SHELL = ("floor", "wall", "ceiling")
@@ -26,13 +29,32 @@ _TRIES = 80
 _DENSITY = 7.0
 
 
+def make_scene(seed: int = 0, size: str = "small", *, hard: bool = False, **options: Any) -> SyntheticScene:
+    """Makes a scene of a room as :func:`torchjoint.synthetic.make_scene` does, on request of a harder room.
+
+    Args:
+        seed: as there.
+        size: as there.
+        hard: adds flat things on flat surfaces, slender occluders that split the object behind them, and hollow things;
+            the rest of the room does not change. A large room gets 50 to 75 more instances, about 40 of them flat.
+        options: the other arguments of :func:`torchjoint.synthetic.make_scene`.
+    """
+    if not hard:
+        return make_furnished_scene(seed, size, **options)
+
+    def furnish_more(site: Site, focus: tuple[float, float, float, float]) -> None:
+        harden(site, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(5,))), focus)
+
+    return make_furnished_scene(seed, size, **options, furnish_more=furnish_more)
+
+
 def harden(site: Site, rng: Rng, focus: tuple[float, float, float, float]) -> None:
     """Adds difficult items to a furnished room; the existing items do not change. ``focus``: see :class:`World`."""
     furnished = list(site.builder.placed)
     taken = Footprints()
     for item, pose in furnished:
         if item.name not in _SHELL:
-            taken.add(item, pose)
+            taken.boxes.append(_occupied(item, pose))
     _occlude(site, rng, taken, focus)
     fronts = [(pose, front) for item, pose in furnished for front in item.fronts]
     _pull_out_drawers(site, rng, taken, fronts)
@@ -49,13 +71,25 @@ def harden(site: Site, rng: Rng, focus: tuple[float, float, float, float]) -> No
         _lay(site, rng, taken, Pose(), floor, make(rng))
 
 
+def _occupied(item: Item, pose: Pose) -> tuple[float, float, float, float, float, float]:
+    """The box (x0, y0, x1, y1, bottom, top) around the item's triangles, metres; includes brackets and knobs.
+
+    Does not include the handles of an item with fronts: things on fronts keep clear of handles.
+    """
+    if item.fronts:
+        return bounds(item, pose, 0.0)
+    corners = np.concatenate([part.moved((pose.x, pose.y, pose.z), pose.yaw).positions for part, _ in item.parts])
+    low, high = corners.min(axis=(0, 1)) + 1e-6, corners.max(axis=(0, 1)) - 1e-6
+    return low[0], low[1], high[0], high[1], low[2], high[2]
+
+
 def _occlude(site: Site, rng: Rng, taken: Footprints, focus: tuple[float, float, float, float]) -> None:
     """Adds pipes and rails on walls, and slender items in front of walls and furniture."""
     for _ in range(rng.integers(1, 3)):
         _fix(site, rng, taken, lambda _: occluders.pillar(rng, site.size[2]), (0.0, 0.0), range(4))
     for wall in rng.permutation(4)[: rng.integers(1, 4)]:
         _fix(site, rng, taken, lambda failed: occluders.rail(rng, 2.6 - 1.8 * failed), (0.7, 1.7), [int(wall)])
-    cameras = surroundings(site.size, focus)
+    cameras = _surroundings(site.size, focus)
     pillar = lambda rng: occluders.pillar(rng, site.size[2])  # noqa: E731
     kinds = (occluders.coat_stand, occluders.plant, occluders.clothes_rail, pillar, furniture.lamp)
     for kind in rng.permutation(len(kinds))[: rng.integers(2, 5)]:
@@ -69,6 +103,16 @@ def _occlude(site: Site, rng: Rng, taken: Footprints, focus: tuple[float, float,
             if away > item.size[0] / 2 + _CLEARANCE and taken.claim(item, pose, 0.02):
                 site.builder.place(item, pose)
                 break
+
+
+def _surroundings(room: tuple[float, float, float], focus: tuple[float, float, float, float]) -> Array:
+    """Positions [K, 2] that cover the camera positions of :func:`~torchjoint.synthetic.trajectory.walk`, metres."""
+    x, y, half_x, half_y = focus
+    angle, away = np.meshgrid(np.arange(0, 2 * np.pi, 0.05), np.linspace(0.5, 0.9, 5))
+    reach = np.array(room[:2]) / 2 - WALL_MARGIN
+    ring_x = np.clip(x + (half_x + away) * np.cos(angle), -reach[0], reach[0])
+    ring_y = np.clip(y + (half_y + away) * np.sin(angle), -reach[1], reach[1])
+    return np.stack([ring_x.ravel(), ring_y.ravel()], axis=1)
 
 
 def _fix(

@@ -1,4 +1,4 @@
-"""Concave objects, larger and deeper than those in clutter.py: each function returns one instance."""
+"""Concave objects, larger and deeper than those of torchjoint.synthetic.clutter: each function returns one instance."""
 
 from __future__ import annotations
 
