@@ -14,19 +14,19 @@ DOCUMENTS = ["README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs"
 
 PUBLIC = {
     "torchjoint": """
-        BatchReport Config Frame JointSegmenter RecordingOptions Result Scene Segmentation Superpoints SuperpointsConfig
-        batch datasets load_result load_scene masks metrics ops superpoints synthetic transforms
+        BatchReport Cloud Config Frame Hierarchy JointSegmenter LabelImages Masks PoseWarning RecordingOptions Result
+        Scene Segmentation Superpoints SuperpointsConfig SyntheticScene Truth batch datasets load_result load_scene
+        masks metrics ops superpoints synthetic transforms
     """,
     "torchjoint.config": """
-        DETECTORS STAGES BoundaryConfig Config ContoursConfig ImageGraphConfig ImageSegmentsConfig
-        ImageSupportConfig OcclusionBridgingConfig PiecesConfig PointGraphConfig PointSegmentsConfig
-        PropagationConfig RefinementConfig RegionMergingConfig ScanConfig SuperpointsConfig
+        DETECTORS METHODS BoundaryConfig Config ContoursConfig ImageGraphConfig ImageSegmentsConfig PaperConfig
+        PointGraphConfig PointSegmentsConfig PropagationConfig RefinementConfig ScanConfig SuperpointsConfig
         VisibilityConfig evidence_config evidence_differences marked_parameters marked_table parameter_table presets
         read_assignment read_preset read_yaml superpoint_presets superpoint_table
     """,
     "torchjoint.engine": "Engine Outcome WorkerDied open_engine tasks_on_machine",
     "torchjoint.recordings": "BatchReport RecordingOptions batch find_recordings segment_recording",
-    "torchjoint.scene": "Frame Hierarchy LabelImages Masks Scene Segmentation Truth",
+    "torchjoint.scene": "Cloud Frame Hierarchy LabelImages Masks Scene Segmentation Truth",
     "torchjoint.masks": """
         Masks from_coco from_instances from_labels from_module from_panoptic from_sam from_stack read_folder read_masks
         save_masks
@@ -42,14 +42,8 @@ PUBLIC = {
         achievable_segmentation_accuracy average_precision_objects average_precision_parts boundary_recall
         mean_best_iou objects_and_parts scannet_average_precision segmentation_covering undersegmentation_error
     """,
-    "torchjoint.datasets": """
-        bop cloud_alone colmap folder kitti lidar_image list_scenes load_scene nerfstudio nuscenes organized_pcd
-        posed_images ros scannet sis3d tum ycb_video
-    """,
-    "torchjoint.synthetic": """
-        DOMAINS MASK_LEVELS DomainSettings SyntheticScene domain_settings make_domain_scene make_network_masks
-        make_scene with_network_masks
-    """,
+    "torchjoint.datasets": "list_scenes load_scene",
+    "torchjoint.synthetic": "MASK_LEVELS SyntheticScene make_network_masks make_scene with_network_masks",
     "torchjoint.transforms": "AddSuperpoints transfer_labels",
 }
 
