@@ -46,7 +46,7 @@ PUBLIC = {
         mean_best_iou objects_and_parts scannet_average_precision segmentation_covering undersegmentation_error
     """,
     "torchjoint.datasets": "list_scenes load_scene",
-    "torchjoint.synthetic": "MASK_LEVELS SyntheticScene make_network_masks make_scene with_network_masks",
+    "torchjoint.synthetic": "SyntheticScene make_scene",
     "torchjoint.transforms": "AddSuperpoints transfer_labels",
 }
 

@@ -271,7 +271,7 @@ ERRORS = [
     ({"viewpoint": (0, 0, 0)}, TypeError, "viewpoint: expected a floating torch.Tensor, got tuple"),
     ({"viewpoint": torch.zeros(2, 3)}, ValueError, "viewpoint: expected shape [3], [1, 3] or [30, 3], got [2, 3]"),
     ({"viewpoint": NAN[0]}, ValueError, "viewpoint: expected finite values"),
-    ({"preset": "nope"}, ValueError, "preset: expected one of outdoor, room, segmentator, or a YAML file, got 'nope'"),
+    ({"preset": "nope"}, ValueError, "preset: expected one of default, scan, segmentator, or a YAML file, got 'nope'"),
     ({"scale": -1.0}, ValueError, "superpoints.scale: expected >= 0, got -1.0"),
     ({"neighbors": 0}, ValueError, "superpoints.neighbors: expected >= 1, got 0"),
     ({"weight": "magic"}, ValueError, "superpoints.weight: expected one of angle, segmentator, got 'magic'"),
@@ -298,7 +298,7 @@ def test_module_is_the_function():
 
 def test_presets(tmp_path):
     assert set(superpoint_presets()) == {"default", "scan", "segmentator"}
-    assert not set(superpoint_presets()) & set(tj.config.presets())
+    assert set(superpoint_presets()) & set(tj.config.presets()) == {"default", "scan"}  # one vocabulary
     assert SuperpointsConfig.from_preset("default") == SuperpointsConfig()
     for name in superpoint_presets():
         config = SuperpointsConfig.from_preset(name)

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from torchjoint.datasets import load_scene
     from torchjoint.joint import JointSegmenter
     from torchjoint.oversegmentation import Superpoints, superpoints
-    from torchjoint.recordings import BatchReport, RecordingOptions, batch
+    from torchjoint.recordings.batch import BatchReport, batch
+    from torchjoint.recordings.options import RecordingOptions
     from torchjoint.results.loading import load_result
     from torchjoint.results.result import Result
     from torchjoint.scene import Cloud, Frame, Hierarchy, LabelImages, Masks, Scene, Segmentation, Truth

@@ -92,8 +92,9 @@ class JointSegmenter(nn.Module):
     ) -> None:
         super().__init__()
         if config is not None and not isinstance(config, Config):
-            came = type(config).__name__
-            raise TypeError(f"config: expected a Config, got {came}; a preset: JointSegmenter.from_preset('paper')")
+            raise TypeError(
+                f"config: expected a Config, got {type(config).__name__}; see JointSegmenter.from_preset('paper')"
+            )
         if not (math.isfinite(merge_within) and merge_within >= 0):
             raise ValueError(f"merge_within: expected metres >= 0, got {merge_within}")
         self.merge_within = merge_within

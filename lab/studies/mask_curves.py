@@ -17,7 +17,7 @@ from statistics import fmean
 
 import report
 import torch
-from torchjoint_lab.synthetic import make_domain_scene
+from torchjoint_lab.synthetic import make_domain_scene, with_network_masks
 
 import torchjoint as tj
 from torchjoint.evaluation.scores import score
@@ -112,7 +112,7 @@ def judged(
     truth = scene.truth
     assert truth is not None
     assert truth.points is not None
-    masked = scene if level is None else tj.synthetic.with_network_masks(scene, level, seed=noise)
+    masked = scene if level is None else with_network_masks(scene, level, seed=noise)
     if error:
         masked = replace(masked, frames=disturbed(masked, error, noise))
     with patched(patches):

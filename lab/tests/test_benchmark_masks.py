@@ -14,7 +14,7 @@ def record(f, best_iou, images=None):
     return found if images is None else found | {"2D": [0.5, *images]}
 
 
-def test_differences_are_paired_by_scene_with_noise_seeds_averaged_first():
+def test_differences_are_paired_after_a_mean_over_seeds():
     results = [
         (masks.Run("room", 10, "hard", 0), {"ours": record(0.5, 0.9, (0.7, 0.8)), "sai3d": record(0.2, 0.8)}),
         (masks.Run("room", 10, "hard", 1), {"ours": record(0.5, 0.7, (0.7, 0.8)), "sai3d": record(0.4, 0.8)}),

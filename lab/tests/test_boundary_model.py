@@ -47,7 +47,7 @@ def test_columns_of_images_and_colours():
         boundary_examples.feature_columns(("smell",))
 
 
-def test_features_that_are_missing_without_images_and_colours_are_those_listed(scene_of):
+def test_features_without_images_and_colours_are_listed(scene_of):
     """The model learns to do without exactly what a bare cloud does not have."""
     scene = scene_of(0).scene
     columns = set(

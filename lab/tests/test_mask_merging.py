@@ -40,14 +40,14 @@ def by_tens(count):
 
 
 @pytest.mark.parametrize("merge", [sai3d, mask_clustering, sam3d])
-def test_perfect_masks_with_ids_shuffled_by_frame_come_out_perfect(merge):
+def test_perfect_masks_with_shuffled_ids_stay_perfect(merge):
     truth = "A" * 30 + "B" * 20 + "C" * 30
     points, visible, masks = line(truth, truth.translate(str.maketrans("ABC", "CAB")), truth, truth)
     assert names(merge(points, visible, masks, by_tens(80))) == truth
 
 
 @pytest.mark.parametrize("merge", [sai3d, mask_clustering, sam3d])
-def test_no_frames_and_frames_without_masks_give_labels_of_all_points(merge):
+def test_without_frames_or_masks_all_points_get_labels(merge):
     points = line("A" * 20)[0]
     assert len(merge(points, [], [], by_tens(20))) == 20
     points, visible, masks = line("." * 20, "." * 20)
@@ -57,7 +57,7 @@ def test_no_frames_and_frames_without_masks_give_labels_of_all_points(merge):
 
 
 class TestSai3d:
-    def test_the_affinity_is_the_mean_cosine_weighted_by_visible_shares(self):
+    def test_affinity_is_a_weighted_mean_cosine(self):
         # Frame 0 sees both superpoints whole, in histograms (10, 0) and (6, 4); frame 1 sees half of the second only,
         # with 5 of 10 points in the mask of the first.
         points, visible, masks = line("A" * 16 + "B" * 4, "A" * 15 + "B" * 5, seen=["x" * 20, "x" * 15 + " " * 5])
@@ -83,7 +83,7 @@ class TestSai3d:
         assert names(sai3d(points, visible, masks, by_tens(30), min_points=5)) == "A" * 10 + "B" * 20
         assert names(sai3d(points, visible, masks, by_tens(30), thresholds=(0.5,), min_points=5)) == "A" * 30
 
-    def test_small_regions_join_the_neighbour_with_the_highest_affinity(self):
+    def test_small_regions_join_the_closest_neighbour(self):
         labels = torch.tensor([0] * 30 + [1] * 5 + [2] * 30)
         frames = ["A" * 30 + "B" * 5 + "C" * 30] * 3 + ["A" * 30 + "C" * 35]
         assert names(sai3d(*line(*frames), labels)) == "A" * 30 + "B" * 35

@@ -22,7 +22,7 @@ def test_one_segment_on_both_sides_is_0_two_are_1(seen):
     assert disagreements(seen(range(13), [5] * 10 + [8] * 3)) == [0, 0, 0, 1]
 
 
-def test_overlap_is_histogram_intersection_over_the_smaller_piece(seen):
+def test_overlap_is_of_the_smaller_piece(seen):
     # Piece 0: labels 1 1 2 2. Piece 1: 2 2 2 3 3 3. Common: min(2, 3) = 2, of the smaller one's 4. Piece 2: 3 3 4.
     view = seen(range(13), [1, 1, 2, 2] + [2] * 3 + [3] * 3 + [3, 3, 4])
     assert disagreements(view) == pytest.approx([0, 1 - 2 / 4, 1 - 2 / 4, 1 - 2 / 3])

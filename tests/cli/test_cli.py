@@ -35,7 +35,7 @@ def out(recording, run):
     folder = recording.parent / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("torchjoint.results.folder.overview", overview)
-        run("segment", recording, "-o", folder, *SMALL, "propagation.weight=0.2")
+        run("segment", recording, "-o", folder, *SMALL, "refinement.color_weight=90")
     return folder
 
 
@@ -44,7 +44,7 @@ def test_what_segment_writes(out, recording, synthetic):
     files |= {"segments.json", "cameras.json", "inputs", "images_color"}
     assert {path.name for path in out.iterdir()} == files
     assert {path.name for path in recording.parent.iterdir()} == {"recording", "out"}
-    config = tj.Config().set([*SMALL[1:], "propagation.weight=0.2"])
+    config = tj.Config().set([*SMALL[1:], "refinement.color_weight=90"])
     expected = tj.JointSegmenter(config)(tj.load_scene(recording))
 
     result = read_points(out)
@@ -89,7 +89,7 @@ def test_a_recording_far_from_the_origin(recording, synthetic, out, run, tmp_pat
         pose[:3, 3] += offset
         np.savetxt(file, pose, fmt="%.17g")
     write_cloud(far / "cloud.ply", synthetic.scene.points.double() + torch.from_numpy(offset), synthetic.scene.colors)
-    run("segment", far, "-o", tmp_path / "out", *SMALL, "propagation.weight=0.2")
+    run("segment", far, "-o", tmp_path / "out", *SMALL, "refinement.color_weight=90")
     here, there = read_points(out), read_points(tmp_path / "out")
     torch.testing.assert_close(there.points - torch.from_numpy(offset), here.points.double(), atol=1e-8, rtol=0)
     assert torch.equal(there.labels, here.labels)
@@ -241,12 +241,12 @@ def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
 
     monkeypatch.setattr("torchjoint.recordings.segment.write_result", full)
     with pytest.raises(SystemExit, match="error: the disk is full; make room and start again"):
-        run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
+        run("segment", recording, "-o", again, *SMALL, "refinement.color_weight=90")
     monkeypatch.undo()
     monkeypatch.setattr("torchjoint.results.folder.overview", overview)
     added = []
     monkeypatch.setattr(tj.JointSegmenter, "add", lambda self, frames: added.append(frames))
-    run("segment", recording, "-o", again, *SMALL, "propagation.weight=0.2")
+    run("segment", recording, "-o", again, *SMALL, "refinement.color_weight=90")
     assert added == []
     for file in ("points.npz", "hierarchy.npz", "points.ply", "overview.png"):
         assert (again / file).read_bytes() == (out / file).read_bytes()

@@ -19,44 +19,51 @@ def test_the_default_preset_is_the_default():
 
 def test_the_paper_preset_is_the_letter():
     paper = Config.from_preset("paper")
-    assert paper.point_segments.method == "paper"
     assert paper.paper.normalization == "all"
     assert paper.paper.convex_factor == 1
     assert paper.paper.color_weight == 0
     assert paper.paper.merge_ratio is not None
     assert paper.paper.split_min_edges is not None
+    assert paper.point_segments.method == "paper"
     assert not paper.contours.closed
     assert paper.visibility.method == "hidden_point_removal"
 
 
 def test_each_preset_has_its_method_of_step_6():
     methods = {name: Config.from_preset(name).point_segments.method for name in presets()}
-    assert methods == {"default": "auto", "paper": "paper", "scan": "scan"}
+    assert methods == {"default": "auto", "scan": "scan", "paper": "paper"}
+
+
+def test_the_default_reads_few_parameters():
+    """Those of method paper come last, in a stage of their own."""
+    *stages, last = Config.stages().items()
+    assert last == ("paper", PaperConfig)
+    assert sum(len(dataclasses.fields(stage)) for _, stage in stages) <= 20
 
 
 @pytest.mark.parametrize(
     ("values", "message"),
     [
         ({"propagashun": {}}, r"propagashun: unknown stage, expected one of boundary, "),
-        ({"paper": {"wieght": 1}}, r"paper\.wieght: unknown parameter, expected one of normal_neighbors, "),
-        ({"paper": 3}, r"paper: expected parameters by name, got 3"),
+        ({"propagation": {"wieght": 1}}, r"propagation\.wieght: unknown parameter, expected one of window"),
+        ({"propagation": 3}, r"propagation: expected parameters by name, got 3"),
         ({"paper": {"weight": -1}}, r"paper\.weight: expected >= 0, got -1"),
         ({"paper": {"weight": 1001}}, r"paper\.weight: expected <= 1000, got 1001"),
         ({"paper": {"weight": "much"}}, r"paper\.weight: expected float, got 'much'"),
         ({"paper": {"weight": True}}, r"paper\.weight: expected float, got True"),
         ({"paper": {"weight": None}}, r"paper\.weight: expected float, got null"),
         ({"paper": {"weight": float("nan")}}, r"paper\.weight: expected a finite number, got nan"),
-        ({"paper": {"overlap_threshold": 1.5}}, r"paper\.overlap_threshold: expected <= 1, got 1\.5"),
-        ({"paper": {"split_min_edges": 0}}, r"paper\.split_min_edges: expected >= 1, got 0"),
-        ({"paper": {"min_size": 2.5}}, r"paper\.min_size: expected a whole number, got 2\.5"),
         ({"propagation": {"window": 2.5}}, r"propagation\.window: expected a whole number, got 2\.5"),
         ({"propagation": {"window": 4}}, r"propagation\.window: expected an odd number, got 4"),
+        ({"paper": {"overlap_threshold": 1.5}}, r"paper\.overlap_threshold: expected <= 1, got 1\.5"),
         ({"visibility": {"method": "magic"}}, r"visibility\.method: expected one of zbuffer, hidden.*, got 'magic'"),
         (
             {"point_segments": {"method": "magic"}},
-            r"point_segments\.method: expected one of auto, learned, scan, paper, got 'magic'",
+            r"point_segments\.method: expected one of auto, learned, scan, paper, got",
         ),
+        ({"paper": {"split_min_edges": 0}}, r"paper\.split_min_edges: expected >= 1, got 0"),
         ({"visibility": {"depth_tolerance": 0}}, r"visibility\.depth_tolerance: expected > 0, got 0"),
+        ({"scan": {"min_size": 2.5}}, r"scan\.min_size: expected a whole number, got 2\.5"),
         ({"point_graph": {"neighbors": 0}}, r"point_graph\.neighbors: expected >= 1, got 0"),
     ],
 )
@@ -106,7 +113,7 @@ def test_yaml_errors_name_the_file(tmp_path):
 
 
 def test_unknown_preset():
-    with pytest.raises(ValueError, match=r"preset: expected one of default, paper, scan, or a YAML file, got 'nope'"):
+    with pytest.raises(ValueError, match=r"preset: expected one of default, paper, scan.*got 'nope'"):
         Config.from_preset("nope")
 
 

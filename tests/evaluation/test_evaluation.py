@@ -8,23 +8,14 @@ import pytest
 import torch
 from folder_files import write_folder, write_truth
 from PIL import Image
+from torchjoint_lab.benchmark.tables import method_table, paired_difference, summary_table
 from torchjoint_lab.evaluation.kinds import best_iou_by_kind
 
 import torchjoint as tj
 from torchjoint.evaluation.evaluate import evaluate
 from torchjoint.evaluation.predictions import Prediction, read_prediction
 from torchjoint.evaluation.scores import Scores, mean_scores, score, score_images
-from torchjoint.evaluation.table import (
-    Row,
-    markdown,
-    method_table,
-    paired_difference,
-    standard_error,
-    summarize,
-    summary_table,
-    write_csv,
-    write_plot,
-)
+from torchjoint.evaluation.table import Row, markdown, standard_error, summarize, write_csv, write_plot
 from torchjoint.scene import Truth
 
 

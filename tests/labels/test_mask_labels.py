@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torchjoint_lab.synthetic import with_network_masks
 
 import torchjoint as tj
 from torchjoint.config import Config
@@ -125,7 +126,7 @@ def test_a_few_points_do_not_make_a_mask_a_part() -> None:
 
 
 def test_perfect_masks_come_back(scene_of) -> None:
-    scene = tj.synthetic.with_network_masks(scene_of(seed=0).scene, "perfect")
+    scene = with_network_masks(scene_of(seed=0).scene, "perfect")
     result = tj.JointSegmenter()(scene)
     assert scene.truth is not None
     for initial, truth in zip(result.initial_images, scene.truth.images, strict=True):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from torchjoint_lab.synthetic import with_network_masks
 
 import torchjoint as tj
 
@@ -232,7 +233,7 @@ class TestModule:
     def test_a_segmenter_takes_a_network(self):
         """The same as masks that come with the frames."""
         scene = tj.synthetic.make_scene(2, num_views=2, num_points=1500, height=60, width=80).scene
-        masked = tj.synthetic.with_network_masks(scene, "sam-like")
+        masked = with_network_masks(scene, "sam-like")
         network = tj.masks.from_module(lambda images: [frame.masks for frame in masked.frames][: len(images)])
         result = tj.JointSegmenter(image_segmenter=network)(scene)
         assert torch.equal(result.points, tj.JointSegmenter()(masked).points)

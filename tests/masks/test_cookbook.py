@@ -10,6 +10,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from torchjoint_lab.synthetic import with_network_masks
 
 import torchjoint as tj
 
@@ -122,7 +123,7 @@ def test_the_lines_of_the_readme(monkeypatch, tmp_path):
     scene = tj.synthetic.make_scene(2, num_views=2, num_points=1500, height=60, width=80).scene
     monkeypatch.setattr(tj, "load_scene", lambda _: scene)
     monkeypatch.chdir(tmp_path)
-    for frame in tj.synthetic.with_network_masks(scene, "sam-like").frames:
+    for frame in with_network_masks(scene, "sam-like").frames:
         tj.masks.save_masks(f"masks/{frame.name}.npz", frame.masks)
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     code = re.search(r"## Masks of a network\n.*?```python\n(.*?)```", text, flags=re.DOTALL)[1]

@@ -9,9 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from torchjoint_lab.benchmark.planes import planes_and_clusters
 from torchjoint_lab.synthetic.models import load_parts
-from torchjoint_lab.training.boundary_model import train_boundary_model
 
 import torchjoint as tj
 from torchjoint.datasets.fusion import fuse_cloud
@@ -23,9 +21,7 @@ from torchjoint.runtime.extras import needed_for
 MISSING = {
     "open3d": (lambda path, result: fuse_cloud([]), "Open3D", "open3d"),
     "open3d.io": (lambda path, result: load_parts(path, None, None), "Open3D", "open3d"),
-    "torchmetrics": (lambda path, result: tj.metrics.ObjectsAndPartsMetric, "torchmetrics", "benchmark"),
-    "sklearn.ensemble": (lambda path, result: train_boundary_model([]), "scikit-learn", "training"),
-    "sklearn.cluster": (lambda path, result: planes_and_clusters(torch.rand(90, 3)), "scikit-learn", "benchmark"),
+    "torchmetrics": (lambda path, result: tj.metrics.ObjectsAndPartsMetric, "torchmetrics", "metrics"),
     "plotly": (lambda path, result: write_page(path, result), "plotly", "viewer"),
     "laspy": (lambda path, result: export_las(path, result), "laspy", "export"),
 }

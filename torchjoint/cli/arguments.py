@@ -47,12 +47,6 @@ def read_topics(assignments: Iterable[str]) -> tuple[tuple[str, str], ...]:
     return tuple((role, topic) for role, _, topic in parts.values())
 
 
-def check_max_frames(max_frames: int | None) -> None:
-    """Raises ValueError if `max_frames` is negative."""
-    if max_frames is not None and max_frames < 0:
-        raise ValueError(f"--max-frames: expected >= 0, got {max_frames}")
-
-
 def check_output(out: Path, names: Iterable[str], overwrite: bool) -> None:
     """Checks that files with these names may be written into folder `out`.
 

@@ -75,7 +75,7 @@ __all__ = [
 
 def __getattr__(name: str) -> type:
     if name in __all__:  # a class; the functions are already imported
-        with needed_for(f"tj.metrics.{name}", "torchmetrics", "torchjoint[benchmark]"):
+        with needed_for(f"tj.metrics.{name}", "torchmetrics", "torchjoint[metrics]"):
             from torchjoint.metrics import modules
 
         metric: type = getattr(modules, name)

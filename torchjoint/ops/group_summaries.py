@@ -37,7 +37,7 @@ def group_summaries(values: Tensor, order: Tensor, group: Tensor, num_groups: in
 
     Example:
         >>> import torch
-        >>> from torchjoint.ops import ascending_order
+        >>> from torchjoint.ops.ascending_order import ascending_order
         >>> values, group = torch.tensor([5.0, 1.0, 3.0, 7.0]), torch.tensor([0, 0, 0, 1])
         >>> group_summaries(values, ascending_order(values), group, 2, torch.tensor([0.5, 1.0]))
         tensor([[3., 3., 5.],

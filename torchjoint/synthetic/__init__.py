@@ -9,12 +9,8 @@ The scenes contain the difficulties of joint segmentation on purpose: prints and
 colour, flat things on flat things, doors and posters flush with walls, slatted chairs in front of cupboards, hollow
 bowls, cast shadows, changing exposure, motion blur, depth noise, holes, pose errors, clouds of uneven density.
 Optional: depth errors that are correlated between neighbours.
-
-:func:`with_network_masks` gives the frames of a scene masks as networks make them, from its truth: dropped, split,
-merged, nested, with outlines that are off.
 """
 
-from torchjoint.synthetic.network_masks import MASK_LEVELS, make_network_masks, with_network_masks
 from torchjoint.synthetic.scene import SyntheticScene, make_scene
 
-__all__ = ["MASK_LEVELS", "SyntheticScene", "make_network_masks", "make_scene", "with_network_masks"]
+__all__ = ["SyntheticScene", "make_scene"]

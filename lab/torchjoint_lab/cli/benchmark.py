@@ -10,15 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from torchjoint.cli.arguments import check_output
-from torchjoint.evaluation.table import (
-    Row,
-    method_table,
-    paired_difference,
-    summarize,
-    summary_table,
-    write_csv,
-    write_plot,
-)
+from torchjoint.evaluation.table import Row, summarize, write_csv, write_plot
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import write_text
 from torchjoint_lab.benchmark.method import Method
@@ -28,6 +20,7 @@ from torchjoint_lab.benchmark.search import Budget
 from torchjoint_lab.benchmark.settings import read_settings, write_settings
 from torchjoint_lab.benchmark.space import Setting
 from torchjoint_lab.benchmark.suites import SUITES, Suite
+from torchjoint_lab.benchmark.tables import method_table, paired_difference, summary_table
 from torchjoint_lab.cli.benchmark_masks import benchmark_masks
 
 TABLE, SCORES, PICTURE, SETTINGS = "table.md", "scores.csv", "scores.png", "settings.yaml"
@@ -58,7 +51,7 @@ def benchmark(
 
     Args:
         suite: kind of scenes; the last eight are generated (`make_domain_scene`). "masks" compares ways of
-            bringing a network's masks to 3D, on generated scenes (`tj.synthetic.with_network_masks`).
+            bringing a network's masks to 3D, on generated scenes (`torchjoint_lab.synthetic.with_network_masks`).
         data: folder of the data set; not needed for synthetic scenes.
         out: folder for table.md, scores.csv, scores.png, settings.yaml; default: benchmark-SUITE.
         methods: run only these methods; default: all.

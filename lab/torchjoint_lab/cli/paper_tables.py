@@ -12,7 +12,7 @@ import torch
 import tyro
 from torch import Tensor
 
-from torchjoint.cli.arguments import DEFAULTS, Flat, Out, check_max_frames, check_output
+from torchjoint.cli.arguments import DEFAULTS, Flat, Out, check_output
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.datasets.formats.sis3d import GRID, find_folders
 from torchjoint.datasets.resampling import resize_labels
@@ -26,6 +26,7 @@ from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene, Truth
+from torchjoint_lab.cli.arguments import check_max_frames
 from torchjoint_lab.evaluation.baselines.scenecut import find_region_map, read_region_map
 from torchjoint_lab.evaluation.baselines.sis3d import detection_labels, read_detections
 from torchjoint_lab.evaluation.paper_tables import (

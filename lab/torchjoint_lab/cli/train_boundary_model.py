@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import tyro
 
-from torchjoint.cli.arguments import check_max_frames
 from torchjoint.scene import Scene
+from torchjoint_lab.cli.arguments import check_max_frames
 
 if TYPE_CHECKING:
     from torchjoint_lab.training.boundary_examples import LabelledEvidence

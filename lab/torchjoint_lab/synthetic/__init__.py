@@ -7,9 +7,10 @@ workshops, LiDAR streets); :func:`domain_settings` returns the difficulties that
 (:mod:`~torchjoint_lab.synthetic.occluders`), and more hollow things (:mod:`~torchjoint_lab.synthetic.vessels`).
 """
 
-from torchjoint.synthetic import MASK_LEVELS, SyntheticScene, make_network_masks, with_network_masks
+from torchjoint.synthetic import SyntheticScene
 from torchjoint_lab.synthetic.domains import make_domain_scene
 from torchjoint_lab.synthetic.hard_rooms import make_scene
+from torchjoint_lab.synthetic.network_masks import MASK_LEVELS, make_network_masks, with_network_masks
 from torchjoint_lab.synthetic.settings import DOMAINS, DomainSettings, domain_settings
 
 __all__ = [

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.segments.learned.agglomeration import merge_by_probability, merging_steps
+from torchjoint import ops
+from torchjoint.segments.learned.agglomeration import crossing_edges, merging_steps
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoostedTrees, calibrated
 from torchjoint.segments.learned.piece_graph import PieceGraph
@@ -87,3 +88,25 @@ def _merged(evidence: PieceGraph, region: Tensor, threshold: float, judge: _Judg
     if pairs.shape[1] == 0:
         return region
     return merge_by_probability(region, pairs, of_edge, judge(values), threshold)
+
+
+def merge_by_probability(
+    region: Tensor, pairs: Tensor, of_edge: Tensor, probability: Tensor, threshold: float
+) -> Tensor:
+    """Repeatedly merges the two regions whose boundary has the lowest mean probability, up to the threshold.
+
+    The mean is over the edges of the point graph that cross the boundary.
+
+    Args:
+        region: [N] int64, 0 ... R - 1, region of each point.
+        pairs: [2, B] int64, the pairs of regions a < b that edges connect, in ascending order.
+        of_edge: [C] int64, the pair that each edge connects, -1 = none.
+        probability: [B] that the two regions of a pair belong to different objects.
+        threshold: largest mean probability of two regions that merge.
+
+    Returns:
+        [N] int64 regions 0, 1, ..., numbered by their first old regions.
+    """
+    ends, cost = crossing_edges(pairs, of_edge, probability)
+    size = torch.ones(int(region.max()) + 1, dtype=torch.int64)
+    return ops.merge_regions(ends, cost, size, threshold)[region]

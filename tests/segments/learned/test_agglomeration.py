@@ -3,13 +3,13 @@
 import pytest
 import torch
 from torchjoint_lab.synthetic import make_domain_scene
+from torchjoint_lab.training.scene_merging import merge_by_probability
 
 import torchjoint as tj
 from torchjoint.segments.learned.agglomeration import (
     COARSER,
     HEIGHT_STEP,
     build_hierarchy,
-    merge_by_probability,
     merging_steps,
 )
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features

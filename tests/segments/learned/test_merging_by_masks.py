@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 from torch import Tensor
+from torchjoint_lab.synthetic import with_network_masks
 
 import torchjoint as tj
 from torchjoint.scene import Hierarchy, Masks
@@ -75,7 +76,7 @@ def test_masks_cut_what_geometry_cannot() -> None:
     assert labels[left].mode().values != labels[right].mode().values
 
 
-def test_a_mask_that_joins_two_objects_in_one_of_five_frames_is_outvoted() -> None:
+def test_one_wrong_mask_of_five_is_outvoted() -> None:
     points = wall()
     merged = torch.ones(1, *SIZE, dtype=torch.bool)
     labels = segments(points, [halves()] * 4 + [merged])
@@ -99,7 +100,7 @@ def test_parts_that_do_not_touch_join_in_one_mask() -> None:
 
 @pytest.mark.slow
 def test_frames_in_any_order_and_in_parts_give_the_same_labels(scene_of) -> None:
-    scene = tj.synthetic.with_network_masks(scene_of(seed=0).scene, "hard", seed=3)
+    scene = with_network_masks(scene_of(seed=0).scene, "hard", seed=3)
     whole = tj.JointSegmenter()(scene)
     assert whole.hierarchy is not None
     backwards, other = tj.JointSegmenter(), tj.JointSegmenter()

@@ -232,7 +232,7 @@ def panels_with_a_post(step_aside):
     return [labels[panels & (side == sign)].mode().values.item() for sign in (-1, 1)]
 
 
-def test_a_frame_that_looks_through_the_gap_keeps_two_panels_apart():
+def test_a_view_through_the_gap_keeps_panels_apart():
     left, right = panels_with_a_post(step_aside=0.0)
     assert left == right
     left, right = panels_with_a_post(step_aside=0.6)
@@ -271,7 +271,7 @@ def test_other_walls_stay_apart(options):
     assert len(set(labels_of(**options))) == 3
 
 
-def test_the_wall_is_whole_at_coarser_levels_and_in_parts_at_finer_ones():
+def test_the_wall_is_whole_at_coarse_levels_only():
     scene, (left, _, right) = room_with_a_post()
     hierarchy = tj.JointSegmenter()(scene).hierarchy
     for granularity, joined in ((0.4, True), (0.5, True), (0.55, False)):

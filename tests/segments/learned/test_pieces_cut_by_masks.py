@@ -40,7 +40,7 @@ def test_a_piece_is_cut_where_masks_end(cut) -> None:
     assert cut([0] * 6, [SMALL]) == [0, 0, 1, 1, 2, 2]  # parts without masks that do not touch
 
 
-def test_only_mixed_pieces_are_cut_and_only_along_edges_within_them(cut) -> None:
+def test_only_mixed_pieces_are_cut_and_only_inside(cut) -> None:
     assert cut([0, 0, 0, 1, 1, 1], [HALVES]) == [0, 0, 0, 1, 1, 1]
     assert cut([0, 0, 1, 1, 1, 1], [HALVES]) == [0, 0, 1, 2, 2, 2]
     # Points 2 and 3 lie in one mask, but not in one piece.

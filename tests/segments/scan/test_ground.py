@@ -29,7 +29,7 @@ def test_a_box_stands_on_it_and_hides_what_is_behind():
     torch.testing.assert_close(height_over_ground(points), height, atol=0.02, rtol=0)
 
 
-def test_the_lowest_point_seen_of_something_far_behind_something_near_is_no_ground(monkeypatch):
+def test_what_is_seen_over_something_near_is_no_ground(monkeypatch):
     # Over the car's roof the wall is seen from 0.83 m on; reached at less than 10 degrees.
     wall = ((30.0, -1.5, -HEIGHT), (30.5, 1.5, 2.0))
     points, what = scan(CAR, wall)

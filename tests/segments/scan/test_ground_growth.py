@@ -97,7 +97,7 @@ def slanted(pavement):
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.03, 0.08])
-def test_a_gently_rising_pavement_is_of_one_piece_with_the_street(slope):
+def test_a_gently_rising_pavement_joins_the_street(slope):
     points = slanted(slope)
     assert (points[:, 1] > 3.5).sum() > 2000
     labels = segment_scan(points)

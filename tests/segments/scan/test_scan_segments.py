@@ -85,7 +85,7 @@ def test_the_gap_parts_and_joins(monkeypatch):
     assert not two(0.7)
 
 
-def test_beams_are_joined_where_points_of_a_beam_are_all_neighbours(monkeypatch):
+def test_beams_whose_neighbours_are_their_own_are_joined(monkeypatch):
     # A pole-like box: five points a beam, beams .15 m apart at 12 m, neighbours fewer than a beam has.
     points, what = scan(((12.0, -0.25, -HEIGHT), (12.3, 0.25, 1.5)))
     monkeypatch.setattr(scan_segments, "NEIGHBORS", 4)

@@ -42,29 +42,7 @@ def merging_steps(thresholds: Sequence[float]) -> list[tuple[int, float]]:
     return [*steps, steps[-1]]
 
 
-def merge_by_probability(
-    region: Tensor, pairs: Tensor, of_edge: Tensor, probability: Tensor, threshold: float
-) -> Tensor:
-    """Repeatedly merges the two regions whose boundary has the lowest mean probability, up to the threshold.
-
-    The mean is over the edges of the point graph that cross the boundary.
-
-    Args:
-        region: [N] int64, 0 ... R - 1, region of each point.
-        pairs: [2, B] int64, the pairs of regions a < b that edges connect, in ascending order.
-        of_edge: [C] int64, the pair that each edge connects, -1 = none.
-        probability: [B] that the two regions of a pair belong to different objects.
-        threshold: largest mean probability of two regions that merge.
-
-    Returns:
-        [N] int64 regions 0, 1, ..., numbered by their first old regions.
-    """
-    ends, cost = _crossing_edges(pairs, of_edge, probability)
-    size = torch.ones(int(region.max()) + 1, dtype=torch.int64)
-    return ops.merge_regions(ends, cost, size, threshold)[region]
-
-
-def _crossing_edges(pairs: Tensor, of_edge: Tensor, probability: Tensor) -> tuple[Tensor, Tensor]:
+def crossing_edges(pairs: Tensor, of_edge: Tensor, probability: Tensor) -> tuple[Tensor, Tensor]:
     """The edges [2, c] int64 between regions, and their costs [c] float32."""
     crossing = of_edge[of_edge >= 0]
     return pairs[:, crossing], probability.float()[crossing]
@@ -117,7 +95,7 @@ def _merge_in_steps(
         pairs, values, of_edge = boundary_features(evidence, region)
         if pairs.shape[1] == 0 and not far:
             break
-        ends, cost = _crossing_edges(pairs, of_edge, model.probability(index, values))
+        ends, cost = crossing_edges(pairs, of_edge, model.probability(index, values))
         num_regions = int(region.max()) + 1
         of_piece = evidence.regions_of_pieces(region)
         if linkage is not None and far:

@@ -14,7 +14,7 @@ from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.masks import Masks
 from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.mask_errors import jittered, merged, split
+from torchjoint_lab.synthetic.mask_errors import jittered, merged, split
 
 
 class _Level(NamedTuple):

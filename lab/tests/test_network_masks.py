@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from torchjoint_lab.synthetic import MASK_LEVELS, make_network_masks, with_network_masks
+from torchjoint_lab.synthetic.mask_errors import jittered, merged, split
+from torchjoint_lab.synthetic.network_masks import _kept
 
 import torchjoint as tj
-from torchjoint.synthetic.mask_errors import jittered, merged, split
-from torchjoint.synthetic.network_masks import _kept
 
 SIZE = 120, 160
 
@@ -40,7 +41,7 @@ def best_ious(masks, labels):
 
 def test_perfect_masks_are_the_truth_in_a_shuffled_order():
     labels = checkerboard()
-    masks = [tj.synthetic.make_network_masks(labels, "perfect", 0, index) for index in range(2)]
+    masks = [make_network_masks(labels, "perfect", 0, index) for index in range(2)]
     for one in masks:
         assert len(one) == 48
         assert torch.equal(one.covered(), labels >= 0)
@@ -49,14 +50,14 @@ def test_perfect_masks_are_the_truth_in_a_shuffled_order():
     assert not torch.equal(masks[0].labels(), masks[1].labels())
 
 
-@pytest.mark.parametrize("level", tj.synthetic.MASK_LEVELS)
+@pytest.mark.parametrize("level", MASK_LEVELS)
 def test_equal_arguments_give_equal_masks(level):
     labels = checkerboard()
-    first, second = (tj.synthetic.make_network_masks(labels, level, 3, 5) for _ in range(2))
+    first, second = (make_network_masks(labels, level, 3, 5) for _ in range(2))
     assert torch.equal(first.atom, second.atom)
     assert torch.equal(first.pairs, second.pairs)
     assert torch.equal(first.scores, second.scores)
-    other = tj.synthetic.make_network_masks(labels, level, 3, 6)
+    other = make_network_masks(labels, level, 3, 6)
     assert not torch.equal(first.labels(), other.labels())
 
 
@@ -65,7 +66,7 @@ def test_levels_are_as_wrong_as_they_say():
     labels = checkerboard()
     whole = {}
     for level in ("sam-like", "hard"):
-        fits = [best_ious(tj.synthetic.make_network_masks(labels, level, 0, i), labels) for i in range(3)]
+        fits = [best_ious(make_network_masks(labels, level, 0, i), labels) for i in range(3)]
         whole[level] = sum(len({which for which, iou in image if iou > 0.7}) for image in fits) / 144
     # Neither dropped, nor split, nor in a union: at most 1 - the probability of each, merged with what it touches.
     assert 0.85 * 0.7 * 0.80 < whole["sam-like"] < 0.85 * 0.7 + 0.1
@@ -83,7 +84,7 @@ def test_small_instances_are_dropped_more_often():
 def test_masks_with_errors_nest_and_cover_parts_of_the_void():
     labels = checkerboard()
     labels[60:, 80:] = -1
-    masks = tj.synthetic.make_network_masks(labels, "hard", 0)
+    masks = make_network_masks(labels, "hard", 0)
     stack = masks.stack()
     inside = (stack[:, None] & stack[None]).sum((2, 3)) / stack.sum((1, 2))[:, None]
     assert ((inside > 0.8).sum(1) > 1).any()
@@ -121,11 +122,11 @@ def test_only_what_touches_merges():
 
 def test_frames_carry_masks_and_no_other_segmentation(scene):
     labelled = tuple(replace(frame, labels=scene.truth.images[0]) for frame in scene.frames)
-    masked = tj.synthetic.with_network_masks(replace(scene, frames=labelled), "sam-like", 4)
+    masked = with_network_masks(replace(scene, frames=labelled), "sam-like", 4)
     assert isinstance(masked.frames, tuple)
     for index, frame in enumerate(masked.frames):
         assert frame.labels is None
-        expected = tj.synthetic.make_network_masks(scene.truth.images[index], "sam-like", 4, index)
+        expected = make_network_masks(scene.truth.images[index], "sam-like", 4, index)
         assert torch.equal(frame.masks.atom, expected.atom)
 
 
@@ -140,7 +141,7 @@ def test_lazy_frames_stay_lazy(scene):
             Counting.read += 1
             return scene.frames[index]
 
-    masked = tj.synthetic.with_network_masks(replace(scene, frames=Counting()), "hard")
+    masked = with_network_masks(replace(scene, frames=Counting()), "hard")
     assert Counting.read == 0
     assert len(masked.frames[-1].masks)
     assert Counting.read == 1
@@ -149,18 +150,18 @@ def test_lazy_frames_stay_lazy(scene):
 
 def test_wrong_arguments_are_named(scene):
     with pytest.raises(ValueError, match="level: expected one of 'perfect', 'sam-like', 'hard', got 'easy'"):
-        tj.synthetic.with_network_masks(scene, "easy")
+        with_network_masks(scene, "easy")
     with pytest.raises(ValueError, match="seed: expected an integer of at least 0, got -1"):
-        tj.synthetic.with_network_masks(scene, "hard", -1)
+        with_network_masks(scene, "hard", -1)
     with pytest.raises(ValueError, match="scene: expected a true image for each of 2 frames, got 0"):
-        tj.synthetic.with_network_masks(replace(scene, truth=None), "hard")
+        with_network_masks(replace(scene, truth=None), "hard")
     with pytest.raises(TypeError, match=r"scene: expected a Scene, such as make_scene.*got NoneType"):
-        tj.synthetic.with_network_masks(None, "hard")
+        with_network_masks(None, "hard")
     with pytest.raises(ValueError, match=r"labels: expected shape \[H, W\], got \[4\]"):
-        tj.synthetic.make_network_masks(torch.zeros(4, dtype=torch.int64), "hard")
+        make_network_masks(torch.zeros(4, dtype=torch.int64), "hard")
 
 
 def test_an_image_of_void_alone_has_no_masks_but_fragments():
     void = torch.full(SIZE, -1)
-    assert len(tj.synthetic.make_network_masks(void, "perfect")) == 0
-    assert len(tj.synthetic.make_network_masks(void, "hard")) > 0
+    assert len(make_network_masks(void, "perfect")) == 0
+    assert len(make_network_masks(void, "hard")) > 0
