@@ -157,8 +157,7 @@ def prepare(arguments: argparse.Namespace) -> None:
                 continue
             scene = load()
             save_evidence(folder / f"{name}.pt", labelled_evidence(scene))
-            without = learned_config().set(["propagation.weight=0"])
-            save_evidence(folder / f"{name}-without.pt", labelled_evidence(scene, without))
+            save_evidence(folder / f"{name}-without.pt", labelled_evidence(scene, images=False))
             segmenter = tj.JointSegmenter(learned_config())
             segmenter.reset(scene.points, scene.colors, scene.normals)
             assert scene.truth is not None
@@ -263,7 +262,7 @@ def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> 
 def write_tables(work: Path, kinds: Sequence[str]) -> None:
     """Writes the tables of what has been scored so far to lab/studies/README.md and PAGES."""
     packaged = json.loads((work / "packaged.json").read_text())
-    short = ["kind of data, scenes", "left out", "default", "hand-made (`regions`)", "best simple method"]
+    short = ["kind of data, scenes", "left out", "default", "preset regions", "best simple method"]
     columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "mean of models", "default"]
     columns += [*(f"preset {preset}" for preset in PRESETS), "best simple method", "left out - preset regions"]
     columns += ["left out - best simple method"]
