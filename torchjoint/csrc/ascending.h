@@ -104,7 +104,7 @@ class Ascending {
 
  private:
   static constexpr size_t kGroupSize = 1 << 15;  // edges; with the sorter's buffer they fit in a second-level cache
-  static constexpr size_t kAhead = 12;           // edges to look ahead: the loops are bound by cache misses
+  static constexpr size_t kAhead = 12;  // edges to look ahead: the loops are bound by cache misses
 
   // Keys are first binned by their upper 13 bits. Bins with too many keys are divided by the next 13 bits, then by 6.
   static constexpr int kLevels = 3;
@@ -120,7 +120,7 @@ class Ascending {
 
   struct Group {
     uint32_t lowest, highest;  // keys
-    size_t begin, end;         // in waiting_
+    size_t begin, end;  // in waiting_
   };
 
   static uint32_t bin_of(uint32_t key, int level) { return (key >> kShift[level]) & (kBins[level] - 1); }
@@ -205,9 +205,8 @@ class Ascending {
     std::vector<size_t> ends(groups_.size());
     for (size_t g = 0; g < ends.size(); ++g) ends[g] = groups_[g].begin;
     size_t* end = ends.data();
-    for_each_within(groups_.front().lowest, groups_.back().highest, [=](uint32_t key, Edge edge) {
-      waiting[end[group_of_bin[bin_of(key, level)]]++] = {key, edge};
-    });
+    for_each_within(groups_.front().lowest, groups_.back().highest,
+                    [=](uint32_t key, Edge edge) { waiting[end[group_of_bin[bin_of(key, level)]]++] = {key, edge}; });
     for (size_t g = 0; g < ends.size(); ++g) groups_[g].end = ends[g];
   }
 

@@ -30,12 +30,8 @@ Tensor ascending_order(const Tensor& values) {
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("ascending_order(Tensor values) -> Tensor");
-}
+STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) { m.def("ascending_order(Tensor values) -> Tensor"); }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("ascending_order", TORCH_BOX(&ascending_order));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("ascending_order", TORCH_BOX(&ascending_order)); }
 
 }  // namespace torchjoint

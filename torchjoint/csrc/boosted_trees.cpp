@@ -130,8 +130,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
       " Tensor leaf_value) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("boosted_trees", TORCH_BOX(&boosted_trees));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("boosted_trees", TORCH_BOX(&boosted_trees)); }
 
 }  // namespace torchjoint

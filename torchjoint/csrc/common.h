@@ -31,7 +31,8 @@ template <typename... Parts>
 
 template <typename... Parts>
 void check(bool condition, const Parts&... parts) {
-  if (!condition) [[unlikely]] fail(parts...);
+  if (!condition) [[unlikely]]
+    fail(parts...);
 }
 
 inline bool is_floating(const Tensor& tensor) {
@@ -56,15 +57,16 @@ inline Tensor checked_values(const Tensor& values, int64_t length, const char* n
 }
 
 // Checks dtype, shape and device (CPU); returns the tensor contiguous. In `shape`, -1 allows any length.
-inline Tensor checked_array(
-    const Tensor& tensor, ScalarType dtype, std::initializer_list<int64_t> shape, const char* name) {
+inline Tensor checked_array(const Tensor& tensor, ScalarType dtype, std::initializer_list<int64_t> shape,
+                            const char* name) {
   check(tensor.is_cpu(), name, ": expected a CPU tensor");
   check(tensor.scalar_type() == dtype, name, ": expected another dtype");
   check(tensor.dim() == static_cast<int64_t>(shape.size()), name, ": expected ", shape.size(), " dimensions");
   int64_t dimension = 0;
   for (const int64_t length : shape) {
     const int64_t got = tensor.size(dimension++);
-    check(length < 0 || got == length, name, ": expected length ", length, " in dimension ", dimension - 1, ", got ", got);
+    check(length < 0 || got == length, name, ": expected length ", length, " in dimension ", dimension - 1, ", got ",
+          got);
   }
   return torch::stable::contiguous(tensor);
 }

@@ -31,8 +31,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def("connected_components(Tensor edge_index, SymInt num_nodes) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("connected_components", TORCH_BOX(&connected_components));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("connected_components", TORCH_BOX(&connected_components)); }
 
 }  // namespace torchjoint

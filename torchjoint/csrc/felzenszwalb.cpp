@@ -37,7 +37,8 @@ class EdgeList {
         bad |= static_cast<uint64_t>(second_[e]) >= static_cast<uint64_t>(num_nodes);
         bad |= weight_[e] != weight_[e];
       }
-      if (bad) [[unlikely]] report(start, end, num_nodes);
+      if (bad) [[unlikely]]
+        report(start, end, num_nodes);
     }
   }
 
@@ -56,8 +57,7 @@ class EdgeList {
   int64_t num_edges_;
 };
 
-Tensor felzenszwalb(
-    const Tensor& edge_index, const Tensor& weight, int64_t num_nodes, double scale, int64_t min_size) {
+Tensor felzenszwalb(const Tensor& edge_index, const Tensor& weight, int64_t num_nodes, double scale, int64_t min_size) {
   const Tensor edges = checked_edge_index(edge_index);
   const int64_t num_edges = edges.size(1);
   const Tensor weights = checked_values(weight, num_edges, "weight");
@@ -79,12 +79,9 @@ Tensor felzenszwalb(
 }  // namespace
 
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "felzenszwalb(Tensor edge_index, Tensor weight, SymInt num_nodes, float scale, SymInt min_size=0) -> Tensor");
+  m.def("felzenszwalb(Tensor edge_index, Tensor weight, SymInt num_nodes, float scale, SymInt min_size=0) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("felzenszwalb", TORCH_BOX(&felzenszwalb));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("felzenszwalb", TORCH_BOX(&felzenszwalb)); }
 
 }  // namespace torchjoint

@@ -19,7 +19,7 @@ struct Direction {
 constexpr std::array<Direction, 4> kDirections{{{0, 0, 1}, {0, 1, 0}, {0, 1, 1}, {1, 0, 1}}};  // right, down, diagonals
 
 struct Image {
-  const float* colors;    // [channels, height, width]
+  const float* colors;  // [channels, height, width]
   const float* boundary;  // [height, width], or null
   int64_t channels, height, width;
   float color_weight, boundary_weight;
@@ -109,8 +109,8 @@ void check_values(const float* values, int64_t count, const char* name) {
   }
 }
 
-Tensor felzenszwalb_image(const Tensor& images, const std::optional<Tensor>& boundaries, double scale,
-                          int64_t min_size, double color_weight, double boundary_weight) {
+Tensor felzenszwalb_image(const Tensor& images, const std::optional<Tensor>& boundaries, double scale, int64_t min_size,
+                          double color_weight, double boundary_weight) {
   const Tensor colors = checked_image(images, 4, "images", "[B, C, H, W]");
   const int64_t batch = colors.size(0), channels = colors.size(1), height = colors.size(2), width = colors.size(3);
   const int64_t num_pixels = height * width;
@@ -164,8 +164,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
       " float boundary_weight=1.0) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("felzenszwalb_image", TORCH_BOX(&felzenszwalb_image));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("felzenszwalb_image", TORCH_BOX(&felzenszwalb_image)); }
 
 }  // namespace torchjoint

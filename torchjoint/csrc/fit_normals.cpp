@@ -55,8 +55,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def("fit_normals(Tensor points, Tensor neighbors, Tensor? order=None) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("fit_normals", TORCH_BOX(&fit_normals));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("fit_normals", TORCH_BOX(&fit_normals)); }
 
 }  // namespace torchjoint

@@ -35,8 +35,8 @@ struct Forest {
       end += count[i];
     }
     for (int64_t i = 0; signs < 0 && i < total; ++i) {
-      check(count[i] >= 0, "boundary_counts: expected counts >= 0, got ", count[i], " at node ", i % length, " of tree ",
-            i / length);
+      check(count[i] >= 0, "boundary_counts: expected counts >= 0, got ", count[i], " at node ", i % length,
+            " of tree ", i / length);
     }
     check(end == num_pixels, "boundary_counts: expected counts of ", num_pixels, " pixels in all, got ", end);
     start[total] = static_cast<int32_t>(end);
@@ -45,7 +45,8 @@ struct Forest {
     for (int64_t tree = 0; tree < num_trees; ++tree) {
       const int64_t first = tree * length;
       used = add_tree({children.const_data_ptr<int32_t>() + first, features.const_data_ptr<int32_t>() + first,
-                       thresholds.const_data_ptr<float>() + first, static_cast<int32_t>(length)}, tree, used, scratch);
+                       thresholds.const_data_ptr<float>() + first, static_cast<int32_t>(length)},
+                      tree, used, scratch);
     }
   }
 

@@ -18,7 +18,7 @@ constexpr int32_t kNoGroup = -1, kWasMet = -2;
 struct Group {
   double sum = 0;
   int32_t count = 0, met = 0;
-  int32_t next_place = 0;     // of the next quantile among the values of the group
+  int32_t next_place = 0;  // of the next quantile among the values of the group
   int32_t next_quantile = 0;  // in ascending order of the quantiles
 };
 
@@ -114,8 +114,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def("group_summaries(Tensor values, Tensor order, Tensor group, int num_groups, Tensor quantiles) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("group_summaries", TORCH_BOX(&group_summaries));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("group_summaries", TORCH_BOX(&group_summaries)); }
 
 }  // namespace torchjoint

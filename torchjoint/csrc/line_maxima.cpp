@@ -14,9 +14,9 @@ constexpr int64_t kQuarters = 4;
 // quarters / 4, rounded to the nearest integer, halves to the even one, as torch.round does.
 int64_t rounded(int64_t quarters) { return (quarters + 1 + ((quarters >> 2) & 1)) >> 2; }
 
-std::tuple<Tensor, Tensor> line_maxima(
-    const Tensor& order, const Tensor& other_end, const Tensor& start, const Tensor& point, const Tensor& row,
-    const Tensor& column, const Tensor& image) {
+std::tuple<Tensor, Tensor> line_maxima(const Tensor& order, const Tensor& other_end, const Tensor& start,
+                                       const Tensor& point, const Tensor& row, const Tensor& column,
+                                       const Tensor& image) {
   const Tensor values = checked_array(image, ScalarType::Byte, {-1, -1}, "image");
   const int64_t height = values.size(0), width = values.size(1);
   const VisibleEdges visible(order, other_end, start, point, row, column, height, width);
@@ -48,8 +48,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
       " Tensor image) -> (Tensor edge, Tensor maximum)");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("line_maxima", TORCH_BOX(&line_maxima));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("line_maxima", TORCH_BOX(&line_maxima)); }
 
 }  // namespace torchjoint

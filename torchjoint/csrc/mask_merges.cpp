@@ -70,7 +70,8 @@ struct Views {
   std::vector<InFrame> frames;
 
   void add(const Views& other) {
-    masks = united(masks, other.masks, [](const InMask& a, const InMask& b) { return InMask{a.key, a.points + b.points}; });
+    masks =
+        united(masks, other.masks, [](const InMask& a, const InMask& b) { return InMask{a.key, a.points + b.points}; });
     frames = united(frames, other.frames, [](const InFrame& a, const InFrame& b) {
       return InFrame{a.key, a.seen + b.seen, a.covered + b.covered};
     });
@@ -85,9 +86,8 @@ struct Agreement {
   void add(const Views& one, const Views& other, const int64_t* weight) {
     for_each_common(one.masks, other.masks,
                     [&](const InMask& a, const InMask& b) { agree += 2 * weight[a.key] * a.points * b.points; });
-    for_each_common(one.frames, other.frames, [&](const InFrame& a, const InFrame& b) {
-      total += a.covered * b.seen + b.covered * a.seen;
-    });
+    for_each_common(one.frames, other.frames,
+                    [&](const InFrame& a, const InFrame& b) { total += a.covered * b.seen + b.covered * a.seen; });
   }
 };
 
@@ -139,8 +139,8 @@ class MaskGraph {
   using Waiting = std::tuple<double, int32_t, int32_t>;  // cost, number and version of a border
 
   double cost_of(const Border& border) const {
-    const double pairs = 2.0 * kWeightUnit * static_cast<double>(size_[border.region[0]]) *
-                         static_cast<double>(size_[border.region[1]]);
+    const double pairs =
+        2.0 * kWeightUnit * static_cast<double>(size_[border.region[0]]) * static_cast<double>(size_[border.region[1]]);
     const double together = static_cast<double>(border.views.agree) / pairs;
     const double apart = apart_weight_ * (static_cast<double>(border.views.total - border.views.agree) / pairs);
     const double prior = static_cast<double>(border.prior_sum) / static_cast<double>(border.prior_count) / kUnit;
@@ -232,11 +232,11 @@ std::vector<Views> read_views(const Tensor& in_mask, const Tensor& in_frame, con
     check_index(key, num_masks, "in_mask[1]", i);
     check(count >= 0, "in_mask[2]: expected numbers >= 0, got ", count, " at ", i);
     const auto seen = frames[region].find(frame_of[key]);
-    check(seen != frames[region].end(), "in_mask: region ", region, " has points in mask ", key, ", but in_frame has none in frame ",
-          frame_of[key]);
+    check(seen != frames[region].end(), "in_mask: region ", region, " has points in mask ", key,
+          ", but in_frame has none in frame ", frame_of[key]);
     seen->second.covered += weight[key] * count;
-    check((points[region][key] += count) <= seen->second.seen, "in_mask: region ", region, " has more points in mask ", key,
-          " than in its frame");
+    check((points[region][key] += count) <= seen->second.seen, "in_mask: region ", region, " has more points in mask ",
+          key, " than in its frame");
   }
   std::vector<Views> views(num_regions);
   for (int64_t region = 0; region < num_regions; ++region) {
@@ -261,8 +261,10 @@ std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& c
   const Tensor of_masks = checked_array(in_mask, ScalarType::Long, {3, -1}, "in_mask");
   const Tensor of_frames = checked_array(in_frame, ScalarType::Long, {3, -1}, "in_frame");
   check(num_regions <= kMaxCount, "size: expected at most 2^31 - 1 regions, got ", num_regions);
-  check(apart_weight >= 0 && std::isfinite(apart_weight), "apart_weight: expected a finite number >= 0, got ", apart_weight);
-  check(prior_weight > 0 && std::isfinite(prior_weight), "prior_weight: expected a finite number > 0, got ", prior_weight);
+  check(apart_weight >= 0 && std::isfinite(apart_weight), "apart_weight: expected a finite number >= 0, got ",
+        apart_weight);
+  check(prior_weight > 0 && std::isfinite(prior_weight), "prior_weight: expected a finite number > 0, got ",
+        prior_weight);
   check(threshold >= 0, "threshold: expected a number >= 0, got ", threshold);
   const Tensor staying = checked_array(stays, ScalarType::Bool, {num_regions}, "stays");
   check(min_size >= 0, "min_size: expected a number >= 0, got ", min_size);
@@ -272,8 +274,8 @@ std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& c
     check(num_points[region] > 0, "size: expected numbers > 0, got ", num_points[region], " at ", region);
   }
   for (int64_t mask = 0; mask < num_masks; ++mask) {
-    check(of_mask[mask] >= 0 && of_mask[mask] <= kWeightUnit, "weight: expected numbers in [0, ", kWeightUnit, "], got ",
-          of_mask[mask], " at ", mask);
+    check(of_mask[mask] >= 0 && of_mask[mask] <= kWeightUnit, "weight: expected numbers in [0, ", kWeightUnit,
+          "], got ", of_mask[mask], " at ", mask);
   }
 
   MaskGraph graph(read_views(of_masks, of_frames, frames_of, of_mask, num_masks, num_regions), num_points, of_mask,
@@ -286,7 +288,8 @@ std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& c
     check_node(b, num_regions, e);
     check(priors[e] >= 0 && priors[e] <= 1, "cost: expected numbers in [0, 1], got ", priors[e], " at edge ", e);
     if (a == b) continue;
-    graph.add_edge(static_cast<int32_t>(a), static_cast<int32_t>(b), static_cast<int64_t>(std::nearbyint(priors[e] * kUnit)));
+    graph.add_edge(static_cast<int32_t>(a), static_cast<int32_t>(b),
+                   static_cast<int64_t>(std::nearbyint(priors[e] * kUnit)));
   }
 
   Merged merged(num_points, num_regions);
@@ -316,8 +319,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
       "Tensor stays, int min_size) -> (Tensor, Tensor)");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("mask_merges", TORCH_BOX(&mask_merges));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("mask_merges", TORCH_BOX(&mask_merges)); }
 
 }  // namespace torchjoint

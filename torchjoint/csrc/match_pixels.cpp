@@ -131,9 +131,9 @@ class Matching {
   std::vector<int32_t> target_at_;  // of each place
   int32_t num_targets_ = 0;
   std::vector<int32_t> place_, target_of_;  // of each predicted pixel
-  std::vector<int32_t> waiting_;            // predicted pixels without a partner, ascending
-  std::vector<int32_t> pred_of_;            // of each target, like the next two
-  std::vector<uint8_t> is_closed_;          // whether searches skip the target
+  std::vector<int32_t> waiting_;  // predicted pixels without a partner, ascending
+  std::vector<int32_t> pred_of_;  // of each target, like the next two
+  std::vector<uint8_t> is_closed_;  // whether searches skip the target
   std::vector<int32_t> reached_from_;
   std::vector<int32_t> queue_, visited_;
 };
@@ -156,8 +156,8 @@ std::tuple<Tensor, Tensor> match_pixels(const Tensor& pred, const Tensor& target
   int32_t number = 0;
   frame.for_each_set(pred_map, [&](int64_t pixel, int32_t) { pred_out[pixel] = matching.is_pred_matched(number++); });
   number = 0;
-  frame.for_each_set(
-      target_map, [&](int64_t pixel, int32_t) { target_out[pixel] = matching.is_target_matched(number++); });
+  frame.for_each_set(target_map,
+                     [&](int64_t pixel, int32_t) { target_out[pixel] = matching.is_target_matched(number++); });
   return {pred_matched, target_matched};
 }
 
@@ -167,8 +167,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def("match_pixels(Tensor pred, Tensor target, float radius) -> (Tensor, Tensor)");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("match_pixels", TORCH_BOX(&match_pixels));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("match_pixels", TORCH_BOX(&match_pixels)); }
 
 }  // namespace torchjoint

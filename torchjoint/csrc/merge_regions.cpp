@@ -38,10 +38,7 @@ struct Blocks {
 class Merging {
  public:
   Merging(const int64_t* edges, const float* cost, int64_t num_edges, const Tensor& sizes)
-      : edges_(edges),
-        num_edges_(num_edges),
-        num_regions_(sizes.size(0)),
-        cost_(num_edges),
+      : edges_(edges), num_edges_(num_edges), num_regions_(sizes.size(0)), cost_(num_edges),
         merged_(sizes.const_data_ptr<int64_t>(), num_regions_) {
     for (int64_t e = 0; e < num_edges; ++e) {
       cost_[e] = static_cast<int32_t>(checked_cost(edges, cost, num_edges, num_regions_, e));
@@ -84,7 +81,9 @@ class Merging {
     const int64_t num_groups = static_cast<int64_t>(root.size());
     std::vector<uint8_t> small(num_groups);
     for (int64_t g = 0; g < num_groups; ++g) small[g] = merged_.size(root[g]) < min_size;
-    const auto is_small = [&](const RegionBoundary& border) { return small[border.region[0]] || small[border.region[1]]; };
+    const auto is_small = [&](const RegionBoundary& border) {
+      return small[border.region[0]] || small[border.region[1]];
+    };
     RegionAdjacencyGraph graph(num_groups, std::min(num_edges_, 8 * num_groups));  // most boundaries have several edges
     for (int64_t e = 0; e < num_edges_; ++e) {
       const int32_t a = group[first(e)], b = group[second(e)];
@@ -178,8 +177,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def("merge_regions(Tensor edge_index, Tensor cost, Tensor size, float threshold, int min_size) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("merge_regions", TORCH_BOX(&merge_regions));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("merge_regions", TORCH_BOX(&merge_regions)); }
 
 }  // namespace torchjoint

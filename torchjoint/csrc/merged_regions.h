@@ -25,7 +25,8 @@ inline double checked_cost(const int64_t* edges, const float* cost, int64_t num_
   return std::nearbyint(cost[e] * kUnit);
 }
 
-inline RegionAdjacencyGraph boundaries_of(const int64_t* edges, const float* cost, int64_t num_edges, int64_t num_regions) {
+inline RegionAdjacencyGraph boundaries_of(const int64_t* edges, const float* cost, int64_t num_edges,
+                                          int64_t num_regions) {
   RegionAdjacencyGraph graph(num_regions, num_edges);
   for (int64_t e = 0; e < num_edges; ++e) {
     const double whole = checked_cost(edges, cost, num_edges, num_regions, e);

@@ -31,7 +31,7 @@ constexpr int64_t kDecisive = int64_t{1} << 61;  // more than all edges together
 struct Arc {
   int64_t residual;
   uint32_t head_and_flag;  // kTwinOpen: the twin has residual capacity; known without reading it
-  int32_t twin;            // the same edge, seen from the other end
+  int32_t twin;  // the same edge, seen from the other end
 
   int32_t head() const { return static_cast<int32_t>(head_and_flag & ~kTwinOpen); }
   bool twin_open() const { return head_and_flag >= kTwinOpen; }
@@ -131,7 +131,7 @@ class Preflow {
   };
 
   // A label is a lower bound of the distance to a draining node; a draining node has label 1. Special labels:
-  static constexpr int32_t kSettled = 0;              // a seed that drains, or a pruned leaf
+  static constexpr int32_t kSettled = 0;  // a seed that drains, or a pruned leaf
   int32_t cut_off() const { return num_nodes_ + 1; }  // no way to any draining node
 
   // While the graph is built, all other nodes have label 1.
@@ -324,7 +324,7 @@ class Preflow {
   }
 
   int32_t num_nodes_;
-  std::vector<Node> nodes_;     // one extra node, for the end of the last node's arcs
+  std::vector<Node> nodes_;  // one extra node, for the end of the last node's arcs
   std::vector<int32_t> label_;  // not in Node: labels are read most often, and at random
   std::unique_ptr<Arc[]> arcs_;
   std::unique_ptr<int32_t[]> queue_;
@@ -332,8 +332,8 @@ class Preflow {
   std::vector<Leaf> leaves_;
   int32_t highest_level_ = 0, highest_active_ = 0;
   int32_t ceiling_ = 0;  // nodes with labels >= ceiling_ have no path to a drain
-  int64_t slack_ = 0;    // how far a label may rise above the exact label
-  int64_t work_ = 0;     // since the last global relabelling
+  int64_t slack_ = 0;  // how far a label may rise above the exact label
+  int64_t work_ = 0;  // since the last global relabelling
 };
 
 template <typename Value>
@@ -383,8 +383,8 @@ double cut_terminals(const Source* source, const Sink* sink, int64_t num_nodes, 
   return sum;
 }
 
-std::tuple<Tensor, Tensor> min_cut(
-    const Tensor& edge_index, const Tensor& capacity, const Tensor& source_capacity, const Tensor& sink_capacity) {
+std::tuple<Tensor, Tensor> min_cut(const Tensor& edge_index, const Tensor& capacity, const Tensor& source_capacity,
+                                   const Tensor& sink_capacity) {
   const Tensor edges = checked_edge_index(edge_index);
   const int64_t num_edges = edges.size(1);
   check(2 * num_edges <= kMaxCount, "edge_index: expected fewer than 2^30 edges, got ", num_edges);
@@ -422,9 +422,8 @@ std::tuple<Tensor, Tensor> min_cut(
     preflow.solve();
     for (int64_t i = 0; i < num_nodes; ++i) source_side[i] = preflow.can_drain(i);
     const double cut = cut_edges(index, values, num_edges, source_side);
-    *flow.mutable_data_ptr<double>() = with_terminals([&](const auto* source, const auto* sink) {
-      return cut_terminals(source, sink, num_nodes, source_side, cut);
-    });
+    *flow.mutable_data_ptr<double>() = with_terminals(
+        [&](const auto* source, const auto* sink) { return cut_terminals(source, sink, num_nodes, source_side, cut); });
   });
   return {side, flow};
 }
@@ -437,8 +436,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
       " -> (Tensor source_side, Tensor flow)");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("min_cut", TORCH_BOX(&min_cut));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("min_cut", TORCH_BOX(&min_cut)); }
 
 }  // namespace torchjoint

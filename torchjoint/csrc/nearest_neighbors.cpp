@@ -284,8 +284,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def("nearest_neighbors(Tensor points, int count, int num_distances) -> (Tensor, Tensor)");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("nearest_neighbors", TORCH_BOX(&nearest_neighbors));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("nearest_neighbors", TORCH_BOX(&nearest_neighbors)); }
 
 }  // namespace torchjoint

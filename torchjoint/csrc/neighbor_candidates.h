@@ -29,7 +29,9 @@ inline uint32_t up_to(const float* values, float limit) {
   return _mm_movemask_ps(_mm_cmple_ps(_mm_loadu_ps(values), _mm_set1_ps(limit)));
 }
 inline uint32_t up_to(const double* values, double limit) {
-  const auto two = [&](const double* at) { return _mm_movemask_pd(_mm_cmple_pd(_mm_loadu_pd(at), _mm_set1_pd(limit))); };
+  const auto two = [&](const double* at) {
+    return _mm_movemask_pd(_mm_cmple_pd(_mm_loadu_pd(at), _mm_set1_pd(limit)));
+  };
   return two(values) | two(values + 2) << 2;
 }
 #else

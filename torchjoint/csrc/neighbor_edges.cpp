@@ -11,8 +11,8 @@ template <typename Index>
 class EdgeList {
  public:
   EdgeList(const Index* neighbors, const RowOrder& order, int64_t num_rows, int64_t row_length)
-      : neighbors_(neighbors), order_(order), num_rows_(num_rows), row_length_(row_length), words_((row_length + 63) / 64),
-        kept_(num_rows * words_), start_(num_blocks(num_rows) + 1) {}
+      : neighbors_(neighbors), order_(order), num_rows_(num_rows), row_length_(row_length),
+        words_((row_length + 63) / 64), kept_(num_rows * words_), start_(num_blocks(num_rows) + 1) {}
 
   // First the threads mark the edges of their rows, in any order; their numbers then tell each thread where to write.
   int64_t mark() {
@@ -92,8 +92,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def("neighbor_edges(Tensor neighbors, Tensor? order=None) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("neighbor_edges", TORCH_BOX(&neighbor_edges));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("neighbor_edges", TORCH_BOX(&neighbor_edges)); }
 
 }  // namespace torchjoint

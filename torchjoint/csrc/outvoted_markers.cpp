@@ -146,8 +146,8 @@ class Voters {
   std::vector<Near> near_;  // nearest first
 };
 
-std::vector<Marker> markers_of(
-    const int32_t* labels, const float* colors, int64_t height, int64_t width, float color_weight) {
+std::vector<Marker> markers_of(const int32_t* labels, const float* colors, int64_t height, int64_t width,
+                               float color_weight) {
   std::vector<Marker> markers;
   const int64_t plane = height * width;
   for (int64_t i = 0; i < plane; ++i) {
@@ -203,8 +203,8 @@ int64_t side_of(double distances, int64_t num_pixels, size_t num_markers) {
   return static_cast<int64_t>(std::min(std::max(side, 1.0), static_cast<double>(kMaxCount)));
 }
 
-Tensor outvoted_markers(
-    const Tensor& markers, const Tensor& colors, double color_weight, int64_t num_voters, double near) {
+Tensor outvoted_markers(const Tensor& markers, const Tensor& colors, double color_weight, int64_t num_voters,
+                        double near) {
   const Tensor marker = checked_array(markers, ScalarType::Int, {-1, -1}, "markers");
   const int64_t height = marker.size(0), width = marker.size(1), num_pixels = height * width;
   check_image_size(height, width);
@@ -236,12 +236,9 @@ Tensor outvoted_markers(
 }  // namespace
 
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "outvoted_markers(Tensor markers, Tensor colors, float color_weight, SymInt num_voters, float near) -> Tensor");
+  m.def("outvoted_markers(Tensor markers, Tensor colors, float color_weight, SymInt num_voters, float near) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("outvoted_markers", TORCH_BOX(&outvoted_markers));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("outvoted_markers", TORCH_BOX(&outvoted_markers)); }
 
 }  // namespace torchjoint

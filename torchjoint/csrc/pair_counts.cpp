@@ -59,9 +59,7 @@ struct Axis {
       : origin(low), side(std::max(radius * (1 + 1e-9), (static_cast<double>(high) - low) / most)),
         count(static_cast<int64_t>((static_cast<double>(high) - low) / side) + 1) {}
 
-  int64_t cell(float position) const {
-    return std::min(static_cast<int64_t>((position - origin) / side), count - 1);
-  }
+  int64_t cell(float position) const { return std::min(static_cast<int64_t>((position - origin) / side), count - 1); }
 
   double origin, side;
   int64_t count;
@@ -101,7 +99,7 @@ class Grid {
   }
 
  private:
-  static Axis axis(const std::vector<Point>& points, float Point::*position, double radius) {
+  static Axis axis(const std::vector<Point>& points, float Point::* position, double radius) {
     const auto [low, high] = std::minmax_element(
         points.begin(), points.end(), [&](const Point& a, const Point& b) { return a.*position < b.*position; });
     // At most about four cells per point.
@@ -140,25 +138,27 @@ class Grid {
   std::vector<char> uniform_;  // whether all points of a cell have the same segment and label
 };
 
-std::vector<Point> read_points(
-    const float* u, const float* v, const int64_t* pixel, const int64_t* segment, const int64_t* label, int64_t count) {
+std::vector<Point> read_points(const float* u, const float* v, const int64_t* pixel, const int64_t* segment,
+                               const int64_t* label, int64_t count) {
   std::vector<Point> points;
   points.reserve(count);
   for (int64_t i = 0; i < count; ++i) {
-    if (!std::isfinite(u[i])) [[unlikely]] fail("u: expected finite numbers, got ", u[i], " at ", i);
-    if (!std::isfinite(v[i])) [[unlikely]] fail("v: expected finite numbers, got ", v[i], " at ", i);
+    if (!std::isfinite(u[i])) [[unlikely]]
+      fail("u: expected finite numbers, got ", u[i], " at ", i);
+    if (!std::isfinite(v[i])) [[unlikely]]
+      fail("v: expected finite numbers, got ", v[i], " at ", i);
     check_index(pixel[i], kMaxCount, "pixel", i);
     check_index(label[i], kMaxCount, "label", i);
     if (segment[i] == -1) continue;
     check_index(segment[i], kMaxCount, "segment", i);
-    points.push_back({u[i], v[i], static_cast<int32_t>(pixel[i]), static_cast<int32_t>(segment[i]),
-                      static_cast<int32_t>(label[i])});
+    points.push_back(
+        {u[i], v[i], static_cast<int32_t>(pixel[i]), static_cast<int32_t>(segment[i]), static_cast<int32_t>(label[i])});
   }
   return points;
 }
 
-std::tuple<Tensor, Tensor> pair_counts(
-    const Tensor& u, const Tensor& v, const Tensor& pixel, const Tensor& segment, const Tensor& label, double radius) {
+std::tuple<Tensor, Tensor> pair_counts(const Tensor& u, const Tensor& v, const Tensor& pixel, const Tensor& segment,
+                                       const Tensor& label, double radius) {
   const Tensor us = checked_array(u, ScalarType::Float, {-1}, "u");
   const int64_t num_points = us.size(0);
   check(num_points <= kMaxCount, "u: expected fewer than 2^31 points, got ", num_points);
@@ -168,9 +168,9 @@ std::tuple<Tensor, Tensor> pair_counts(
   const Tensor labels = checked_array(label, ScalarType::Long, {num_points}, "label");
   check(radius > 0 && std::isfinite(radius), "radius: expected a finite number > 0, got ", radius);
 
-  const auto points = read_points(
-      us.const_data_ptr<float>(), vs.const_data_ptr<float>(), pixels.const_data_ptr<int64_t>(),
-      segments.const_data_ptr<int64_t>(), labels.const_data_ptr<int64_t>(), num_points);
+  const auto points =
+      read_points(us.const_data_ptr<float>(), vs.const_data_ptr<float>(), pixels.const_data_ptr<int64_t>(),
+                  segments.const_data_ptr<int64_t>(), labels.const_data_ptr<int64_t>(), num_points);
   Counts counts;
   if (!points.empty()) Grid(points, radius).count_pairs(counts);
 
@@ -195,8 +195,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
       " -> (Tensor group, Tensor count)");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("pair_counts", TORCH_BOX(&pair_counts));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("pair_counts", TORCH_BOX(&pair_counts)); }
 
 }  // namespace torchjoint

@@ -75,8 +75,8 @@ const char* parse_name(const char* text, const char* end, double& value) {
 // Digits with a decimal point and an exponent, as they are read.
 struct Decimal {
   uint64_t digits = 0;
-  int count = 0;        // of significant digits
-  int64_t places = 0;   // digits after the point, less the exponent
+  int count = 0;  // of significant digits
+  int64_t places = 0;  // digits after the point, less the exponent
   bool is_any = false;  // whether there is a digit
 
   const char* read_digits(const char* text, const char* end, bool after_point) {
@@ -201,8 +201,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def("parse_numbers(Tensor text, int num_rows, int num_columns) -> (Tensor values, Tensor end)");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("parse_numbers", TORCH_BOX(&parse_numbers));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("parse_numbers", TORCH_BOX(&parse_numbers)); }
 
 }  // namespace torchjoint

@@ -30,9 +30,7 @@ struct Symmetric {
   Symmetric shifted(double s) const { return {xx + s, yy + s, zz + s, xy, xz, yz}; }
   double trace() const { return xx + yy + zz; }
   double squared_norm() const { return (xx * xx + yy * yy + zz * zz) + 2 * (xy * xy + xz * xz + yz * yz); }
-  double determinant() const {
-    return xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
-  }
+  double determinant() const { return xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz); }
   Vector times(const Vector& v) const {
     return {xx * v.x + xy * v.y + xz * v.z, xy * v.x + yy * v.y + yz * v.z, xz * v.x + yz * v.y + zz * v.z};
   }
@@ -46,8 +44,8 @@ inline Vector eigenvector(const Symmetric& matrix, double eigenvalue) {
   const Symmetric m = matrix.shifted(-eigenvalue);
   const Vector rows[] = {{m.xx, m.xy, m.xz}, {m.xy, m.yy, m.yz}, {m.xz, m.yz, m.zz}};
   const Vector products[] = {cross(rows[0], rows[1]), cross(rows[0], rows[2]), cross(rows[1], rows[2])};
-  const Vector* longest = std::max_element(
-      products, products + 3, [](const Vector& a, const Vector& b) { return dot(a, a) < dot(b, b); });
+  const Vector* longest =
+      std::max_element(products, products + 3, [](const Vector& a, const Vector& b) { return dot(a, a) < dot(b, b); });
   return normalized(*longest);
 }
 

@@ -155,8 +155,9 @@ class PointTree {
       std::nth_element(from, points + middle * kLeafSize, to,
                        [](const Point& a, const Point& b) { return a.at[d] < b.at[d]; });
     };
-    longest == 0 ? part.template operator()<0>()
-                 : longest == 1 ? part.template operator()<1>() : part.template operator()<2>();
+    longest == 0   ? part.template operator()<0>()
+    : longest == 1 ? part.template operator()<1>()
+                   : part.template operator()<2>();
     return {{node.id + 1, node.first, middle}, {right(node.id, node.first, middle), middle, node.last}};
   }
 

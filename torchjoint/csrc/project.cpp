@@ -24,9 +24,9 @@ struct Camera {
   double fx, fy, cx, cy;
 };
 
-std::tuple<Tensor, Tensor, Tensor, Tensor> project(
-    const Tensor& points, const Tensor& camera_from_world, const Tensor& intrinsics, double near, double far,
-    int64_t height, int64_t width, double margin) {
+std::tuple<Tensor, Tensor, Tensor, Tensor> project(const Tensor& points, const Tensor& camera_from_world,
+                                                   const Tensor& intrinsics, double near, double far, int64_t height,
+                                                   int64_t width, double margin) {
   const Tensor all = checked_array(points, ScalarType::Float, {-1, 3}, "points");
   const Tensor pose = checked_array(camera_from_world, ScalarType::Double, {4, 4}, "camera_from_world");
   const Tensor matrix = checked_array(intrinsics, ScalarType::Double, {3, 3}, "intrinsics");
@@ -64,8 +64,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
       " SymInt width, float margin=0.) -> (Tensor point, Tensor u, Tensor v, Tensor z)");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("project", TORCH_BOX(&project));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("project", TORCH_BOX(&project)); }
 
 }  // namespace torchjoint

@@ -115,13 +115,12 @@ class LabelPropagation {
       any_stays |= stays[i];
     }
     if (all_stay || !any_stays) return;
-    for_each_pixel([&](int64_t, int64_t here) {
-      path_[here] = stays[part[here]] ? path_of(label_of(path_[here])) : kFar;
-    });
+    for_each_pixel(
+        [&](int64_t, int64_t here) { path_[here] = stays[part[here]] ? path_of(label_of(path_[here])) : kFar; });
     for_each_pixel([&](int64_t, int64_t here) {
       if (path_[here] != kFar) return;
-      for (const int64_t offset : {-stride_ - 1, -stride_, -stride_ + 1, int64_t{-1}, int64_t{1}, stride_ - 1, stride_,
-                                   stride_ + 1}) {
+      for (const int64_t offset :
+           {-stride_ - 1, -stride_, -stride_ + 1, int64_t{-1}, int64_t{1}, stride_ - 1, stride_, stride_ + 1}) {
         const Path next = path_[here + offset];
         if (next != kFar && next != kMargin) reach(here + offset, next);
       }
@@ -262,8 +261,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
       " int min_markers=1) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("propagate_labels", TORCH_BOX(&propagate_labels));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("propagate_labels", TORCH_BOX(&propagate_labels)); }
 
 }  // namespace torchjoint

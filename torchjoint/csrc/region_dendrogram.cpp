@@ -7,7 +7,7 @@ namespace torchjoint {
 namespace {
 
 std::tuple<Tensor, Tensor> region_dendrogram(const Tensor& edge_index, const Tensor& cost, int64_t num_regions,
-                                         double threshold) {
+                                             double threshold) {
   const Tensor edges = checked_edge_index(edge_index);
   const int64_t num_edges = edges.size(1);
   const Tensor costs = checked_array(cost, ScalarType::Float, {num_edges}, "cost");
@@ -20,16 +20,15 @@ std::tuple<Tensor, Tensor> region_dendrogram(const Tensor& edge_index, const Ten
   Merged merged(points.data(), num_regions);
   std::vector<int64_t> lower, higher;
   std::vector<double> mean;
-  graph.merge_weakest(
-      [&](const RegionBoundary& border) { return border.mean() <= threshold * kUnit; },
-      [&](int32_t number) {
-        const RegionBoundary& border = graph.border(number);
-        const int32_t a = merged.find(border.region[0]), b = merged.find(border.region[1]);
-        lower.push_back(std::min(a, b));
-        higher.push_back(std::max(a, b));
-        mean.push_back(border.mean() / kUnit);
-        merged.join(a, b);
-      });
+  graph.merge_weakest([&](const RegionBoundary& border) { return border.mean() <= threshold * kUnit; },
+                      [&](int32_t number) {
+                        const RegionBoundary& border = graph.border(number);
+                        const int32_t a = merged.find(border.region[0]), b = merged.find(border.region[1]);
+                        lower.push_back(std::min(a, b));
+                        higher.push_back(std::max(a, b));
+                        mean.push_back(border.mean() / kUnit);
+                        merged.join(a, b);
+                      });
 
   const int64_t num_merges = static_cast<int64_t>(mean.size());
   Tensor pairs = torch::stable::new_empty(edges, {2, num_merges}, ScalarType::Long);
@@ -45,8 +44,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def("region_dendrogram(Tensor edge_index, Tensor cost, int num_regions, float threshold) -> (Tensor, Tensor)");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("region_dendrogram", TORCH_BOX(&region_dendrogram));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("region_dendrogram", TORCH_BOX(&region_dendrogram)); }
 
 }  // namespace torchjoint

@@ -116,7 +116,7 @@ class MergeQueue {
   using Waiting = std::vector<std::pair<double, int32_t>>;
 
   std::vector<Waiting> far_;  // bucket by bucket, in no order
-  Waiting near_;              // a heap of all those in buckets below the open one
+  Waiting near_;  // a heap of all those in buckets below the open one
   uint32_t open_ = 0;
 };
 

@@ -55,13 +55,13 @@ struct Nodes {
     }
   }
 
-  std::vector<int64_t> start{0};   // of each chosen segment, in `pixel`
-  std::vector<int64_t> pixel;      // row x width + column
+  std::vector<int64_t> start{0};  // of each chosen segment, in `pixel`
+  std::vector<int64_t> pixel;  // row x width + column
   std::vector<int32_t> number_at;  // number of a pixel within its segment; read only in chosen segments
 };
 
 struct Graphs {
-  std::vector<int64_t> start{0};       // of each segment's edges
+  std::vector<int64_t> start{0};  // of each segment's edges
   std::vector<int32_t> first, second;  // the edges' two ends, as pixel numbers within the segment
   std::vector<double> weight;
 };
@@ -92,9 +92,9 @@ void divide_by_mean(double* weight, int64_t count) {
   for (int64_t e = 0; e < count; ++e) weight[e] /= mean;
 }
 
-std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> segment_graphs(
-    const Tensor& labels, const Tensor& chosen, const Tensor& colors, const Tensor& boundary, double color_weight,
-    double boundary_weight) {
+std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> segment_graphs(const Tensor& labels, const Tensor& chosen,
+                                                                  const Tensor& colors, const Tensor& boundary,
+                                                                  double color_weight, double boundary_weight) {
   const Tensor segments = checked_array(labels, ScalarType::Int, {-1, -1}, "labels");
   const int64_t height = segments.size(0), width = segments.size(1), size = height * width;
   check_image_size(height, width);
@@ -138,8 +138,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
       " Tensor relative_weight)");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("segment_graphs", TORCH_BOX(&segment_graphs));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("segment_graphs", TORCH_BOX(&segment_graphs)); }
 
 }  // namespace torchjoint

@@ -8,8 +8,8 @@
 namespace torchjoint {
 namespace {
 
-Tensor splat_depth(
-    const Tensor& row, const Tensor& column, const Tensor& depth, const Tensor& reach, int64_t height, int64_t width) {
+Tensor splat_depth(const Tensor& row, const Tensor& column, const Tensor& depth, const Tensor& reach, int64_t height,
+                   int64_t width) {
   const int64_t num_points = row.dim() == 1 ? row.size(0) : -1;
   const Tensor rows = checked_array(row, ScalarType::Long, {num_points}, "row");
   const Tensor columns = checked_array(column, ScalarType::Long, {num_points}, "column");
@@ -29,7 +29,8 @@ Tensor splat_depth(
     check_index(r[i], height, "row", i);
     check_index(c[i], width, "column", i);
     check_index(half[i], kMaxCount, "reach", i);
-    if (std::isnan(here)) [[unlikely]] fail("depth: expected no NaN, got NaN at ", i);
+    if (std::isnan(here)) [[unlikely]]
+      fail("depth: expected no NaN, got NaN at ", i);
     const int64_t top = std::max<int64_t>(r[i] - half[i], 0), bottom = std::min(r[i] + half[i], height - 1);
     const int64_t left = std::max<int64_t>(c[i] - half[i], 0), right = std::min(c[i] + half[i], width - 1);
     for (int64_t y = top; y <= bottom; ++y) {
@@ -43,12 +44,9 @@ Tensor splat_depth(
 }  // namespace
 
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "splat_depth(Tensor row, Tensor column, Tensor depth, Tensor reach, SymInt height, SymInt width) -> Tensor");
+  m.def("splat_depth(Tensor row, Tensor column, Tensor depth, Tensor reach, SymInt height, SymInt width) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("splat_depth", TORCH_BOX(&splat_depth));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("splat_depth", TORCH_BOX(&splat_depth)); }
 
 }  // namespace torchjoint

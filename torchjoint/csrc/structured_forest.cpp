@@ -132,8 +132,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
       " Tensor boundary_pixels, int trees_per_site, int stride=2) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("structured_forest", TORCH_BOX(&structured_forest));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("structured_forest", TORCH_BOX(&structured_forest)); }
 
 }  // namespace torchjoint

@@ -1,7 +1,7 @@
 // Closed contours of a boundary map (ultrametric contour map). The strength of a contour is the height at which region
 // merging removes it.
-#include "region_graph.h"
 #include "common.h"
+#include "region_graph.h"
 
 #include <cmath>
 #include <utility>
@@ -104,12 +104,11 @@ std::vector<int32_t> basins(const float* relief, const Grid& grid) {
 std::vector<double> heights(RegionAdjacencyGraph& graph) {
   std::vector<double> height(graph.num_borders());
   double level = 0;
-  graph.merge_weakest(
-      [](const RegionBoundary&) { return true; },
-      [&](int32_t number) {
-        level = std::max(level, graph.border(number).mean());
-        graph.for_each_part(number, [&](int32_t part) { height[part] = level; });
-      });
+  graph.merge_weakest([](const RegionBoundary&) { return true; },
+                      [&](int32_t number) {
+                        level = std::max(level, graph.border(number).mean());
+                        graph.for_each_part(number, [&](int32_t part) { height[part] = level; });
+                      });
   return height;
 }
 
@@ -154,8 +153,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def("ultrametric_contours(Tensor boundary, Tensor relief) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("ultrametric_contours", TORCH_BOX(&ultrametric_contours));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("ultrametric_contours", TORCH_BOX(&ultrametric_contours)); }
 
 }  // namespace torchjoint

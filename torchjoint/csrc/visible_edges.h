@@ -11,19 +11,15 @@ namespace torchjoint {
 // Walks a graph in CSR form (see views/csr_adjacency.py). M points are seen; the slot of a point is its place among them.
 class VisibleEdges {
  public:
-  VisibleEdges(
-      const Tensor& order, const Tensor& other_end, const Tensor& start, const Tensor& point, const Tensor& row,
-      const Tensor& column, int64_t height, int64_t width)
+  VisibleEdges(const Tensor& order, const Tensor& other_end, const Tensor& start, const Tensor& point,
+               const Tensor& row, const Tensor& column, int64_t height, int64_t width)
       : order_(checked_array(order, ScalarType::Int, {-1}, "order")),
         other_end_(checked_array(other_end, ScalarType::Int, {order_.size(0)}, "other_end")),
         start_(checked_array(start, ScalarType::Int, {-1}, "start")),
         point_(checked_array(point, ScalarType::Long, {-1}, "point")),
         row_(checked_array(row, ScalarType::Long, {point_.size(0)}, "row")),
-        column_(checked_array(column, ScalarType::Long, {point_.size(0)}, "column")),
-        num_nodes(start_.size(0) - 1),
-        num_points(point_.size(0)),
-        rows(row_.const_data_ptr<int64_t>()),
-        columns(column_.const_data_ptr<int64_t>()) {
+        column_(checked_array(column, ScalarType::Long, {point_.size(0)}, "column")), num_nodes(start_.size(0) - 1),
+        num_points(point_.size(0)), rows(row_.const_data_ptr<int64_t>()), columns(column_.const_data_ptr<int64_t>()) {
     check(num_nodes >= 0, "start: expected shape [N + 1], got [0]");
     check_image_size(height, width);
     number_points(height, width);

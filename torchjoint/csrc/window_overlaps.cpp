@@ -89,9 +89,9 @@ class Windows {
   std::vector<Window> windows_;
 };
 
-std::tuple<Tensor, Tensor> window_overlaps(
-    const Tensor& order, const Tensor& other_end, const Tensor& start, const Tensor& point, const Tensor& row,
-    const Tensor& column, const Tensor& labels, int64_t window) {
+std::tuple<Tensor, Tensor> window_overlaps(const Tensor& order, const Tensor& other_end, const Tensor& start,
+                                           const Tensor& point, const Tensor& row, const Tensor& column,
+                                           const Tensor& labels, int64_t window) {
   const Tensor image = checked_array(labels, ScalarType::Int, {-1, -1}, "labels");
   const int64_t height = image.size(0), width = image.size(1);
   check(window > 0 && window % 2 == 1 && window < 32768, "window: expected an odd number below 32768, got ", window);
@@ -121,8 +121,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
       " Tensor labels, SymInt window) -> (Tensor edge, Tensor overlap)");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) {
-  m.impl("window_overlaps", TORCH_BOX(&window_overlaps));
-}
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("window_overlaps", TORCH_BOX(&window_overlaps)); }
 
 }  // namespace torchjoint
