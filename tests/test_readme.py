@@ -20,10 +20,6 @@ def between(name, page):
     return re.search(rf"<!-- {name} -->\n(.*?)<!-- end {name} -->", text, flags=re.DOTALL)[1].strip()
 
 
-def test_the_readme_is_short():
-    assert len(README.encode()) <= 10_000
-
-
 @pytest.mark.parametrize(("table", "page"), [("domains", "docs/evaluation.md"), ("conventions", "docs/your_data.md")])
 def test_tables_that_stand_twice_are_the_same(table, page):
     assert between(table, "README.md") == between(table, page)
@@ -59,9 +55,15 @@ def test_ci_runs_the_test_command():
     command = re.search(r"<!-- test command -->\n```bash\n(.*)\n```", README)[1]
     for variable in ("PIP_CONSTRAINT", "PIP_BUILD_CONSTRAINT"):
         assert f"{variable}=constraints.txt" in command
+    assert "-e '.[test]' -e lab && " in command
     assert command.rstrip().endswith("pytest -n 2")
     ci = (ROOT / ".ci" / "run").read_text()
     assert ci.index("<!-- test command -->") < ci.index("make slow")  # what it leaves out comes next
+
+
+def test_make_installs_what_the_readme_does():
+    packages = re.search(r"pip install (.*?) &&", README[README.index("<!-- test command -->") :])[1]
+    assert f"pip install {packages}\n" in (ROOT / "Makefile").read_text()
 
 
 def test_files_that_are_linked_exist():

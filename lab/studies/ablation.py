@@ -65,14 +65,14 @@ IMAGE_LABELS = tuple(
     )
 )
 REGIONS = (
-    Switch("images in 3D", {"propagation.weight": 0}),
-    Switch("images in region merging", {"propagation.weight": NEXT_TO_NOTHING, "region_merging.agreement": 0}),
-    Switch("disagreement of images in region merging", {"propagation.weight": NEXT_TO_NOTHING}),
+    Switch("images in 3D", {"region_costs.weight": 0}),
+    Switch("images in region merging", {"region_costs.weight": NEXT_TO_NOTHING, "region_merging.agreement": 0}),
+    Switch("disagreement of images in region merging", {"region_costs.weight": NEXT_TO_NOTHING}),
     Switch("agreement of images in region merging", {"region_merging.agreement": 0}),
     Switch("pieces", {"pieces.threshold": None}, {"pieces.threshold": 0.03}),
     Switch("image support", {"image_support.min_size": 0}, {"image_support.min_size": 500}),
     Switch("occlusion bridging", {"occlusion_bridging.min_votes": None}, {"occlusion_bridging.min_votes": 4}),
-    Switch("convexity in region merging", {"point_graph.convex_factor": 1}),
+    Switch("convexity in region merging", {"region_costs.convex_factor": 1}),
     Switch(
         "small regions (planes are those of all neighbours)",
         {},

@@ -157,8 +157,7 @@ def prepare(arguments: argparse.Namespace) -> None:
                 continue
             scene = load()
             save_evidence(folder / f"{name}.pt", labelled_evidence(scene))
-            without = learned_config().set(["propagation.weight=0"])
-            save_evidence(folder / f"{name}-without.pt", labelled_evidence(scene, without))
+            save_evidence(folder / f"{name}-without.pt", labelled_evidence(scene, images=False))
             segmenter = tj.JointSegmenter(learned_config())
             segmenter.reset(scene.points, scene.colors, scene.normals)
             assert scene.truth is not None

@@ -27,8 +27,8 @@ IMAGE_LABELS = {
     "refinement.color_weight": (0, 25, 50, 100, 200, 400),
 }
 REGIONS = {
-    "propagation.weight": (0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.2),
-    "propagation.overlap_threshold": (0.3, 0.5, 0.6, 0.7, 0.8, 0.9),
+    "region_costs.weight": (0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.2),
+    "region_costs.overlap_threshold": (0.3, 0.5, 0.6, 0.7, 0.8, 0.9),
     "propagation.window": (1, 3, 5, 7, 11),
     "image_segments.scale": (0.5, 1, 3, 6, 12, 30),
     "pieces.threshold": (None, 0.01, 0.02, 0.05, 0.1, 0.2),
@@ -38,8 +38,8 @@ REGIONS = {
     "image_support.min_size": (0, 100, 250, 500, 1000),
     "image_support.overlap": (0.3, 0.5, 0.6, 0.7, 0.8, 0.9),
     "point_graph.neighbors": (8, 12, 16, 24, 32),
-    "point_graph.normal_neighbors": (15, 20, 30, 45, 60, 80),
-    "point_graph.convex_factor": (0, 0.02, 0.05, 0.1, 0.2, 0.4, 1),
+    "region_costs.normal_neighbors": (15, 20, 30, 45, 60, 80),
+    "region_costs.convex_factor": (0, 0.02, 0.05, 0.1, 0.2, 0.4, 1),
 }
 SCAN = {
     "scan.object_height": (0, 0.15, 0.2, 0.25, 0.3, 0.4),

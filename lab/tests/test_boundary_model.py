@@ -58,6 +58,18 @@ def test_features_without_images_and_colours_are_listed(scene_of):
     assert {i for i in range(len(FEATURE_NAMES)) if values[:, i].isnan().all()} == columns
 
 
+def test_evidence_without_images_has_oriented_normals(scene_of, prepared):
+    """So a model is judged without images, on the same pieces' points and with the same cameras."""
+    evidence, instance = labelled_evidence(scene_of(0).scene, images=False)
+    assert torch.equal(instance, prepared[0].instance)
+    values = boundary_examples.boundary_features(evidence, evidence.piece).values
+    columns = boundary_examples.feature_columns(boundary_examples.IMAGE_FEATURES)
+    assert values[:, columns].isnan().all()
+    assert not evidence.edges.unoriented.all()
+    seen = prepared[0].evidence
+    assert not boundary_examples.boundary_features(seen, seen.piece).values[:, columns].isnan().all()
+
+
 def test_labels_and_weights(prepared):
     evidence, instance = prepared[0]
     piece = evidence.piece

@@ -18,7 +18,7 @@ def parameters(
     The first table has the few parameters that a user turns, and what a value that is too low or too high looks like.
 
     Args:
-        stage: print the parameters of this stage alone, such as region_merging.
+        stage: print the parameters of this stage alone, such as paper.
         superpoints: print the parameters of `torchjoint superpoints` instead, with their values in each preset.
     """
     if superpoints and stage is not None:

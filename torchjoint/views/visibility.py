@@ -22,7 +22,7 @@ MAX_FOOTPRINT = 8
 SLANT_TOLERANCE = 2.0
 
 #: Radius of the sphere of hidden point removal, in units of the largest distance x N. A tenth of it hides 70 % of the
-#: points that are visible, ten times as much shows 27 % of the points that are hidden (benchmarks/visibility.py).
+#: points that are visible, ten times as much shows 27 % of the points that are hidden (lab/studies/visibility.py).
 RADIUS_FACTOR = 0.01
 
 #: Margin around the image, in image widths, in which points still hide others from hidden point removal. A point's

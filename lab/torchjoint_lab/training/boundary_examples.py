@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
 from torchjoint.segments.learned.piece_graph import PieceGraph, build_piece_graph
+from torchjoint.views.observations import Observations
 
 #: How the names of the features begin that need images, and of those that need colours.
 IMAGE_FEATURES = (
@@ -120,12 +121,13 @@ def learned_config(config: Config | None = None) -> Config:
 
 
 @torch.no_grad()
-def labelled_evidence(scene: Scene, config: Config | None = None) -> LabelledEvidence:
+def labelled_evidence(scene: Scene, config: Config | None = None, images: bool = True) -> LabelledEvidence:
     """Runs steps 1-5 on a labelled scene and collects what the features of boundaries are computed from.
 
     Args:
         scene: with ``truth.points``.
         config: parameters of the steps 1-5.
+        images: whether the images have a say; if not, the cameras only orient the normals.
 
     Raises:
         ValueError: the instance of no point is known.
@@ -138,8 +140,9 @@ def labelled_evidence(scene: Scene, config: Config | None = None) -> LabelledEvi
         segmenter.update([scene.frames[i] for i in range(start, min(start + FRAMES, len(scene.frames)))])
     graph = segmenter.cloud.graph
     assert graph.scales is not None
+    state = segmenter.state if images else replace(segmenter.state, observations=Observations())
     with one_thread_per_operation():
-        evidence = build_piece_graph(graph, graph.scales, segmenter.state)
+        evidence = build_piece_graph(graph, graph.scales, state)
     instance = scene.truth.points.long()
     if segmenter.cloud.of_point is not None:
         instance = _majority(instance, segmenter.cloud.of_point)
