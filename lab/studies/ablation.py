@@ -52,7 +52,6 @@ IMAGE_LABELS = tuple(
         constants={f"labels.geodesic.{name}": value for name, value in constants.items()},
     )
     for title, off, constants in (
-        ("geodesic label propagation (cuts, as in the paper)", {"method": "cuts"}, {}),
         ("colours and boundaries in label propagation (nearest point)", {"color_weight": 0}, {}),
         (  # boundaries keep their cost of 50
             "colours in label propagation",
