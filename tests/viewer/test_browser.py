@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import torchjoint as tj
+from torchjoint.datasets.files import clouds
 from torchjoint.results.folder import write_result
 from torchjoint.results.label_colors import label_colors
 
@@ -177,7 +178,7 @@ def test_a_click_in_the_image_and_in_the_table(viewer, page):
     page.get_by_role("button", name="PLY").click()
     file = viewer.folder / "selection" / f"{other}.ply"
     wait(file.is_file)
-    points = tj.datasets.clouds.read_cloud_file(file).points
+    points = clouds.read_cloud_file(file).points
     assert len(points) == int((viewer.result.points == other).sum())
     page.get_by_role("button", name="PNG").click()
     wait((viewer.folder / "selection" / f"{other}-masks").is_dir)
