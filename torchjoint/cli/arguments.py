@@ -19,7 +19,7 @@ class Parameters:
     preset: Annotated[str, tyro.conf.arg(help=f"{', '.join(presets())}, or a YAML file of your own.")] = "default"
     """A preset that comes with the package, or a YAML file of your own."""
     set: tuple[str, ...] = ()
-    """Single parameters: --set propagation.weight=0.2 refinement.merge_ratio=0.95"""
+    """Single parameters: --set image_segments.scale=5 visibility.depth_tolerance=0.02"""
 
     def config(self) -> Config:
         """Returns the preset with the single parameters applied."""

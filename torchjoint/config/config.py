@@ -104,7 +104,7 @@ class Config:
         return dataclasses.replace(self, **stages)
 
     def set(self, assignments: Sequence[str]) -> Self:
-        """A copy with command-line assignments applied: ``["propagation.weight=0.2"]``.
+        """A copy with command-line assignments applied: ``["propagation.window=3"]``.
 
         Raises:
             ValueError, TypeError: a bad assignment, an unknown name or a bad value, by name.

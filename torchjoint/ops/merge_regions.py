@@ -1,4 +1,4 @@
-"""Step 6, method regions: region merging by mean boundary cost (average linkage)."""
+"""Step 6, method learned: region merging by mean boundary cost (average linkage)."""
 
 from __future__ import annotations
 

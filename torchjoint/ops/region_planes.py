@@ -1,4 +1,4 @@
-"""Step 6, method regions: fits a plane to each point and its neighbours in the same region."""
+"""Step 6, method learned: fits a plane to each point and its neighbours in the same region."""
 
 from __future__ import annotations
 

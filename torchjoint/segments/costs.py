@@ -1,4 +1,4 @@
-"""Step 6, method regions: the cost of each edge of the point graph, from creases and from the images' evidence."""
+"""Step 6: the cost of each edge of the point graph, from creases and from the images' evidence."""
 
 from __future__ import annotations
 

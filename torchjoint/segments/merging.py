@@ -1,4 +1,4 @@
-"""Step 6, method regions: region merging, the average-linkage agglomeration of the region adjacency graph.
+"""Step 6: region merging, the average-linkage agglomeration of the region adjacency graph.
 
 Repeatedly merges the two regions with the lowest mean boundary cost. Single edges are not reliable: one chain of weak
 edges through a soft boundary would join two objects, however strong the rest of the boundary is. So the evidence is

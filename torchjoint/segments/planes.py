@@ -1,4 +1,4 @@
-"""Step 6, method regions: small smooth regions of the cloud, and a plane for each point, fitted within its region."""
+"""Step 6: small smooth regions of the cloud, and a plane for each point, fitted within its region."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class SmoothRegions(NamedTuple):
     min_size: int = 15  #: points; smaller regions are joined to a neighbour
 
 
-#: The small regions of methods regions and learned. Regions must not cross creases, so the scale is small. Regions of
+#: The small regions of method learned. Regions must not cross creases, so the scale is small. Regions of
 #: fewer than 15 points are joined to a neighbour, because their planes are mostly noise.
 SMOOTH_REGIONS = SmoothRegions()
 
