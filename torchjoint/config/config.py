@@ -58,7 +58,7 @@ class Config:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any] | None) -> Self:
-        """Makes a config from nested dicts, e.g. ``{"propagation": {"weight": 0.2}}``; missing values are defaults.
+        """Makes a config from nested dicts, e.g. ``{"propagation": {"window": 3}}``; missing values are defaults.
 
         Raises:
             ValueError, TypeError: an unknown stage or parameter, or a bad value, by name.
@@ -89,7 +89,7 @@ class Config:
         return dataclasses.asdict(self)
 
     def replace(self, values: Mapping[str, Any]) -> Self:
-        """A copy with some parameters replaced: ``config.replace({"propagation": {"weight": 0.2}})``.
+        """A copy with some parameters replaced: ``config.replace({"propagation": {"window": 3}})``.
 
         Raises:
             ValueError, TypeError: an unknown stage or parameter, or a bad value, by name.

@@ -180,7 +180,7 @@ def _write_label_images(folder: Path, result: Segmentation) -> None:
         if int(labels.max()) > MAX_LABEL:
             raise ValueError(
                 f"image segments: ids up to {int(labels.max())} do not fit 16-bit images (at most {MAX_LABEL}); "
-                "raise image_segments.min_size or point_segments.min_size, or choose a lower granularity"
+                "raise image_segments.min_size, or choose a lower granularity"
             )
         Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{name}.png")
 
