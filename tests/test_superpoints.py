@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import yaml
 import torchjoint as tj
 from torchjoint.cloud.mesh import face_edges, vertex_normals
 from torchjoint.config import SuperpointsConfig, superpoint_presets, superpoint_table
+from torchjoint.oversegmentation import SuperpointsParameters
 
 
 def random(seed):
@@ -342,3 +344,8 @@ def test_outdoor_joins_the_rings_of_a_lidar():
     share_without = tj.superpoints(road, preset="scan", reach=0.0).bincount().max() / len(road)
     assert share > 0.9
     assert share_without < 0.5
+
+
+def test_type_checkers_know_every_parameter():
+    """Else ``superpoints(points, scal=2.0)`` would pass them."""
+    assert get_type_hints(SuperpointsParameters) == get_type_hints(SuperpointsConfig)

@@ -59,27 +59,20 @@ __all__ = [
 
 #: Where each public name is; it is imported when it is first used, so that ``import torchjoint`` is quick.
 _HOMES = {
-    "BatchReport": "recordings",
-    "Cloud": "scene",
-    "Config": "config",
-    "Frame": "scene",
-    "Hierarchy": "scene",
-    "JointSegmenter": "joint",
-    "LabelImages": "scene",
-    "Masks": "scene",
-    "PoseWarning": "views.pose_check",
-    "RecordingOptions": "recordings",
-    "Result": "results.result",
-    "Scene": "scene",
-    "Segmentation": "scene",
-    "Superpoints": "oversegmentation",
-    "SuperpointsConfig": "config",
-    "SyntheticScene": "synthetic",
-    "Truth": "scene",
-    "batch": "recordings",
-    "load_result": "results.loading",
-    "load_scene": "datasets",
-    "superpoints": "oversegmentation",
+    name: home
+    for home, names in {
+        "config": "Config SuperpointsConfig",
+        "datasets": "load_scene",
+        "joint": "JointSegmenter",
+        "oversegmentation": "Superpoints superpoints",
+        "recordings": "BatchReport RecordingOptions batch",
+        "results.loading": "load_result",
+        "results.result": "Result",
+        "scene": "Cloud Frame Hierarchy LabelImages Masks Scene Segmentation Truth",
+        "synthetic": "SyntheticScene",
+        "views.pose_check": "PoseWarning",
+    }.items()
+    for name in names.split()
 }
 
 

@@ -119,19 +119,6 @@ class JointSegmenter(nn.Module):
         """
         return cls(Config.from_preset(name))
 
-    if TYPE_CHECKING:  # nn.Module's own would be untyped
-
-        def __call__(
-            self,
-            scene: Scene,
-            *,
-            progress: bool = False,
-            batch_size: int = 8,
-            checkpoint: Checkpoint | None = None,
-            on_frames: Watch | None = None,
-        ) -> Segmentation:
-            """See :meth:`forward`."""
-
     @torch.no_grad()
     @on_cpu()
     def forward(
@@ -166,6 +153,9 @@ class JointSegmenter(nn.Module):
         checked = self.begin(scene, checkpoint)
         steps = self._add_batches(scene.frames, batch_size, checked)
         return self.finish(scene, steps, progress=progress, checkpoint=checkpoint, on_frames=on_frames)
+
+    if TYPE_CHECKING:  # nn.Module's own is untyped
+        __call__ = forward
 
     @torch.no_grad()
     @on_cpu()

@@ -6,7 +6,7 @@ They use the graph of step 3, and need no images.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,21 @@ from torchjoint.scene.checks import is_double
 Values = TypeVar("Values", Tensor, npt.NDArray[Any])
 
 
+class SuperpointsParameters(TypedDict, total=False):
+    """The parameters of :class:`SuperpointsConfig` by name, so that type checkers know them."""
+
+    neighbors: int
+    normal_neighbors: int
+    reach: float
+    weight: str
+    angle_weight: float
+    convex_factor: float
+    distance_weight: float
+    color_weight: float
+    scale: float
+    min_size: int
+
+
 def superpoints(
     points: Values,
     colors: Values | None = None,
@@ -40,7 +55,7 @@ def superpoints(
     ptr: Values | None = None,
     viewpoint: Values | None = None,
     preset: str | SuperpointsConfig = "default",
-    **parameters: float | str,
+    **parameters: Unpack[SuperpointsParameters],
 ) -> Values:
     """Cut one or several clouds into superpoints.
 
@@ -110,7 +125,7 @@ def _segment_batch(
     viewpoint: Tensor | None,
     *,
     preset: str | SuperpointsConfig,
-    parameters: dict[str, float | str],
+    parameters: SuperpointsParameters,
 ) -> Tensor:
     """:func:`superpoints` of tensors."""
     config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
@@ -147,21 +162,22 @@ class Superpoints(nn.Module):
         torch.Size([100])
     """
 
-    def __init__(self, preset: str | SuperpointsConfig = "default", **parameters: float | str) -> None:
+    def __init__(
+        self, preset: str | SuperpointsConfig = "default", **parameters: Unpack[SuperpointsParameters]
+    ) -> None:
         super().__init__()
         self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
         self.config = self.preset.replace(parameters)
         self.parameters_given = parameters
 
     def forward(
-        self,
-        points: Tensor,
-        colors: Tensor | None = None,
-        normals: Tensor | None = None,
-        ptr: Tensor | None = None,
+        self, points: Tensor, colors: Tensor | None = None, normals: Tensor | None = None, ptr: Tensor | None = None
     ) -> Tensor:
         """Labels [N] int64 of points [N, 3]; arguments and errors as in :func:`superpoints`."""
-        return superpoints(points, colors, normals, ptr=ptr, preset=self.preset, **self.parameters_given)  # type: ignore[type-var, return-value]
+        return superpoints(points, colors, normals, ptr=ptr, preset=self.preset, **self.parameters_given)
+
+    if TYPE_CHECKING:  # nn.Module's own is untyped
+        __call__ = forward
 
     def extra_repr(self) -> str:
         """The parameters, printed as part of the module."""

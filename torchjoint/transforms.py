@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any, TypeVar, Unpack
 
 import numpy as np
 import torch
@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint.config import SuperpointsConfig
-from torchjoint.oversegmentation import superpoints
+from torchjoint.oversegmentation import SuperpointsParameters, superpoints
 from torchjoint.runtime.threads import num_threads
 from torchjoint.scene.checks import as_points
 
@@ -68,7 +68,7 @@ class AddSuperpoints:
         viewpoint: str | None = "viewpoint",
         to: str | None = None,
         preset: str | SuperpointsConfig = "default",
-        **parameters: float | str,
+        **parameters: Unpack[SuperpointsParameters],
     ) -> None:
         self.points = points
         self.names = {
