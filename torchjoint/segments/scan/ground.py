@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime.threads import one_thread_per_operation
-from torchjoint.scene.checks import as_float, as_points, check_shape
+from torchjoint.scene.checks import as_points
 from torchjoint.segments.scan.directions import Directions, directions
 
 #: Width of the azimuth columns along which the ground is followed, degrees: wide enough that few columns are empty
@@ -31,12 +31,12 @@ MAX_SLOPE = 10.0
 #: Allowed step in height in addition to the slope, metres: about twice the noise of the range.
 MAX_STEP = 0.05
 
-#: Parts of a profile more than this above the profiles beside it are not ground, metres: lower than what stands in a
-#: street and fills a column from the sensor on, such as a car beside it; higher than kerbs.
+#: Parts of a profile more than this above the profiles beside it are not ground, metres. The value is larger than the
+#: height of a kerb, and smaller than an object that fills a column from the sensor on, such as a car beside the sensor.
 MAX_BUMP = 0.2
 
-#: Points lower than this above the ground belong to it, metres: about the roughness of a road. Less leaves fragments of
-#: it; more takes feet and kerbs.
+#: Points lower than this above the ground belong to it, metres: about the roughness of a road. A smaller value leaves
+#: fragments of the road; a larger value adds feet of objects and kerbs to the ground.
 GROUND_HEIGHT = 0.08
 
 #: Horizontal distance from the sensor, metres, within which the sensor's height above the ground is estimated.
@@ -45,8 +45,8 @@ NEAR = 20.0
 #: Number of columns on each side with which a profile is compared.
 SIDES = 4
 
-#: Share of the distance at which the lowest beam meets level ground, nearer than which nothing is ground; less than 1,
-#: because the ground may rise.
+#: The blind distance, as a share of the distance at which the lowest beam meets level ground. Nearer points are not
+#: ground. The share is less than 1, because the ground may rise.
 BLIND = 0.75
 
 #: Larger than any distance, metres: one sorted tensor holds all columns, one after the other, at offsets of FAR.
@@ -77,37 +77,28 @@ class Profile(NamedTuple):
         return self.height[below] + share * (self.height[above] - self.height[below])
 
 
-def ground(points: Tensor, sensor: Tensor | None = None) -> Tensor:
-    """Which points of a scan belong to the ground: those lower than GROUND_HEIGHT above it.
+def height_over_ground(points: Tensor) -> Tensor:
+    """Heights of the points of a scan above the ground.
+
+    Each cell of azimuth and elevation contributes its lowest point. A profile follows each column of cells outward. It
+    starts below the sensor, at the median height of the columns' lowest points near the sensor. It continues to the
+    lowest point of a cell if this point is farther out than the profile so far and than the blind distance, and if the
+    change of height is at most MAX_STEP plus MAX_SLOPE times the horizontal step. Parts of a profile more than MAX_BUMP
+    above the median of the neighbouring profiles are removed, because there the profile follows an object that hides
+    the ground. Between two places of a profile, and between two columns, the height is interpolated linearly.
 
     Args:
-        points: [N, 3] metres, z up.
-        sensor: [3] metres, position of the LiDAR; default: the origin.
+        points: [N, 3] metres, z up, the sensor at the origin.
 
     Returns:
-        [N] bool, True for ground.
+        [N] float64 metres.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
     """
-    return height_over_ground(points, sensor) < GROUND_HEIGHT
-
-
-def height_over_ground(points: Tensor, sensor: Tensor | None = None) -> Tensor:
-    """Heights of the points of a scan above the ground, [N] float64 metres; arguments and errors as in :func:`ground`.
-
-    Each cell of azimuth and elevation contributes its lowest point. A profile follows each column of cells outward. It
-    starts where the lowest beam begins to meet the ground, at the median of the columns' lowest points near the sensor.
-    It goes on to a cell's lowest point if this point is farther out, and if the change of height is at most MAX_STEP
-    plus MAX_SLOPE times the way. Parts of a profile more than MAX_BUMP above the median of the neighbouring profiles
-    are removed: there an object hides the ground in front of it. Between two places of a profile, and between two
-    columns, the height is interpolated linearly.
-    """
     points = as_points(points)
-    sensor = torch.zeros(3, dtype=torch.float32) if sensor is None else as_float(sensor, "sensor", torch.float64)
-    check_shape(sensor, (3,), "sensor")
     with torch.no_grad(), one_thread_per_operation():
-        seen, height = directions(points, sensor), points[:, 2].double() - sensor[2]
+        seen, height = directions(points), points[:, 2].double()
         profile = _without_bumps(ground_profile(seen, height))
         place = _column_place(seen.azimuth, profile.num_columns) - 0.5  # a column's profile holds at its middle
         before = place.floor()
@@ -190,9 +181,9 @@ def _start(distance: Tensor, height: Tensor, column: Tensor, num_columns: int) -
 
 
 def _blind_distance(elevation: Tensor, start: float) -> float:
-    """Distance within which what the sensor sees is no ground: the lowest beam meets the ground farther out.
+    """The distance below which no point is ground, because the lowest beam meets the ground farther out; metres.
 
-    Without it, the side of a car beside the sensor, from the lowest beam up, would be ground.
+    Without it, the side of a car beside the sensor would be ground, from the lowest beam up.
     """
     lowest = float(elevation.kthvalue(1 + len(elevation) // 200).values)  # a few returns may come from below the ground
     return BLIND * start / math.tan(lowest) if start < 0 and lowest < 0 else 0.0

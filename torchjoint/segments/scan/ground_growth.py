@@ -1,4 +1,4 @@
-"""Step 6, method scan: grows the ground of a scan over kerbs, pavements, verges and slopes that its profiles missed.
+"""Step 6, method scan: adds kerbs, pavements, verges and slopes that the profiles missed to the ground of a scan.
 
 A profile (:mod:`torchjoint.segments.scan.ground`) holds for a whole column, and ends where something hides the ground.
 So a pavement beside a street, rough terrain and a slope behind a car lie a little above the profiles. Nothing rises
@@ -21,14 +21,14 @@ from torchjoint.segments.scan.directions import Directions
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, MAX_SLOPE
 from torchjoint.segments.scan.rising import something_rises
 
-#: Largest horizontal way from the ground to a patch that joins it: metres, and metres per metre of distance from the
-#: sensor, because the rings on the ground are far from each other there; the larger one counts.
+#: Largest horizontal distance from the ground to a patch that joins it: metres, and metres per metre of distance from
+#: the sensor, because rings on the ground are farther apart far from the sensor. The larger of the two counts.
 HOP, HOP_GROWTH = 2.0, 0.1
 
-#: A patch joins the ground if this share of those of its points that are near the ground fits to it.
+#: A patch joins the ground if at least this share of its points near the ground fits the ground.
 SHARE = 0.8
 
-#: Most rounds in which patches join the ground.
+#: Largest number of rounds in which patches join the ground.
 ROUNDS = 12
 
 
@@ -37,15 +37,15 @@ def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor,
 
     1. Points lower than GROUND_HEIGHT above the profiles.
     2. Points lower than `object_height` above the profiles, if nothing rises from them.
-    3. Patches: connected points from which nothing rises. A patch joins the ground if it continues it: its points near
-       the ground differ from the nearest point of the ground, in height, by at most GROUND_HEIGHT plus MAX_SLOPE
-       times the horizontal way. This is repeated, because the next patch may continue this one.
+    3. Patches: connected points from which nothing rises. A patch joins the ground if most of its points near the
+       ground fit: their height differs from that of the nearest point of the ground by at most GROUND_HEIGHT plus
+       MAX_SLOPE times the horizontal distance. This is repeated, because another patch may continue this one.
 
     Args:
         points: [N, 3] metres, z up.
         height: [N] float64 metres above the profiles.
         seen: directions of the points.
-        edges: [2, E] int64, connected points.
+        edges: [2, E] int64, pairs of points that are connected.
         config: object_height.
 
     Returns:
@@ -80,7 +80,7 @@ def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor,
 
 
 def _patches(flat: Tensor, edges: Tensor, num_points: int) -> NDArray[np.int64]:
-    """The connected components of the flat points: [N] their numbers, 0 for other points."""
+    """The number of the connected component of each flat point, [N]; 0 for other points."""
     number = torch.full((num_points,), -1)
     number[flat] = torch.arange(len(flat))
     ends = number[edges]

@@ -1,4 +1,4 @@
-"""Step 6, method scan, for one scan of a turning LiDAR: ground, and what stands on it, without images."""
+"""Step 6, method scan: segments one scan of a turning LiDAR into ground and objects, without images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from torchjoint.views.state import JointState
 
 
 class Scan(Method):
-    """Reads neither edges nor normals, so its graph has none."""
+    """Method scan. Its graph has no edges and no normals, because it does not use them."""
 
     name = "scan"
     uses_images = False
@@ -26,14 +26,14 @@ class Scan(Method):
         return build_edgeless_graph(cloud), None
 
     def prepare(self, cloud: Cloud, merge_within: float) -> PreparedCloud:
-        """Leaves coordinates as they are, because the sensor is at the origin; merges only copies."""
+        """Builds the graph in the given coordinates, because the sensor is at the origin. Merges only copies."""
         world = LocalFrame.of_world()
         local, of_point = local_cloud(cloud.with_telling_colors(), world)
         graph, _ = self.build_graph(local)
         return PreparedCloud(graph, world, of_point)
 
     def segment(self, graph: PointGraph, state: JointState) -> Tensor:
-        """Ground, and the things on it."""
+        """Labels [N] int64 of the ground and of the objects on it."""
         return segment_scan(graph.points, self.config.scan)
 
     def measured(self, graph: PointGraph) -> str:

@@ -1,9 +1,10 @@
 """Recognises a scan of a turning LiDAR by its rings: beams of constant elevation, seen from one place.
 
-In a narrow window of azimuth, elevations of two returns differ either hardly at all (one beam) or by at least the angle
-between two beams; hardly any pair lies in between. No other cloud is like this. So the density of pairs of elevations,
-by their difference, falls to a dip after 0 and rises again to a peak. The windows are narrow, because in real scans the
-elevation of a beam changes a little over a turn. Only angles are measured: the unit of length does not matter.
+In a narrow window of azimuth, the elevations of two returns are either nearly equal (one beam), or they differ by at
+least the angle between two beams. Few pairs lie in between. Other clouds do not show this. So the density of pairs, as
+a function of the difference of their elevations, falls to a dip after 0 and then rises to a peak. The windows are
+narrow, because in real scans the elevation of a beam changes a little over a turn. Only angles are measured, so the
+unit of length has no effect.
 """
 
 from __future__ import annotations
@@ -24,30 +25,30 @@ WINDOWS = 72
 BIN = 0.02
 #: Largest angle between two beams, degrees.
 LARGEST_STEP = 2.4
-#: Width of the neighbourhood, degrees, whose mean density pairs are compared with.
+#: Width of the neighbourhood, degrees, whose mean density of points gives the expected number of pairs.
 AROUND = 4.0
 #: Smallest angle between two beams, in bins.
 FIRST = 3
-#: Elevations are measured at this share of the points, the farthest, because noise turns near points most; but at no
-#: fewer points than FAR_POINTS, unless this is more than MOST_SHARE.
+#: Elevations are measured at this share of the points. They are the farthest, because noise changes the elevation of
+#: near points most. At least FAR_POINTS points are used, but at most the share MOST_SHARE.
 FAR_SHARE, FAR_POINTS, MOST_SHARE = 0.25, 10_000, 0.5
-#: Smallest density of pairs at the peak and largest at the dip, where 1 is that of independent elevations.
+#: Smallest density of pairs at the peak, and largest density at the dip; 1 is the density of independent elevations.
 LEAST_PEAK, LARGEST_DIP = 1.25, 0.6
-#: Smallest density at the peak as a share of that at 0: rings recur, while clumps of points, one here and one there,
-#: are denser in themselves than among each other. Scans have .3 and more.
+#: Smallest density at the peak, as a share of the density at 0. Rings repeat at equal steps, so both densities are
+#: similar: in scans the share is .3 or more. Random clumps of points give a high density at 0 and a low peak.
 LEAST_RECURRENCE = 0.15
-#: The angle between two rings is that of the first peak which has this share of the highest one.
+#: The angle between two rings is that of the first peak whose height is at least this share of the highest peak.
 PEAK_SHARE = 0.4
-#: The two halves of the scan have peaks at angles that differ by at most this share: other clouds have such peaks at
-#: most by chance.
+#: Both halves of a scan must have a peak at this angle, within this share of it. In other clouds peaks are random, and
+#: the halves have them at different angles.
 SAME_STEP = 0.15
 #: Smallest expected number of pairs in a bin of differences: with fewer, chance alone makes peaks.
 LEAST_PAIRS = 25.0
-#: Smallest number of windows with points (40 degrees), and smallest number of points of such a window.
+#: Smallest number of windows with points (8 windows are 40 degrees), and smallest number of points in such a window.
 LEAST_WINDOWS, LEAST_IN_WINDOW = 8, 8
 #: Smallest ratio of far to near ranges (95 % and 5 % quantiles): a sphere around the sensor is no scene.
 LEAST_DEPTH = 1.5
-#: Smallest and largest number of rings: the rows of a depth image are more.
+#: Smallest and largest number of rings. A depth image has more rows.
 NUM_RINGS = (4, 160)
 
 
@@ -55,14 +56,14 @@ class Rings(NamedTuple):
     """The rings of a recognised scan."""
 
     step: float  #: radians between two neighbouring rings, where they are closest
-    number: int  #: of rings, about: as many as one window of azimuth shows
+    number: int  #: approximate number of rings, counted in the windows of azimuth
 
 
 def find_rings(points: Tensor) -> Rings | None:
-    """The rings of a scan of a turning LiDAR at the origin, z up; None: the cloud is no such scan.
+    """Finds the rings of a scan of a turning LiDAR. None: the cloud is no such scan.
 
     Args:
-        points: [N, 3] in any unit.
+        points: [N, 3] in any unit, z up, the sensor at the origin.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -100,7 +101,7 @@ def _histograms(window: Tensor, elevation: Tensor) -> Tensor:
 
 
 def _pair_density(counts: Tensor) -> Tensor:
-    """[D] density of pairs at each difference, in bins; 1 = as if elevations were independent, 0 = too few pairs."""
+    """Density of pairs [D] at each difference, in bins; 1 = as for independent elevations, 0 = too few pairs."""
     num_lags = round(LARGEST_STEP / BIN)
     half = round(AROUND / BIN / 2)
     smooth = torch.nn.functional.avg_pool1d(counts[:, None], 2 * half + 1, 1, half)[:, 0]
@@ -110,7 +111,7 @@ def _pair_density(counts: Tensor) -> Tensor:
 
 
 def _autocorrelation(rows: Tensor, num_lags: int) -> Tensor:
-    """[num_lags], the sum over the rows of the products of entries so many places apart."""
+    """[num_lags]: for each lag, the sum over all rows of the products of two entries with this distance."""
     size = rows.shape[1] + num_lags
     power = torch.fft.rfft(rows, n=size).abs().square().sum(0)
     return torch.fft.irfft(power, n=size)[:num_lags]
@@ -132,7 +133,7 @@ def _ring_step(density: Tensor) -> float | None:
 
 
 def _halves(counts: Tensor) -> tuple[Tensor, Tensor]:
-    """The windows up to the one that completes half of the points, and the others."""
+    """The first windows, which together have half of the points, and the remaining windows."""
     done = counts.sum(1).cumsum(0)
     middle = int((done < done[-1] / 2).sum()) + 1
     return counts[:middle], counts[middle:]
@@ -146,7 +147,7 @@ def _has_step(density: Tensor, step: float) -> bool:
 
 
 def _count_rings(window: Tensor, elevation: Tensor, step: float) -> int:
-    """Number of groups of elevations with gaps of more than half a step between them; 90 % quantile of the windows."""
+    """The 90 % quantile, over the windows, of the number of groups of elevations; gaps exceed half a step."""
     place = (window * 1000 + elevation).sort().values
     new = torch.ones(len(place), dtype=torch.bool)
     new[1:] = place.diff() > step / 2

@@ -1,4 +1,4 @@
-"""Step 6, method scan: from which points of a scan something rises, which tells objects from ground."""
+"""Step 6, method scan: tests whether something rises from points. This separates objects from ground."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from torch import Tensor
 
 from torchjoint.segments.scan.directions import Directions
 
-#: Size of a cell as a share of its horizontal distance from the sensor, about: 1.5 degrees wide, and as long.
+#: Width of a cell in azimuth, radians (1 degree). Its length is about this share of its distance from the sensor.
 CELL = math.radians(1.0)
 
-#: Metres. What is higher than this above a point hangs over it (crowns, signs) and does not rise from it.
+#: Metres. A point higher than this above another one hangs over it (tree crowns, signs) and does not rise from it.
 OVERHANG = 2.5
 
 #: Larger than any height, metres: one sorted tensor holds all cells, one after the other, at offsets of FAR.
@@ -20,15 +20,15 @@ FAR = 1e4
 
 
 def something_rises(seen: Directions, height: Tensor, which: Tensor, object_height: float) -> Tensor:
-    """Whether something rises from points: another point in the same cell or in one of the 8 cells around it.
+    """Whether something rises from points: whether a higher point lies in the same cell or in one of the 8 around it.
 
-    This point must be more than `object_height` higher, but lower than `OVERHANG` above. The cells divide the plane by
-    azimuth and by the logarithm of the horizontal distance.
+    The higher point must be more than `object_height` and less than `OVERHANG` above the point. The cells divide the
+    plane by azimuth and by the logarithm of the horizontal distance.
 
     Args:
         seen: directions of N points.
-        height: [N] float64 metres, over anything.
-        which: [M] int64, the points in question.
+        height: [N] float64 metres, above any reference.
+        which: [M] int64, the points to test.
         object_height: metres.
 
     Returns:

@@ -20,30 +20,29 @@ from torchjoint.segments.scan.ground import GROUND_HEIGHT, height_over_ground
 from torchjoint.segments.scan.ground_growth import grow_ground
 from torchjoint.segments.scan.recognition import Rings, find_rings
 
-#: Neighbours of a point in the graph: fewer lose thin parts between denser ones, more take longer.
+#: Neighbours of a point in the graph. With fewer, thin parts between denser ones are lost; more take longer.
 NEIGHBORS = 12
 
 #: Largest distance over which a small segment is joined to a neighbour, in allowed gaps. Farther away it is mostly
 #: another object: a small segment that stands far from all others keeps its own label.
 JOINING_GAP = 2.0
 
-#: So many rings are joined across an allowed gap, without the part of the gap that does not grow with range.
+#: The part of the allowed gap that grows with range must span at least this many steps between rings.
 RINGS_IN_GAP = 4
 
 
-def segment_scan(points: Tensor, config: ScanConfig | None = None, sensor: Tensor | None = None) -> Tensor:
+def segment_scan(points: Tensor, config: ScanConfig | None = None) -> Tensor:
     """Segments one scan of a LiDAR, without training, colours or normals.
 
     Points on the ground (:func:`~torchjoint.segments.scan.ground_growth.grow_ground`) are one segment. All other points
     are nodes of a graph of nearest neighbours, with weights from :func:`gap_weights`. Its connected components with
     weights <= 1 are segments. A segment of fewer than `config.min_size` points is joined to the neighbour along its
-    lightest edge, if the weight of this edge is at most JOINING_GAP. Neighbours and weights are those of the
-    scan in which rings are drawn together (:func:`with_near_rings`).
+    lightest edge, if the weight of this edge is at most JOINING_GAP. Neighbours and weights are computed after the
+    rings were moved closer together (:func:`with_near_rings`).
 
     Args:
-        points: [N, 3] metres, z up.
+        points: [N, 3] metres, z up, the sensor at the origin.
         config: see :class:`ScanConfig`.
-        sensor: [3] metres, position of the LiDAR; default: the origin.
 
     Returns:
         [N] int64 labels 0, 1, 2, ... in the order of their first points. The labels do not depend on the number of
@@ -54,41 +53,39 @@ def segment_scan(points: Tensor, config: ScanConfig | None = None, sensor: Tenso
     """
     config = config or ScanConfig()
     with torch.no_grad(), one_thread_per_operation():
-        return components(*scan_graph(as_points(points), config, sensor), config)
+        return components(*scan_graph(as_points(points), config), config)
 
 
-def scan_graph(points: Tensor, config: ScanConfig, sensor: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
-    """The graph of what stands on the ground.
+def scan_graph(points: Tensor, config: ScanConfig) -> tuple[Tensor, Tensor, Tensor]:
+    """The graph of the points that do not belong to the ground.
 
     Args:
-        points: [N, 3] metres, z up.
+        points: [N, 3] metres, z up, the sensor at the origin.
         config: see :class:`ScanConfig`.
-        sensor: [3] metres, position of the LiDAR; default: the origin.
 
     Returns:
         [2, E] int64 edges; [E] float32 weights; [N] bool, True for ground.
     """
-    height = height_over_ground(points, sensor)
-    from_sensor = points if sensor is None else (points.double() - sensor.double()).float()
-    drawn = with_near_rings(from_sensor, find_rings(from_sensor), config)
+    height = height_over_ground(points)
+    drawn = with_near_rings(points, find_rings(points), config)
     standing = torch.nonzero(height >= GROUND_HEIGHT).flatten()
     edges = standing[undirected_edges(nearest_neighbors(drawn[standing], NEIGHBORS).indices)]
     weight = gap_weights(drawn, edges, config)
-    on_ground = grow_ground(points, height, directions(from_sensor), edges[:, weight <= 1], config)
+    on_ground = grow_ground(points, height, directions(points), edges[:, weight <= 1], config)
     above = ~on_ground[edges].any(0)
     return edges[:, above], weight[above], on_ground
 
 
 def with_near_rings(points: Tensor, rings: Rings | None, config: ScanConfig) -> Tensor:
-    """The points [N, 3] with elevations reduced so far that a step between rings is a quarter of the gap's growth.
+    """Scales the elevations of points down, so that the step between two rings is a quarter of the gap's growth.
 
-    The rings of a sensor with few beams are farther from each other than things are that stand side by side. Drawn
-    together, they are joined by the same gap that separates these things. If rings are already so near, or if no rings
-    are known, the points stay as they are.
+    With few beams, two rings are farther apart than two objects side by side. After the scaling, one gap is large
+    enough to join rings and small enough to separate such objects. If the rings are already near enough, or unknown,
+    the points are returned unchanged.
 
     Args:
         points: [N, 3] metres, z up, the sensor at the origin.
-        rings: of the scan, None: unknown.
+        rings: the rings of the scan; None: unknown.
         config: gap_growth.
     """
     if rings is None or config.gap_growth >= RINGS_IN_GAP * rings.step:
@@ -100,14 +97,13 @@ def with_near_rings(points: Tensor, rings: Rings | None, config: ScanConfig) -> 
     return torch.stack([x, y, z], dim=1).float()
 
 
-def gap_weights(points: Tensor, edges: Tensor, config: ScanConfig, sensor: Tensor | None = None) -> Tensor:
+def gap_weights(points: Tensor, edges: Tensor, config: ScanConfig) -> Tensor:
     """Length of each edge divided by the allowed gap: w = |p_u - p_v| / (gap + gap_growth min(r_u, r_v)), r = range.
 
     Args:
-        points: [N, 3] metres.
+        points: [N, 3] metres, the sensor at the origin.
         edges: [2, E] int64.
         config: gap and gap_growth.
-        sensor: [3] metres, position of the LiDAR; default: the origin.
 
     Returns:
         [E] float32.
@@ -115,14 +111,15 @@ def gap_weights(points: Tensor, edges: Tensor, config: ScanConfig, sensor: Tenso
     u, v = edges
     x, y, z = (points[u].double() - points[v].double()).unbind(1)
     length = ((x.square() + y.square()) + z.square()).sqrt()
-    reach = directions(points, sensor).range
+    reach = directions(points).range
     return (length / (config.gap + config.gap_growth * torch.minimum(reach[u], reach[v]))).float()
 
 
 def components(edges: Tensor, weight: Tensor, on_ground: Tensor, config: ScanConfig) -> Tensor:
-    """Connected components of edges with weight <= 1, and the ground; small ones are joined along their lightest edge.
+    """Labels [N] int64: connected components of edges with weight <= 1, and the ground; small components are joined.
 
-    The two passes of Felzenszwalb-Huttenlocher do this with k = 0, if the weights are max(0, w - 1).
+    Felzenszwalb-Huttenlocher does both with k = 0 and weights max(0, w - 1). Its second pass joins each component of
+    fewer than `config.min_size` points along its lightest edge.
     """
     near = weight <= JOINING_GAP
     of_ground = torch.nonzero(on_ground).flatten()
