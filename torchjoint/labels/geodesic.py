@@ -18,18 +18,18 @@ from torchjoint.views.observation import Observation
 #: colours: without them, F of images of rooms falls by .002, and that of table-tops does not change.
 BOUNDARY_SHARE = 0.5
 
-#: A connected part of one label with fewer points is given to its neighbours: one point alone is mostly one of the
-#: background that is seen through a gap. Points in the same pixel count as one.
+#: A connected part of one label with fewer points is given to its neighbours. A single point mostly belongs to the
+#: background and is seen through a gap. Points in the same pixel count as one.
 MIN_POINTS = 2
 
 #: An initial segment without points keeps its own id if its area would hold this many points at the image's mean point
-#: density. Much less splits objects with few points; much more gives sky and glass the labels of their neighbours.
+#: density. Much lower values split objects with few points; much higher ones give sky and glass labels of neighbours.
 UNSEEN = 30.0
 
-#: So does a segment with few points, at most this share of those that its area would hold, if more than half of it is
-#: far from all points: sky, into which poles and the outlines of trees bring some points. Without this, their labels
-#: flood it; they keep the pixels within the points' mean spacing. Tree tops above the highest beam of a LiDAR have more
-#: points below, and stay one with them.
+#: A segment with few points also keeps its own id: it has at most this share of the points that its area would hold,
+#: and more than half of it is far from all points. Such a segment is sky with some points of poles and trees. Without
+#: this rule their labels flood the sky; with it they keep only pixels within the points' mean spacing. Tree tops above
+#: the highest beam of a LiDAR have more points in their lower part, so they keep the label of the tree.
 SPARSE = 0.1
 
 
@@ -37,8 +37,8 @@ def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config
     """Geodesic label propagation, steps 7 and 8 in one: each pixel gets the label of the point with the cheapest path.
 
     Paths are cheap within a region and expensive across image edges (:func:`torchjoint.ops.propagate_labels`), so
-    labels meet at edges. A large initial segment without points, or nearly so, keeps its own id, numbered from
-    `num_segments` on.
+    labels meet at edges. A large initial segment with no or very few points gets an id of its own; these ids start at
+    `num_segments`.
 
     Args:
         seen: the frame.
@@ -64,12 +64,12 @@ def path_costs(seen: Observation, config: Config) -> tuple[Tensor, Tensor, float
 
 
 def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) -> tuple[Tensor, int]:
-    """Gives an initial segment that the cloud does not have an id of its own.
+    """Gives each initial segment that is not in the cloud an id of its own.
 
-    It has no points, though its area would hold UNSEEN at the mean density; or it has few, see SPARSE, and more than
-    half of it is far from all points: a square around the pixel, that would hold UNSEEN points, has none. Then pixels
-    near its points, within the mean spacing, keep their labels. In an image without any points all initial segments
-    keep their own ids.
+    Such a segment has no points, although its area would hold UNSEEN points at the mean density. Or it has few points
+    (see SPARSE) and more than half of it is far from all points: a square around a far pixel would hold UNSEEN points
+    but has none. In this second case pixels within the mean spacing of points keep their labels. In an image without
+    points every initial segment gets an id of its own.
 
     Args:
         labels: [H, W] int32.
@@ -105,7 +105,7 @@ def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) 
 
 
 def _no_hit_within(hit: Tensor, reach: int) -> Tensor:
-    """Whether the square of 2 `reach` + 1 pixels around each pixel, cut at the border, is free of hits; [H, W] bool."""
+    """Whether the square of 2 `reach` + 1 pixels a side around each pixel, clipped to the image, has no hit; [H, W]."""
     total = torch.nn.functional.pad(hit.int(), (reach + 1, reach, reach + 1, reach)).cumsum(0).cumsum(1)
     rows = total[2 * reach + 1 :] - total[: -2 * reach - 1]
     return rows[:, 2 * reach + 1 :] == rows[:, : -2 * reach - 1]

@@ -1,4 +1,4 @@
-"""Steps 7 and 8: the final labels of an image, computed by the method that the config names."""
+"""Steps 7 and 8: the final labels of the images. The config and the frame's masks select the method."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def label_images(
         seen: the frames.
         point_labels: [N] int64, 3D labels of all points.
         config: the refinement, and the image graph.
-        stopwatch: gets the seconds of each image.
+        stopwatch: records the seconds of each image.
         progress: show a progress bar.
     """
     sizes = torch.bincount(point_labels)
@@ -56,8 +56,8 @@ def label_image(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, 
         config: the refinement, and the image graph.
 
     Returns:
-        ([H, W] int32, the next free id): labels below S are 3D segments, labels from S on occur in this image only;
-        pixels that are -1 in the initial labels stay -1; those without a mask do not.
+        ([H, W] int32, the next free id): labels below S are 3D segments, labels from S on occur in this image only.
+        Pixels that are -1 in the initial labels stay -1. Pixels outside all masks get labels.
     """
     labels_there = point_labels[seen.visible.point]
     if config.point_segments.method == "paper":

@@ -56,13 +56,13 @@ def _most_votes(segment: Tensor, point_labels: Tensor, segment_sizes: Tensor) ->
 
 
 def private_id_offsets(next_free: Sequence[int], observations: Observations, num_segments: int) -> list[int]:
-    """What makes ids >= num_segments unique over all images, in the order of the frames' names, if it is added to them.
+    """The number to add to the ids >= num_segments of each image, so that no such id occurs in two images.
 
-    Frames of equal names are ordered by a hash of their content. The order in which frames were added is not used, so
-    it does not change the labels.
+    Ids ascend in the order of the frames' names; frames of equal names are ordered by a hash of their content. The
+    order in which frames were added does not change the labels.
 
     Args:
-        next_free: the next free id of each frame, after its own.
+        next_free: for each frame, the first id after its own ids.
         observations: the frames.
         num_segments: number of 3D segments.
     """

@@ -1,4 +1,4 @@
-"""Step 7: the points of a frame as markers of their labels in the image, without those that others contradict."""
+"""Step 7: markers (pixels with the label of a point); removes those that the markers around them contradict."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from torchjoint.ops.outvoted_markers import outvoted_markers
 from torchjoint.views.nearest_points import nearest_in_cells
 from torchjoint.views.visibility import Visible
 
-#: So many nearest markers vote on a marker.
+#: Number of nearest markers that vote on a marker.
 VOTERS = 12
 
-#: Cells of the image, in mean distances of markers, in which other labels are looked for.
+#: A marker is tested only if another label is near: in its cell or in one of the 8 around it. This is the side of a
+#: cell, in mean distances between markers.
 NEAR = 3.0
 
 
@@ -37,15 +38,15 @@ def nearest_labels(visible: Visible, point_labels: Tensor, size: tuple[int, int]
 
 
 def without_outvoted(markers: Tensor, colors: Tensor, color_weight: float) -> Tensor:
-    """Takes away markers whose neighbours have other labels.
+    """Removes markers whose neighbours mostly have other labels.
 
-    Visibility has a tolerance, because the points of a slanted surface lie behind one another. So some points are seen
-    through what is a few centimetres before them: those of a table through the plate on it. Their pixels have the
-    plate's colour, and there the plate has more markers.
+    Visibility has a depth tolerance, because the points of a slanted surface lie behind one another. So hidden points a
+    few centimetres behind a surface count as visible, such as points of a table behind a plate. Their pixels have the
+    colour of the plate, and there the plate has more markers.
 
-    The nearest markers, by place and colour, vote. Distances are those of paths over even colours: the root of the
-    squares of pixels and of `color_weight` times the RGB distance. A marker stays if half of its voters, or half of all
-    other markers of its label, have its label, so that small things stay. So does one far from all other labels.
+    The nearest markers, by place and colour, vote (:func:`torchjoint.ops.outvoted_markers.outvoted_markers`). A marker
+    stays if at least half of its voters have its label. It also stays if these are at least half of all other markers
+    of its label, so that small objects stay, or if no other label is near.
 
     Args:
         markers: [H, W] int32, -1 = none.

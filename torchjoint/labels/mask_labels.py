@@ -1,4 +1,4 @@
-"""Steps 7 and 8 for frames with masks of a network: masks keep their outlines, unless 3D says that they are wrong."""
+"""Steps 7 and 8 for frames with masks of a network: masks keep their outlines, unless the 3D labels contradict."""
 
 from __future__ import annotations
 
@@ -15,42 +15,42 @@ from torchjoint.labels.markers import nearest_labels
 from torchjoint.scene import Masks
 from torchjoint.views.observation import Observation
 
-#: A mask, or an atom of masks, is one object if at least this share of its points have one 3D label. The rest are
-#: mostly points beside it, whose visibility is wrong by a pixel or two.
+#: A mask, or an atom of masks, is one object if at least this share of its points have one 3D label. The other points
+#: mostly lie beside it; their pixels are wrong by one or two.
 ONE_OBJECT = 0.65
-#: Path cost of crossing an outline of a mask, pixels: labels leave a mask only to where nothing else leads.
+#: Path cost of crossing an outline of a mask, pixels: labels leave a mask only to pixels that no other label reaches.
 OUTLINE_WEIGHT = 200.0
-#: A mask whose points are this much less dense than usual shows an object that the cloud does not have.
+#: A mask shows an object that is not in the cloud if its points have less than this share of the usual density.
 SPARSE = 0.2
-#: Fewer points do not decide.
+#: Smallest number of points that decide the label of a mask or an atom.
 MIN_POINTS = 3
-#: So many points decide that a mask is a part of something of which the image shows more elsewhere. Fewer may be points
-#: of what lies behind the mask's object: a cloud has holes.
+#: With at least this many points, a mask may be a part of an object that the image mostly shows elsewhere. Fewer points
+#: may lie behind the mask's object, because a cloud has holes.
 ENOUGH_POINTS = 8
-#: A mask with a smaller share of the points that the image shows of its most frequent 3D label is foreign to it: these
-#: points lie behind the mask's object, which the cloud does not have. A part that a network split off is larger.
+#: A mask is foreign to its most frequent 3D label if it has less than this share of the label's points in the image.
+#: These points lie behind the mask's object, which is not in the cloud. A part that a network split off is larger.
 LEAST_PART = 0.1
-#: The same for a mask whose points have several labels. If it is no mask of two objects, it holds a small part of each.
+#: The same share for a mask whose points have several labels: unless it shows two objects, it has a small part of each.
 LEAST_PART_OF_SEVERAL = 0.3
-#: Share of the other points of a label that one mask holds, if the label is whole in this image. Only then are the
-#: network's masks of it believed: where it splits things, a small part is nothing strange.
+#: A mask can be foreign to a label only if another mask has at least this share of the label's other points. Otherwise
+#: the network splits the object, and small parts are normal.
 WHOLE = 0.75
 
 
 class _Winners(NamedTuple):
-    """The most frequent 3D label of the points in each of K parts of an image, of equally frequent ones the lowest."""
+    """The most frequent 3D label of the points in each of K parts of an image; ties: the lowest label."""
 
     label: Tensor  #: [K] int64; -1 without points
     num_points: Tensor  #: [K] int64
-    decides: Tensor  #: [K] bool: the part is one object, and which one is known
-    foreign: Tensor  #: [K] bool: the points lie behind the part's object, which is in none of these 3D segments
+    decides: Tensor  #: [K] bool: the part is one object, and its label is this one
+    foreign: Tensor  #: [K] bool: the points lie behind the part's object, which is not in the cloud
 
 
 class _Shown(NamedTuple):
     """The points of L 3D labels that an image shows."""
 
     num_points: Tensor  #: [L] int64
-    in_one_mask: Tensor  #: [L] int64, largest number in one mask
+    in_one_mask: Tensor  #: [L] int64, largest number of these points in one mask
 
 
 def label_masks(
@@ -59,9 +59,9 @@ def label_masks(
     """Labels an image by its masks and the points that it sees.
 
     An atom whose points agree gets their label as a whole. An atom with too few points gets the label of the smallest
-    mask around it whose points agree. Masks with next to no points, with a few that are no proof, or with points of
-    what lies behind them, keep ids of their own, from `num_segments` on. What is left, atoms whose points disagree and
-    pixels without a mask, gets labels by geodesic label propagation, where outlines of masks count as boundaries.
+    mask around it whose points agree. A mask gets an id of its own, from `num_segments` on, if it has nearly no points,
+    too few to decide, or only points behind it. The other pixels (in atoms whose points disagree, or in no mask) get
+    labels by geodesic label propagation, where outlines of masks count as boundaries.
 
     Args:
         seen: the frame.
@@ -76,7 +76,7 @@ def label_masks(
     of_atom, num_private = _labels_of_atoms(seen, masks, point_labels, num_segments)
     of_pixel = of_atom.to(torch.int32)[masks.atom]
     markers = nearest_labels(seen.visible, point_labels, masks.size)
-    # What is known elsewhere spreads. What is alone in this image does not.
+    # Labels of 3D segments spread. Ids that occur only in this image do not.
     whole = torch.where(of_pixel < num_segments, of_pixel, -1)
     colors, outlines, color_weight, _ = path_costs(seen, config)
     markers = torch.where(whole >= 0, whole, markers)
@@ -86,7 +86,7 @@ def label_masks(
 
 
 def _labels_of_atoms(seen: Observation, masks: Masks, point_labels: Tensor, first_free: int) -> tuple[Tensor, int]:
-    """The label of each atom, [K] int64, -1 if it is not one object; and the number of masks with ids of their own."""
+    """The label of each atom, [K] int64, -1 = not one object; and the number of masks with ids of their own."""
     atom = masks.atom[seen.visible.row, seen.visible.column].long()
     # Each point counts for all masks in which it lies.
     member = torch.zeros(masks.num_atoms, len(masks), dtype=torch.bool)
@@ -104,7 +104,7 @@ def _labels_of_atoms(seen: Observation, masks: Masks, point_labels: Tensor, firs
     by_mask = few & (around >= 0)
     label[by_mask] = of_masks.label[around[by_mask]]
 
-    # A mask of which too little is known stays apart: it must not be swallowed by what is around it.
+    # A mask with too little evidence gets an id of its own, so that no label from around it floods it.
     is_known = ~sparse & (of_masks.decides | (~of_masks.foreign & (of_masks.num_points >= ENOUGH_POINTS)))
     alone = is_covered & ((masks.smallest(~sparse) < 0) | (few & (label < 0) & (masks.smallest(is_known) < 0)))
     own = masks.smallest(torch.ones(len(masks), dtype=torch.bool))[alone]
@@ -114,9 +114,9 @@ def _labels_of_atoms(seen: Observation, masks: Masks, point_labels: Tensor, firs
 
 
 def _is_sparse(masks: Masks, mask: Tensor, depth: Tensor) -> Tensor:
-    """Whether a mask has far fewer points than others: its object is not in the cloud, and the points are stray ones.
+    """Whether each mask has far fewer points than others. Then its object is not in the cloud; its points are stray.
 
-    Points have a density on surfaces (fused clouds) or in the image (single scans). A mask is sparse by both measures.
+    Density is measured on surfaces (for fused clouds) and in the image (for scans). A mask is sparse if both are low.
 
     Args:
         masks: M masks.
@@ -137,7 +137,7 @@ def _is_sparse(masks: Masks, mask: Tensor, depth: Tensor) -> Tensor:
 
 
 def _shown_labels(mask: Tensor, label: Tensor, point_labels: Tensor) -> _Shown:
-    """What an image shows of each 3D label.
+    """Counts the points of each 3D label that an image shows.
 
     Args:
         mask: [P] int64, the masks in which points lie.
@@ -157,7 +157,7 @@ def _winners(part: Tensor, label: Tensor, num_parts: int, shown: _Shown) -> _Win
         part: [P] int64, part of each point, 0 ... K - 1.
         label: [P] int64, 3D label of each point.
         num_parts: K.
-        shown: the labels in the whole image.
+        shown: counts of each label in the whole image.
     """
     num_points = torch.bincount(part, minlength=num_parts)
     num_labels = max(1, len(shown.num_points))

@@ -1,4 +1,4 @@
-"""Steps 7 and 8 for the levels of a hierarchy: the piece in each pixel, from which any level of an image follows."""
+"""Steps 7 and 8 for the levels of a hierarchy: the piece in each pixel. It gives the labels of every level."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class PieceImages(Sequence[Tensor]):
         images: final labels [H, W] int64 per frame, of the default level.
         observations: the frames.
         hierarchy: all levels.
-        piece: [N] int64, piece of each point that the frames may see.
+        piece: [N] int64, piece of each point of the graph.
         config: the refinement, and the smoothing of the image graph.
     """
 
@@ -68,11 +68,11 @@ class PieceImages(Sequence[Tensor]):
 
 
 def piece_image(seen: Observation, labels: Tensor, piece: Tensor, of_piece: Tensor, config: Config) -> Tensor:
-    """The piece in each pixel, always one inside the pixel's segment.
+    """The piece in each pixel. It is always a piece of the pixel's segment.
 
-    It is the piece of the point with the cheapest path to the pixel, as in geodesic label propagation, so pieces meet
-    at edges of the image, too. Where this point is of another segment than the pixel's final label says, the nearest
-    visible point of the pixel's segment counts.
+    It is the piece of the point with the cheapest path to the pixel, as in geodesic label propagation. So pieces also
+    meet at edges of the image. If this point is not in the segment of the pixel's final label, the nearest visible
+    point of that segment counts.
 
     Args:
         seen: the frame.
@@ -86,8 +86,8 @@ def piece_image(seen: Observation, labels: Tensor, piece: Tensor, of_piece: Tens
     """
     height, width = labels.shape
     pieces_there = piece[seen.visible.point]
-    # Of equally cheap paths the lowest number counts. In the order of the segments, that is one of the lowest segment,
-    # as for the labels.
+    # Of equally cheap paths the lowest number counts. So number the pieces in the order of their segments: then the
+    # lowest segment counts, as for the labels.
     by_segment = torch.argsort(of_piece, stable=True)
     place = torch.empty_like(by_segment)
     place[by_segment] = torch.arange(len(by_segment))
@@ -128,8 +128,8 @@ def _nearest_of_segment(
         return first_piece[segment]
     from scipy.spatial import cKDTree
 
-    # Segments are layers of a third dimension, farther apart than any two pixels, so the nearest point is of the same
-    # segment if there is one.
+    # The segment is a third coordinate, with steps larger than any distance in the image. So the nearest point is in
+    # the same segment, if that has one.
     layer = 2 * (seen.labels.shape[0] + seen.labels.shape[1])
     points = torch.stack([seen.visible.row, seen.visible.column, of_piece[pieces_there] * layer], dim=1)
     pixels = torch.stack([row, column, segment * layer], dim=1)

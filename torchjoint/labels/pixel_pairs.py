@@ -9,7 +9,7 @@ from torch import Tensor
 from torchjoint.ops.pair_counts import pair_counts
 from torchjoint.views.visibility import Visible
 
-#: R, pixels: about the spacing of projected points in an image of 640 x 480. More counts more pairs and takes longer.
+#: R, pixels: about the spacing of projected points in an image of 640 x 480. With a larger R it takes longer.
 RADIUS = 3.0
 
 
@@ -23,7 +23,7 @@ class PixelPairs(NamedTuple):
 
     low_segment: Tensor  #: [G] int64, lower image segment of the two ends; groups are sorted by this, then by the next
     high_segment: Tensor  #: [G] int64, higher image segment of the two ends
-    low_label: Tensor  #: [G] int64, lower 3D label of the two ends, whichever end is in which segment
+    low_label: Tensor  #: [G] int64, lower 3D label of the two ends; its end may be in either segment
     high_label: Tensor  #: [G] int64, higher 3D label of the two ends
     num_pairs: Tensor  #: [G] int64, number of pairs in the group
 

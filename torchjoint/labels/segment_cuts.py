@@ -14,8 +14,7 @@ from torchjoint.ops.segment_graphs import segment_graphs
 from torchjoint.runtime.sorted_groups import starts_group
 from torchjoint.views.visibility import Visible
 
-#: Largest number of rounds in which the parts of a segment are cut again: each round cuts a part in two, so that a
-#: segment becomes at most 256 parts.
+#: Largest number of rounds. Each round cuts a segment, or a part of one, in two; so a segment gets at most 256 parts.
 MAX_SPLITS = 8
 
 
@@ -128,5 +127,5 @@ def _cut(
 
 
 def _slices(ptr: Tensor) -> list[slice]:
-    """The slices between consecutive numbers."""
+    """The slices between consecutive numbers of `ptr`."""
     return [slice(start, end) for start, end in pairwise(ptr.tolist())]

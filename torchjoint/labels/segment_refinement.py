@@ -1,4 +1,4 @@
-"""Steps 7 and 8 by method paper: 3D labels merge, split and name the segments of an image."""
+"""Steps 7 and 8 by method paper: merges, splits and labels the segments of an image by the 3D labels."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torchjoint.views.observation import Observation
 
 
 def cut(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, config: Config) -> tuple[Tensor, int]:
-    """Refines an image as in the paper: 3D labels merge and split its segments (step 7), then name them (step 8).
+    """Refines an image as in the paper: merges and splits its segments (step 7), then labels them (step 8).
 
     Args:
         seen: the frame.

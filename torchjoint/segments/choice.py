@@ -1,4 +1,4 @@
-"""Step 6: which method segments a cloud; and what was measured of it, in one line."""
+"""Step 6: chooses the method that segments a cloud, and describes the choice in one line for the log."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ METHODS: dict[str, type[Method]] = {method.name: method for method in (Learned, 
 
 
 def choose_method(config: Config, points: Tensor) -> Method:
-    """The method that the config names; auto: scan for a scan of a turning LiDAR, else learned.
+    """Makes the method that the config names. "auto" is scan for a scan of a turning LiDAR, else learned.
 
     Args:
         config: all parameters.
-        points: [N, 3] metres; of a scan: z up, the sensor at the origin.
+        points: [N, 3] metres; for method scan: z up, the sensor at the origin.
     """
     name = config.point_segments.method
     if name == "auto":
@@ -33,9 +33,9 @@ def describe(given: Cloud, graph: PointGraph, method: Method) -> str:
     """One line that says what was measured of a cloud, and which method segments it.
 
     Args:
-        given: the cloud as it came.
-        graph: of the cloud.
-        method: of step 6.
+        given: the cloud as it was given.
+        graph: the graph of the cloud.
+        method: the method of step 6.
     """
     what = f"points: {len(given.points)}"
     if graph.num_points < len(given.points):

@@ -40,6 +40,6 @@ def merge(region: Tensor, edge_index: Tensor, cost: Tensor, threshold: float, mi
 def merge_sized(
     region: Tensor, edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int
 ) -> Tensor:
-    """As :func:`merge`, with sizes [R] int64 of the regions that need not be their numbers of points."""
+    """As :func:`merge`, but `size` [R] int64 gives the size of each region instead of its number of points."""
     with all_threads():
         return ops.merge_regions(region[edge_index], cost, size, threshold, min_size)[region]

@@ -1,4 +1,4 @@
-"""Step 6: what a method of segmenting points is. It says which graph, and which evidence of frames, it needs."""
+"""Step 6: the base class of the methods. A method builds the graph, observes frames, and segments the points."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from torchjoint.views.state import JointState
 
 
 class Method(ABC):
-    """A way of step 6. A subclass says what differs; what it leaves out is done as in the paper.
+    """A method of step 6. A subclass builds the graph and segments it; it may override the other steps.
 
     Args:
         config: all parameters.
     """
 
     name: ClassVar[str]  #: as in ``point_segments.method``
-    uses_images: ClassVar[bool] = True  #: whether frames have a say in the segments of the points
-    #: names (stage.parameter) of the handful that somebody turns who looks at the result
+    uses_images: ClassVar[bool] = True  #: whether frames affect the segments of the points
+    #: names (stage.parameter) of the few parameters that a user changes while looking at the result
     turned: ClassVar[tuple[str, ...]] = ("refinement.color_weight",)
 
     def __init__(self, config: Config) -> None:
@@ -38,18 +38,18 @@ class Method(ABC):
         """Step 3: the graph of a cloud.
 
         Args:
-            cloud: [N, 3] distinct points in coordinates of their own.
+            cloud: N distinct points, in the coordinates in which the method works.
 
         Returns:
-            the graph, and the graph's point of each of the N points, [N] int64; None = itself.
+            the graph; and [N] int64, the graph's point for each point of the cloud. None: both have the same points.
         """
 
     def prepare(self, cloud: Cloud, merge_within: float) -> PreparedCloud:
         """Step 3: centres a cloud and builds its graph.
 
         Args:
-            cloud: [N, 3] distinct points, as given.
-            merge_within: metres; the points in a cube with this side count as one; 0: only copies.
+            cloud: N distinct points, in the coordinates in which they were given.
+            merge_within: metres; points in one cube with this side are merged; 0: only copies are merged.
         """
         frame = LocalFrame.of(cloud.points)
         local, of_point = local_cloud(cloud, frame, merge_within)
@@ -63,9 +63,9 @@ class Method(ABC):
 
         Args:
             frame: image and camera.
-            segments: what steps 1 and 2 gave of the frame.
+            segments: the result of steps 1 and 2 for the frame.
             cloud: what :meth:`prepare` returned.
-            stopwatch: gets the seconds of both steps.
+            stopwatch: records the seconds of both steps.
         """
         return observe(frame, segments, cloud, self.config, stopwatch)
 
@@ -82,5 +82,5 @@ class Method(ABC):
         """
 
     def measured(self, graph: PointGraph) -> str:
-        """What the method measured of a cloud, for the log, as the continuation of "points: 1000"; may be empty."""
+        """What the method measured of a cloud: a text for the log that continues "points: 1000". It may be empty."""
         return ""

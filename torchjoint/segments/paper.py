@@ -15,7 +15,7 @@ from torchjoint.views.state import JointState
 
 
 class Paper(Method):
-    """The paper, to the letter; its parameters are stage ``paper``."""
+    """The method exactly as in the paper. Its own parameters are in stage ``paper``."""
 
     name = "paper"
     turned = ("paper.scale", "paper.min_size", "paper.weight")

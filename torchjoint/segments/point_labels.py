@@ -1,4 +1,4 @@
-"""Step 6 for a given cloud, whose graph may have fewer points: labels of both, and all levels if there are any."""
+"""Step 6: labels of the given points and of the points of the graph, which may be fewer."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ class PointLabels(NamedTuple):
 
     given: Tensor  #: [N] int64, labels of the given points
     of_graph: Tensor  #: [M] int64, labels of the graph's points
-    hierarchy: Hierarchy | None  #: of the given points; None: the method has one level
-    piece: Tensor | None  #: [M] int64, its piece of each of the graph's points
+    hierarchy: Hierarchy | None  #: levels of the given points; None: the method has one level
+    piece: Tensor | None  #: [M] int64, the hierarchy's piece of each point of the graph; None: no hierarchy
 
 
 def label_points(method: Method, cloud: PreparedCloud, state: JointState) -> PointLabels:
-    """Segments the points with the evidence so far."""
+    """Segments the points by the evidence of all frames so far."""
     found, of_point = method.segment(cloud.graph, state), cloud.of_point
     if isinstance(found, Tensor):
         return PointLabels(found if of_point is None else found[of_point], found, None, None)

@@ -1,1 +1,1 @@
-"""Steps 4 and 5: the points that an image sees, its evidence about them, and checks of its pose."""
+"""Steps 4 and 5: the points that an image sees, the evidence of the image, and checks of its pose."""

@@ -1,7 +1,7 @@
-"""Check before step 4: do the colours of the points fit the images better than by chance?
+"""Check before step 4: do the colours of the points fit the images better than chance?
 
-The colours of two sensors differ by their exposure, and noise adds to that. So the residual is compared with the one in
-shifted images: if the poses are right, a shift makes it clearly larger; if they are wrong, it makes no difference.
+The colours of two sensors differ by exposure and noise. So the residual is compared with that in shifted images. If the
+poses are right, a shift makes the residual clearly larger. If they are wrong, it makes no difference.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SHIFTS = [
 
 #: Smallest number of points to compare.
 LEAST_POINTS = 30
-#: Of more points every second, third, ... is compared: the mean of 10,000 colours errs by a hundredth of their spread.
+#: If there are more points, every k-th is compared. The mean of 10,000 colours errs by a hundredth of their spread.
 MOST_POINTS = 10_000
 
 
@@ -29,7 +29,7 @@ class ColorAgreement(NamedTuple):
 
     residual: float = math.nan  #: mean |colour of a point - colour of its pixel|
     by_chance: float = math.nan  #: the same in shifted images
-    correlation: float = math.nan  #: of both, -1 to 1
+    correlation: float = math.nan  #: correlation of the two colours, -1 to 1
 
 
 def color_agreement(colors: Tensor, image: Tensor, row: Tensor, column: Tensor) -> ColorAgreement:
@@ -38,8 +38,8 @@ def color_agreement(colors: Tensor, image: Tensor, row: Tensor, column: Tensor) 
     Args:
         colors: [M, 3] RGB in [0, 1].
         image: [3, H, W] RGB in [0, 1].
-        row: [M] int64.
-        column: [M] int64.
+        row: [M] int64, row of each point's pixel.
+        column: [M] int64, column of this pixel.
     """
     if len(colors) < LEAST_POINTS:
         return ColorAgreement()

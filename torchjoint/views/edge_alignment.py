@@ -1,4 +1,4 @@
-"""Check before step 4: do the depth edges of a LiDAR scan fall on image edges? It finds wrong poses without colours.
+"""Check before step 4: do the depth edges of a LiDAR scan fall on image edges? The check needs no colours.
 
 After J. Levinson and S. Thrun, "Automatic Online Calibration of Cameras and Lasers", RSS 2013. Where the depth of a
 scan jumps, an object ends in front of another, and the image usually has an edge there. So depth jumps between
@@ -47,7 +47,7 @@ MIN_CONTRAST = 0.01
 #: Smallest share of the points in view that is visible if the cloud is one scan.
 MIN_VISIBLE = 0.95
 
-#: The shifts (down, right) to compare with: in all directions, and far enough that shifted edges do not overlap.
+#: Shifts (down, right) of the image for comparison: in all directions, and so far that shifted edges do not overlap.
 SHIFTS = [
     (round(radius * math.sin(angle)), round(radius * math.cos(angle)))
     for ring, radius in enumerate((30, 45, 60, 75))
@@ -77,7 +77,7 @@ def combined(correlations: Sequence[Tensor]) -> EdgeAlignment | None:
 
 
 def edge_correlations(cloud: Cloud, frame: Frame, spacing: Tensor, config: VisibilityConfig) -> Tensor | None:
-    """Correlations of depth edges and image edges of a cloud recorded from about one position, such as a LiDAR scan.
+    """Correlations of depth edges and image edges, for a cloud from about one position, such as a LiDAR scan.
 
     Args:
         cloud: the points.

@@ -1,4 +1,4 @@
-"""Steps 4 and 5 for a frame: which points it sees, and what it says of the edges between them."""
+"""Steps 4 and 5 for one frame: the points that it sees, and its evidence about the edges between them."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from torchjoint.views.visibility import visible_points
 
 
 class FrameEvidence(NamedTuple):
-    """What one frame adds to a :class:`~torchjoint.views.state.JointState`."""
+    """The evidence of one frame, for a :class:`~torchjoint.views.state.JointState`."""
 
     observation: Observation
     facing: Tensor  #: [M] int64, votes for the signs of the visible points' normals
     overlaps: tuple[Tensor, Tensor]  #: edges [K] with both ends in view, and their overlaps (eq. 5)
-    contours: tuple[Tensor, Tensor] | None = None  #: edges [K], and contours across them; only method learned
+    contours: tuple[Tensor, Tensor] | None = None  #: edges [K], and contours across them; method learned only
 
 
 def observe(
     frame: Frame, segments: ImageSegments, cloud: PreparedCloud, config: Config, stopwatch: Stopwatch
 ) -> FrameEvidence:
-    """What all methods want of one frame: the points that it sees, the side of their normals, the overlaps of eq. 5.
+    """The evidence that all methods use: the visible points, the side of their normals, and the overlaps of eq. 5.
 
     Args:
         frame: image and camera.
-        segments: what steps 1 and 2 gave of the frame.
+        segments: the result of steps 1 and 2 for the frame.
         cloud: the points and their graph.
         config: all parameters.
-        stopwatch: gets the seconds of both steps.
+        stopwatch: records the seconds of both steps.
     """
     graph = cloud.graph
     with stopwatch("visibility"):
@@ -61,7 +61,7 @@ def add_evidence(state: JointState, seen: Sequence[FrameEvidence]) -> None:
     """Adds the evidence of frames to a state, in place.
 
     Raises:
-        OSError: what goes beyond the memory cannot be written; the state is as it was.
+        OSError: the file for observations beyond the memory budget cannot be written; the state is unchanged.
     """
     state.observations.extend([frame.observation for frame in seen])  # first: the disk may be full
     for frame in seen:

@@ -23,9 +23,9 @@ def hidden_point_removal(points: Tensor, center: Tensor, radius_factor: float) -
         [N] bool, True for visible points.
     """
     visible = torch.zeros(points.shape[0], dtype=torch.bool)
-    # With duplicate points it is random which of them are on the hull: test one of them, and use its result for all.
+    # Of duplicate points the hull has random ones: test one of them, and use its result for all.
     unique, inverse = torch.unique(points, dim=0, return_inverse=True)
-    if unique.shape[0] < 5:  # too few for a hull of the flipped points and the centre: so few points hide nothing
+    if unique.shape[0] < 5:  # too few for a hull; so few points hide nothing
         return ~visible
     seen_from = unique.double() - center
     distance = seen_from.norm(dim=1, keepdim=True)

@@ -9,7 +9,7 @@ from torchjoint.runtime.sorted_groups import starts_group
 
 
 def nearest_in_cells(cell: Tensor, z: Tensor) -> Tensor:
-    """The nearest point of each cell that is not empty; of equally near points the first.
+    """The nearest point of each non-empty cell; of equally near points the first.
 
     Args:
         cell: [M] int64, the cell of each point.

@@ -1,4 +1,4 @@
-"""What steps 6-8 need of one frame: its initial segments and the points that it sees (results of steps 1, 2 and 4)."""
+"""The data of one frame that steps 6-8 need: results of steps 1, 2 and 4, the image, and the camera."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ _OF_POINTS = ("row", "column", "u", "v", "z")
 
 @dataclass(frozen=True)
 class Observation:
-    """What is stored of one frame. Images have 8 bits per channel: enough for step 7, and small for long sequences.
+    """The stored data of one frame. Images have 8 bits per channel: enough for step 7, and small for long sequences.
 
-    A new field needs no change elsewhere: packing, files and memory follow from the fields. One that is no tensor needs
-    an entry in `_SPLIT`.
+    Packing, files and the memory budget read the list of fields, so a new tensor field needs no other change. A field
+    of another type needs an entry in `_SPLIT`.
     """
 
     name: str
-    labels: Tensor  #: [H, W] int32, the initial segmentation, labels 0, 1, ... without gaps, -1 = none; or masks' atoms
+    labels: Tensor  #: [H, W] int32, initial labels 0, 1, ... without gaps, -1 = none; with masks: their atoms
     visible: Visible
     intrinsics: Tensor  #: [3, 3] float32 pixels
-    world_to_camera: Tensor  #: [4, 4] float32, of the prepared cloud's own frame
+    world_to_camera: Tensor  #: [4, 4] float32, from the coordinates of the prepared cloud
     image: Tensor  #: [3, H, W] uint8
     boundary: Tensor  #: [H, W] uint8, boundary strength x 255
     masks: Masks | None = field(default_factory=lambda: None)
-    #: [2, V] int64, points at the two ends of lines across something nearer; only method learned, without masks
+    #: [2, V] int64, points at the two ends of lines across an occluder; only method learned, frames without masks
     lines: Tensor = field(default_factory=lambda: torch.empty(2, 0, dtype=torch.int64))
 
     def labelled_points(self) -> tuple[Tensor, Tensor]:
@@ -42,11 +42,11 @@ class Observation:
         return self.visible.point[has_label], label[has_label]
 
     def initial_labels(self) -> Tensor:
-        """The initial segmentation as it is shown, [H, W] integers, -1 = none; of masks that overlap the smallest."""
+        """The initial labels [H, W], -1 = none; where masks overlap, the smallest mask counts."""
         return self.labels if self.masks is None else self.masks.labels()
 
     def tensors(self) -> dict[str, Tensor]:
-        """All that it holds, by name."""
+        """All tensors by name; fields of other types are split into tensors."""
         found: dict[str, Tensor] = {}
         for spec in fields(Observation):
             value = getattr(self, spec.name)
@@ -58,7 +58,7 @@ class Observation:
 
     @property
     def num_bytes(self) -> int:
-        """Memory that the tensors take; masks share their atoms with the labels."""
+        """Memory of the tensors, bytes; masks share their atoms with the labels."""
         return sum(tensor.numel() * tensor.element_size() for tensor in self.tensors().values())
 
     @property
@@ -72,11 +72,11 @@ class Observation:
         return self.masks is not None
 
     def pack(self) -> PackedObservation:
-        """The same, much smaller."""
+        """The same data, packed, which is much smaller."""
         return PackedObservation(self.name, {name: pack(tensor) for name, tensor in self.tensors().items()})
 
     def open(self) -> Observation:
-        """Itself, because nothing is packed."""
+        """Returns itself; nothing is packed."""
         return self
 
 
@@ -89,7 +89,7 @@ class PackedObservation:
 
     @property
     def num_bytes(self) -> int:
-        """Memory that the tensors take when all are unpacked."""
+        """Memory of the tensors when all are unpacked, bytes."""
         return sum(part.num_bytes for part in self.parts.values())
 
     @property
@@ -104,11 +104,11 @@ class PackedObservation:
 
     @property
     def is_spilled(self) -> bool:
-        """Whether its bytes are in a file."""
+        """Whether the packed tensors are in a file."""
         return not any(isinstance(part.content, bytes) for part in self.parts.values())
 
     def open(self) -> Observation:
-        """The observation; each of its fields is unpacked when it is first used: the image, for one, not in step 6."""
+        """The observation. Each field is unpacked when it is first used; step 6, for example, never uses the image."""
         return _Opened(self)
 
     def unpack(self) -> Observation:
@@ -135,13 +135,13 @@ class PackedObservation:
 
 
 class _Opened(Observation):
-    """An observation that unpacks each field when it is first used, for one thread."""
+    """An observation that unpacks each field when it is first used. Only one thread may use it."""
 
     def __init__(self, packed: PackedObservation) -> None:
         vars(self).update(name=packed.name, _parts=packed.parts)
 
     def __getattr__(self, name: str) -> Any:
-        """Called for what is not unpacked yet."""
+        """Python calls this for a field that is not unpacked yet."""
         parts = vars(self).get("_parts", {})
         if name in _SPLIT:
             value = _SPLIT[name].join(self, parts)
@@ -154,7 +154,7 @@ class _Opened(Observation):
 
 
 class _Split(NamedTuple):
-    """How a field that is no tensor becomes tensors, and is made of them again."""
+    """Converts a field that is not a tensor to tensors, and back."""
 
     split: Callable[[Any], dict[str, Tensor]]
     join: Callable[[Observation, Mapping[str, Packed]], Any]

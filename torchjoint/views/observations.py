@@ -1,4 +1,4 @@
-"""The observations of all frames: in memory up to a budget, and beyond it packed in a temporary file."""
+"""The observations of all frames. They are in memory up to a budget; the rest is packed in a temporary file."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from torchjoint.views.observation import Observation, PackedObservation
 
 
 class Observations(Sequence[Observation]):
-    """A sequence of observations. What does not fit into memory is packed, and read when it is used.
+    """A sequence of observations. Those beyond the memory budget are packed in a file, and read when they are used.
 
-    Observations that are in memory stay there, later ones go to the file: step 6 reads all, in order, so it does not
-    matter which ones are in memory.
+    The first observations stay in memory, and later ones go to the file. Step 6 reads all of them in order, so the
+    choice does not matter.
 
     Args:
-        observations: the first ones.
+        observations: observations to start with.
         budget: bytes that the observations may take in memory; None: no limit.
-        folder: for the file, see :class:`~torchjoint.runtime.spill.SpillFile`.
+        folder: folder of the file, see :class:`~torchjoint.runtime.spill.SpillFile`.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class Observations(Sequence[Observation]):
         """Adds observations, all or none.
 
         Raises:
-            OSError: the file cannot be written; the message says what helps.
+            OSError: the file cannot be written; the message says what the user can do.
         """
         records, in_memory, beyond = list(observations), self._in_memory, []
         for index, record in enumerate(records):
@@ -66,7 +66,7 @@ class Observations(Sequence[Observation]):
         if self._file is None:
             self._file = SpillFile(self._folder)
         spans = iter(self._file.write([part.data() for one in packed for part in one.parts.values()]))
-        give_back()  # else the peak of a long recording is some tenths of a gigabyte higher
+        give_back()  # otherwise the peak memory of a long recording is some tenths of a gigabyte higher
         return [
             PackedObservation(one.name, {name: part.at(next(spans)) for name, part in one.parts.items()})
             for one in packed
@@ -97,7 +97,7 @@ class Observations(Sequence[Observation]):
         return chosen
 
     def __getstate__(self) -> dict[str, Any]:
-        """For pickle: what is in the file goes along as bytes."""
+        """For pickle, which stores the content of the file as bytes."""
         return vars(self) | {"_file": None}
 
     def packed(self, index: int) -> PackedObservation:

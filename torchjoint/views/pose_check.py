@@ -24,23 +24,23 @@ from torchjoint.views.visibility import visible_points
 #: Number of frames that are checked, evenly spread over the sequence.
 NUM_FRAMES = 6
 
-#: Of frames that come one by one, those with these numbers are checked: how many will come is not known.
+#: Numbers of the frames that are checked if frames come one by one, because their total number is unknown.
 CHECKED = (0, 1, 3, 7, 15, 31)
 
-#: An edge alignment of less significance counts as chance. Correct poses of LiDARs have 2.6 and more.
+#: An edge alignment with a lower significance counts as chance. Correct poses of LiDARs have 2.6 or more.
 CHANCE = 0.5
 
-#: From this difference of depth images and cloud on, poses are wrong. On 34 generated scenes with depth right
-#: poses have at most .027; poses in reversed order .1 and more.
+#: Poses are wrong if depth images and cloud differ by more than this. On 34 generated scenes with depth, right poses
+#: have at most .027; poses in reversed order have .1 or more.
 LARGEST_DEPTH_RESIDUAL = 0.04
 
-#: This share of the frames must agree. Where something without points stands before one camera, one frame disagrees.
+#: This share of the frames must agree, because an object without points may hide the cloud from one camera.
 AGREEING_SHARE = 0.75
 
-#: Colours fit no better than by chance if their residual is more than this share of the residual in shifted images, and
-#: their correlation is below this. On the same scenes right poses have at most .62 and at least .80; poses in reversed
-#: order, or half a metre off, have at least .84 and at most .59. Where even shifted images differ by less than the last
-#: number, there are no colours to compare.
+#: Colours fit no better than chance if their residual is more than the first number times the residual in shifted
+#: images, and their correlation is below the second. On the same scenes right poses have at most .62 and at least .80;
+#: poses in reversed order, or half a metre off, have at least .84 and at most .59. If even the residual in shifted
+#: images is below the third number, the scene has too little contrast to judge.
 CHANCE_SHARE, CHANCE_CORRELATION, LEAST_CONTRAST = 0.8, 0.6, 0.03
 
 
@@ -49,13 +49,13 @@ class PoseWarning(UserWarning):
 
 
 class Agreement(NamedTuple):
-    """Agreement of poses and cloud, of a frame or a few: their mean, or for depth the AGREEING_SHARE quantile.
+    """Agreement of poses and cloud for one frame, or for several: their mean, for depth the AGREEING_SHARE quantile.
 
     Attributes:
         in_view: share of the cloud's points inside the frame, before the visibility test.
         depth_residual: median |z of visible points - depth image| / depth; NaN without depth.
         color_residual: mean |colour of visible points - image|, RGB in [0, 1]; NaN if the points have no colours.
-        color_by_chance: the same for images that are shifted.
+        color_by_chance: the same in shifted images.
         color_correlation: correlation of the two colours, -1 to 1.
     """
 
@@ -73,7 +73,7 @@ class Agreement(NamedTuple):
 
 
 class _Look(NamedTuple):
-    """What one frame says."""
+    """The result of the comparison of one frame."""
 
     given: Agreement
     inverted: Agreement
@@ -82,14 +82,14 @@ class _Look(NamedTuple):
 
 
 class PoseCheck:
-    """Compares frames with the cloud, as they come, and warns if the poses or intrinsics cannot be right.
+    """Compares frames with the cloud, and warns if the poses or intrinsics look wrong.
 
     Args:
         cloud: points and colours, in the coordinates of `local`.
         spacing: [N] metres, spacing of the points.
         config: parameters of the visibility.
-        local: the coordinates of the cloud; poses of frames are given in the world.
-        name: of the scene, for messages.
+        local: the coordinates of the cloud; the poses of frames are world to camera.
+        name: name of the scene, for messages.
     """
 
     def __init__(
@@ -146,7 +146,7 @@ class PoseCheck:
 
 
 def check_poses(scene: Scene, spacing: Tensor, config: VisibilityConfig) -> Agreement | None:
-    """Compares :func:`frames_to_check` with the cloud, and warns if the poses or intrinsics cannot be right.
+    """Compares :func:`frames_to_check` with the cloud, and warns if the poses or intrinsics look wrong.
 
     Args:
         scene: points and frames.
@@ -165,7 +165,7 @@ def check_poses(scene: Scene, spacing: Tensor, config: VisibilityConfig) -> Agre
 
 
 def frames_to_check(scene: Scene) -> dict[int, Frame]:
-    """At most NUM_FRAMES frames of a scene, evenly spread: index -> frame."""
+    """At most NUM_FRAMES frames of a scene, evenly spread, by index."""
     return {index: scene.frames[index] for index in evenly_spaced_indices(len(scene.frames), NUM_FRAMES)}
 
 
@@ -211,7 +211,7 @@ def _edge_complaints(alignment: EdgeAlignment | None) -> dict[str, str]:
 
 
 def _complaints(given: Agreement, inverted: Agreement, off_center: float) -> dict[str, str]:
-    """Messages by kind."""
+    """The problems that were found: kind -> message."""
     complaints = {}
     # Comparisons with NaN are False, so a missing residual has no effect.
     depth_says = inverted.depth_residual < 0.05 and not given.depth_residual < 0.05

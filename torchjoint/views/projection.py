@@ -11,7 +11,7 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.scene import Frame
 
-#: Range of the depths of points in front of a camera, in the cloud's unit: any depth, so that the unit has no effect.
+#: Range of depths in front of a camera, in the cloud's unit. It is so wide that the unit has no effect.
 NEAREST, FARTHEST = 1e-9, torch.finfo(torch.float32).max
 
 
@@ -46,7 +46,7 @@ def project(
         margin: width added to the image frame on each side, in image widths.
     """
     pose = world_to_camera.double()
-    if points.dtype == torch.float64:  # far from the origin: relative to one of the points
+    if points.dtype == torch.float64:  # far from the origin: use coordinates relative to the first point
         origin = points[:1]
         points, pose = (points - origin).float(), pose.clone()
         pose[:3, 3] += pose[:3, :3] @ origin[0]

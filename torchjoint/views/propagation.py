@@ -1,7 +1,7 @@
 """Step 5: the evidence of the image segmentations for each edge of the point graph (eq. 5-6).
 
-The evidence consists of two sums over images: the number of views v, and the sum of overlaps. So frames can come in any
-order, and the sums of several processes can be added.
+The evidence is two sums over images: the number of views v, and the sum of overlaps. So the order of the frames has no
+effect, and the sums of several processes can be added.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ OVERLAP_RESOLUTION = 2.0**-24
 
 
 def edge_overlaps(edges: CsrAdjacency, visible: Visible, labels: Tensor, window: int) -> tuple[Tensor, Tensor]:
-    """One image's contribution to the sums: the overlap of the t x t windows around the pixels of an edge's two ends.
+    """The overlaps of one image: for each edge, of the t x t windows around the pixels of its two ends.
 
     The overlap is the histogram intersection divided by the size of the smaller window (eq. 5). Windows are clipped at
     the image border. Pixels without a label do not count.

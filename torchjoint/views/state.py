@@ -24,7 +24,7 @@ class JointState:
             cameras on the other side.
         contour_sum: [E] int32, sum of the boundary strengths x 255 between the two ends of an edge, over frames without
             masks (method learned only).
-        contour_views: [E] int32, number of these frames that see both ends.
+        contour_views: [E] int32, number of frames in this sum: those without masks that see both ends.
         observations: one per frame, in the order in which the frames were added.
     """
 

@@ -13,20 +13,20 @@ from torchjoint.scene.camera import camera_center
 from torchjoint.views.hidden_point_removal import hidden_point_removal
 from torchjoint.views.projection import Projection, _inside, nearest_pixel, project
 
-#: Largest half width of a splat, pixels: larger splats, of points just in front of the camera, would take most of the
-#: time and hide whole objects.
+#: Largest half width of a splat, pixels. Points just in front of the camera would have larger splats, which take most
+#: of the time and hide whole objects.
 MAX_FOOTPRINT = 8
 
-#: Depth tolerance in addition, in units of the point's spacing. On a slanted surface a neighbour's splat can be in
-#: front of a point by as much as the distance between the two; twice that allows for clouds of uneven density.
+#: Additional depth tolerance, in units of the point's spacing. On a slanted surface a neighbour's splat may lie in
+#: front of a point by the distance between the two points. Twice this distance allows for uneven density.
 SLANT_TOLERANCE = 2.0
 
-#: Radius of the sphere of hidden point removal, in units of the largest distance x N. A tenth of it hides 70 % of the
-#: points that are visible, ten times as much shows 27 % of the points that are hidden (lab/studies/visibility.py).
+#: Radius of the sphere of hidden point removal, in units of the largest distance x N. A tenth of this value hides 70 %
+#: of the visible points; ten times this value shows 27 % of the hidden points (lab/studies/visibility.py).
 RADIUS_FACTOR = 0.01
 
-#: Margin around the image, in image widths, in which points still hide others from hidden point removal. A point's
-#: occluders are on its own ray; only the hull's shape at the image's edge depends on points beyond it.
+#: Width of the margin around the image, in image widths, whose points also take part in hidden point removal. Occluders
+#: of a point are on its own ray, so points in the margin change only the hull at the image's edge.
 MARGIN = 0.1
 
 
@@ -74,10 +74,10 @@ def visible_points(
 def zbuffer_visible(
     projected: Projection, spacing: Tensor, focal: float, size: tuple[int, int], config: VisibilityConfig
 ) -> Tensor:
-    """Visibility by a z-buffer in which every point is a square of a size proportional to the point's spacing.
+    """Visibility by a z-buffer of splats: each point is a square with a size proportional to its spacing.
 
-    With one size for all points, hidden points would be seen through sparse parts of a cloud, or dense parts would hide
-    too much.
+    With one size for all points, hidden points would appear through sparse parts of a cloud, or dense parts would hide
+    too many points.
 
     Args:
         projected: M points in the image.

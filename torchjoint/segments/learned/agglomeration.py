@@ -1,7 +1,7 @@
-"""Step 6, method learned: regions merge in rounds, where a model says that they belong to one object.
+"""Step 6, method learned: merges regions in rounds where a model says that they belong to one object.
 
-In each step the model judges all boundaries anew, because larger regions say more about objects. The first steps
-merge only what is almost certain. All merges together are a tree, of which the segmentation is one level.
+In each step the model judges all boundaries again, because larger regions tell more about objects. The first steps
+merge only regions that almost certainly belong together. All merges form a tree; the segmentation is one of its levels.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from torchjoint.segments.learned.mask_merging import MaskLinkage
 from torchjoint.segments.learned.occluded_surfaces import Occlusions, continued_surfaces
 from torchjoint.segments.learned.piece_graph import PieceGraph
 
-#: Thresholds of the rounds above the model's; at 1, whatever touches has merged. There are several, because larger
-#: regions are judged anew, and they cost little, because few regions are left.
+#: Thresholds of the rounds after the model's own. At 1 all regions that touch have merged. There are several rounds,
+#: because the model judges larger regions again. They cost little, because few regions are left.
 COARSER = (0.65, 0.8, 0.9, 1.0)
-#: Merges of a round are at least this far above the threshold before; probabilities are rounded to it.
+#: The heights of a round's merges are larger than the previous threshold by at least this number.
 HEIGHT_STEP = 2.0**-20
 
 
 def merging_steps(thresholds: Sequence[float]) -> list[tuple[int, float]]:
-    """The steps (round of the model, threshold) of the merging: each round merges halfway first.
+    """The steps (round of the model, threshold) of the merging.
 
-    The smaller the steps, the less is merged by probabilities of regions that have grown since. The round of the
-    largest threshold is repeated, until little is left to merge.
+    Each round first merges up to half of the way to its threshold. Regions grow while they merge, and their
+    probabilities then are out of date; smaller steps reduce this error. The last step is done twice.
 
     >>> merging_steps((0.2, 0.4))
     [(0, 0.1), (0, 0.2), (1, 0.3), (1, 0.4), (1, 0.4)]
@@ -49,19 +49,19 @@ def crossing_edges(pairs: Tensor, of_edge: Tensor, probability: Tensor) -> tuple
 
 
 def build_hierarchy(evidence: PieceGraph, model: BoundaryModel) -> Hierarchy:
-    """Merges pieces in the model's steps, and then up to whatever touches.
+    """Merges pieces in the model's steps, and then further, until all regions that touch have merged.
 
-    The default level of the hierarchy is the state after the model's last step. The cut at the threshold of a step is
+    The default level of the hierarchy is the state after the model's last step. A cut at the threshold of a step gives
     the state after this step.
 
     Args:
-        evidence: the pieces, and what is known about their boundaries.
+        evidence: the pieces and the evidence about their boundaries.
         model: gives the probability that two regions belong to different objects.
     """
     steps = merging_steps(model.thresholds)
     (last, _), default = steps[-1], max(model.thresholds)
     linkage = MaskLinkage.of(evidence.masks, evidence.statistics.size)
-    if linkage is not None:  # a first time, to see how far the masks contradict each other
+    if linkage is not None:  # a first merging, which shows how far the masks contradict each other
         region = _merge_in_steps(evidence, model, steps, linkage, evidence.piece, _Merges(evidence))
         linkage = linkage.calibrated(evidence.regions_of_pieces(region))
     merges = _Merges(evidence)
@@ -88,7 +88,7 @@ def _merge_in_steps(
 ) -> Tensor:
     """Merges regions [N] in steps, adds the merges to `merges`, and returns the new regions [N].
 
-    With `far`, also regions that do not touch, but lie in one mask, may merge.
+    With `far`, regions in one mask may merge even if they do not touch. With `only_crumbs`, only small regions merge.
     """
     for index, threshold in steps:
         evidence = evidence.between(region)
@@ -114,9 +114,9 @@ def _merge_in_steps(
 def _join_behind_occluders(
     evidence: PieceGraph, occlusions: Occlusions, region: Tensor, merges: _Merges, threshold: float
 ) -> Tensor:
-    """Merges regions [N] of one surface that an occluder separates, and returns the new regions [N].
+    """Merges regions [N] that are one surface behind an occluder, and returns the new regions [N].
 
-    The merges stand at the threshold: all finer levels keep the regions apart.
+    The merges have the height of the threshold, so all finer levels keep the regions apart.
     """
     of_piece = evidence.regions_of_pieces(region)
     num_regions = int(region.max()) + 1
@@ -129,33 +129,33 @@ def _join_behind_occluders(
 def _with_far_pairs(
     ends: Tensor, cost: Tensor, touching: Tensor, in_one_mask: Tensor, num_regions: int
 ) -> tuple[Tensor, Tensor]:
-    """Adds an edge for each pair of regions that lie in one mask and do not touch. Geometry alone keeps these apart."""
+    """Adds an edge of cost 1 for each pair of regions that lie in one mask and do not touch."""
     key, known = (pairs[0] * num_regions + pairs[1] for pairs in (in_one_mask, touching))
     far = in_one_mask[:, ~torch.isin(key, known)]
     return torch.cat([ends, far], 1), torch.cat([cost, torch.ones(far.shape[1], dtype=torch.float32)])
 
 
 class _Merges:
-    """The merges of all rounds, with heights that never fall on the way up."""
+    """The merges of all rounds. A merge is never lower than the merges inside it."""
 
     def __init__(self, evidence: PieceGraph) -> None:
         num_pieces = len(evidence.statistics.size)
         self._pairs: list[Tensor] = []
         self._heights: list[float] = []
-        self._top = [0.0] * num_pieces  # of each region, at its lowest piece: the height of its last merge
-        self._below = self._ceiling = 0.0  # the heights of this round are above the one, and up to the other
+        self._top = [0.0] * num_pieces  # at the lowest piece of each region: the height of its last merge
+        self._below = self._ceiling = 0.0  # heights of this round: above `below`, at most `ceiling`
 
     def add(self, of_piece: Tensor, joined: Tensor, mean: Tensor, threshold: float) -> None:
         """Adds a round's merges.
 
-        A later round may find that a boundary is weaker than an earlier round said. Its heights are limited to those
-        above all earlier thresholds, so that a cut at a threshold undoes whole rounds.
+        A later round may find a boundary weaker than an earlier round did. Still, its heights are above all earlier
+        thresholds, so that a cut at a threshold undoes whole rounds.
 
         Args:
-            of_piece: [P] int64, region of each piece before the round, numbered by their first pieces.
-            joined: [2, M] int64, the lowest regions of the two groups that merge, in the order of the merges.
+            of_piece: [P] int64, region of each piece before the round; regions are numbered by their first pieces.
+            joined: [2, M] int64, the lowest region of each of the two groups that merge, in the order of the merges.
             mean: [M] float64, mean probability of their boundary.
-            threshold: of this round.
+            threshold: threshold of this round.
         """
         if threshold > self._ceiling:
             self._below, self._ceiling = self._ceiling, threshold
@@ -171,6 +171,6 @@ class _Merges:
             self._heights.append(self._top[a])
 
     def hierarchy(self, piece: Tensor, default: float) -> Hierarchy:
-        """The hierarchy of these merges, of pieces [N]."""
+        """The hierarchy of all merges; `piece` [N] int64 is the piece of each point."""
         merges = torch.cat([torch.empty(0, 2, dtype=torch.int64), *self._pairs])
         return Hierarchy(piece, merges, torch.tensor(self._heights, dtype=torch.float64), default)

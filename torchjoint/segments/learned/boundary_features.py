@@ -1,6 +1,6 @@
-"""Step 6, method learned: the features of the boundary between two regions, from which a model judges it.
+"""Step 6, method learned: the features from which a model judges the boundary between two regions.
 
-No feature has a unit of length: lengths are in multiples of the cloud's noise or spacing, or of one another.
+No feature has a unit of length. Lengths are divided by the noise, the spacing, or another length of the cloud.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from torchjoint.segments.learned.region_statistics import (
 )
 from torchjoint.segments.learned.summaries import Measure, sum_by, summarize
 
-#: Smallest divisor: flat and single points have no width.
+#: Smallest divisor, because regions of one point or of points in a line or plane have widths of 0.
 TINY = 1e-30
-#: A boundary without a value counts as this among the boundaries of a region.
+#: Value of a boundary whose own value is missing, where the boundaries of a region are compared.
 TYPICAL = 0.3
-#: Smallest texture (units of Lab) and roughness (right angles) that steps of colour and bends are compared with.
+#: Added to the texture (units of Lab) and the roughness (right angles) before colour steps and bends are divided by it.
 SMALLEST_TEXTURE, SMALLEST_ROUGHNESS = 0.5, 0.02
 #: Sides of a boundary: the region with fewer points, and the other.
 SIDES = ("small", "large")
@@ -274,9 +274,9 @@ def _neighborhood(boundaries: _Boundaries, small: Tensor) -> Tensor:
 
 
 def _bulges(regions: RegionStatistics, small: Tensor, large: Tensor) -> Tensor:
-    """How far both regions and their union bulge out of their surface, relative to their extents: [B, 4].
+    """How far both regions and their union bulge outward, relative to their extents: [B, 4].
 
-    The last column is the union's bulge less the mean of both: a whole thing bulges more than its sides.
+    The last column is the union's bulge minus the mean of both, because a whole object bulges more than its sides.
     """
     bulge = regions.bulge / _extent(regions.covariance)
     union = bulge_of_unions(regions, small, large) / _extent(covariance_of_unions(regions, small, large))
@@ -291,7 +291,7 @@ def _extent(covariance: Tensor) -> Tensor:
 
 
 def _textures(regions: RegionStatistics, small: Tensor, large: Tensor, bend: Tensor, color_step: Tensor) -> Tensor:
-    """Roughness and texture of both regions, and the bend and colour step [B] of the boundary above them: [B, 6]."""
+    """Roughness and texture of both regions, and the boundary's bend and colour step [B] divided by them: [B, 6]."""
     roughness = [regions.roughness[small], regions.roughness[large]]
     if regions.texture is None:
         texture = [torch.full_like(roughness[0], torch.nan)] * 2

@@ -32,8 +32,8 @@ class BoostedTrees:
 
     Attributes:
         feature: [T, M] int32, the feature that an inner node tests.
-        threshold: [T, M] float64; a row whose feature is at most the threshold goes left.
-        missing_left: [T, M] bool, whether a row without the feature goes left.
+        threshold: [T, M] float64; a row goes left if its feature is at most the threshold.
+        missing_left: [T, M] bool, whether a row goes left if its feature is missing.
         left, right: [T, M] int32, places of the children in the tree; -1 at a leaf.
         leaf_value: [T, M] float64.
         baseline: the sum starts from this number.
@@ -105,7 +105,7 @@ class MemberModel:
         """The probability that two regions belong to different objects.
 
         Args:
-            number: of the round, from 0.
+            number: number of the round, from 0.
             values: [B, F] float32, the features of each boundary; NaN = missing.
 
         Returns:
@@ -121,7 +121,7 @@ class MemberModel:
 
 @dataclass(frozen=True, eq=False)
 class BoundaryModel:
-    """The mean of M models of several training seeds: it errs less than each, since each has random errors of its own.
+    """The mean of M models of several training seeds. Their random errors partly cancel, so it errs less.
 
     Attributes:
         members: M models with the same thresholds and features.

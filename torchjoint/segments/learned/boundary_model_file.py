@@ -1,4 +1,4 @@
-"""Step 6, method learned: the file of a trained model, and the one that comes with the package.
+"""Step 6, method learned: reads and writes the file of a trained model; the package contains one.
 
 A file is an .npz archive of plain arrays. It may come from anyone: reading it runs no code, and every size is checked.
 """
@@ -23,7 +23,7 @@ from torchjoint.segments.learned.boundary_model import DTYPES, BoostedTrees, Bou
 
 #: The model that comes with the package, in torchjoint/models/.
 PACKAGED = "boundaries.npz"
-#: A model's file is refused if its arrays take more than so many bytes; the packaged model takes less than 2 MB.
+#: Largest size of all arrays in a model's file, bytes. The packaged model takes less than 2 MB.
 LARGEST = 1 << 28
 #: The version of the file's layout, stored in the file.
 _FORMAT = 2
@@ -56,15 +56,15 @@ def save_boundary_model(path: Path, model: BoundaryModel) -> None:
 def load_boundary_model(path: Path | None = None) -> BoundaryModel:
     """Reads and checks a model.
 
-    The file may come from anyone: it can run no code, and takes no more memory than a model may have.
+    The file may come from anyone: reading it runs no code, and its arrays may take at most LARGEST bytes.
 
     Args:
-        path: a file of :func:`save_boundary_model`; None: the model that comes with the package, which is read only
-            once in a process.
+        path: a file of :func:`save_boundary_model`; None: the model that comes with the package; a process
+            reads it only once.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is incomplete, damaged, or for other features; the message names the file and the array.
+        ValueError: the file is damaged, or its model is for other features; the message names the file and the array.
     """
     if path is None:
         return _packaged_model()
@@ -154,7 +154,7 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
-    # numpy would allocate what the header declares, before it finds that there is less.
+    # numpy would allocate the declared size before it finds that the file has fewer bytes.
     with archive.open(entry) as file:
         content = io.BytesIO(file.read(LARGEST))
     try:

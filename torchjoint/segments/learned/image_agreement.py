@@ -1,8 +1,7 @@
-"""Step 6, method learned: whether the images see two regions in the same image segments.
+"""Step 6, method learned: measures whether the images show two regions in the same image segments.
 
-Points of two regions agree in an image to the extent to which they lie in the same segments: with a region's visible
-points spread over the image's segments in shares, the agreement is the sum of the smaller shares (histogram
-intersection).
+Each image segment contains some share of a region's visible points. The agreement of two regions in an image is the sum
+of the smaller of their two shares over all segments (histogram intersection).
 """
 
 from __future__ import annotations
@@ -24,29 +23,29 @@ MIN_POINTS = 3
 NUM_VALUES = 8
 
 
-#: The most frames, and pairs (piece, image segment), that are worked on at a time, so that memory does not grow with
-#: the number of frames.
+#: Largest number of frames, and of pairs (piece, image segment), that one block holds, so that memory does not grow
+#: with the number of frames.
 FRAMES, ROWS = 32, 1 << 18
 
 
 class _Sums(NamedTuple):
-    """What some frames say of R regions and B pairs of regions.
+    """The evidence of some frames about R regions and B pairs of regions.
 
-    Sums are of whole numbers, the others are extremes. So frames can be added in any order.
+    All values are sums of whole numbers, or extremes, so frames can be added in any order.
     """
 
     best: Tensor  #: [R] float64, best overlap with an image segment
     best_union: Tensor  #: [B] float64, best overlap of the union
-    common: Tensor  #: [B] int64, agreement times the product below
-    product: Tensor  #: [B] int64, product of the numbers of visible points
-    rounded: Tensor  #: [B] int64, agreement in units of the resolution
-    squares: Tensor  #: [B] int64
+    common: Tensor  #: [B] int64, sum of agreement x product
+    product: Tensor  #: [B] int64, sum of the products of both numbers of visible points
+    rounded: Tensor  #: [B] int64, sum of the agreements, in units of OVERLAP_RESOLUTION
+    squares: Tensor  #: [B] int64, sum of their squares
     views: Tensor  #: [B] int64, number of images that see both
     low: Tensor  #: [B] float64, smallest agreement
-    high: Tensor  #: [B] float64
+    high: Tensor  #: [B] float64, largest agreement
 
     def plus(self, other: _Sums) -> _Sums:
-        """What both say."""
+        """The evidence of the frames of both."""
         added = {name: getattr(self, name) + getattr(other, name) for name in _ADDED}
         larger = {name: torch.maximum(getattr(self, name), getattr(other, name)) for name in _LARGEST}
         return _Sums(low=torch.minimum(self.low, other.low), **added, **larger)
@@ -56,7 +55,7 @@ _ADDED, _LARGEST = ("common", "product", "rounded", "squares", "views"), ("best"
 
 
 def image_agreement(images: ImageCounts, of_piece: Tensor, num_regions: int, pairs: Tensor) -> Tensor:
-    """How far the images see pairs of regions as one.
+    """Measures how far the images show two regions as one, for each pair of regions.
 
     Args:
         images: the image segments in which the pieces lie.
@@ -71,7 +70,7 @@ def image_agreement(images: ImageCounts, of_piece: Tensor, num_regions: int, pai
         region, and of the other; range of the agreement. NaN where no image sees both regions.
     """
     blocks = _blocks(images)
-    parallel = num_threads()  # as many blocks as threads are in memory
+    parallel = num_threads()  # one block per thread is in memory
     sums = None
     for start in range(0, len(blocks), parallel):
         found = parallel_map(lambda block: _sums(block, of_piece, num_regions, pairs), blocks[start : start + parallel])
@@ -98,7 +97,7 @@ def image_agreement(images: ImageCounts, of_piece: Tensor, num_regions: int, pai
 
 
 def _blocks(images: ImageCounts) -> list[ImageCounts]:
-    """The evidence of some consecutive frames each."""
+    """Splits the counts into blocks of consecutive frames."""
     frame_of_row = images.frame_of_segment[images.segment.long()]  # ascending
     frames = torch.arange(images.num_frames + 1)
     first_row, first_segment = (torch.searchsorted(of, frames) for of in (frame_of_row, images.frame_of_segment))
@@ -135,7 +134,7 @@ def _sums(images: ImageCounts, of_piece: Tensor, num_regions: int, pairs: Tensor
     overlap = torch.where(seen >= MIN_POINTS, count.double() / (seen + size - count), 0.0)
     best = torch.zeros(num_regions, dtype=torch.float64).scatter_reduce_(0, of_region, overlap, "amax")
 
-    # Of each pair, the rows of the region with fewer rows are looked up among those of the other region.
+    # For each pair, the rows of the region with fewer rows are searched among the rows of the other region.
     num_rows = torch.bincount(of_region, minlength=num_regions)
     fewer = num_rows[pairs[0]] > num_rows[pairs[1]]
     one, other = torch.where(fewer, pairs[1], pairs[0]), torch.where(fewer, pairs[0], pairs[1])

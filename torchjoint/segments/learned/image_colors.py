@@ -14,12 +14,12 @@ BLOCK = 8
 
 
 def image_colors(num_points: int, observations: Observations) -> Tensor | None:
-    """The mean colour of the pixels that see a point.
+    """The mean colour of the pixels in which each point is visible.
 
     All sums are of whole numbers, so the order of the frames does not matter.
 
     Args:
-        num_points: N, of the cloud.
+        num_points: N, number of points of the cloud.
         observations: the frames.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Step 6, method learned: what the images see of the pieces of the cloud.
+"""Step 6, method learned: counts the visible points of each piece in each image segment.
 
 All sums over frames are of whole numbers. So the order of the frames does not change a single bit.
 """
@@ -18,14 +18,14 @@ from torchjoint.views.observation import Observation
 class ImageCounts(NamedTuple):
     """How many points of each piece lie in each segment of each image: I pairs (piece, image segment) with points.
 
-    The segments of all images have different numbers, 0 ... L - 1, those of one image consecutive ones.
+    All L segments of all images are numbered together, 0 ... L - 1, image by image.
     """
 
     piece: Tensor  #: [I] int32
-    segment: Tensor  #: [I] int32, those of one frame after those of the frame before
+    segment: Tensor  #: [I] int32, sorted by frame
     num_points: Tensor  #: [I] int32, visible points of the piece in the segment
     segment_size: Tensor  #: [L] int64, visible points in the segment
-    frame_of_segment: Tensor  #: [L] int64
+    frame_of_segment: Tensor  #: [L] int64, ascending
     num_frames: int
 
 

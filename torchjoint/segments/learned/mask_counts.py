@@ -1,7 +1,7 @@
-"""Step 6, method learned: which masks of a network the points of each piece lie in.
+"""Step 6, method learned: counts the points of each piece in each mask of a network.
 
-All counts are whole numbers, and sums over points. So those of a region are the sums of those of its pieces, and the
-order of the frames does not change a single bit.
+All counts are whole numbers. The counts of a region are the sums of the counts of its pieces, and the order of the
+frames does not change a single bit.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from torchjoint.views.visibility import Visible
 
 
 class MaskCounts(NamedTuple):
-    """How many points of each piece lie in each mask. The masks of all frames have different numbers, 0 ... M - 1."""
+    """How many points of each piece lie in each mask. All M masks of all frames are numbered together."""
 
     in_mask: Tensor  #: [3, I] int64: piece, mask, number of points
     in_frame: Tensor  #: [3, J] int64: piece, frame, number of points that the frame sees
     weight: Tensor  #: [M] int64, score of each mask in units of 1 / WEIGHT_UNIT
-    frame_of_mask: Tensor  #: [M] int64, numbers of the frames, of which some may have no masks
+    frame_of_mask: Tensor  #: [M] int64, the frame of each mask; some frames may have no masks
 
     def of_regions(self, of_piece: Tensor) -> tuple[Tensor, Tensor]:
         """`in_mask` and `in_frame` of regions instead of pieces; `of_piece` is the region of each piece, [P] int64."""
@@ -42,7 +42,7 @@ def masks_of_pieces(
     Args:
         piece: [N] int64, piece of each point.
         observations: the frames; those without masks do not count.
-        is_counted: of the number of a frame and points [V] that it sees, whether they count, [V] bool; None: all do.
+        is_counted: (number of a frame, its visible points [V]) -> which of them count, [V] bool; None: all count.
 
     Returns:
         None if no frame has masks.
@@ -76,7 +76,7 @@ def masks_of_pieces(
 def _count(
     piece: Tensor, visible: Visible, masks: Masks, frame: int, chosen: Tensor | slice
 ) -> tuple[Tensor, Tensor, Tensor, int]:
-    """One frame's rows (piece, mask, points), (piece, frame, points that it sees), scores of the masks, and number."""
+    """For one frame: rows (piece, mask, points); rows (piece, frame, visible points); scores of masks; its number."""
     there = piece[visible.point[chosen]]
     of_piece, num_seen = torch.unique(there, return_counts=True)
     in_frame = torch.stack([of_piece, torch.full_like(of_piece, frame), num_seen])
@@ -89,7 +89,7 @@ def _count(
 
 
 def _added(region: Tensor, key: Tensor, count: Tensor) -> Tensor:
-    """The sorted rows [3, K] of (region, key, count), where the counts of equal region and key are added."""
+    """Sorted rows [3, K] of (region, key, count); counts with equal region and key are added."""
     num_keys = int(key.max()) + 1 if key.numel() else 1
     pair, inverse = torch.unique(region * num_keys + key, return_inverse=True)
     total = torch.zeros_like(pair).index_add_(0, inverse, count)

@@ -1,7 +1,7 @@
-"""Step 6, method learned, with masks of a network: a point on an outline goes where most of its frames see it.
+"""Step 6, method learned, with masks of a network: moves a point to the region in which most frames see it.
 
-Pieces are small, but the geometry that makes them does not know all borders of objects: a piece may reach a little
-beyond one. All frames together show on which side of an outline a single point lies.
+Pieces are small, but geometry does not show all borders of objects, so a piece may reach a little across a border. All
+frames together show on which side of the border a single point lies.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ def move_to_majority(
 ) -> Hierarchy:
     """Moves points to the regions of the masks in which most frames see them.
 
-    A mask stands for the region of the default level with which it overlaps best. A point moves if more than half of
-    the frames with masks that see it have it in masks of one other region, and if a neighbour lies in that region. It
-    joins the neighbour's piece, of several neighbours that of the lowest number. So all levels stay nested. No piece
-    loses all its points.
+    Each mask belongs to the region of the default level with which it overlaps best. A point moves if more than half of
+    the frames with masks that see it show it in masks of one other region, and if it has a neighbour in that region.
+    It joins the piece of this neighbour; if there are several, the one with the lowest number counts. So all levels
+    stay nested. No piece loses all its points.
 
     Args:
         hierarchy: the pieces and their merges.
@@ -46,14 +46,14 @@ def move_to_majority(
     source = torch.full((num_points,), num_points).scatter_reduce_(0, one, other, "amin")
     stays = torch.arange(num_points)
     source = torch.where(source < num_points, source, stays)
-    # Points that stay, so that their piece is not lost, may be the only ones that another piece would have got.
+    # If points stay to keep their piece, another piece that would have received them may be lost: test again.
     while (is_lost := torch.bincount(hierarchy.piece[source], minlength=hierarchy.num_pieces) == 0).any():
         source = torch.where(is_lost[hierarchy.piece], stays, source)
     return hierarchy.transferred(source)[0]
 
 
 def _wanted_regions(region: Tensor, region_of_mask: Tensor, observations: Sequence[Observation]) -> Tensor:
-    """The other region in whose masks more than half of a point's frames see it: [N] int64, -1 = none.
+    """For each point, another region in whose masks more than half of its frames show it: [N] int64, -1 = none.
 
     Args:
         region: [N] int64, region of each point, 0 ... R - 1.
@@ -71,7 +71,7 @@ def _wanted_regions(region: Tensor, region_of_mask: Tensor, observations: Sequen
             votes.append(point[elsewhere] * num_regions + chosen[elsewhere])
             first += num_masks
     key, count = torch.unique(torch.cat(votes), return_counts=True)
-    most = 2 * count > views[key // num_regions]  # so it is one region at most
+    most = 2 * count > views[key // num_regions]  # so at most one region per point
     wanted = torch.full_like(region, -1)
     wanted[key[most] // num_regions] = key[most] % num_regions
     return wanted

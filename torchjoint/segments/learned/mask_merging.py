@@ -1,8 +1,8 @@
-"""Step 6, method learned, with masks of a network: masks overrule the model's probability as views add up.
+"""Step 6, method learned, with masks of a network: with more views, masks outweigh the model's probability.
 
-Each pair of points that a frame sees is a vote: both lie in one mask, or a mask has only one of them. Votes are added
-over all frames and over all pairs of points of two regions, also of parts of them that do not touch. So masks that
-split an object, join two or miss one only shift a mean (:func:`torchjoint.ops.mask_merges`).
+Each pair of points that a frame sees is a vote: for one object if both lie in one mask, against it if a mask has only
+one of them. Votes are summed over all frames and over all pairs of points of two regions. So a mask that splits an
+object, joins two objects or misses one only shifts a mean (:func:`torchjoint.ops.mask_merges`).
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from torchjoint.segments.learned.mask_counts import MaskCounts
 from torchjoint.segments.learned.summaries import sum_by
 
 # These numbers were chosen on generated rooms, table-tops, shelves and kitchens with perfect, SAM-like and hard masks.
-# None of these scenes serves for scores.
+# None of these scenes is used for scores.
 
-#: Two points in different masks count this much, two in one mask count 1: networks split objects more often than they
-#: join them.
+#: Weight of a vote of two points in different masks; two points in one mask have weight 1. Networks split objects more
+#: often than they join them.
 APART_WEIGHT = 0.6
-#: The model's probability counts as much as so many frames that see two regions whole. It counts more where the masks
-#: contradict each other: in proportion to the share of votes against the regions that the masks themselves make.
+#: Weight of the model's probability, in frames that see both regions completely: the smallest one, the one of the first
+#: merging, and the factor on the masks' noise, which is the share of votes against the regions of the first merging.
 LEAST_PRIOR_WEIGHT, FIRST_PRIOR_WEIGHT, PRIOR_WEIGHT_OF_NOISE = 0.05, 0.1, 2.0
-#: A region of fewer points is joined to a neighbour, unless a mask confirms it: a network cannot see smaller objects
-#: reliably, and outlines that are off leave crumbs.
+#: A region of fewer points is joined to a neighbour, unless a mask confirms it. Networks do not detect smaller objects
+#: reliably, and inexact outlines leave small remains.
 MIN_SIZE = 50
-#: A mask holds a region if at least this many of its points lie in it: fewer are mostly seen through a gap.
+#: A mask contains a region if at least this many of the region's points lie in it. Fewer are mostly seen through a gap.
 MIN_POINTS = 3
-#: A mask confirms a region if this is their overlap (intersection over union), counted in points that the frame sees.
+#: A mask confirms a region if their overlap (intersection over union of visible points) is at least this.
 CONFIRMED = 0.5
 
 
@@ -41,9 +41,9 @@ class MaskLinkage:
     """Merges regions by masks.
 
     Attributes:
-        masks: the masks in which pieces lie.
+        masks: counts of the points of each piece in each mask.
         size: [P] int64, points of each piece.
-        prior_weight: weight of the model's probability, frames.
+        prior_weight: weight of the model's probability, in frames.
     """
 
     masks: MaskCounts
@@ -52,7 +52,7 @@ class MaskLinkage:
 
     @classmethod
     def of(cls, masks: MaskCounts | None, size: Tensor) -> MaskLinkage | None:
-        """None if there are no masks."""
+        """The linkage of pieces with sizes [P]; None if there are no masks."""
         return None if masks is None else cls(masks, size.long())
 
     def merges(self, of_piece: Tensor, ends: Tensor, cost: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
@@ -80,7 +80,7 @@ class MaskLinkage:
         return torch.stack([key // num_regions, key % num_regions])
 
     def crumbs(self, of_piece: Tensor, ends: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
-        """The merges that join small regions that no mask confirms, to a neighbour each; arguments as before."""
+        """The merges of small regions that no mask confirms with a neighbour; arguments as :meth:`merges`."""
         tables = size, in_mask, in_frame, *_ = self._tables(of_piece)
         best = torch.zeros(len(size), dtype=torch.float64)
         best.scatter_reduce_(0, in_mask[0], overlaps(self.masks, in_mask, in_frame), "amax")
@@ -92,7 +92,7 @@ class MaskLinkage:
         return size, *self.masks.of_regions(of_piece), self.masks.weight, self.masks.frame_of_mask
 
     def calibrated(self, of_piece: Tensor) -> MaskLinkage:
-        """The same with a prior weight that fits how far the masks contradict each other.
+        """A copy whose prior weight grows with the share of votes against the given regions.
 
         Args:
             of_piece: [P] int64, regions that were merged by these masks.
@@ -105,7 +105,7 @@ class MaskLinkage:
 
 
 def shares_against(masks: MaskCounts, in_mask: Tensor, in_frame: Tensor, num_regions: int) -> Tensor:
-    """The share of the votes within each region that are against it: [R] float64, NaN for regions without votes.
+    """The share of the votes inside each region that are against one object: [R] float64, NaN without votes.
 
     Arguments as those of :func:`overlaps`.
     """

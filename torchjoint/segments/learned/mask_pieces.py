@@ -1,7 +1,7 @@
-"""Step 6, method learned, with masks of a network: pieces that reach over the outlines of masks are cut there.
+"""Step 6, method learned, with masks of a network: cuts pieces at the outlines of masks.
 
-Geometry and colours do not know all borders of objects, and a piece has some points at least. So a piece may hold two
-small things, or a part of what a thing stands on. Pieces are never split later, so they are cut before they are judged.
+Geometry and colours do not show all borders of objects, and a piece has a minimum size. So it may contain two small
+objects, or an object and a part of its support. Pieces are never split later, so they are cut here.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from torchjoint.segments.learned.mask_merging import APART_WEIGHT, shares_agains
 from torchjoint.views.observation import Observation
 
 # These numbers were chosen on generated rooms, table-tops and shelves with perfect, SAM-like and hard masks. None of
-# these scenes serves for scores.
+# these scenes is used for scores.
 
-#: A piece is cut if more than this share of the votes of its pairs of points is against it.
+#: A piece is cut if more than this share of the votes of its pairs of points is against one object.
 MIXED = 0.1
-#: Points of one piece belong together as long as the masks say nothing. This counts as much as so many frames.
+#: Weight, in frames, of the assumption that the points of one piece belong together.
 PRIOR_WEIGHT = 0.1
 #: Largest cost of two parts that merge again.
 THRESHOLD = 0.5
-#: Of each piece only so many frames count, those that see most of it: single points in all frames would take gigabytes.
+#: Largest number of frames per piece: those that see most of it. All frames of all points would take gigabytes.
 MAX_FRAMES = 32
 
 
 def cut_by_masks(piece: Tensor, edge_index: Tensor, observations: Sequence[Observation]) -> Tensor:
     """Cuts the pieces whose points lie in different masks.
 
-    The points of such a piece merge anew, from single points, as regions do (:func:`torchjoint.ops.mask_merges`). So a
-    cut is where the masks of most frames are, and single outlines that are off do not cut.
+    The points of such a piece merge again from single points, as regions do (:func:`torchjoint.ops.mask_merges`). So a
+    piece is cut only where the masks of most frames agree; single wrong outlines do not cut.
 
     Args:
         piece: [N] int64, 0 ... P - 1.
@@ -42,7 +42,7 @@ def cut_by_masks(piece: Tensor, edge_index: Tensor, observations: Sequence[Obser
         observations: the frames; those without masks do not count.
 
     Returns:
-        [N] int64 pieces, numbered by first appearance; none has points of two old ones.
+        [N] int64 pieces, numbered by first appearance; each lies inside one of the given pieces.
     """
     masks = masks_of_pieces(piece, observations)
     if masks is None:
@@ -62,7 +62,7 @@ def cut_by_masks(piece: Tensor, edge_index: Tensor, observations: Sequence[Obser
 
 
 def _frames_that_see_most(in_frame: Tensor, num_pieces: int, num_frames: int) -> Tensor:
-    """The MAX_FRAMES frames with most points of each piece, of equal ones the first: [F, P] bool."""
+    """The MAX_FRAMES frames that see most points of each piece; ties: the first frames. [F, P] bool."""
     piece, frame, num_points = in_frame[:, torch.argsort(in_frame[1], stable=True)]
     order = torch.argsort(num_points, descending=True, stable=True)
     order = order[torch.argsort(piece[order], stable=True)]
@@ -75,7 +75,7 @@ def _frames_that_see_most(in_frame: Tensor, num_pieces: int, num_frames: int) ->
 
 
 def _merges_of_parts(edge_index: Tensor, size: Tensor, masks: MaskCounts | None) -> Tensor:
-    """The merges [2, M] of regions of [R] points that their masks do not tell apart."""
+    """The merges [2, M] of regions that the masks do not separate; `size` [R] is their number of points."""
     assert masks is not None  # the observations have masks
     tables = masks.of_regions(torch.arange(len(size)))
     prior = torch.zeros(edge_index.shape[1], dtype=torch.float32)

@@ -1,4 +1,4 @@
-"""Step 6, method learned, the default: pieces of the cloud merge where a model says that they are one object."""
+"""Step 6, method learned, the default: merges pieces of the cloud where a model says that they are one object."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from torchjoint.views.state import JointState
 
 
 class Learned(Method):
-    """Measures all distances in units of the cloud's own noise and spacing, so it has no parameter of its own."""
+    """Method learned. It measures distances in units of the cloud's noise and spacing, so it needs no parameters."""
 
     name = "learned"
 
     def prepare(self, cloud: Cloud, merge_within: float) -> PreparedCloud:
-        """As all methods; colours that are all the same count as none."""
+        """As in the base class; but colours that are all equal count as no colours."""
         return super().prepare(cloud.with_telling_colors(), merge_within)
 
     def build_graph(self, cloud: Cloud) -> tuple[PointGraph, Tensor | None]:
-        """Measures the scales; thins a cloud that is much denser than its noise."""
+        """Measures the scales, thins a cloud that is much denser than its noise, and builds the graph."""
         working, scales, of_point = working_cloud(cloud)
         return build_point_graph(working, self.config.point_graph.neighbors, scales), of_point
 
     def observe(
         self, frame: Frame, segments: ImageSegments, cloud: PreparedCloud, stopwatch: Stopwatch
     ) -> FrameEvidence:
-        """Without masks also the boundaries across edges, and the lines across something nearer."""
+        """As in the base class; for frames without masks, also contours across edges and lines across occluders."""
         seen = super().observe(frame, segments, cloud, stopwatch)
         if segments.masks is not None:
             return seen

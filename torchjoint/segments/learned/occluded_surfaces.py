@@ -1,8 +1,8 @@
-"""Step 6, method learned: joins regions of one surface whose middle something nearer hides.
+"""Step 6, method learned: joins regions of one surface that an occluder divides.
 
-Follow a row or a column of an image. Where the depth falls by a step and later rises by a step, something nearer lies
-between two ends. If both ends lie in one plane, and no frame sees through the place between them, the line votes for
-joining the regions of its ends. Such regions do not touch, so the model of boundaries never judges them.
+Follow a row or a column of an image. Where the depth falls by a step and later rises by a step, an occluder lies
+between the ends of a line. If both ends lie in one plane, and the frames do not see free space between them, the line
+votes for joining the regions of its ends. Such regions do not touch, so the boundary model never judges them.
 """
 
 from __future__ import annotations
@@ -25,52 +25,53 @@ from torchjoint.views.observation import Observation
 from torchjoint.views.projection import nearest_pixel, project
 from torchjoint.views.visibility import Visible
 
-# These numbers were chosen on table-tops of mOSD and on generated scenes (seeds 0 to 3). DEPTH_STEP was set by looking
-# at a table-top of the half that serves for scores, so the scores there flatter this step.
+# These numbers were chosen on table-tops of mOSD and on generated scenes (seeds 0 to 3). DEPTH_STEP was chosen on one
+# table-top of the half that is used for scores, so these scores are too good for this step.
 
-#: Smallest step between an occluder and what lies behind it, as a share of the depth, and in multiples of the noise.
+#: Smallest depth step from an occluder to the surface behind it: a share of the depth, but at least a multiple of the
+#: noise.
 DEPTH_STEP, STEP_IN_NOISE = 0.03, 4.0
-#: Side of the cells along which lines run, in distances between neighbouring points in the image.
+#: Side of the cells along which lines run, in mean distances between points in the image.
 CELL = 1.5
-#: Pixels of the squares by which the area of the visible points is measured.
+#: Side of the squares, pixels, that measure the area of the visible points in the image.
 SQUARE = 8
-#: Largest distance of each end from the other end's plane: a share of the gap, and multiples of the noise.
+#: Largest distance of each end from the other end's plane: share of the gap plus multiples of the noise.
 OFF_PLANE, OFF_IN_NOISE = 0.1, 4.0
 #: Cosine of the largest angle between the normals at the two ends, 26 degrees.
 SAME_DIRECTION = 0.9
-#: Where on the way between the ends a third region, or free space, is looked for.
+#: Places between the two ends, as shares of the way, at which a third region or free space is searched.
 PLACES = (0.25, 0.5, 0.75)
-#: It is there if its nearest point is nearer than so many spacings of the points, or multiples of their noise.
+#: A region is at a place if its nearest point is nearer than this many spacings, or this many multiples of the noise.
 NEAR, NEAR_IN_NOISE = 2.0, 8.0
-#: Two regions are joined by at least so many lines, and so large a share of the lines between them.
+#: Two regions are joined if at least this many lines, and this share of the lines between them, vote for it.
 MIN_LINES, SHARE = 4, 0.5
-#: Largest difference of their mean colours, in multiples of the spread of the colours within them.
+#: Largest difference of the mean colours of two joined regions, in multiples of the spread of colours within them.
 MAX_CONTRAST = 1.25
 
 
 class Occlusions(NamedTuple):
-    """Pairs of pieces at the ends of lines that cross something nearer."""
+    """Pairs of pieces at the two ends of lines across an occluder."""
 
     pairs: Tensor  #: [2, K] int64, pieces a < b, ascending
-    num_lines: Tensor  #: [K] int64, of all images
-    may_continue: Tensor  #: [K] bool, whether both lie in one plane, and the space between is not seen to be free
-    between: Tensor  #: [len(PLACES), K] int64, the piece on the way, -1 = none, or not in one plane
+    num_lines: Tensor  #: [K] int64, number of lines in all images
+    may_continue: Tensor  #: [K] bool: both lie in one plane, and the frames do not see free space between them
+    between: Tensor  #: [len(PLACES), K] int64, the piece at each place; -1 = none, or not in one plane
 
 
 class _CoarseZBuffer(NamedTuple):
-    """What one frame sees, in cells of some pixels."""
+    """The nearest visible points of a frame, in cells of some pixels."""
 
     cell: int  #: side of the cells, pixels
-    point: Tensor  #: [h, w] int64, the nearest of the visible points in each cell, in their order; -1 = no point
+    point: Tensor  #: [h, w] int64, index of the nearest visible point in each cell; -1 = no point
 
     @classmethod
     def of(cls, visible: Visible) -> _CoarseZBuffer:
-        """Of equally near points, the first is the nearest."""
+        """Makes the cells; of equally near points the first counts."""
         cell = _cell_size(visible)
         row, column = visible.row // cell, visible.column // cell
         height, width = int(row.max()) + 1, int(column.max()) + 1
         nearest = torch.full((height * width,), torch.iinfo(torch.int64).max)
-        # Depths are positive, so their bits ascend with them.
+        # For positive floats the order of the bits is the order of the numbers.
         rank = (visible.z.view(torch.int32).long() << 32) + torch.arange(len(visible.z))
         nearest.scatter_reduce_(0, row * width + column, rank, "amin")
         point = torch.where(nearest == torch.iinfo(torch.int64).max, -1, nearest & 0xFFFFFFFF)
@@ -84,7 +85,7 @@ def find_occlusions(
 
     Args:
         piece: [N] int64, piece of each point, 0 ... P - 1.
-        statistics: of the pieces.
+        statistics: statistics of the pieces.
         points: [N, 3] metres.
         scales: noise and spacing of the points.
         observations: the frames, with their lines.
@@ -113,17 +114,17 @@ def continued_surfaces(
 ) -> tuple[Tensor, Tensor]:
     """The pairs of regions that are one surface behind an occluder.
 
-    Regions that touch are not among them: the model of boundaries has judged their boundary.
+    Regions that touch are not included, because the boundary model has judged them.
 
     Args:
-        occlusions: of the pieces.
-        statistics: of the pieces.
+        occlusions: occlusions of the pieces.
+        statistics: statistics of the pieces.
         touching: [2, T] int64, the pairs of pieces that touch.
         of_piece: [P] int64, region of each piece, 0 ... R - 1.
 
     Returns:
-        [2, B] int64 regions a < b, ascending, and [B] float32 the share of the lines against, at most 1 - SHARE. No
-        pairs without colours: they tell a surface from another one that happens to lie in its plane.
+        [2, B] int64 regions a < b, ascending; and [B] float32, the share of the lines against joining them, at most
+        1 - SHARE. Without colours there are no pairs, because two surfaces may lie in one plane by chance.
     """
     num_regions = int(of_piece.max()) + 1
     first, second = of_piece[occlusions.pairs]
@@ -149,11 +150,11 @@ def _keys(a: Tensor, b: Tensor, count: int) -> Tensor:
 
 
 def lines_across(visible: Visible, noise: Tensor) -> Tensor:
-    """The points at the two ends of each line that crosses something nearer, along the rows and the columns.
+    """The points at the two ends of each line across an occluder, along the rows and the columns of an image.
 
     Args:
         visible: the visible points of an image.
-        noise: [N] metres, of the points of the cloud.
+        noise: [N] metres, noise of the points of the cloud.
 
     Returns:
         [2, V] int64 points.
@@ -167,7 +168,7 @@ def lines_across(visible: Visible, noise: Tensor) -> Tensor:
 
 
 def _cell_size(visible: Visible) -> int:
-    """Pixels."""
+    """The side of the cells, pixels, from the mean distance of the visible points in the image."""
     row, column = visible.row // SQUARE, visible.column // SQUARE
     width = int(column.max()) + 1
     is_seen = torch.zeros((int(row.max()) + 1) * width, dtype=torch.bool)
@@ -176,11 +177,11 @@ def _cell_size(visible: Visible) -> int:
 
 
 def _ends_of_gaps(grid: Tensor, z: Tensor, of_noise: Tensor) -> Tensor:
-    """Ends [2, V] of the gaps along the rows of a grid [h, w] of visible points (-1 = empty cells, are skipped)."""
+    """Ends [2, V] of the gaps along the rows of a grid [h, w] of visible points; empty cells (-1) are skipped."""
     row, _ = torch.nonzero(grid >= 0, as_tuple=True)
     point = grid[grid >= 0]
     falls, rises = _steps(row, point, z, of_noise)
-    # Cells of both surfaces, whose points are somewhere between them.
+    # Cells that contain points of both surfaces have depths between the two; they are skipped.
     mixed = (falls[:-1] & falls[1:]) | (rises[:-1] & rises[1:])
     kept = torch.nn.functional.pad(~mixed, (1, 1), value=True)[: len(row)]
     row, point = row[kept], point[kept]
@@ -198,9 +199,9 @@ def _ends_of_gaps(grid: Tensor, z: Tensor, of_noise: Tensor) -> Tensor:
 
 
 def _steps(row: Tensor, point: Tensor, z: Tensor, of_noise: Tensor) -> tuple[Tensor, Tensor]:
-    """Whether the depth falls, and whether it rises by a step from each of n cells to the next one, both [n - 1]."""
+    """Where the depth falls by a step, and where it rises by a step, from each of n cells to the next: [n - 1] bool."""
     change = z[point[1:]] - z[point[:-1]]
-    # The step counts from the farther of the two: the surface that the other one may hide.
+    # The farther of the two points determines the smallest step: its surface may be hidden.
     is_step = change.abs() > _step(z, of_noise, torch.where(change > 0, point[1:], point[:-1]))
     is_step &= row[1:] == row[:-1]
     return is_step & (change < 0), is_step & (change > 0)
@@ -211,7 +212,7 @@ def _step(z: Tensor, of_noise: Tensor, point: Tensor) -> Tensor:
 
 
 def _matched(row: Tensor, falls: Tensor, rises: Tensor) -> tuple[Tensor, Tensor]:
-    """The last cells before falls and before rises that belong together, like parentheses: [V] int64 each."""
+    """Matches falls and rises like parentheses: the last cell before each matched fall, and rise; [V] int64 each."""
     event = torch.nonzero(falls | rises).squeeze(1)
     opens = falls[event]
     level = torch.where(opens, 1, -1).cumsum(0) - opens.long()
@@ -224,7 +225,7 @@ def _matched(row: Tensor, falls: Tensor, rises: Tensor) -> tuple[Tensor, Tensor]
 
 
 def _in_one_plane(pieces: RegionStatistics, a: Tensor, b: Tensor) -> Tensor:
-    """[K] bool, whether each of two pieces lies in the other piece's plane, and both normals have one direction."""
+    """[K] bool: each of two pieces lies in the other piece's plane, and both normals have about the same direction."""
     normal = normalize(pieces.normal, dim=1)
     way = pieces.mean[b] - pieces.mean[a]
     off = OFF_PLANE * length(way) + OFF_IN_NOISE * torch.maximum(pieces.noise[a], pieces.noise[b])
@@ -233,7 +234,7 @@ def _in_one_plane(pieces: RegionStatistics, a: Tensor, b: Tensor) -> Tensor:
 
 
 def _nearest_pieces(ways: Tensor, piece: Tensor, points: Tensor, scales: Scales) -> Tensor:
-    """The pieces [L, K] at places [L, K, 3] between pairs of pieces, -1 = none."""
+    """The piece at each place [L, K, 3] between two pieces: [L, K] int64, -1 = none."""
     distance, nearest = cKDTree(points.double().numpy()).query(ways.numpy())
     found = torch.from_numpy(nearest)
     near = torch.maximum(NEAR * scales.spacing[found], NEAR_IN_NOISE * scales.noise[found])
@@ -243,13 +244,13 @@ def _nearest_pieces(ways: Tensor, piece: Tensor, points: Tensor, scales: Scales)
 def _is_seen_through(ways: Tensor, step: Tensor, observations: Sequence[Observation]) -> Tensor:
     """Whether places between pairs of pieces are free: more frames see through a place than see something there.
 
-    An occluder that hides a surface from one frame may not hide it from another one: if this frame sees what lies
-    behind the place instead, there is no surface. Each frame's z-buffer is made a second time: to keep those of long
-    recordings, unlike their lines, would take memory.
+    An occluder hides a place from one frame, but maybe not from another one. If this other frame sees something behind
+    the place, no surface is there. The z-buffer of each frame is computed again here, because the z-buffers of a long
+    recording would take much memory.
 
     Args:
         ways: [L, K, 3] float64 metres.
-        step: [K] metres, smallest difference of the depths at a place of what lies there and what lies behind it.
+        step: [K] metres, smallest difference in depth between a place and something behind it.
         observations: the frames.
 
     Returns:
@@ -269,7 +270,7 @@ def _votes_for_free_space(places: Tensor, step: Tensor, seen: Observation) -> Te
         return vote
     cell, nearest = _CoarseZBuffer.of(seen.visible)
     depth = torch.where(nearest >= 0, seen.visible.z[nearest], torch.inf)
-    # The nearest of nine cells: whoever looks through a gap sees something far in all of them.
+    # The nearest depth of nine cells: where a frame sees through a gap, all nine are far.
     depth = -torch.nn.functional.max_pool2d(-depth[None], 3, stride=1, padding=1)[0]
     height, width = (cell * side for side in depth.shape)
     at = project(places, seen.intrinsics, seen.world_to_camera, (height, width))

@@ -1,4 +1,4 @@
-"""Step 6, method learned: the evidence from which a model judges boundaries between regions, computed once per cloud.
+"""Step 6, method learned: the evidence for the model of boundaries between regions, computed once per cloud.
 
 The points are first grouped into small pieces, which are never split again. Only edges between two pieces can be part
 of a boundary, so only these are measured.
@@ -33,8 +33,8 @@ from torchjoint.segments.planes import SMOOTH_REGIONS, Planes, one_sided_planes,
 from torchjoint.views.propagation import disagreement
 from torchjoint.views.state import JointState
 
-# The model was trained on boundaries between these pieces. With other pieces its probabilities would be wrong, so these
-# numbers are no parameters of the config.
+# The model was trained on boundaries between pieces made with these numbers. With other numbers its probabilities would
+# be wrong, so they are not parameters of the config.
 
 #: Factor on the cost of a crease where the surface is convex.
 CONVEX_FACTOR = 0.05
@@ -48,8 +48,8 @@ AGREEMENT = 0.22
 COLOR_WEIGHT = 0.3
 #: A colour step of this many median colour steps has the full weight.
 LARGE_COLOR_STEP = 6
-#: Smallest median colour step by which others are divided, units of Lab: smaller steps are noise of the camera. For
-#: the cost of edges, and for the model.
+#: Smallest median colour step by which colour steps are divided, units of Lab, because smaller steps are noise of the
+#: camera; first for the costs of edges, then for the model.
 SMALLEST_MEDIAN = 1.0
 SMALLEST_TYPICAL = 0.5
 #: Mean boundary cost up to which points merge into pieces.
@@ -77,7 +77,7 @@ class BoundaryEdges(NamedTuple):
     views: Tensor | None  #: [C] int64, number of images that see both ends
 
     def only(self, kept: Tensor) -> BoundaryEdges:
-        """The edges numbered [c] int64, in this order."""
+        """The edges with the numbers `kept` [c] int64, in this order."""
 
         def part(values: Any) -> Any:
             if isinstance(values, Measure):
@@ -89,7 +89,7 @@ class BoundaryEdges(NamedTuple):
 
 @dataclass(frozen=True)
 class PieceGraph:
-    """What is known about a cloud, its pieces and the edges between them.
+    """The evidence about a cloud, its pieces and the edges between them.
 
     Attributes:
         piece: [N] int64, piece of each point, 0 ... P - 1, numbered by first appearance.
@@ -97,9 +97,9 @@ class PieceGraph:
         edges: the edges between pieces.
         statistics: statistics of the pieces' points.
         typical_color_step: median colour step of all edges, units of Lab; None without colours.
-        images: the image segments in which the pieces lie; None without images, and if all images have masks.
-        masks: the masks in which the pieces lie; None without masks.
-        occlusions: the pieces on the two sides of something nearer, in the images; None as for `images`.
+        images: counts of points in image segments; None without images, or if all images have masks.
+        masks: counts of points in masks; None without masks.
+        occlusions: pairs of pieces on two sides of an occluder in the images; None as for `images`.
     """
 
     piece: Tensor
@@ -112,13 +112,13 @@ class PieceGraph:
     occlusions: Occlusions | None = None
 
     def regions_of_pieces(self, region: Tensor) -> Tensor:
-        """The region of each piece, [P] int64, of regions [N] that are unions of pieces."""
+        """The region of each piece, [P] int64; `region` [N] is the region of each point, a union of pieces."""
         of_piece = torch.empty(len(self.statistics.size), dtype=torch.int64)
         of_piece[self.piece] = region
         return of_piece
 
     def between(self, region: Tensor) -> PieceGraph:
-        """The same without edges inside regions [N], which never count again, once these edges are the larger part."""
+        """Drops edges inside regions [N], which are not needed again, if they are at least half of all edges."""
         first, second = self.regions_of_pieces(region)[self.pairs]
         across = torch.nonzero((first != second)[self.edges.pair]).squeeze(1)
         if 2 * len(across) > len(self.edges.pair):
@@ -129,7 +129,7 @@ class PieceGraph:
 def build_piece_graph(graph: PointGraph, scales: Scales, state: JointState) -> PieceGraph:
     """Groups the points into pieces, and measures the edges between the pieces.
 
-    A cloud without colours has those of the images, as far as these see it.
+    If the cloud has no colours, the visible points get colours from the images.
 
     Args:
         graph: the point graph.
@@ -139,7 +139,7 @@ def build_piece_graph(graph: PointGraph, scales: Scales, state: JointState) -> P
     normals, oriented = orient_normals(graph, state.facing)
     planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
     seen = state.observations
-    # Masks are told apart from other segments: what two masks say weighs far more (see mask_merges).
+    # Frames with masks are treated separately, because masks have a much larger weight (see mask_merges).
     observations = seen.without_masks()
     r = disagreement(state.views, state.overlap_sum, OVERLAP_THRESHOLD) if seen else None
     colors = image_colors(graph.num_points, seen) if graph.colors is None else graph.colors

@@ -1,7 +1,7 @@
 """Step 6, method learned: statistics of the points of each region: shape, bulge, noise, spacing, colour and texture.
 
-They are computed once from the points of small pieces. A region is a union of pieces, so its statistics follow from
-those of its pieces.
+They are computed from points only once, for small pieces. A region is a union of pieces, so its statistics follow from
+the statistics of its pieces.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Tensor
 from torchjoint.cloud._vectors import dot, length
 from torchjoint.segments.learned.summaries import sum_by
 
-#: Added to the spread of colours before a division, units of Lab: colours of one surface differ by about as much.
+#: Added to the spread of colours before a division by it, units of Lab: about the spread of colours of one surface.
 COLOR_NOISE = 2.0
 
 
@@ -34,11 +34,11 @@ class RegionStatistics(NamedTuple):
     #: [R] right angles, mean angle between the normals of neighbours; of a union the mean of its parts by their points
     roughness: Tensor
     texture: Tensor | None  #: [R] Lab, mean difference of the colours of neighbours; of a union as the roughness
-    colored: Tensor | None = None  #: [R] points that have a colour; None: all. Without any, what is of colours is NaN
+    colored: Tensor | None = None  #: [R] points with a colour; None: all. Colours and texture are NaN if it is 0
 
 
 class Surface(NamedTuple):
-    """What the points of a cloud say about their surface."""
+    """The points of a cloud and the properties of their surface."""
 
     points: Tensor  #: [N, 3] metres
     normals: Tensor  #: [N, 3] unit length
@@ -61,7 +61,7 @@ def statistics_of_points(region: Tensor, surface: Surface, inner: InnerEdges) ->
 
     Args:
         region: [N] int64, 0 ... R - 1, each with at least one point.
-        surface: of the points.
+        surface: properties of the points.
         inner: edges inside the regions; a region without edges has roughness and texture 0.
     """
     size = int(region.max()) + 1
@@ -108,7 +108,7 @@ def statistics_of_points(region: Tensor, surface: Surface, inner: InnerEdges) ->
 
 
 def _mean_of_known(values: Tensor, is_known: Tensor, region: Tensor, size: int) -> Tensor:
-    """The mean [R, ...] of the known ones of the values [N, ...] of each region; NaN where none is."""
+    """The mean [R, ...] of the known values [N, ...] in each region; NaN if none is known."""
     region = region[is_known]
     count = torch.bincount(region, minlength=size)
     return sum_by(region, values[is_known], size) / count.view(-1, *[1] * (values.ndim - 1))
@@ -139,7 +139,7 @@ def pooled(parts: RegionStatistics, of_part: Tensor, num_regions: int) -> Region
 
         def mean_of_colors(values: Tensor) -> Tensor:
             ones = [1] * (values.ndim - 1)
-            values = values if parts.colored is None else values.nan_to_num()  # of parts without colours, weight 0
+            values = values if parts.colored is None else values.nan_to_num()  # parts without colours have weight 0
             return sum_by(of_part, weight.view(-1, *ones) * values, num_regions) / of_colors.view(-1, *ones)
 
         color = mean_of_colors(parts.color)
@@ -188,7 +188,7 @@ def _outer(vectors: Tensor) -> Tensor:
 
 
 def color_contrasts(regions: RegionStatistics, one: Tensor, other: Tensor) -> Tensor:
-    """Distances [B] of the mean colours of pairs of regions, in multiples of the spread within them, NaN without."""
+    """Distances [B] of the mean colours of two regions, in multiples of the spread within them; NaN = no colours."""
     if regions.color is None or regions.color_variance is None:
         return torch.full((len(one),), torch.nan, dtype=torch.float64)
     spread = regions.color_variance.sum(1).sqrt()

@@ -15,14 +15,14 @@ QUANTILES = (0.1, 0.5, 0.9)
 
 
 class Measure(NamedTuple):
-    """A measure of C edges. Its order is computed once, so that the quantiles of any groups need nothing sorted."""
+    """A measure of C edges. It is sorted once, so that quantiles of groups of edges need no further sort."""
 
     values: Tensor  #: [C] float32, NaN = missing
     order: Tensor  #: [C] int32, places of the values in ascending order, missing ones last
 
     @classmethod
     def of(cls, values: Tensor) -> Measure:
-        """Puts values [C] float32 in order."""
+        """Sorts values [C] float32."""
         return cls(values, ascending_order(values))
 
 
