@@ -77,7 +77,7 @@ def test_a_coco_file(tmp_path):
         tj.masks.read_folder(path, scene_of("a", "b")).frames[0]
     path.write_text(json.dumps({"images": images, "annotations": [{"image_id": 5}]}))
     with pytest.raises(
-        ValueError, match=r"instances\.json: images need file_name and id, annotations the id of an image"
+        ValueError, match=r"instances\.json: expected images with file_name and id, annotations with image_id"
     ):
         tj.masks.read_folder(path, scene_of("a"))
     path.write_text(json.dumps(annotations))

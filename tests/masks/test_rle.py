@@ -78,7 +78,7 @@ def test_any_mask_there_and_back(height, width, seed, share):
         ({"size": [7, 9], "counts": [60]}, "counts: expected a sum of 7 x 9 = 63 pixels, got 60"),
         ({"size": [7, 9], "counts": [70, -7]}, "counts: expected numbers >= 0, got -7"),
         ({"size": [7, 9], "counts": [62.5, 0.5]}, "counts: expected a string or a list of integers, got list"),
-        ({"size": [7, 9], "counts": "01>2F00000b0N["}, "counts: truncated, the last number goes on"),
+        ({"size": [7, 9], "counts": "01>2F00000b0N["}, "counts: truncated, the last number is incomplete"),
         ({"size": [7, 9], "counts": "01>2F00000b0N"}, "counts: expected a sum of 7 x 9 = 63 pixels, got 62"),
         ({"size": [7, 9], "counts": "01>2 00000b0N[O"}, "counts: expected characters from '0' to 'o', got ' '"),
     ],

@@ -13,7 +13,7 @@ from torch import Tensor
 
 
 class CsrAdjacency(NamedTuple):
-    """CSR adjacency of a graph: gives the edges of the points that an image sees, without a pass over all edges."""
+    """CSR adjacency of a graph. It gives the edges of some points without a pass over all edges."""
 
     order: Tensor  #: [E] int32, edge numbers, sorted by the edges' first points
     other_end: Tensor  #: [E] int32, the second point of each edge, in the same order

@@ -1,4 +1,4 @@
-"""A batch of clouds for superpoints: one tensor, where `ptr` gives the start of each cloud; checked and split here."""
+"""Checks and splits a batch of clouds for superpoints: one tensor, in which `ptr` gives the start of each cloud."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def split_batch(
         edges: [2, E] integers, edges of all clouds in any order, in point numbers of the batch.
         faces: [F, 3] integers, triangles of all clouds in any order, in point numbers of the batch.
         ptr: [B + 1] integers, the start of each cloud, and N; None = one cloud.
-        viewpoint: [3], [B, 3] or [N, 3] metres.
+        viewpoint: [3], [B, 3] or [N, 3] metres, position of the sensor for all clouds, per cloud, or per point.
 
     Returns:
         the B clouds, in order.
@@ -108,7 +108,7 @@ def _check_integers(name: str, value: Any) -> None:
 
 
 def _split(nodes: Tensor | None, starts: list[int], name: str) -> list[Tensor | None]:
-    """Splits edges [2, E] or triangles [3, F] by cloud, in the cloud's own point numbers and the given order."""
+    """Splits edges [2, E] or triangles [3, F] by cloud; keeps their order, and counts points within each cloud."""
     num_clouds = len(starts) - 1
     if nodes is None or num_clouds == 1:
         return [nodes] * num_clouds

@@ -13,10 +13,10 @@ from torchjoint.cloud._vectors import by_columns, dot, length, rounded_length, r
 from torchjoint.cloud.normals import angle_between, is_convex
 from torchjoint.runtime.threads import parallel_map
 
-#: Number of edges processed at a time, so that clouds of millions of points need little memory besides the result.
+#: Number of edges processed at a time, so that intermediate results of large clouds need little memory.
 EDGES = 1 << 16
 
-#: Gives the step p_j - p_i [E, 3] along edges: its rows are far apart in memory, so it is made only where it counts.
+#: Computes the step p_j - p_i [E, 3] along edges. Its rows are far apart in memory, so it is computed only if needed.
 Step = Callable[[], Tensor]
 #: Measures how much a surface turns along an edge: a function of the normals at both ends [E, 3], whether both are
 #: oriented [E], and the step; returns [E].
@@ -24,12 +24,12 @@ Turn = Callable[[Tensor, Tensor, Tensor, Step], Tensor]
 
 
 class EdgeWeights(NamedTuple):
-    """The weights of eq. 3; only their ratios to each other and to k count, so w_theta can be 1."""
+    """The weights of eq. 3. Only their ratios to each other and to k have an effect, so w_theta can be 1."""
 
     turn: Turn  #: measures how much the surface turns along an edge: theta of eq. 3, or something in its place
-    angle: float = 1.0  #: w_theta, of the turn
+    angle: float = 1.0  #: w_theta, weight of the turn
     distance: float = 0.0  #: w_d, per metre
-    color: float = 0.0  #: of an RGB distance; not in the paper
+    color: float = 0.0  #: w_c, weight of an RGB distance; not in the paper
 
 
 def discounted_angle(convex_factor: float) -> Turn:
@@ -59,7 +59,7 @@ def geometric_weights(
         edge_index: [2, E] int64.
         normals: [N, 3] unit length.
         oriented: [N] bool, whether a normal is oriented.
-        weights: of the terms.
+        weights: weights of the terms.
         colors: [N, 3] RGB in [0, 1], required if weights.color > 0.
 
     Returns:

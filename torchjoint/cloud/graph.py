@@ -15,12 +15,12 @@ from torchjoint.cloud.scales import Scales
 from torchjoint.runtime.threads import all_threads
 from torchjoint.scene import Cloud
 
-#: Neighbours to which planes are fitted, as many as normals by default: only a part of them is in the point's region,
-#: so that a plane, unlike a normal, does not round edges.
+#: Number of neighbours to which planes are fitted, the same as for normals by default. Of these only the neighbours in
+#: the point's own region are used, so a plane, unlike a normal, does not round edges.
 PLANE_NEIGHBORS = 45
 
-#: With measured scales, planes are fitted to this many times as many neighbours as normals, because only a part of them
-#: is in the point's region; at least 40, at most 128.
+#: With measured scales, the number of neighbours for planes is this factor times the number for normals, because only
+#: some of them are in the point's region; at least 40, at most 128.
 PLANE_SHARE = 1.5
 PLANE_LIMITS = (40, 128)
 
@@ -30,14 +30,14 @@ class PointGraph(NamedTuple):
 
     points: Tensor  #: [N, 3] metres
     colors: Tensor | None  #: [N, 3] RGB in [0, 1]
-    normals: Tensor  #: [N, 3] unit length, not yet turned to the cameras
-    has_given_normals: bool  #: given normals are oriented, even where no camera sees the point
+    normals: Tensor  #: [N, 3] unit length, not yet oriented to the cameras
+    has_given_normals: bool  #: whether the cloud has given normals; these are oriented, also without cameras
     spacing: Tensor  #: [N] metres, mean distance to the nearest neighbours
     edge_index: Tensor  #: [2, E] int64, each edge once
     adjacency: CsrAdjacency  #: CSR adjacency of the edges
     neighbors: Tensor  #: [N, K] int32, nearest first; planes are fitted to them
     scales: Scales | None = None  #: noise and spacing, method learned only
-    wide_normals: Tensor | None = None  #: [N, 3] unit length, of planes fitted to `neighbors`, method learned only
+    wide_normals: Tensor | None = None  #: [N, 3] unit length, fitted to `neighbors`, method learned only
 
     @property
     def num_points(self) -> int:
@@ -54,9 +54,9 @@ def build_point_graph(cloud: Cloud, neighbors: int, normal_neighbors: int | Scal
 
     Args:
         cloud: points [N, 3], optional colours and normals.
-        neighbors: K, of a point in the graph.
-        normal_neighbors: number of neighbours to which normals are fitted; or the scales of the cloud, from which the
-            numbers of neighbours of normals and planes follow.
+        neighbors: K, number of neighbours of a point in the graph.
+        normal_neighbors: number of neighbours to which normals are fitted; or the scales of the cloud, which determine
+            the numbers of neighbours for normals and planes.
     """
     scales = None
     if isinstance(normal_neighbors, int):
@@ -109,7 +109,7 @@ def undirected_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
 
     Args:
         neighbors: [N, K] int32 or int64, the neighbours of each point.
-        order: [N] int32 of :func:`~torchjoint.cloud.neighbors.order_along_space`; saves time, changes nothing.
+        order: [N] int32 of :func:`~torchjoint.cloud.neighbors.order_along_space`; only saves time.
 
     Returns:
         [2, E] int64, in the order of their first occurrence in the rows of `neighbors`.

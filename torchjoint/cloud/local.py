@@ -1,9 +1,9 @@
-"""The cloud that a method works on: each point once, and centred in float64 before anything is float32.
+"""The cloud that a method works on: without copies of points, and centred in float64 before it becomes float32.
 
-Copies of points (sampling with replacement, padding by repetition, overlapping scans) say nothing about the surface,
-but they fill the lists of nearest neighbours. Far from the origin float32 has no digits left for the differences of
-neighbours. So copies are merged, and coordinates are taken relative to coordinates of the cloud itself: if all points
-are moved by an offset, and the sums are exact in float64, then all numbers after this step are bitwise the same.
+Copies of points (sampling with replacement, padding by repetition, overlapping scans) tell nothing about the surface,
+but they fill the lists of nearest neighbours. So copies are merged. Far from the origin float32 has too few digits for
+the differences between neighbours. So coordinates are taken relative to an origin in the cloud. If all points are moved
+by an offset, and the sums are exact in float64, all numbers after this step stay bitwise the same.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from torch.nn.functional import normalize
 from torchjoint.runtime.threads import num_threads, parallel_map
 from torchjoint.scene import Cloud
 
-#: Largest rounding error of given float32 coordinates, in units of the cloud's spacing, that passes without a warning.
+#: A larger rounding error of given float32 coordinates gives a warning; in units of the cloud's spacing.
 ROUNDING = 0.25
 
 #: Number of points processed at a time by a thread.
 BLOCK = 1 << 18
 
-#: Odd numbers that spread the bits of coordinates.
+#: Odd factors that distribute the bits of coordinates, for hash codes.
 _ODD = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 
 
 def distinct_points(points: Tensor) -> Tensor | None:
-    """The distinct point of each point [N, 3]: [N] int64, numbered by first appearance; None if all points differ.
+    """The number of each point's distinct point: [N] int64, by first appearance; None if all points [N, 3] differ.
 
     0 and -0 are equal.
     """
@@ -60,7 +60,7 @@ def distinct_points(points: Tensor) -> Tensor | None:
 
 
 def _has_equal(code: npt.NDArray[np.uint64]) -> bool:
-    """Whether two codes are equal: on each thread those in a part of the range are sorted."""
+    """Whether two codes are equal. Each thread sorts the codes in a part of their range."""
     count = num_threads() if len(code) > BLOCK else 1
     limits = [round(2**64 / count * part) for part in range(count)]
 
@@ -78,7 +78,7 @@ def _has_equal(code: npt.NDArray[np.uint64]) -> bool:
 
 
 def _codes(rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.uint64]:
-    """A number for each row [N, 3], the same for equal rows: sorting numbers is faster than sorting rows."""
+    """A hash code for each row [N, 3]; equal rows have equal codes. Codes can be sorted faster than rows."""
     rows = rows + 0.0  # -0 becomes 0
     bits = rows.view(np.uint32 if rows.dtype == np.float32 else np.uint64).astype(np.uint64)
     x, y, z = ((bits ^ (bits >> np.uint64(29))) * _ODD).T
@@ -106,7 +106,7 @@ def merged_points(cloud: Cloud, of_point: Tensor, count: int) -> Cloud:
     if normals is not None:
         own = cloud.normals[first_of_each(of_point)].double()  # type: ignore[index]
         opposite = normals.square().sum(1, keepdim=True) < 1e-6  # the mean of opposite normals has no direction
-        equal = (normals == own).all(1, keepdim=True)  # kept bit by bit
+        equal = (normals == own).all(1, keepdim=True)  # keep them bit by bit
         normals = torch.where(opposite | equal, own, normalize(normals, dim=1))
     return Cloud(
         points.to(cloud.points.dtype),
@@ -116,11 +116,11 @@ def merged_points(cloud: Cloud, of_point: Tensor, count: int) -> Cloud:
 
 
 def points_within(points: Tensor, side: float) -> Tensor:
-    """The cube of a grid in which each point [N, 3] lies: [N] int64, numbered by first appearance.
+    """The cube in which each point lies, in a grid of cubes: [N] int64, numbered by first appearance.
 
     Args:
         points: [N, 3] metres; the grid starts at their smallest coordinates.
-        side: of a cube, metres, > 0.
+        side: side of a cube, metres, > 0.
     """
     scaled = (points.double() - points.double().amin(0)) / side
     cell = distinct_points(scaled.floor())
@@ -134,7 +134,7 @@ def first_of_each(of_point: Tensor) -> Tensor:
 
 
 def without_copies(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
-    """The cloud with each point once, and the point of it for each given point [N] int64; None: all points differ."""
+    """The cloud without copies, and its point for each given point, [N] int64; None: all points differ."""
     found = distinct_points(cloud.points)
     if found is None:
         return cloud, None
@@ -144,7 +144,7 @@ def without_copies(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
 
 
 def _lower_median(values: Tensor) -> float:
-    """The median of values [N]; of two in the middle the lower."""
+    """The median of values [N]; if two values are in the middle, the lower one."""
     middle = (len(values) - 1) // 2
     return float(np.partition(values.numpy(), middle)[middle])  # several times as fast as torch's
 
@@ -159,8 +159,9 @@ class LocalFrame(NamedTuple):
     def of(cls, points: Tensor) -> LocalFrame:
         """The frame of a cloud of distinct points [N, 3].
 
-        For each axis the origin is the lower median: a coordinate of the cloud, so that it moves exactly as the cloud
-        does, and a few wild points do not count. The step is about the resolution of float32 coordinates in the cloud.
+        For each axis the origin is the lower median of the coordinates. This is a coordinate of the cloud, so it moves
+        exactly with the cloud, and few outliers do not change it. The step is about the resolution of float32
+        coordinates in the cloud.
         """
         columns = points.unbind(1)
         medians = map(_lower_median, columns) if len(points) <= BLOCK else parallel_map(_lower_median, columns)
@@ -170,7 +171,7 @@ class LocalFrame(NamedTuple):
 
     @classmethod
     def of_world(cls) -> LocalFrame:
-        """The frame of the world itself."""
+        """The frame whose coordinates are those of the world."""
         return cls(torch.zeros(3, dtype=torch.float64), 0.0)
 
     def cloud(self, cloud: Cloud) -> Cloud:
@@ -180,9 +181,9 @@ class LocalFrame(NamedTuple):
         return replace(cloud, points=points)
 
     def pose(self, world_to_camera: Tensor) -> Tensor:
-        """The pose [4, 4] float64 for points of this frame.
+        """The pose [4, 4] float64 that maps points of this frame to the camera.
 
-        The error that float64 makes far from the world's origin is much smaller than `step`: rounding removes it.
+        Far from the world's origin float64 makes errors that are much smaller than `step`; rounding removes them.
         """
         pose = world_to_camera.double().clone()
         pose[:3, 3] += pose[:3, :3] @ self.origin
@@ -191,12 +192,12 @@ class LocalFrame(NamedTuple):
         return pose
 
     def is_same(self, other: LocalFrame) -> bool:
-        """Whether both frames have one origin."""
+        """Whether both frames have the same origin."""
         return torch.equal(self.origin, other.origin)
 
 
 def composed(*maps: Tensor | None) -> Tensor | None:
-    """The map of points that applies all `maps` in turn; None is the map that changes nothing."""
+    """The map of points that applies all `maps` one after the other; None is the identity."""
     result = None
     for one in maps:
         result = one if result is None else result if one is None else one[result]
@@ -204,18 +205,18 @@ def composed(*maps: Tensor | None) -> Tensor | None:
 
 
 def warn_of_rounding(points: Tensor, spacing: Tensor) -> None:
-    """Warns if float32 coordinates were so far from the origin that their rounding is visible in the spacing.
+    """Warns if float32 coordinates are so far from the origin that their rounding errors are near the spacing.
 
     Args:
-        points: [N, 3], as given.
-        spacing: [M] metres.
+        points: [N, 3], the given points.
+        spacing: [M] metres, spacing of the points.
     """
     if points.dtype != torch.float32 or len(spacing) < 2:
         return
     step, typical = float(points.abs().max()) * 2**-23, _lower_median(spacing)
     if step > ROUNDING * typical:
         warnings.warn(
-            f"points: float32 keeps only {step:.2g} m this far from the origin, and neighbours are {typical:.2g} m "
+            f"points: float32 keeps only {step:.2g} m this far from the origin, but neighbours are {typical:.2g} m "
             "apart; pass float64, or subtract an offset in float64",
             stacklevel=2,
         )

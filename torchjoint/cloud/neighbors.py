@@ -23,9 +23,9 @@ QUERIES = 1 << 18
 #: Where neighbours do not reach far enough, they are searched among every 2nd, 4th or 8th point.
 SHARES = (2, 4, 8)
 
-#: From so many points on, those of a cloud in no order are far apart in memory.
+#: Clouds with at least this many points are processed in an order in which neighbours are near in memory.
 ORDERED = 1 << 19
-#: Cells along the longest side of the cloud: so many that float32 tells the numbers of all 2^24 apart.
+#: Cells along the longest side of the cloud. With 2^8, float32 can represent the numbers of all 2^24 cells.
 CELLS = 1 << 8
 
 #: The spacing of a point is its mean distance to this many nearest neighbours.
@@ -42,13 +42,13 @@ class Neighbors(NamedTuple):
 def nearest_neighbors(points: Tensor, count: int, reach: float = 0.0) -> Neighbors:
     """The `count` nearest neighbours of each point (all other points if the cloud has fewer), nearest first.
 
-    In a LiDAR scan all nearest neighbours of a point may lie on the point's own beam. So where all K neighbours are
-    closer than `reach`, the K nearest are searched among half of the points instead, then a quarter, then an eighth,
-    evenly spread. The first search that reaches far enough counts, else the last one that has enough points.
+    In a LiDAR scan all nearest neighbours of a point may lie on the point's own beam. So if all K neighbours are closer
+    than `reach`, the K nearest are searched again among every second point, then every fourth, then every eighth. The
+    first search that reaches far enough counts, or else the last one that has enough points.
 
     Duplicate points are neighbours of one another at distance 0. Of equally far neighbours the one with the smaller
-    number comes first (:func:`torchjoint.ops.nearest_neighbors`). Only where neighbours are searched among fewer points
-    do equally far ones have the order in which SciPy's tree finds them, which is always the same for the same cloud.
+    number comes first (:func:`torchjoint.ops.nearest_neighbors`). In a search among fewer points, equally far
+    neighbours have the order of SciPy's tree, which is always the same for the same cloud.
 
     Args:
         points: [N, 3] float32 metres, N < 2^31.
@@ -89,13 +89,13 @@ def neighbor_tables(points: Tensor, counts: Iterable[int], reach: float) -> tupl
 
 
 def order_along_space(points: Tensor) -> Tensor | None:
-    """An order of the points in which neighbours mostly follow one another: that of cells along a Z-shaped curve.
+    """An order of the points in which neighbours are mostly near each other: cells along a Z-order curve.
 
     Args:
         points: [N, 3] metres, finite.
 
     Returns:
-        [N] int32; None for clouds that fit in a processor's cache anyway.
+        [N] int32; None for small clouds, which fit in a processor's cache.
     """
     if len(points) < ORDERED:
         return None
@@ -147,7 +147,7 @@ def _pieces(order: Array) -> Iterator[Array]:
 
 
 def _without_self(rows: Array, index: Array, distance: Array) -> tuple[Array, Array]:
-    """Drops the point itself. It usually comes first, but a duplicate may; if it was not found, drops the farthest."""
+    """Removes the point itself, which is not always first if it has duplicates; if it is absent, the farthest."""
     is_self = index == rows[:, None]
     if is_self[:, 0].all():
         return index[:, 1:], distance[:, 1:]

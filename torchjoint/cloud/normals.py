@@ -16,7 +16,7 @@ def estimate_normals(points: Tensor, neighbors: Tensor, order: Tensor | None = N
     Args:
         points: [N, 3] float32 metres.
         neighbors: [N, K] int32 or int64. With K < 2 a plane is not defined and the normal is (0, 0, 1).
-        order: [N] int32 of :func:`~torchjoint.cloud.neighbors.order_along_space`; saves time, changes nothing.
+        order: [N] int32 of :func:`~torchjoint.cloud.neighbors.order_along_space`; only saves time.
 
     Returns:
         [N, 3] float32, unit length.

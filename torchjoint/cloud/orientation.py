@@ -11,7 +11,7 @@ from torchjoint.scene.camera import camera_center
 
 
 def orientation_votes(graph: PointGraph, point: Tensor, world_to_camera: Tensor) -> Tensor:
-    """Whether the normals of points [M] point to the camera: [M] int64, 1 = towards it, -1 = away from it, 0 = neither.
+    """The direction of normals relative to a camera: [M] int64, 1 = towards it, -1 = away from it, 0 = neither.
 
     Args:
         graph: points and normals.
@@ -26,7 +26,7 @@ def orient_normals(graph: PointGraph, facing: Tensor) -> tuple[Tensor, Tensor]:
     """Turns normals to the cameras, because a surface is seen from outside.
 
     Args:
-        graph: the normals.
+        graph: the graph with the normals.
         facing: [N] int64, sum of :func:`orientation_votes` over the images that see a point.
 
     Returns:

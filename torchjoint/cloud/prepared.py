@@ -1,4 +1,4 @@
-"""Step 3: a cloud that is ready for frames: distinct points, centred, and their graph."""
+"""Step 3: the prepared cloud: distinct points, centred, and their graph."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from torchjoint.scene import Cloud
 
 
 class PreparedCloud(NamedTuple):
-    """A cloud that is ready for frames."""
+    """A cloud with its graph. Frames can now be observed."""
 
     graph: PointGraph
-    local: LocalFrame  #: of the graph's points
+    local: LocalFrame  #: the coordinates of the graph's points
     of_point: Tensor | None  #: [N] int64, the graph's point of each given point; None = itself
 
     def of_given(self, of_point: Tensor | None) -> PreparedCloud:
-        """The same for points [N] of which this has only the distinct ones: `of_point` [N] int64; None = all."""
+        """The same graph for N other points; `of_point` [N] int64 gives the given point of each; None = the same."""
         return self._replace(of_point=composed(of_point, self.of_point))
 
     def is_same(self, other: PreparedCloud) -> bool:
-        """Whether frames can be seen with one of both clouds, and their evidence be used with the other."""
+        """Whether evidence of frames that was collected with one cloud is valid for the other."""
         return self.graph.is_same(other.graph) and self.local.is_same(other.local)
 
 
 def local_cloud(cloud: Cloud, frame: LocalFrame, merge_within: float = 0.0) -> tuple[Cloud, Tensor | None]:
-    """The cloud in float32 coordinates of a frame, with each point once.
+    """The cloud in float32 coordinates of a local frame, without copies.
 
     Args:
         cloud: N points.
-        frame: of the coordinates.
-        merge_within: metres; the points in a cube with this side count as one; 0: only copies.
+        frame: the local frame.
+        merge_within: metres; points in one cube with this side are merged; 0: only copies are merged.
 
     Returns:
-        the cloud, and [N] int64 its point of each given one; None = itself.
+        the cloud; and [N] int64, its point for each given point. None: the points are the same.
     """
     local, rounded = without_copies(frame.cloud(cloud))
     if merge_within == 0:

@@ -20,18 +20,18 @@ from torchjoint.runtime.threads import all_threads, parallel_map
 
 #: Number of neighbours to which the plane of a point is fitted, and around which the noise is measured.
 NEIGHBORS = 24
-#: Smallest number of points to which a plane is fitted; a point with fewer has no residual.
+#: Smallest number of points to which a plane is fitted; with fewer points the residual comes from a horizontal plane.
 MIN_POINTS = 6
-#: The noise at a point is this quantile of the residuals around it: points at creases have large residuals, not noise.
+#: The noise at a point is this quantile of the residuals around it. It is low, because creases cause large residuals.
 NOISE_QUANTILE = 0.3
-#: Normals are fitted to this many neighbours for each unit of noise / spacing: the error of a normal is about
-#: noise / (radius x sqrt(k)), and the radius of k neighbours grows with spacing x sqrt(k), so k is proportional to
-#: noise / (spacing x error).
+#: Normals are fitted to k = this x noise / spacing neighbours. The error of a normal is about
+#: noise / (radius x sqrt(k)), and the radius of k neighbours grows with spacing x sqrt(k). So for a given error k is
+#: proportional to noise / spacing.
 NEIGHBORS_PER_NOISE = 160
-#: Range of the number of neighbours of a normal: fewer are not robust, more round off small objects.
+#: Smallest and largest number of neighbours of a normal. Fewer are not robust; more round off small objects.
 NORMAL_NEIGHBORS = (16, 64)
-#: Smallest noise and spacing, in multiples of the cloud's median spacing: clouds without noise exist, and both are
-#: divisors.
+#: Smallest noise and spacing, in multiples of the cloud's median spacing. Both are divisors, and clouds without noise
+#: exist.
 SMALLEST = 1e-3
 #: Number of points processed at a time, on one of the threads.
 POINTS = 1 << 16
@@ -42,7 +42,7 @@ class Scales(NamedTuple):
 
     noise: Tensor  #: [N] float32 metres, typical distance of the points to the surface, > 0
     spacing: Tensor  #: [N] float32 metres, mean distance to the four nearest neighbours, > 0
-    normal_neighbors: int  #: number of neighbours that suffice for normals in spite of the noise, 16 ... 64
+    normal_neighbors: int  #: number of neighbours for normals, 16 ... 64; more noise needs more
 
 
 def measure_scales(points: Tensor) -> Scales:

@@ -10,9 +10,9 @@ from torch import nn
 
 @contextmanager
 def eval_mode(module: nn.Module) -> Iterator[None]:
-    """Inside the block the module and all its parts are in evaluation mode; afterwards the old modes are restored.
+    """Sets a module and all its parts to evaluation mode inside a block, and restores their modes afterwards.
 
-    In training mode the output would depend on how frames are batched. The old modes are restored because the module
+    In training mode the output would depend on the batches of frames. The old modes are restored because the module
     belongs to the caller.
     """
     before = [(part, part.training) for part in module.modules()]

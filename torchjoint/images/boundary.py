@@ -15,10 +15,10 @@ from torchjoint.images.structured_forest import MULTI_SCALE, StructuredForestBou
 
 
 def make_boundary(config: BoundaryConfig) -> nn.Module:
-    """The detector that a config names.
+    """Makes the detector that a config names.
 
     Raises:
-        ValueError: the user's module cannot be imported, cannot be made without arguments, or is no
+        ValueError: the user's module cannot be imported or made without arguments, or is no
             :class:`torch.nn.Module`.
     """
     if config.detector == "gradient":

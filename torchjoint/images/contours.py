@@ -9,12 +9,12 @@ from torchjoint import ops
 from torchjoint.images.smoothing import smooth
 from torchjoint.runtime.threads import parallel_map
 
-#: Standard deviation of the blur of the boundaries before the watershed, pixels: without it, the noise of a detector
-#: makes many tiny regions; much more rounds corners off.
+#: Standard deviation of the blur of the boundaries before the watershed, pixels. Without blur, the noise of a detector
+#: makes many tiny regions; a much larger blur rounds corners.
 SMOOTHING = 1.0
 
-#: Exponent of a contour's strength: the contours of texture are weak in the mean, and nearly vanish. At 1,
-#: they count as in the detector's boundaries.
+#: Exponent of a contour's strength. The mean strength of contours of texture is low, so they nearly vanish. With 1 the
+#: strength is not changed.
 EXPONENT = 3.0
 
 

@@ -1,4 +1,4 @@
-"""Step 1: the arrays of a structured forest, and the file from which OpenCV reads it."""
+"""Step 1: the arrays of a structured forest, and its file in OpenCV's format."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from torchjoint.runtime.files import atomic_write
 
-#: Largest size of a forest's text, bytes; the package's own has 26 MB.
+#: Largest size of a forest's decompressed file, bytes; the forest of the package has 26 MB.
 MAX_TEXT = 1 << 27
-#: Side of the patch whose boundaries a leaf stores, pixels.
+#: Side of the patch of boundaries that a leaf stores, pixels.
 LABEL_SIZE = 16
 #: Number of features that OpenCV's detector computes of a patch.
 NUM_FEATURES = 7228
 
-#: The options in a forest's file; OpenCV computes the features accordingly.
+#: The options in a forest's file. They determine the features that OpenCV computes.
 _OPTIONS = {
     "numberOfTrees": 8,
     "numberOfTreesToEvaluate": 4,
@@ -47,7 +47,7 @@ class Forest:
     Attributes:
         children: [T, N] int32, 0 at a leaf, else 1 + the left child's index in the tree; the right child follows.
         features: [T, N] int32, the feature that an inner node tests.
-        thresholds: [T, N] float32; a patch whose feature is less than the threshold goes left.
+        thresholds: [T, N] float32; a patch goes left if its feature is less than the threshold.
         boundary_counts: [T, N] int32, the number of `boundary_pixels` that belong to a leaf.
         boundary_pixels: [P] uint8, column * 16 + row of each boundary pixel in a leaf's patch; leaves are in the order
             of trees, then nodes.
@@ -67,7 +67,7 @@ class Forest:
     def __post_init__(self) -> None:
         trees, nodes = self.children.shape
         if trees == 0 or nodes == 0 or not 1 <= self.trees_per_site <= trees:
-            raise ValueError(f"trees_per_site: {self.trees_per_site} of {trees} trees with {nodes} nodes")
+            raise ValueError(f"trees_per_site: expected 1 to {trees}, got {self.trees_per_site} ({nodes} nodes a tree)")
         for name in ("features", "thresholds", "boundary_counts"):
             if getattr(self, name).shape != (trees, nodes):
                 raise ValueError(f"{name}: expected shape {[trees, nodes]}, got {list(getattr(self, name).shape)}")
@@ -115,7 +115,7 @@ def read_forest(path: Path) -> Forest:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is incomplete, is no structured forest, or its options differ from those used here.
+        ValueError: the file is incomplete, is no structured forest, or has other options than `_OPTIONS`.
     """
     text = _read_text(path)
     try:
@@ -141,7 +141,7 @@ def _read_text(path: Path) -> bytes:
 
 
 def _rows(values: NDArray[np.generic], length: int = 1000) -> Iterator[bytes]:
-    """YAML flow lists; few and long ones, because OpenCV reads many short lists more slowly."""
+    """YAML flow lists. They are few and long, because OpenCV reads many short lists more slowly."""
     for start in range(0, len(values), length):
         part = values[start : start + length].tolist()
         numbers = (f"{value:.9g}" for value in part) if values.dtype.kind == "f" else map(str, part)

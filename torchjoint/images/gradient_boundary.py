@@ -9,10 +9,10 @@ from torch import Tensor, nn
 from torchjoint.images.smoothing import smooth
 from torchjoint.runtime.threads import parallel_map
 
-#: Standard deviation of the blur before the gradient, pixels: suppresses the noise of a camera, keeps edges sharp.
+#: Standard deviation of the blur before the gradient, pixels. It suppresses the noise of a camera but keeps edges.
 SMOOTHING = 1.0
 
-#: Gradient at which the boundary is 1 - 1/e, Lab units per pixel: clear edges are above it, shading is far below it.
+#: Gradient at which the boundary is 1 - 1/e, Lab units per pixel. Clear edges exceed it; shading is far below it.
 CONTRAST = 8.0
 
 

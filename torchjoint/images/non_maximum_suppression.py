@@ -40,7 +40,7 @@ def suppress_non_maxima(boundary: Tensor) -> Tensor:
     if boundary.numel() == 0:
         return boundary
     right, down = _normals(boundary)
-    # The two sides lie in opposite quadrants; the sign of the product tells which quadrants.
+    # The two sides lie in opposite quadrants. The sign of the product determines which.
     falls = (right * down >= 0).float() * 2 - 1
     right, down = right.abs(), down.abs()
     around = _shifted(boundary)
@@ -64,7 +64,7 @@ def _normals(boundary: Tensor) -> tuple[Tensor, Tensor]:
     xx = around[0, 1] + around[0, -1] - 2 * smooth
     yy = around[1, 0] + around[-1, 0] - 2 * smooth
     xy = (around[1, 1] + around[-1, -1] - around[1, -1] - around[-1, 1]) / 4
-    bends_up = xx + yy > 0  # beside a line: there the normal belongs to the greater eigenvalue
+    bends_up = xx + yy > 0  # beside a line, where the normal belongs to the larger eigenvalue
     angle = torch.where(bends_up, torch.atan2(2 * xy, xx - yy), torch.atan2(-2 * xy, yy - xx)) / 2
     return angle.cos(), angle.sin()
 

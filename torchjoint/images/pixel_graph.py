@@ -39,7 +39,7 @@ def pixel_weights(image: Tensor, boundary: Tensor, config: ImageGraphConfig) -> 
     weights = []
     for (color_i, color_j), (b_i, b_j) in zip(_neighbor_views(colors), _neighbor_views(boundary), strict=True):
         red, green, blue = (color_i - color_j).square()
-        # torch's float32 sqrt is sometimes wrong in the last bit, felzenszwalb_image is exact; so take it in float64.
+        # The root is taken in float64 to equal felzenszwalb_image: torch's float32 root may be wrong in the last bit.
         distance = ((red + green) + blue).double().sqrt().float()
         weights.append((config.color_weight * distance + config.boundary_weight * torch.minimum(b_i, b_j)).reshape(-1))
     return torch.cat(weights)

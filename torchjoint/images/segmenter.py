@@ -21,7 +21,7 @@ from torchjoint.scene.masks import as_masks
 
 
 class ImageSegments(NamedTuple):
-    """What steps 1 and 2 give of one frame."""
+    """The result of steps 1 and 2 for one frame."""
 
     boundary: Tensor  #: [H, W] float32 in [0, 1]
     labels: Tensor  #: [H, W] int64, 0, 1, ... without gaps, -1 = none; with masks: their atoms
@@ -31,8 +31,8 @@ class ImageSegments(NamedTuple):
 class ImageSegmenter(nn.Module):
     """Computes boundaries and initial segments of frames of one size (steps 1 and 2).
 
-    The segments are the frame's masks or labels if it has some, else those of `segmenter` if given, else those of the
-    pixel graph. The boundaries of masks are their outlines; other frames need the detector.
+    The segments are the frame's own masks or labels if it has them; otherwise those of `segmenter` if it is given;
+    otherwise those of the pixel graph. For masks the boundaries are their outlines; for other frames the detector runs.
 
     Args:
         config: parameters.
@@ -66,7 +66,7 @@ class ImageSegmenter(nn.Module):
             return self._detect(torch.stack([frame.image for frame in frames]))
 
     def _given(self, frames: Sequence[Frame]) -> list[Masks | Tensor | None]:
-        """The masks or dense labels of each frame, or the segmenter's; None: those of the pixel graph are wanted."""
+        """The masks or dense labels of each frame, its own or the segmenter's; None: use the pixel graph."""
         given: list[Masks | Tensor | None] = []
         for frame in frames:
             given.append(frame.masks if isinstance(frame.masks, Masks) else frame.labels)
@@ -115,7 +115,8 @@ class ImageSegmenter(nn.Module):
         if boundaries.shape != images[:, 0].shape:
             raise ValueError(f"boundary: expected [B, H, W] = {list(images[:, 0].shape)}, got {list(boundaries.shape)}")
         if not ((boundaries >= 0) & (boundaries <= 1)).all():
-            raise ValueError("boundary: expected values in [0, 1] and no NaN")
+            low, high = float(boundaries.min()), float(boundaries.max())
+            raise ValueError(f"boundary: expected numbers in [0, 1], got {low:.4g} to {high:.4g}")
         boundaries = boundaries.float()
         return close_contours(boundaries) if self.config.contours.closed else boundaries
 

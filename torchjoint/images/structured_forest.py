@@ -19,10 +19,10 @@ from torchjoint.images.non_maximum_suppression import suppress_non_maxima
 from torchjoint.ops.structured_forest import structured_forest
 from torchjoint.runtime.threads import all_threads, parallel_map
 
-#: Width in pixels of the mirrored margin around the image. With it boundaries near the image border get as many votes
-#: as other boundaries.
+#: Width of the mirrored margin around the image, pixels. It gives boundaries near the image border as many votes as
+#: other boundaries.
 MARGIN = 16
-#: Boundary strength is 1 - exp(-GAIN x votes): it uses the whole range [0, 1) and never reaches 1.
+#: Boundary strength is 1 - exp(-GAIN x votes), which uses the whole range [0, 1).
 GAIN = 4.0
 MULTI_SCALE = (0.5, 1.0, 2.0)
 #: Share of a vote that depends on the ratio of the colour gradient at the pixel to the mean gradient around it.
@@ -47,7 +47,7 @@ class StructuredForestBoundary(nn.Module):
 
     Raises:
         FileNotFoundError: the model's file is missing.
-        ValueError: the file is incomplete or is no structured forest; or a bad scale or stride.
+        ValueError: the file is incomplete or is no structured forest; or `scales` or `stride` is out of range.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ def relative_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
     smooth = cv2.GaussianBlur(image, (0, 0), _GRADIENT_SMOOTHING)
     right, down = (np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *way, ksize=1), np.float32) for way in ((1, 0), (0, 1)))
-    # In place, and with OpenCV's sum over the channels: new memory and NumPy's sum take twice the time of the rest.
+    # In place, and with OpenCV's sum over channels: new memory and NumPy's sum take twice as long as the rest.
     right *= right
     down *= down
     right += down
@@ -145,7 +145,7 @@ def relative_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def padded(image: NDArray[Any]) -> NDArray[Any]:
-    """The image [H, W, ...] with mirrored margins; its sides are multiples of 4, as OpenCV likes them."""
+    """The image [H, W, ...] with mirrored margins; its sides are multiples of 4, as in OpenCV."""
     import cv2
 
     height, width = image.shape[:2]

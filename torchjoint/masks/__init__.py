@@ -1,4 +1,4 @@
-"""Masks of a network for :class:`torchjoint.Frame`: converters of what networks and their tools give.
+"""Masks of a network for :class:`torchjoint.Frame`: converters from the outputs of networks and their tools.
 
 From memory, each to the :class:`Masks` of one image: :func:`from_labels` (label maps), :func:`from_stack` (one image a
 mask), :func:`from_sam` (lists of dicts of SAM's automatic mask generators), :func:`from_coco` (COCO annotations),

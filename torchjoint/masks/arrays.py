@@ -1,4 +1,4 @@
-"""Tensors from what networks give: NumPy arrays, tensors on any device."""
+"""Converts outputs of networks (NumPy arrays, tensors on any device) to tensors on the CPU."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from torch import Tensor
 
 
 def as_tensor(values: Any, name: str) -> Tensor:
-    """A tensor on the CPU, without gradient, of a tensor or a NumPy array.
+    """Converts a tensor or a NumPy array to a tensor on the CPU without gradient.
 
     Raises:
-        TypeError: neither of the two, or an array of another kind than numbers and booleans.
+        TypeError: neither of the two, or an array that has no numbers or booleans.
     """
     if isinstance(values, Tensor):
         return values.detach().cpu()
@@ -26,7 +26,7 @@ def as_tensor(values: Any, name: str) -> Tensor:
 
 
 def as_binary(values: Any, name: str) -> Tensor:
-    """A bool tensor of booleans, or of numbers that are all 0 or 1, or all 0 or 255.
+    """Converts booleans, numbers 0 and 1, or uint8 numbers 0 and 255 to a bool tensor.
 
     Raises:
         TypeError: as :func:`as_tensor`.
@@ -47,7 +47,7 @@ def as_binary(values: Any, name: str) -> Tensor:
 
 
 def as_scores(scores: Any, name: str) -> Tensor | None:
-    """Scores as a tensor, if there are any; a list of numbers will do."""
+    """Converts scores (a tensor, an array or a list of numbers) to a float tensor; None stays None."""
     if scores is None:
         return None
     if isinstance(scores, (list, tuple)):

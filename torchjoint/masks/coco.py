@@ -43,10 +43,10 @@ def from_coco(annotations: Sequence[Mapping[str, Any]], size: tuple[int, int]) -
 
 
 class CocoFile:
-    """The masks of a COCO data set (`images` and `annotations`), by the stems of the images' file names.
+    """The masks of a COCO data set (`images` and `annotations`). A name is the stem of an image's file name.
 
     Raises:
-        ValueError: the file is no such JSON.
+        ValueError: the file is not a JSON file of this form.
     """
 
     def __init__(self, path: Path) -> None:
@@ -61,10 +61,10 @@ class CocoFile:
                 self._annotations[annotation["image_id"]].append(annotation)
         except (KeyError, TypeError) as error:
             raise ValueError(
-                f"{path}: images need file_name and id, annotations the id of an image: {error}"
+                f"{path}: expected images with file_name and id, annotations with image_id: {error}"
             ) from error
         if len(self._images) < len(data["images"]):
-            raise ValueError(f"{path}: two images have one name")
+            raise ValueError(f"{path}: expected images with different file names, got two of one name")
 
     @property
     def names(self) -> list[str]:
@@ -75,7 +75,7 @@ class CocoFile:
         """The masks of an image.
 
         Raises:
-            ValueError, TypeError: a damaged annotation, by file, image and number.
+            ValueError: a damaged annotation; the message names file, image and annotation.
         """
         image = self._images[name]
         try:
@@ -88,9 +88,9 @@ def read_json(path: Path) -> Any:
     """The content of a JSON file.
 
     Raises:
-        ValueError: it is damaged; the message names it.
+        ValueError: the file is damaged; the message names it.
     """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: no JSON, or a truncated one: {error}") from error
+        raise ValueError(f"{path}: not a whole JSON file: {error}") from error

@@ -1,4 +1,4 @@
-"""The masks of one frame in files."""
+"""Reads and writes the masks of one frame."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ METADATA = "metadata.csv"
 
 @on_cpu()
 def read_masks(path: Path | str) -> Masks:
-    """The masks of one frame, by the kind of file.
+    """Reads the masks of one frame. The kind of file determines the reader.
 
     Args:
         path: one of
@@ -62,10 +62,10 @@ def read_masks(path: Path | str) -> Masks:
 
 @on_cpu()
 def save_masks(path: Path | str, masks: Masks) -> None:
-    """Writes masks for :func:`read_masks`, compressed, atomically (a temporary file is renamed); makes the folder.
+    """Writes masks for :func:`read_masks`, compressed, to a temporary file that is then renamed; makes the folder.
 
     Raises:
-        ValueError: a file name that does not end with .npz.
+        ValueError: the file name does not end with .npz.
     """
     path = Path(path)
     if path.suffix != ".npz":
@@ -129,4 +129,4 @@ def _scores(path: Path, ids: list[str]) -> list[float] | None:
             scores.append(float(values[0]) * float(values[1]))
         except ValueError as error:
             raise ValueError(f"{path}: expected numbers in the line with id {name}, got {', '.join(values)}") from error
-    return [score if score != score else min(max(score, 0.0), 1.0) for score in scores]  # NaN is an error later
+    return [score if score != score else min(max(score, 0.0), 1.0) for score in scores]  # Masks checks for NaN

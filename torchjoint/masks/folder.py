@@ -1,4 +1,4 @@
-"""The masks of all frames of a scene, in one folder or one COCO file."""
+"""Reads the masks of all frames of a scene from one folder or one COCO file."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from torchjoint.scene import Frame, Scene
 from torchjoint.scene.masks import Masks
 
 Readers = dict[str, Callable[[], Masks]]
-#: Names that a warning shows, at most.
+#: Largest number of names that a message shows.
 _SHOWN = 5
 
 
 def read_folder(folder: Path | str, scene: Scene, without: Literal["segment", "leave out"] = "segment") -> Scene:
-    """The scene with frames that carry masks, each read when its frame is read.
+    """Adds masks to the frames of a scene. The masks of a frame are read when the frame is read.
 
-    Masks belong to the frame of the same name. Names of masks may have one more suffix: ``frame-000001.masks.png`` are
-    those of frame ``frame-000001``.
+    Masks belong to the frame of the same name. Names of masks may have one more suffix: ``frame-000001.masks.png``
+    belongs to frame ``frame-000001``.
 
     Args:
         folder: files and folders that :func:`read_masks` reads, one for each frame; or a COCO data set, one JSON file.
-        scene: whose frames have names.
-        without: what becomes of frames without masks: "segment", the segmenter segments them itself; or "leave out".
+        scene: a scene whose frames have names.
+        without: "segment" keeps frames without masks, and the segmenter segments them; "leave out" drops them.
 
     Raises:
         FileNotFoundError: there is no such folder or file.
-        ValueError: no name of masks is that of a frame; or two masks for one frame. When a frame is read: damaged
-            masks, by file.
+        ValueError: no masks have the name of a frame, or a frame has two files of masks. Later, when a frame is read:
+            its masks are damaged; the message names the file.
 
     Warns:
-        UserWarning: frames without masks, and masks without a frame, with their number and first names.
+        UserWarning: some frames have no masks, or some masks have no frame; with their number and first names.
     """
     if without not in ("segment", "leave out"):
         raise ValueError(f"without: expected 'segment' or 'leave out', got {without!r}")
@@ -66,13 +66,13 @@ def read_folder(folder: Path | str, scene: Scene, without: Literal["segment", "l
 
 
 def check_files(folder: Path | str) -> None:
-    """Reads all masks once, so that damage is found before hours of work.
+    """Reads all masks once, to find damaged files before a long run.
 
     Args:
-        folder: as of :func:`read_folder`.
+        folder: as in :func:`read_folder`.
 
     Raises:
-        FileNotFoundError, ValueError: as of :func:`read_folder`, and for the first file that is damaged.
+        FileNotFoundError, ValueError: as in :func:`read_folder`; ValueError also for the first damaged file.
     """
 
     def check(reader: Callable[[], Masks]) -> None:
@@ -82,7 +82,7 @@ def check_files(folder: Path | str) -> None:
 
 
 def frame_names(frames: Sequence[Frame]) -> list[str]:
-    """The names of frames; lazy frames of known names are not read."""
+    """The names of frames. Lazy frames are not read if their names are known."""
     if isinstance(frames, LazySequence) and len(frames.names) == len(frames):
         return list(frames.names)
     if isinstance(frames, Subset) and isinstance(frames.dataset, Sequence):
@@ -96,7 +96,7 @@ def _with_masks(frame: Frame, reader: Callable[[], Masks] | None) -> Frame:
 
 
 def _readers(folder: Path) -> Readers:
-    """What reads each frame's masks, by name."""
+    """The readers of masks: name of the masks -> function that reads them."""
     if folder.is_file():
         coco = CocoFile(folder)
         return {name: partial(coco.read, name) for name in coco.names}
@@ -115,7 +115,7 @@ def _readers(folder: Path) -> Readers:
 
 
 def _matched(names: Sequence[str], readers: Readers, folder: Path) -> list[Callable[[], Masks] | None]:
-    """The reader of each frame, None = no masks; warns of masks without a frame."""
+    """The reader of each frame's masks; None = no masks. Warns if masks have no frame."""
     known = set(names)
     of_name: Readers = {}
     lost = []

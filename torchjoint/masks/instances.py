@@ -1,4 +1,4 @@
-"""Masks from the instances of Detectron2 and of what is built on it, such as Mask2Former and CropFormer."""
+"""Masks from the instances of Detectron2 and of networks built on it, such as Mask2Former and CropFormer."""
 
 from __future__ import annotations
 

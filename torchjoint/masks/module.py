@@ -1,4 +1,4 @@
-"""A network in the loop: a module whose output, whatever its form, becomes masks."""
+"""Wraps a network so that its output, in any known form, becomes masks."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def from_module(
         network: a module or a function. Its output for one image may be Masks; a label map [H, W]; a stack [M, H, W] of
             booleans; a pair (stack, scores); SAM's list of dicts; or a dict or an object with ``pred_masks`` or
             ``instances`` (Detectron2) or with ``segmentation`` and ``segments_info`` (Hugging Face).
-        images: what the network takes. "batch": [B, 3, H, W] float32 RGB in [0, 1]; it returns a sequence of B outputs,
-            or a tensor of B label maps. "array": one image at a time, [H, W, 3] uint8 RGB, as SAM's `generate`.
+        images: the network's input. "batch": [B, 3, H, W] float32 RGB in [0, 1]; it returns a sequence of B outputs,
+            or a tensor of B label maps. "array": one image at a time, [H, W, 3] uint8 RGB, as for SAM's `generate`.
         none: the value of pixels without a mask in label maps, -1 or 0.
 
     Raises:
-        ValueError: an unknown form of images. Errors of the output name what was expected and what came.
+        ValueError: `images` is neither "batch" nor "array".
     """
     if images not in ("batch", "array"):
         raise ValueError(f"images: expected 'batch' or 'array', got {images!r}")
@@ -40,7 +40,7 @@ def from_module(
 
 
 class MasksOfNetwork(nn.Module):
-    """What :func:`from_module` returns: [B, 3, H, W] float32 RGB in [0, 1] -> a list of B Masks."""
+    """The result of :func:`from_module`: a module [B, 3, H, W] float32 RGB in [0, 1] -> a list of B Masks."""
 
     def __init__(self, network: Callable[[Any], Any], takes_arrays: bool, none: int) -> None:
         super().__init__()
@@ -52,7 +52,7 @@ class MasksOfNetwork(nn.Module):
         """The masks of each image.
 
         Raises:
-            ValueError, TypeError: another number of outputs than images, or an output of no known form.
+            ValueError, TypeError: the numbers of outputs and images differ, or an output has no known form.
         """
         size = images.shape[2], images.shape[3]
         if self._takes_arrays:

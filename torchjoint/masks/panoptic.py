@@ -19,11 +19,11 @@ def from_panoptic(segmentation: Any, segments_info: Sequence[Mapping[str, Any]])
 
     Args:
         segmentation: [H, W] integers.
-        segments_info: a dict for each mask, with ``id``, its value in the map, and an optional ``score`` in [0, 1].
+        segments_info: a dict for each mask: ``id``, the mask's value in the map, and an optional ``score`` in [0, 1].
             Pixels with other values are in no mask.
 
     Raises:
-        ValueError, TypeError: naming the argument, what was expected and what came; also if an id comes twice.
+        ValueError, TypeError: naming the argument, what was expected and what came; also if an id occurs twice.
 
     >>> import torch
     >>> from_panoptic(torch.tensor([[0, 4, 4]]), [{"id": 4, "score": 0.9}])

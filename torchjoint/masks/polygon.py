@@ -9,14 +9,14 @@ import numpy.typing as npt
 def filled_polygon(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> npt.NDArray[np.bool_]:
     """The pixels whose centres lie in a polygon, or on its edge.
 
-    Where edges cross each other, a pixel is inside if a ray from it crosses an odd number of edges.
+    A pixel is inside if a ray from it crosses an odd number of edges. Edges may cross each other.
 
     Args:
         corners: [C, 2] finite (x, y), pixels; integers are the centres of pixels.
         size: (H, W) of the image.
 
     Returns:
-        [H, W].
+        [H, W] bool.
     """
     height, width = size
     crossed = np.zeros((height, width + 1), dtype=np.int64)
@@ -31,7 +31,7 @@ def filled_polygon(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> n
         column = np.round(x)
         exact = ((column - x0) * (y1 - y0) == (row - y0) * (x1 - x0)) & (column >= 0) & (column < width)
         on_edge[row[exact], column[exact].astype(np.int64)] = True
-        # A row through a corner belongs to the edge below it alone; pixels right of the edge change sides.
+        # A row through a corner belongs to the edge below it alone; pixels to the right of the edge change sides.
         counts = row < high
         crossed[row[counts], np.clip(np.ceil(x[counts]), 0, width).astype(np.int64)] += 1
     inside = np.cumsum(crossed[:, :width], axis=1) % 2 == 1

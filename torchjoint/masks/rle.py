@@ -17,10 +17,10 @@ def decode_rle(rle: Mapping[str, Any], name: str = "segmentation") -> Tensor:
 
     Args:
         rle: ``size`` [H, W], and ``counts``: a list of numbers, or COCO's compressed string.
-        name: what messages call it.
+        name: name of the mask in messages.
 
     Raises:
-        ValueError, TypeError: naming the entry; also if the counts do not add up to H x W pixels.
+        ValueError, TypeError: naming the entry; also if the sum of the counts is not H x W.
 
     >>> decode_rle({"size": [2, 3], "counts": [1, 2, 3]}).int()
     tensor([[0, 1, 0],
@@ -46,9 +46,10 @@ def decode_rle(rle: Mapping[str, Any], name: str = "segmentation") -> Tensor:
 
 
 def _uncompressed(text: str | bytes, name: str) -> list[int]:
-    """The counts of a compressed string: 5 bits a character, least significant first, from the third on as differences.
+    """The counts of a compressed string: 5 bits a character, lowest bits first.
 
-    Bit 6 of a character says that the number goes on; the highest bit of a number's last character is its sign.
+    The sixth bit of a character means that the number continues in the next character. The fifth bit of the last
+    character is the sign. From the fourth count on, the string has differences to the count two places before.
     """
     counts: list[int] = []
     number, shift = 0, 0
@@ -65,7 +66,7 @@ def _uncompressed(text: str | bytes, name: str) -> list[int]:
         counts.append(number + (counts[-2] if len(counts) > 2 else 0))
         number, shift = 0, 0
     if shift:
-        raise ValueError(f"{name}: truncated, the last number goes on")
+        raise ValueError(f"{name}: truncated, the last number is incomplete")
     return counts
 
 

@@ -21,7 +21,7 @@ def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None 
         records: a dict for each mask: ``segmentation`` (array [H, W], or COCO run lengths, compressed or not);
             optional ``predicted_iou`` and ``stability_score``, whose product, clipped to [0, 1], is the score; optional
             ``area``, which must be the mask's number of pixels.
-        size: (H, W) of the image; needed if there may be no mask.
+        size: (H, W) of the image; required if `records` may be empty.
 
     Raises:
         ValueError, TypeError: naming the record and its entry, what was expected and what came.

@@ -1,4 +1,4 @@
-"""One mask in any of the forms that records of SAM and COCO have it in: array, run lengths, polygons."""
+"""One mask from any form in the records of SAM and COCO: array, run lengths, polygons."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def mask_of(segmentation: Any, size: tuple[int, int] | None, name: str) -> Tenso
 
     Args:
         segmentation: an array [H, W], run lengths (a dict), or polygons (a list of lists x, y, x, y, ...).
-        size: (H, W) that it must have, if that is known; polygons need it.
-        name: what messages call it.
+        size: (H, W) that the mask must have; None: any size. Polygons need it.
+        name: name of the mask in messages.
 
     Raises:
         ValueError, TypeError: naming the segmentation, what was expected and what came.
@@ -41,7 +41,7 @@ def mask_of(segmentation: Any, size: tuple[int, int] | None, name: str) -> Tenso
 
 
 def _filled(polygons: Sequence[Any], size: tuple[int, int], name: str) -> Tensor:
-    """The pixels whose centres lie in one of the polygons; COCO's coordinates of a pixel's centre end with .5."""
+    """The pixels whose centres lie in one of the polygons; COCO's pixel centres have coordinates that end with .5."""
     mask = np.zeros(size, dtype=bool)
     for polygon in polygons:
         try:
@@ -57,10 +57,10 @@ def _filled(polygons: Sequence[Any], size: tuple[int, int], name: str) -> Tensor
 
 
 def stacked(masks: Sequence[Tensor], size: tuple[int, int] | None, name: str) -> Tensor:
-    """[M, H, W] bool of masks of one size.
+    """Stacks masks of one size to [M, H, W] bool.
 
     Raises:
-        ValueError: sizes differ; or there is neither a mask nor a size.
+        ValueError: the sizes differ; or there is no mask and no size.
     """
     if not masks:
         if size is None:

@@ -42,5 +42,5 @@ def describe(given: Cloud, graph: PointGraph, method: Method) -> str:
         what += f", much denser than their noise: thinned to {graph.num_points}"
     what += method.measured(graph)
     if method.name == "learned" and graph.colors is None:
-        what += f", {'no colours' if given.colors is None else 'all of one colour'} (those of images count)"
+        what += f", {'no colours' if given.colors is None else 'all of one colour'} (those of the images are used)"
     return f"{what}; step 6 by method {method.name}"

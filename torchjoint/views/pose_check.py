@@ -204,7 +204,7 @@ def _edge_complaints(alignment: EdgeAlignment | None) -> dict[str, str]:
     if alignment is None or alignment.significance >= CHANCE:
         return {}
     return {
-        "edges": "where the depth of the points jumps the images have edges no more than by chance (correlation "
+        "edges": "image edges coincide with depth jumps of the points no more than by chance (correlation "
         f"{alignment.correlation:.2f}, {alignment.significance:+.1f} standard deviations from that of shifted images; "
         "right poses have +2.6 and more): wrong extrinsics or intrinsics?"
     }
@@ -219,11 +219,11 @@ def _complaints(given: Agreement, inverted: Agreement, off_center: float) -> dic
     view_says = given.in_view * 5 < inverted.in_view and not inverted.depth_residual > 0.1
     if depth_says or color_says or view_says:
         complaints["inverted"] = (
-            "the poses look inverted: world_to_camera is expected, and these fit better as camera-to-world "
+            "the poses look inverted: expected world_to_camera, but they fit better as camera-to-world "
             f"(as given: {given}; if inverted: {inverted})"
         )
     elif given.in_view == 0:
-        complaints["view"] = "no point of the cloud is in view of the frames looked at: wrong poses, units or axes?"
+        complaints["view"] = "no point of the cloud is in view of the checked frames: wrong poses, units or axes?"
     elif given.depth_residual > LARGEST_DEPTH_RESIDUAL:
         complaints["depth"] = (
             f"the depth images and the cloud disagree by {given.depth_residual:.1%} (median): wrong poses, intrinsics "

@@ -47,17 +47,20 @@ class JointState:
             Observations() if observations is None else observations,
         )
 
-    def __add__(self, other: JointState) -> JointState:
-        """The state of a segmenter that saw the frames of both states.
+    def check_cloud(self, other: JointState, name: str) -> None:
+        """Checks that another state has the same numbers of points and edges; the message calls it `name`.
 
         Raises:
             ValueError: the states belong to different clouds.
         """
-        if self.views.shape != other.views.shape or self.facing.shape != other.facing.shape:
-            raise ValueError(
-                f"other: expected a state of the same cloud ({self.facing.shape[0]} points, {self.views.shape[0]} "
-                f"edges), got {other.facing.shape[0]} points, {other.views.shape[0]} edges"
-            )
+        own, came = ((one.facing.shape[0], one.views.shape[0]) for one in (self, other))
+        if own != came:
+            expected = f"expected a state of the same cloud ({own[0]} points, {own[1]} edges)"
+            raise ValueError(f"{name}: {expected}, got {came[0]} points, {came[1]} edges")
+
+    def __add__(self, other: JointState) -> JointState:
+        """The state of a segmenter that saw the frames of both states; errors as of :meth:`check_cloud`."""
+        self.check_cloud(other, "other")
         return JointState(
             self.views + other.views,
             self.overlap_sum + other.overlap_sum,
