@@ -624,7 +624,7 @@ class TestScan:
     @pytest.mark.parametrize("method", ["learned", "paper"])
     def test_another_method_would_miss_the_edges(self, synthetic, scanner, method):
         other = CONFIG.set([f"point_segments.method={method}"])
-        message = r"config: what was seen depends on point_segments\.method; see the frames again"
+        message = r"config: stored evidence depends on point_segments\.method; add the frames again"
         with pytest.raises(ValueError, match=message):
             scanner.with_config(other)
         seen = tj.JointSegmenter(other)

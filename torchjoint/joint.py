@@ -42,34 +42,34 @@ from torchjoint.views.state import JointState
 
 logger = logging.getLogger(__name__)
 
-#: Looks at a run while its frames come: is called with the segmenter and the scene, and must change neither.
+#: A function (segmenter, scene) that observes a run while its frames are added. It must not change its arguments.
 Watch = Callable[["JointSegmenter", Scene], None]
 
 
 class JointSegmenter(nn.Module):
     """Segments one point cloud and a sequence of posed images together.
 
-    Call ``segmenter(scene)`` for a whole scene. Or work frame by frame: :meth:`reset` with the cloud, :meth:`update`
-    with frames in any order, :meth:`compute` at any time. Both ways give the same labels; the labels depend neither on
-    the order of the frames nor on the number of threads. Segmenters that saw different frames of one cloud can be
-    merged (:meth:`merge`).
+    Call ``segmenter(scene)`` for a whole scene. Or work frame by frame: call :meth:`reset` with the cloud,
+    :meth:`update` with frames in any order, and :meth:`compute` at any time. Both ways give the same labels. The labels
+    do not depend on the order of the frames or on the number of threads. :meth:`merge` merges segmenters that saw
+    different frames of one cloud.
 
     Args:
         config: parameters; default ``Config()``.
-        method: makes the method of step 6 from the config and the points; default: the one that the config names
+        method: function (config, points) that makes the method of step 6; default: the method that the config names
             (:func:`~torchjoint.segments.choice.choose_method`).
         boundary: a boundary detector, [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1]; it replaces the detector
             that the config names (step 1).
         image_segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none, or -> B
             :class:`~torchjoint.scene.Masks`; it replaces the graph segmentation of images (step 2). If a frame has
             masks or labels, they are used instead.
-        merge_within: metres; the points in a cube with this side count as one point, their mean, and all get its label
-            (not with method scan). For scans that overlap with small errors. Copies, which are equal to the last bit,
-            always count as one.
-        memory: how much of the frames stays in memory for steps 6-8: "2GB", "500 MiB", or bytes; what is beyond goes
-            packed to a temporary file. It does not change the labels. Default: a quarter of the memory of the machine
-            or container.
-        spill: folder for that file, which has no name and vanishes with the process; default: TMPDIR, or /var/tmp.
+        merge_within: metres; the points in one cube with this side are merged to their mean, and all get its label. Use
+            it for scans that overlap with small errors. Method scan ignores it. Exact copies are always merged.
+        memory: largest memory of the frames' evidence for steps 6-8: "2GB", "500 MiB", or bytes. The rest is packed to
+            a temporary file. The labels do not depend on it. Default: a quarter of the memory of the machine or
+            container.
+        spill: folder of the temporary file; default: TMPDIR, or /var/tmp. The file has no name, and the system removes
+            it when the process ends.
 
     Example:
         >>> import torchjoint as tj
@@ -135,16 +135,16 @@ class JointSegmenter(nn.Module):
         Args:
             scene: the cloud and its frames; without frames this is plain 3D segmentation.
             progress: show progress bars.
-            batch_size: number of frames that are worked on at a time; meanwhile as many are loaded.
-            checkpoint: saves the state from time to time; an interrupted run resumes from it.
-            on_frames: called with the segmenter and the scene before the first frame and after each batch, to look at
-                the labels so far; it must change neither.
+            batch_size: number of frames that are processed at a time; meanwhile the next batch is loaded.
+            checkpoint: saves the state at intervals; an interrupted run resumes from it.
+            on_frames: called with the segmenter and the scene before the first frame and after each batch, for example
+                to show the labels so far; it must not change them.
 
         Returns:
             labels of the points [N] and of the frames [H, W]; see :class:`~torchjoint.scene.Segmentation`.
 
         Raises:
-            TypeError: not a scene.
+            TypeError: `scene` is not a Scene.
             ValueError: the scene has frames, but none of them sees a point.
 
         Warns:
@@ -154,25 +154,25 @@ class JointSegmenter(nn.Module):
         steps = self._add_batches(scene.frames, batch_size, checked)
         return self.finish(scene, steps, progress=progress, checkpoint=checkpoint, on_frames=on_frames)
 
-    if TYPE_CHECKING:  # nn.Module's own is untyped
+    if TYPE_CHECKING:  # the one of nn.Module is untyped
         __call__ = forward
 
     @torch.no_grad()
     @on_cpu()
     def begin(self, scene: Scene, checkpoint: Checkpoint | None = None) -> dict[int, Frame]:
-        """What comes before the frames of a scene: :meth:`reset`, the check of poses, and the state of a checkpoint.
+        """Prepares a scene: calls :meth:`reset`, checks the poses, and loads the state of a checkpoint.
 
         Returns:
-            the frames that the check has read, by index.
+            the frames that the check of poses has read, by index.
 
         Raises:
-            TypeError: not a scene.
+            TypeError: `scene` is not a Scene.
 
         Warns:
             PoseWarning: the poses or intrinsics look wrong.
         """
         if not isinstance(scene, Scene):
-            raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; of points: Scene(points, frames)")
+            raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; make one: Scene(points, frames)")
         self._reset(scene.cloud)
         checked = frames_to_check(scene)
         check = self._new_check(scene.name)
@@ -193,11 +193,11 @@ class JointSegmenter(nn.Module):
         checkpoint: Checkpoint | None = None,
         on_frames: Watch | None = None,
     ) -> Segmentation:
-        """What comes after :meth:`begin`: adds the evidence of all frames, and computes the labels.
+        """Adds the evidence of all frames after :meth:`begin`, and computes the labels.
 
         Args:
             scene: as for :meth:`begin`.
-            steps: each step adds the evidence of some frames to this segmenter, and says of how many.
+            steps: an iterable; each step adds the evidence of some frames to this segmenter and gives their number.
             progress, checkpoint, on_frames: as for :meth:`forward`.
         """
         if on_frames is not None:
@@ -215,7 +215,7 @@ class JointSegmenter(nn.Module):
         return self.compute(progress=progress)
 
     def _add_batches(self, frames: Sequence[Frame], batch_size: int, checked: dict[int, Frame]) -> Iterator[int]:
-        """Adds the frames that are not in the state yet. Those in `checked` are moved out of it, not read again."""
+        """Adds the frames that are not in the state yet. Frames in `checked` are taken from it and not read again."""
 
         def load(indices: range) -> list[Frame]:
             with self.stopwatch("load frames"):
@@ -230,15 +230,15 @@ class JointSegmenter(nn.Module):
     @torch.no_grad()
     @on_cpu()
     def reset(self, points: Tensor, colors: Tensor | None = None, normals: Tensor | None = None) -> None:
-        """Forgets all frames, chooses the method of step 6 if it is auto, and builds the graph of a cloud (step 3).
+        """Forgets all frames, makes the method of step 6, and builds the graph of a cloud (step 3).
 
-        What was measured and chosen is logged in one line (logger ``torchjoint.joint``, level INFO).
+        Logs the measured scales and the method in one line (logger ``torchjoint.joint``, level INFO).
 
         Args:
             points: [N, 3] metres, world frame.
-            colors: optional [N, 3] RGB in [0, 1], used only by method learned, which takes those of the frames if they
-                are absent or all the same, and by method paper with a color_weight > 0.
-            normals: optional [N, 3], estimated if absent; a normal is turned to the cameras that see its point.
+            colors: optional [N, 3] RGB in [0, 1]. Method learned uses them; if they are absent or all equal, it uses
+                the colours of the frames. Method paper uses them if its color_weight is > 0.
+            normals: optional [N, 3], estimated if absent. Normals are oriented to the cameras that see their points.
 
         Raises:
             ValueError, TypeError: naming the argument, what was expected and what came.
@@ -263,16 +263,16 @@ class JointSegmenter(nn.Module):
     def update(self, frames: Frame | Sequence[Frame]) -> None:
         """Adds the evidence of one or several frames (steps 1, 2, 4, 5).
 
-        Consecutive frames of the same size go through the image modules as one batch.
+        The image modules process consecutive frames of the same size as one batch.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
             ValueError: a boundary detector or an image segmenter returns a wrong shape or bad values.
-            OSError: what goes beyond the memory cannot be written. The segmenter is as it was before these frames, or
-                before those of the last size.
+            OSError: the temporary file (see `spill`) cannot be written. Consecutive frames of one size are added
+                together or not at all; the frames before them stay added.
 
         Warns:
-            PoseWarning: the poses or intrinsics look wrong. A few frames must have come, or :meth:`compute` is called.
+            PoseWarning: the poses or intrinsics look wrong. It comes after some frames, or in :meth:`compute`.
         """
         frames = [frames] if isinstance(frames, Frame) else list(frames)
         check = self._check or self._new_check()
@@ -282,7 +282,7 @@ class JointSegmenter(nn.Module):
     @torch.no_grad()
     @on_cpu()
     def add(self, frames: Sequence[Frame]) -> None:
-        """As :meth:`update`, for frames whose poses have been checked, by :meth:`begin` for example."""
+        """As :meth:`update`, but without a check of poses, for example because :meth:`begin` has checked them."""
         cloud, state, method = self.cloud, self.state, self.method
         if not state.observations and frames:
             self._tell_unused(frames[0])
@@ -296,7 +296,7 @@ class JointSegmenter(nn.Module):
                 add_evidence(state, seen)
 
     def _tell_unused(self, frame: Frame) -> None:
-        """Says so if images have no say in the segments of the points."""
+        """Logs that images do not affect the segments of the points; warns if frames have masks or labels for this."""
         if self.method.uses_images:
             return
         name = self.method.name
@@ -315,7 +315,7 @@ class JointSegmenter(nn.Module):
         """Computes the segmentation from all frames seen so far (steps 6-8); more frames may follow.
 
         Args:
-            images: False skips the label images (steps 7-8), which take most of the time; the result then has none.
+            images: False: skip steps 7-8, which take most of the time; the result then has no label images.
             progress: show a progress bar.
 
         Returns:
@@ -356,7 +356,7 @@ class JointSegmenter(nn.Module):
 
     @property
     def cloud(self) -> PreparedCloud:
-        """The points that :meth:`reset` was given, as the steps use them, and their graph.
+        """The cloud that :meth:`reset` has prepared for the steps, with its graph.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
@@ -367,7 +367,7 @@ class JointSegmenter(nn.Module):
 
     @property
     def method(self) -> Method:
-        """The method of step 6: the config's, or, if that is auto, the one that :meth:`reset` chose.
+        """The method of step 6 that :meth:`reset` has made.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
@@ -390,8 +390,7 @@ class JointSegmenter(nn.Module):
 
     @state.setter
     def state(self, state: JointState) -> None:
-        if state.views.shape != self.state.views.shape or state.facing.shape != self.state.facing.shape:
-            raise ValueError("state: expected the state of a segmenter that was reset with the same cloud")
+        self.state.check_cloud(state, "state")
         self._state = state
 
     def merge(self, other: JointSegmenter) -> None:
@@ -411,7 +410,7 @@ class JointSegmenter(nn.Module):
 
     @on_cpu()
     def without_evidence(self) -> JointSegmenter:
-        """A segmenter of the same cloud that has seen no frame; it shares the cloud's graph, and can be pickled.
+        """A segmenter of the same cloud without evidence of frames. It shares the cloud's graph, and can be pickled.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
@@ -423,7 +422,7 @@ class JointSegmenter(nn.Module):
 
     @on_cpu()
     def with_config(self, config: Config) -> JointSegmenter:
-        """A segmenter with the same evidence and other parameters: tries out parameters without seeing frames again.
+        """A segmenter with the same evidence and another config, to try parameters without processing the frames again.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
@@ -436,7 +435,7 @@ class JointSegmenter(nn.Module):
         if method.name != self.method.name:
             different.append("point_segments.method")
         if different:
-            raise ValueError(f"config: what was seen depends on {', '.join(different)}; see the frames again")
+            raise ValueError(f"config: stored evidence depends on {', '.join(different)}; add the frames again")
         other = JointSegmenter(
             config,
             method=self._make_method,

@@ -63,10 +63,10 @@ def superpoints(
     much the surface turns along it, and segments the graph with the algorithm of Felzenszwalb and Huttenlocher
     (:func:`torchjoint.ops.felzenszwalb`). Only `points` is required; all other inputs are optional.
 
-    Fitted normals have an arbitrary sign. Angles between them are therefore taken without sign, and convex edges cost
-    the same as concave edges. `normals`, `faces` or a `viewpoint` give oriented normals, which tell the two apart.
+    Fitted normals have an arbitrary sign. So the angle between two of them is at most 90 degrees, and convex edges have
+    the same weight as concave ones. `normals`, `faces` or a `viewpoint` give oriented normals; then the weights differ.
 
-    All arrays may be numpy arrays instead of tensors; the labels are then one, too.
+    All arrays may be numpy arrays instead of tensors; then the labels are a numpy array, too.
 
     Args:
         points: [N, 3] metres, finite, N >= 1.
@@ -77,7 +77,7 @@ def superpoints(
         faces: optional [F, 3] integers, triangles of a mesh whose vertices are the points. Their edges are the graph;
             if `normals` is absent, the triangles also give the normals. With preset "segmentator" and no normals the
             result equals that of ScanNet's segmentator. A vertex without a triangle is its own superpoint.
-        ptr: optional [B + 1] integers, the start of each of B clouds, and N: 0 = ptr[0] < ptr[1] < ... < ptr[B] = N.
+        ptr: optional [B + 1] integers, the start of each of B clouds, then N: 0 = ptr[0] < ptr[1] < ... < ptr[B] = N.
         viewpoint: optional [3] metres, the position of the sensor; or one per cloud [B, 3], or per point [N, 3].
         preset: "default", "scan" or "segmentator", a YAML file, or a config.
         parameters: replace parameters of the preset by name, such as ``scale=2.0``. :class:`SuperpointsConfig` declares
@@ -131,7 +131,7 @@ def _segment_batch(
     config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
     config = config.replace(parameters)
     if colors is None:
-        if parameters.get("color_weight"):  # asked for, and not just part of a preset
+        if parameters.get("color_weight"):  # an explicit argument, not a part of a preset
             raise ValueError("colors: color_weight > 0 needs the colours of the points, got None")
         config = config.replace({"color_weight": 0.0})
     if edges is not None and faces is not None:
@@ -154,7 +154,7 @@ class Superpoints(nn.Module):
         parameters: replace parameters of the preset by name: ``Superpoints("scan", scale=2.0)``.
 
     Raises:
-        ValueError, TypeError: an unknown parameter or a bad value, by name.
+        ValueError, TypeError: an unknown parameter or a bad value; the message names it.
 
     Example:
         >>> import torch, torchjoint as tj
@@ -176,11 +176,11 @@ class Superpoints(nn.Module):
         """Labels [N] int64 of points [N, 3]; arguments and errors as in :func:`superpoints`."""
         return superpoints(points, colors, normals, ptr=ptr, preset=self.preset, **self.parameters_given)
 
-    if TYPE_CHECKING:  # nn.Module's own is untyped
+    if TYPE_CHECKING:  # the one of nn.Module is untyped
         __call__ = forward
 
     def extra_repr(self) -> str:
-        """The parameters, printed as part of the module."""
+        """The parameters, for the module's repr."""
         return repr(self.config)
 
 
@@ -190,7 +190,7 @@ def _segment(given: Cloud, config: SuperpointsConfig) -> Tensor:
     edges, normals, oriented, spacing = _graph(cloud, config)
     if len(spacing):
         warn_of_rounding(given.points, spacing)
-    factor = config.convex_factor if oriented else 1.0  # else convex and concave edges cannot be told apart
+    factor = config.convex_factor if oriented else 1.0  # otherwise convex and concave edges look the same
     turn = segmentator_turn if config.weight == "segmentator" else discounted_angle(factor)
     terms = EdgeWeights(turn, config.angle_weight, config.distance_weight, config.color_weight)
     all_oriented = torch.full((len(cloud.points),), oriented)
@@ -200,9 +200,9 @@ def _segment(given: Cloud, config: SuperpointsConfig) -> Tensor:
 
 
 def _local(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
-    """The cloud that is segmented, and its point for each given one; None: all of them, in their order.
+    """The cloud that is segmented, in local coordinates; and its point for each given point, None: the same points.
 
-    Copies are merged only if the graph is ours: given edges and faces say themselves which points belong together.
+    Copies are merged only if the graph is computed here. Given edges and faces define which points are connected.
     """
     maps = []
     ours = cloud.edges is None and cloud.faces is None
@@ -210,7 +210,7 @@ def _local(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
     if ours:
         cloud, of_point = without_copies(cloud)
         maps.append(of_point)
-    # ScanNet's segmentator computes normals of float32 coordinates as they are.
+    # ScanNet's segmentator computes normals from the given float32 coordinates.
     as_given = cloud.faces is not None and not is_double(cloud.points)
     frame = LocalFrame.of_world() if as_given else LocalFrame.of(cloud.points)
     cloud = frame.cloud(cloud)

@@ -1,4 +1,4 @@
-"""Superpoints in a data pipeline: adds labels to samples, and transfers labels to resampled clouds.
+"""Transforms for data pipelines: add superpoints to samples, and transfer labels to resampled clouds.
 
 This is no step of the joint method. A transform takes a sample and returns a new one. It keeps no state, so it can run
 in the workers of a :class:`torch.utils.data.DataLoader`, forked or spawned. There it uses the one thread that torch
@@ -39,8 +39,8 @@ class AddSuperpoints:
             :func:`torchjoint.superpoints`; None = never use this argument. The faces of an object (not of a mapping)
             may be [3, F], as in torch_geometric.
         to: name under which the labels are stored. None: ``superpoints``; but in torch_geometric's ``Data``
-            ``superpoints_batch``, because torch_geometric then keeps the ids of the clouds of a batch apart (it adds
-            the number of ids before to each attribute with "batch" in its name).
+            ``superpoints_batch``. To an attribute with "batch" in its name torch_geometric adds the number of ids
+            in the clouds before, so the clouds of a batch have different ids.
         preset: as in :func:`torchjoint.superpoints`.
         parameters: replace parameters of the preset by name.
 
@@ -83,10 +83,10 @@ class AddSuperpoints:
         """A shallow copy of the sample with the labels; the copy shares the sample's tensors."""
         points = _get(sample, self.points)
         if points is None:
-            raise KeyError(f"{self.points}: expected the sample to have its points there, got {_names(sample)}")
+            raise KeyError(f"{self.points}: expected the points of the sample under this name, got {_names(sample)}")
         to = self.to or ("superpoints_batch" if hasattr(sample, "__inc__") else "superpoints")
         if _get(sample, to) is not None:
-            raise KeyError(f"{to}: the sample has that already; choose another name with to=")
+            raise KeyError(f"{to}: expected a sample without this entry, got one with it; choose another name with to=")
         given = {name: _get(sample, key) for name, key in self.names.items() if key is not None}
         faces = given.get("faces")
         if faces is not None and not isinstance(sample, Mapping) and faces.ndim == 2 and faces.shape[1] != 3:

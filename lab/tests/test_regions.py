@@ -63,7 +63,7 @@ class TestConfig:
             expected.update(list(synthetic.scene.frames))
             again = joint.with_config(RegionsConfig.from_preset(preset))
             assert torch.equal(again.compute(images=False).points, expected.compute(images=False).points)
-        with pytest.raises(ValueError, match=r"what was seen depends on region_costs\.normal_neighbors; see"):
+        with pytest.raises(ValueError, match=r"stored evidence depends on region_costs\.normal_neighbors; add"):
             joint.with_config(RegionsConfig().set(["region_costs.normal_neighbors=20"]))
 
 

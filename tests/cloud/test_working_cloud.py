@@ -86,8 +86,9 @@ def test_every_given_point_gets_the_label_of_its_working_point(monkeypatch, scen
     assert torch.equal(segmenter.with_config(tj.Config()).compute(images=False).points, result.points)
 
 
-@pytest.mark.parametrize("side", [1e-30, 1e-12])
-def test_cells_far_smaller_than_the_cloud(side):
-    points = torch.tensor([[0.0, 0, 0], [1e3, 1e3, 1e3], [1e3, 1e3, 1e3]])
-    with pytest.raises(ValueError, match="cells"):
-        cell_means(Scene(points), side)
+def test_a_cloud_with_more_cells_than_numbers_is_not_thinned(monkeypatch):
+    monkeypatch.setattr(module, "LEAST_POINTS", 300)
+    far = torch.cat([sheet(0.003), torch.tensor([[1e4, 1e4, 1e4]])])
+    assert working_cloud(Scene(far)).of_point is not None  # about 5e5 cells a side
+    farther = torch.cat([sheet(0.003), torch.tensor([[1e6, 1e6, 1e6]])])
+    assert working_cloud(Scene(farther)).of_point is None

@@ -54,7 +54,7 @@ def test_a_frame_scales_masks_of_another_size() -> None:
     assert torch.equal(pass_through.masks.labels(), expected)
     with pytest.warns(UserWarning, match="0 counts as a mask, and no pixel is -1"):
         frame(masks=torch.zeros(4, 6, dtype=torch.int64))
-    with pytest.warns(UserWarning, match="another aspect"):
+    with pytest.warns(UserWarning, match="other aspect ratio"):
         frame(masks=torch.ones(1, 6, 4, dtype=torch.bool))
 
 

@@ -72,7 +72,7 @@ def test_auto_and_what_it_chose_store_the_same(street, room):
             copy = seen.with_config(first.set([second]))
             assert torch.equal(copy.compute().points, seen.compute().points)
             assert torch.equal(copy.with_config(AUTO).compute().points, seen.compute().points)
-        with pytest.raises(ValueError, match=r"what was seen depends on point_segments\.method"):
+        with pytest.raises(ValueError, match=r"stored evidence depends on point_segments\.method"):
             reset(AUTO, cloud).with_config(AUTO.set([f"point_segments.method={other}"]))
 
 

@@ -96,9 +96,7 @@ def test_a_wrong_pose_is_warned_of_if_nothing_else_tells(boxes):
     wrong = turned(boxes, -6)
     assert alignment(wrong).significance < CHANCE
     assert len(messages(wrong)) == 1
-    assert (
-        "boxes: image edges coincide with depth jumps of the points no more than by chance" in messages(wrong)[0]
-    )
+    assert "boxes: image edges coincide with depth jumps of the points no more than by chance" in messages(wrong)[0]
     frame = wrong.frames[0]
     with_depth = dataclasses.replace(wrong, frames=[dataclasses.replace(frame, depth=torch.full(SIZE, 9.0))])
     with_colors = dataclasses.replace(wrong, colors=torch.rand(wrong.points.shape))

@@ -1,4 +1,4 @@
-"""Parameters that can still be changed after all frames were seen: what a segmenter keeps does not depend on them."""
+"""Parameters that can be changed after all frames were seen, because the stored evidence does not depend on them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ C = TypeVar("C", bound=Config)
 
 
 def evidence_config(config: C) -> C:
-    """The config with the `afterwards` parameters at their defaults: two configs with equal results store the same."""
+    """The config with the `afterwards` parameters at their defaults. Equal results mean equal stored evidence."""
     default = type(config)()
     stages = {}
     for stage in config.afterwards:
@@ -22,7 +22,7 @@ def evidence_config(config: C) -> C:
 
 
 def evidence_differences(first: Config, second: Config) -> list[str]:
-    """Names (stage.parameter) of the parameters that differ and on which the stored observations depend."""
+    """Names (stage.parameter) of the parameters that differ and that change the stored evidence."""
     one, other = evidence_config(first).to_dict(), evidence_config(second).to_dict()
     return [
         f"{stage}.{name}"

@@ -38,9 +38,9 @@ class Config:
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
 
-    #: Stages of steps 6-8 whose parameters count only after all frames, see :mod:`torchjoint.config.afterwards`.
+    #: Stages of steps 6-8 whose parameters are used only after all frames, see :mod:`torchjoint.config.afterwards`.
     afterwards: ClassVar[tuple[str, ...]] = ("scan", "refinement", "paper")
-    #: Parameters of these stages (stage.parameter) that count before: the point graph has the normals.
+    #: Parameters of these stages (stage.parameter) that are used before, for the normals of the point graph.
     before: ClassVar[tuple[str, ...]] = ("paper.normal_neighbors",)
 
     def __post_init__(self) -> None:
@@ -53,7 +53,7 @@ class Config:
 
     @classmethod
     def stages(cls) -> dict[str, type[Stage]]:
-        """The stages by name, in the order of the method's steps; first those that the default reads."""
+        """The stages by name: first those that the default method reads, in the order of the steps."""
         return {spec.name: cast(type[Stage], spec.default_factory) for spec in dataclasses.fields(cls)}
 
     @classmethod

@@ -34,8 +34,8 @@ def parameter(
         above: values must be greater than this.
         sensible: the range in which most users will find their value.
         choices: the allowed texts; empty: any text.
-        too_low, too_high: what a result looks like where the value is too low or too high. Given for the few parameters
-            that a user turns; the documents show these in a table of their own.
+        too_low, too_high: what a result looks like if the value is too low or too high. Only the few parameters that
+            users change have these texts; the documents show them in a separate table.
     """
     return field(
         default=default,
@@ -86,7 +86,7 @@ class Stage:
 
 
 def _check(name: str, value: Any, annotation: Any, declared: Mapping[str, Any]) -> Any:
-    """Checks one value against its declaration; a float without a fraction is accepted as an int, an int as a float."""
+    """Checks one value against its declaration. It accepts whole floats as int, and ints as float."""
     kinds = get_args(annotation) if isinstance(annotation, UnionType) else (annotation,)
     kind = next(kind for kind in kinds if kind is not NoneType)
     expected = " | ".join("null" if one is NoneType else one.__name__ for one in kinds)

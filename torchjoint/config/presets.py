@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 class _Loader(yaml.SafeLoader):
-    """Refuses aliases (``*name``): with a few of them a short text is a value of gigabytes."""
+    """Refuses aliases (``*name``), because with them a short text can become a value of gigabytes."""
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
@@ -51,7 +51,7 @@ def read_preset(
 
 
 def read_yaml(path: Path, make: Callable[[Mapping[str, Any]], T], form: str = "parameters by name") -> T:
-    """Reads a YAML file and returns ``make(values)``; arguments as of :func:`read_preset`.
+    """Reads a YAML file and returns ``make(values)``; arguments as in :func:`read_preset`.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -64,7 +64,7 @@ def read_assignment(assignment: str, form: str = "parameter") -> tuple[str, Any]
     """Name and value of a command-line assignment ``name=value``; `form` shows what a name looks like.
 
     Raises:
-        ValueError: not an assignment of this form, or the value is not valid YAML.
+        ValueError: `assignment` does not have this form, or the value is not valid YAML.
     """
     name, equals, text = assignment.partition("=")
     name = name.strip()

@@ -9,7 +9,7 @@ from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
 
 
 def marked_parameters() -> list[str]:
-    """Names (stage.parameter) of the few parameters that a user turns, in the order of the method's steps."""
+    """Names (stage.parameter) of the few parameters that users change, in the order of the method's steps."""
     return [
         f"{name}.{spec.name}"
         for name, stage in Config.stages().items()
@@ -19,7 +19,7 @@ def marked_parameters() -> list[str]:
 
 
 def marked_table() -> str:
-    """The parameters that a user turns, and what a bad value looks like, as one Markdown table."""
+    """The parameters that users change, and what a bad value looks like, as one Markdown table."""
     lines = [
         "| parameter | default | unit | sensible | too low looks like | too high looks like |",
         "|---|---:|---|---|---|---|",
@@ -34,7 +34,7 @@ def marked_table() -> str:
 
 
 def parameter_table(stage: str | None = None) -> str:
-    """All parameters as Markdown tables, one per stage, those of the default first; or those of one stage.
+    """All parameters as Markdown tables, one per stage, or the table of one stage. Stages of the default come first.
 
     Raises:
         ValueError: an unknown stage.

@@ -4,11 +4,11 @@ All metrics are computed from one table: the number of points that each predicte
 
 Convention: labels are integers >= -1 of any common shape (points [N], an image [H, W], a stack of images). -1 in
 ``target`` is void: void points are dropped first. -1 in ``pred`` is "unlabelled": all unlabelled points form one
-background region. The numbers of regions never matter. ``target`` may be a sequence of several ground truths of the
+background region. The ids of regions have no effect. ``target`` may be a sequence of several ground truths of the
 same data, for example of several annotators. (ScanNet's average precision, a metric of masks, has its own rules for
 void, unlabelled points, and several ground truths.)
 
-The value of a data set, also its F, is the mean of its samples' values (except for ScanNet's average precision). The
+The value of a data set, also F, is the mean of the values of its samples (except for ScanNet's average precision). The
 classes compute this mean: ``FooMetric`` for ``foo``, on torchmetrics, which is imported when a class is first used.
 
 >>> import torch, torchjoint as tj

@@ -13,7 +13,7 @@ from torchjoint.runtime.threads import on_cpu
 
 
 class SegmentationCovering(NamedTuple):
-    """Coverings in [0, 1]: the mean of both, C(pred -> target) over true regions (the usual one), C(target -> pred)."""
+    """Coverings in [0, 1]: the mean of the next two; C(pred -> target), the usual one; and C(target -> pred)."""
 
     symmetric: float
     target_by_pred: float
@@ -53,7 +53,7 @@ def covering_of(tables: Sequence[Overlaps]) -> SegmentationCovering:
 def mean_best_iou(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
     """Mean, over the ground-truth instances, of the best IoU with any predicted region.
 
-    Unlike in the covering, every instance counts the same, however small. Arguments and errors: as
+    Unlike in the covering, every instance has the same weight. Arguments and errors: as
     :func:`segmentation_covering`.
 
     >>> import torch

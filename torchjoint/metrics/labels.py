@@ -29,7 +29,7 @@ def checked_labels(labels: Tensor, name: str) -> Tensor:
 
 
 def checked_targets(target: Tensor | Sequence[Tensor]) -> dict[str, Tensor]:
-    """Checks one or several ground truths of any shape; returns each as [N] int64, by its name in messages.
+    """Checks one or several ground truths of any shape; returns name in messages -> labels [N] int64.
 
     Raises:
         TypeError, ValueError: as :func:`checked_labels`; ValueError also for an empty sequence, or only void labels.

@@ -1,7 +1,7 @@
 """The metrics as torchmetrics classes, which accumulate over the scenes or images of a data set.
 
 ``update`` takes one sample, with the function's arguments; the constructor takes the function's options. ``compute``
-returns the same type as the function, but a tensor instead of a number: the mean of the samples' values, also for F.
+returns the mean of the samples' values, also for F. It has the function's type, but a tensor instead of a number.
 Only ScanNet's average precision is computed from the predictions of all scenes together. States are summed over
 processes.
 """

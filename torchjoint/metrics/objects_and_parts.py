@@ -39,9 +39,9 @@ def objects_and_parts(
     """Computes precision and recall for objects and parts.
 
     A predicted and a true region are objects if their overlap is at least ``gamma_object`` of both. A region is a part
-    if at least ``gamma_object`` of it lies within the other region and it fills at least ``gamma_part`` of the other; a
-    part counts ``beta`` of an object. A region that is neither counts its fragmentation: the share of it that is filled
-    by regions that lie within it.
+    if at least ``gamma_object`` of it lies within the other region and it fills at least ``gamma_part`` of the other.
+    An object counts 1, and a part counts ``beta``. Any other region counts its fragmentation: the share of the region
+    that is filled by regions within it.
 
     With several ground truths, recall counts the regions of all of them. A predicted region is an object if it is an
     object for any ground truth, and its fragmentation is the mean over the ground truths. The predicted candidates are
@@ -50,8 +50,8 @@ def objects_and_parts(
     Args:
         pred: int64, any shape.
         target: int64 of the same shape, -1 = void; or a sequence of such tensors.
-        gamma_object: smallest overlap of an object. At 0.5 and below, a true region may match several predicted regions
-            as object or as part; then the match with the last one (in row-major order of first appearance) decides.
+        gamma_object: smallest overlap of an object. If it is 0.5 or less, a true region may match several predicted
+            regions as object or as part; then the last of them counts (in row-major order of first appearance).
         gamma_part: smallest overlap of a part, 0 < gamma_part <= gamma_object <= 1.
         beta: value of a part, in [0, 1].
 
@@ -125,10 +125,10 @@ def objects_and_parts_of(
         pred_is_part = eligible & within & ~fills & (table.recall >= gamma_part)
         target_is_part = eligible & fills & ~within & (table.precision >= gamma_part)
 
-        # For a predicted region, its best match counts (object before part), over all ground truths ...
+        # For a predicted region the best match over all ground truths counts (object before part).
         found = is_object * _OBJECT + pred_is_part * _PART
         pred_class = torch.maximum(pred_class, largest(found, table.pred, len(pred_class)))
-        # ... for a true region, its last match: an asymmetry of the metric, relevant only if gamma_object <= 0.5.
+        # For a true region the last match counts: an asymmetry of the metric, relevant only if gamma_object <= 0.5.
         found = is_object * _OBJECT + target_is_part * _PART
         ranked = torch.where(found > _NONE, table.pred * 3 + found, 0)
         target_class = largest(ranked, table.target, len(table.target_area)) % 3
@@ -145,7 +145,7 @@ def objects_and_parts_of(
 
 
 def _candidates(area: Tensor) -> Tensor:
-    """[R] bool: the largest regions, up to and including the one that reaches the share. Ties: the later one first."""
+    """[R] bool: the largest regions that together reach CANDIDATE_SHARE of the area. Ties: the later region first."""
     order = area.flip(0).argsort(descending=True, stable=True)
     share = (area.flip(0)[order].double() / area.sum()).cumsum(0)
     before = torch.cat([share.new_zeros(1), share[:-1]])

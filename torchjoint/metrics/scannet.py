@@ -1,14 +1,14 @@
 """Average precision of instances as in the ScanNet benchmark, but class-agnostic.
 
-A. Dai et al., "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes" (CVPR 2017), and the rules of its
-benchmark's evaluation of 3D instances. The rules, in addition to the IoU of masks:
+A. Dai et al., "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes" (CVPR 2017), and the evaluation of 3D
+instances in its benchmark. The rules, in addition to the IoU of masks:
 
 * A mask and an instance match if their IoU is above the threshold. Void points count in a mask's area.
 * Masks and instances below the smallest size are left out.
 * Instances are processed by ascending label. Each takes the masks that match it and that no earlier instance has
-  claimed. The best score of these masks becomes a true positive, all other scores become false positives; the first
-  mask (by number) is claimed. Only below a threshold of 0.5 can a mask match several instances, so only there do
-  numbers matter.
+  claimed. The best score of these masks becomes a true positive, and all other scores become false positives. The
+  mask with the lowest number is claimed. Only below a threshold of 0.5 can a mask match several instances, so only
+  there do the numbers have an effect.
 * A mask without a match is a false positive, unless a share of it above the threshold is void or belongs to
   instances that are too small.
 * The predictions of all scenes make one precision-recall curve; masks with the same score make one point. Its area is
@@ -29,7 +29,7 @@ from torchjoint.metrics.labels import checked_targets
 from torchjoint.metrics.masks import Intersections, intersect
 from torchjoint.runtime.threads import on_cpu
 
-#: IoU thresholds: of AP25, then those averaged for AP; the first of the latter is AP50's.
+#: IoU thresholds: the one of AP25, then those averaged for AP, of which the first is the one of AP50.
 THRESHOLDS = (0.25, *(k / 20 for k in range(10, 19)))
 
 
@@ -88,7 +88,7 @@ def scannet_average_precision(
 def match_instances(
     pred: Tensor | Sequence[Tensor], target: Tensor | Sequence[Tensor], scores: Tensor | None, min_size: int
 ) -> tuple[Matches, int]:
-    """Returns the matches of a scene and its number of true instances; arguments and errors: as the metric."""
+    """Returns the matches of a scene and its number of true instances; arguments and errors: as for the metric."""
     check_min_size(min_size)
     checked_targets(target)
     found, num_instances = [], 0

@@ -1,4 +1,4 @@
-"""Metrics of over-segmentations (superpoints, superpixels): their leaks over true borders, and missed borders."""
+"""Metrics of over-segmentations (superpoints, superpixels): leaks across true borders, and missed borders."""
 
 from __future__ import annotations
 

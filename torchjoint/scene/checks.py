@@ -1,4 +1,4 @@
-"""Checks of a scene's parts, before step 1. Each raises TypeError or ValueError.
+"""Checks of a scene's parts, before step 1. Each check raises TypeError or ValueError.
 
 The message calls the argument `name`, and says what was expected and what came.
 """
@@ -8,11 +8,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-#: Largest difference of R^T R from the identity, and of det R from 1, in a pose that is accepted. Poses in text files
-#: have 7 digits; a pose that was averaged or interpolated carelessly is off by much more.
+#: Largest difference of R R^T from the identity, of det R from 1, and of the last row from 0 0 0 1, in a valid pose.
+#: Poses in text files have 7 digits. Poses that were averaged or interpolated wrongly have much larger differences.
 RIGID_TOLERANCE = 1e-3
 
-#: Largest coordinate: squares of distances, and sums of them, must fit into float32.
+#: Largest coordinate, because squares of distances, and their sums, must fit into float32.
 LARGEST_COORDINATE = 1e12
 
 
@@ -54,7 +54,7 @@ def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
 
 
 def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Tensor:
-    """Checks labels: shape `size`, integers >= -1, or a mask (bool): True is 0, False none; returns them as int64."""
+    """Checks labels of shape `size`: integers >= -1, or bool (True -> 0, False -> -1 = none); returns them as int64."""
     if not isinstance(labels, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor, got {type(labels).__name__}")
     if labels.dtype.is_floating_point or labels.dtype.is_complex:
@@ -124,7 +124,7 @@ def as_float(value: Tensor, name: str, dtype: torch.dtype) -> Tensor:
         raise ValueError(f"{name}: expected a CPU tensor, got one on {value.device}")
     if not value.dtype.is_floating_point:
         raise TypeError(f"{name}: expected a floating dtype, got {value.dtype}")
-    # The extremes are NaN if any value is. This takes a tenth of the time of looking at each.
+    # If any value is NaN, both extremes are NaN. This takes a tenth of the time of a test of each value.
     if value.numel() and not torch.stack(value.aminmax()).isfinite().all():
         count = int((~torch.isfinite(value)).sum())
         raise ValueError(f"{name}: expected finite values, got {count} NaN or infinite of {value.numel()}")

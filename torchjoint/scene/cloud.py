@@ -1,4 +1,4 @@
-"""One point cloud without frames: what steps 3 and 6 work on."""
+"""One point cloud without frames, on which steps 3 and 6 work."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ UNIT = 1e-6
 
 @dataclass(frozen=True)
 class Cloud:
-    """One point cloud. Data from outside goes through :meth:`checked` once; the steps then trust it.
+    """One point cloud. :meth:`checked` checks data from outside once; the steps do not check it again.
 
     Attributes:
         points: [N, 3] float32 or float64 metres.
@@ -35,7 +35,7 @@ class Cloud:
 
     @classmethod
     def checked(cls, points: Tensor, colors: Tensor | None = None, normals: Tensor | None = None) -> Cloud:
-        """A cloud of data from outside.
+        """Checks data from outside, and makes a cloud of it.
 
         Raises:
             ValueError, TypeError: naming the argument, what was expected and what came.
@@ -47,9 +47,9 @@ class Cloud:
         return cls(points, colors, None if normals is None else _unit_normals(normals, points))
 
     def with_telling_colors(self) -> Cloud:
-        """The cloud without colours, if they are all the same, as many programs write them for a cloud that has none.
+        """The cloud without its colours if they are all equal, as many programs write them for a cloud without colours.
 
-        To a model they would say that no boundary has a step of colour, and to the check of poses that none fits.
+        Equal colours would tell the model that no boundary has a colour step, and the check of poses that no pose fits.
         """
         if self.colors is None or not (self.colors == self.colors[0]).all():
             return self

@@ -27,14 +27,14 @@ class Frame:
             repeated three times.
         intrinsics: [3, 3] camera matrix in pixels of *this* image; pixel centres have integer coordinates.
         world_to_camera: [4, 4] rigid transform, metres, OpenCV axes. If your poses are camera-to-world, invert them.
-        depth: optional [H, W], metres along the camera's z; 0 = unknown. The method itself does not use it; it serves
-            to check poses, and to fuse a cloud if there is none.
+        depth: optional [H, W], metres along the camera's z; 0 = unknown. It is used to check poses, and to fuse a cloud
+            if there is none; the method itself does not use it.
         labels: optional [H, W] integers, an initial segmentation of the image that replaces the one of step 2, such as
-            superpixels; -1 = none; or one mask, bool, with no label outside. Like segments of step 2, it may cut
-            objects in parts.
+            superpixels; -1 = none. Or one mask [H, W] bool, with no label outside. Like the segments of step 2, the
+            labels may split objects.
         masks: optional objects that a network found in the image. A label map [H, W] (-1 = none); a stack [M, H, W] of
             booleans that may overlap and nest; or :class:`~torchjoint.scene.Masks`, see :mod:`torchjoint.masks`. They
-            are scaled to the image's size, and replace `labels`, boundaries and step 2 for this frame.
+            are scaled to the image's size. For this frame they replace `labels` and the results of steps 1 and 2.
         mask_scores: optional [M] in [0, 1], how far each mask can be trusted; default 1.
         name: used in file names and messages.
 

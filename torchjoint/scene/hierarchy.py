@@ -1,4 +1,4 @@
-"""The levels of a segmentation: a tree of merges from small pieces up to whole connected parts of the cloud."""
+"""The levels of a segmentation: a tree of merges, from small pieces to connected parts of the cloud."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from torchjoint.runtime.threads import one_thread_per_operation
 class Hierarchy:
     """All levels of a segmentation of N points: P pieces, and the M merges that join them step by step.
 
-    A level is what all merges up to some height connect. Levels are nested: every segment of a level lies inside one
-    segment of each coarser level.
+    A level consists of the segments after all merges up to some height. Levels are nested: every segment of a level
+    lies inside one segment of each coarser level.
 
     Attributes:
         piece: [N] int64, piece of each point, 0 ... P - 1, numbered by first appearance.
-        merges: [M, 2] int64, M < P: two pieces; a merge joins the segments in which they lie.
-        heights: [M] float64 in [0, 1], mean probability of a boundary between the two segments that merge. It is never
-            below the heights of the merges inside them.
+        merges: [M, 2] int64, M < P: two pieces; a merge joins the two segments that contain them.
+        heights: [M] float64 in [0, 1], mean probability of a boundary between the two segments that merge. It is at
+            least the height of each merge inside them.
         default: height of the default level.
 
     Raises:
@@ -59,7 +59,8 @@ class Hierarchy:
                 f"got {list(self.merges.shape)}"
             )
         if self.merges.numel() and not 0 <= int(self.merges.min()) <= int(self.merges.max()) < self.num_pieces:
-            raise ValueError(f"merges: expected pieces in [0, {self.num_pieces})")
+            came = f"got {int(self.merges.min())} to {int(self.merges.max())}"
+            raise ValueError(f"merges: expected pieces in [0, {self.num_pieces}), {came}")
         if not ((self.heights >= 0) & (self.heights <= 1)).all():
             raise ValueError("heights: expected numbers in [0, 1]")
         if not 0 <= self.default <= 1:
@@ -74,11 +75,11 @@ class Hierarchy:
         return int(self.piece.max()) + 1
 
     def height_of(self, granularity: float) -> float:
-        """The height of a level: from 1 for the coarsest (0) through the default (0.5) to 0 for the finest (1).
+        """The height of a level. Granularity 0 (coarsest) has height 1, 0.5 has the default height, 1 (finest) has 0.
 
         Raises:
-            TypeError: not a number.
-            ValueError: a number outside [0, 1].
+            TypeError: `granularity` is not a number.
+            ValueError: it is outside [0, 1].
         """
         check_granularity(granularity)
         granularity = float(granularity)  # NumPy's float32 would round the height
@@ -88,32 +89,32 @@ class Hierarchy:
 
     @one_thread_per_operation()
     def segments_of_pieces(self, height: float) -> Tensor:
-        """The segment of each piece, [P] int64, where all merges up to a height have happened."""
+        """The segment of each piece, [P] int64, after all merges up to a height."""
         return ops.connected_components(self.merges[self.heights <= height].t(), self.num_pieces)
 
     @one_thread_per_operation()
     def cut(self, height: float) -> Tensor:
-        """Labels [N] int64, where all merges up to a height have happened, numbered by first appearance."""
+        """Labels [N] int64 after all merges up to a height, numbered by first appearance."""
         return self.segments_of_pieces(height)[self.piece]
 
     def at(self, granularity: float = 0.5) -> Tensor:
         """Labels [N] int64 of a level, numbered by first appearance.
 
         Args:
-            granularity: from 0, coarse: whatever is connected is one segment, to 1, fine: the pieces. 0.5 is the
+            granularity: from 0 (coarse: each connected part is one segment) to 1 (fine: each piece is one). 0.5 is the
                 default level.
 
         Raises:
-            TypeError: not a number.
-            ValueError: a number outside [0, 1].
+            TypeError: `granularity` is not a number.
+            ValueError: it is outside [0, 1].
         """
         return self.cut(self.height_of(granularity))
 
     def transferred(self, of_point: Tensor) -> tuple[Hierarchy, Tensor]:
-        """The same hierarchy for other points, each of which takes the piece of one of these points.
+        """The same hierarchy for K other points; each takes the piece of one of the N points.
 
         Args:
-            of_point: [K] int64, one of the N points for each other point. Every piece must occur.
+            of_point: [K] int64, for each new point, one of the N points. Every piece must occur.
 
         Returns:
             the hierarchy of the K points, with its pieces numbered by first appearance among them; and [P] int64, the
@@ -132,7 +133,7 @@ class Hierarchy:
 
 
 def check_granularity(granularity: float, name: str = "granularity") -> None:
-    """Raises TypeError if it is no number, ValueError if it is outside [0, 1]; the message calls it `name`."""
+    """Raises TypeError if it is not a number, ValueError if it is outside [0, 1]; the message calls it `name`."""
     given: object = granularity
     if isinstance(given, bool) or not isinstance(given, numbers.Real):
         raise TypeError(f"{name}: expected a number from 0 (coarse) to 1 (fine), got {type(granularity).__name__}")

@@ -12,14 +12,14 @@ from torchjoint.runtime.threads import one_thread_per_operation
 
 
 class LevelImages(Sequence[Tensor]):
-    """Label images in which each segment has another label: a sequence of [H, W] int64, looked up at each access.
+    """Label images with the labels of another level: a sequence of [H, W] int64, computed at each access.
 
     Args:
-        images: [H, W] int64 per frame, -1 = none. Ids from `num_before` on have no points; they keep their pixels.
+        images: [H, W] int64 per frame, -1 = none. Segments with ids from `num_before` on have no points; they stay.
         num_before: number of 3D segments in `images`.
         table: [K] int64, the new label of each 3D segment, or of each piece.
-        num_after: number of 3D segments among the new labels; ids without points follow.
-        pieces: if the table is by pieces: [H, W] int64 per frame, the piece of each pixel with a 3D segment, else -1.
+        num_after: number of 3D segments after the change; the ids of segments without points follow.
+        pieces: for a table of pieces: [H, W] int64 per frame, the piece of each pixel in a 3D segment, else -1.
     """
 
     def __init__(

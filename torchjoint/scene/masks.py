@@ -55,7 +55,7 @@ class Masks:
         Args:
             stack: [M, H, W] bool; M may be 0.
             scores: optional [M] in [0, 1], how far each mask can be trusted; default 1.
-            name: what messages call the stack.
+            name: name of the stack in messages.
 
         Raises:
             ValueError, TypeError: naming the argument, what was expected and what came.
@@ -71,7 +71,7 @@ class Masks:
         for number, mask in enumerate(stack.cpu().flatten(1)):
             inside = mask.nonzero().squeeze(1)
             before, new = torch.unique(atom[inside], return_inverse=True)
-            atom[inside] = new + len(members)  # what lies in the mask is split off its atom
+            atom[inside] = new + len(members)  # the part of an atom inside the mask becomes a new atom
             members += [(*members[old], number) for old in before.tolist()]
         return cls._of_members(atom.view(stack.shape[1:]), members, _as_scores(scores, len(stack), f"{name}' scores"))
 
@@ -84,7 +84,7 @@ class Masks:
             labels: [H, W] integers, a mask for each value.
             scores: optional [M], a score in [0, 1] for each mask, in ascending order of the values; default 1.
             none: the value of pixels without a mask, -1 or 0.
-            name: what messages call the labels.
+            name: name of the labels in messages.
 
         Raises:
             ValueError, TypeError: naming the argument, what was expected and what came.
@@ -146,7 +146,7 @@ class Masks:
 
     @on_cpu()
     def labels(self) -> Tensor:
-        """[H, W] int64, the mask of each pixel, -1 = none; where masks overlap the smallest counts, then the first."""
+        """[H, W] int64, the mask of each pixel, -1 = none; where masks overlap, the smallest (ties: the first)."""
         return self.smallest(torch.ones(len(self), dtype=torch.bool))[self.atom]
 
     @on_cpu()
@@ -157,7 +157,7 @@ class Masks:
 
     @on_cpu()
     def smallest(self, wanted: Tensor) -> Tensor:
-        """The smallest wanted mask, of [M] bool, around each atom, of equal ones the first: [K] int64, -1 = none."""
+        """The smallest mask around each atom (ties: the first) among those `wanted` [M] bool: [K] int64, -1 = none."""
         order = torch.argsort(self.areas(), stable=True)
         atom, mask = self.pairs
         rank = torch.empty_like(order)
@@ -170,15 +170,15 @@ class Masks:
         """The masks of an image of another size (H, W), by the nearest pixel.
 
         Warns:
-            UserWarning: the aspect differs by more than 2 %, so masks and image cannot be of the same view.
+            UserWarning: the aspect ratios differ by more than 2 %, so masks and image may show different views.
         """
         if size == self.size:
             return self
         (height, width), (own_height, own_width) = size, self.size
         if abs(own_height * width / (height * own_width) - 1) > 0.02:
             warnings.warn(
-                f"masks: {own_height} x {own_width} pixels for an image of {height} x {width}: another aspect; do they "
-                "show the same view?",
+                f"masks: {own_height} x {own_width} pixels for an image of {height} x {width}: other aspect ratio; "
+                "do they show the same view?",
                 stacklevel=2,
             )
         row = ((torch.arange(height, dtype=torch.float32, device="cpu") + 0.5) * own_height / height).long()
@@ -190,13 +190,13 @@ class Masks:
 
 
 def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None = None, name: str = "masks") -> Masks:
-    """Masks of an image of a size (H, W), from a label map, a stack, or :class:`Masks`; scaled to the image's size.
+    """Converts a label map, a stack, or :class:`Masks` to masks of an image, scaled to the image's size.
 
     Args:
         masks: [H, W] integers (-1 = none), [H, W] bool (one mask), or [M, H, W] bool.
         size: (H, W) of the image.
         scores: optional [M] in [0, 1].
-        name: what messages call the masks.
+        name: name of the masks in messages.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.

@@ -19,9 +19,9 @@ class Scene:
     """One point cloud and its frames.
 
     Args:
-        points: [N, 3] metres, world frame; N >= 1, finite. They are kept as float32, or as float64 if float32 would
-            round them: pass float64 for clouds far from the origin.
-        frames: a sequence of :class:`Frame`; may be lazy (read at access) or empty (plain 3D segmentation).
+        points: [N, 3] metres, world frame; N >= 1, finite. They are stored as float32, or as float64 if float32 would
+            round them. For clouds far from the origin pass float64.
+        frames: a sequence of :class:`Frame`. It may be lazy (read at access) or empty (plain 3D segmentation).
         colors: optional [N, 3] RGB in [0, 1].
         normals: optional [N, 3], pointing out of the surface; estimated if absent.
         name: used in messages.
@@ -44,7 +44,7 @@ class Scene:
             object.__setattr__(self, name, getattr(cloud, name))
         if not (hasattr(self.frames, "__len__") and hasattr(self.frames, "__getitem__")):
             raise TypeError(f"frames: expected a sequence of Frame, got {type(self.frames).__name__}")
-        if type(self.frames) in (list, tuple):  # others may be lazy, and are not read here
+        if type(self.frames) in (list, tuple):  # other sequences may be lazy, so do not read them here
             for index, frame in enumerate(self.frames):
                 if not isinstance(frame, Frame):
                     raise TypeError(f"frames[{index}]: expected a Frame, got {type(frame).__name__}")
@@ -53,7 +53,7 @@ class Scene:
 
     @property
     def cloud(self) -> Cloud:
-        """The points alone."""
+        """The cloud without the frames."""
         return Cloud(self.points, self.colors, self.normals)
 
     def __repr__(self) -> str:

@@ -16,12 +16,12 @@ from torchjoint.scene.level_images import LevelImages
 
 
 class LabelImages(Sequence[Tensor]):
-    """Label images of one segmentation: a sequence of [H, W] int64, stored packed, unpacked at each access.
+    """Label images of one segmentation: a sequence of [H, W] int64. They are packed; each access unpacks one.
 
     Args:
         images: [H, W] integers, as tensors or packed.
-        first_private: ids from here on occur in one image only.
-        offsets: optional, what is added to such ids in each image.
+        first_private: ids from this one on occur in one image only.
+        offsets: optional, for each image the number that is added to such ids.
     """
 
     def __init__(
@@ -62,8 +62,8 @@ class Segmentation:
         hierarchy: all levels of the segmentation, from which :meth:`at` chooses; None if the method makes none. Only
             method learned makes one.
         piece_images: with a hierarchy, a sequence of [H, W] int64, one per frame: the piece of the hierarchy in each
-            pixel with a 3D segment, else -1. Each image is computed when it is first used; the result keeps the frames'
-            observations for that.
+            pixel of a 3D segment, else -1. Each image is computed at its first use, so the segmentation keeps the
+            frames' observations.
     """
 
     points: Tensor
@@ -88,26 +88,26 @@ class Segmentation:
 
     @one_thread_per_operation()
     def at(self, granularity: float = 0.5) -> Self:
-        """The segmentation at another level: are the drawers parts of their cabinet, or objects of their own?
+        """The segmentation at another level, for example with drawers as parts of their cabinet or as own objects.
 
         Levels are nested: every segment lies inside one segment of each coarser level, in the cloud and in the images.
         Image segments without points are the same in all levels.
 
         Args:
-            granularity: from 0, coarse: whatever is connected is one segment, to 1, fine: the smallest pieces. 0.5 is
-                the default level, the labels of :meth:`torchjoint.JointSegmenter.compute`.
+            granularity: from 0 (coarse: each connected part is one segment) to 1 (fine: each piece is one). 0.5 is the
+                default level, the labels of :meth:`torchjoint.JointSegmenter.compute`.
 
         Returns:
-            labels of points and images, numbered as in every segmentation. Images are looked up when they are used.
+            labels of points and images. The images are computed when they are used.
 
         Raises:
-            ValueError: there is no hierarchy; or a granularity outside [0, 1].
-            TypeError: a granularity that is not a number.
+            ValueError: there is no hierarchy; or `granularity` is outside [0, 1].
+            TypeError: `granularity` is not a number.
         """
         if self.hierarchy is None:
             raise ValueError(
-                "hierarchy: there is none, because only point_segments.method learned, the default, makes one; "
-                "other methods have one level"
+                "hierarchy: expected a segmentation with levels, got one level; only point_segments.method learned "
+                "makes a hierarchy"
             )
         of_piece = self.hierarchy.segments_of_pieces(self.hierarchy.height_of(granularity))
         points = of_piece[self.hierarchy.piece]
@@ -124,7 +124,7 @@ class Segmentation:
             return LevelImages(self.images, num_before, of_segment, num_after)
         if len(self.piece_images) != len(self.images):
             raise ValueError(
-                f"piece_images: finer levels need one for each of {len(self.images)} images, got "
+                f"piece_images: expected one for each of {len(self.images)} images (finer levels need them), got "
                 f"{len(self.piece_images)}"
             )
         return LevelImages(self.images, num_before, of_piece, num_after, self.piece_images)

@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 def subset(items: Sequence[T], indices: Sequence[int]) -> Sequence[T]:
-    """The items at `indices`, in that order; lazy items stay lazy."""
+    """The items at `indices`, in this order; lazy items stay lazy."""
     return cast(Sequence[T], Subset(cast(Dataset[T], items), indices))
 
 

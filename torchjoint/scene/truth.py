@@ -12,12 +12,12 @@ from torchjoint.scene.subset import subset
 
 @dataclass(frozen=True)
 class Truth:
-    """The ground truth of a scene: only compared with results, never used to compute them.
+    """The ground truth of a scene. It is only compared with results.
 
     Args:
         points: optional [N] integers, the instance of each point, -1 = unknown (void).
-        images: label images [H, W], -1 = void, one per frame (may be lazy); empty if there are none. The code that
-            uses them checks their number.
+        images: label images [H, W], -1 = void, one per frame (may be lazy); empty if there are none. Their number is
+            checked where they are used.
         kinds: instance -> kind, such as "flat", for instances that are also scored per kind.
     """
 

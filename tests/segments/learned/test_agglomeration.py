@@ -192,7 +192,7 @@ class TestMethod:
 
     @pytest.mark.parametrize("method", ["paper", "scan"])
     def test_another_method_needs_another_graph(self, scene, segmenter, method):
-        message = r"config: what was seen depends on point_segments\.method; see the frames again"
+        message = r"config: stored evidence depends on point_segments\.method; add the frames again"
         other = LEARNED.set([f"point_segments.method={method}"])
         with pytest.raises(ValueError, match=message):
             segmenter.with_config(other)
