@@ -177,7 +177,7 @@ class TestForestFile:
             ("thresholds:", "limits:", "expected the entries"),
             ("numberOfTrees: 3", "numberOfTrees: 7", "children"),
             ("numberOfTrees: 3", "numberOfTrees: 0", "0 trees"),
-            ("numberOfTreesToEvaluate: 2", "numberOfTreesToEvaluate: 4", "4 of 3 trees"),
+            ("numberOfTreesToEvaluate: 2", "numberOfTreesToEvaluate: 4", "trees_per_site: expected 1 to 3, got 4"),
             ("childs:\n   - [ 2", "childs:\n   - [ 1", "children"),
             ("childs:\n   - [ 2", "childs:\n   - [ 99999999", "children"),
             ("childs:\n   - [ 2", "childs:\n   - [ x", "not a structured forest"),
