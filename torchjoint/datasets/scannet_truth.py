@@ -83,7 +83,7 @@ def _archive_reader(file: Path, names: Sequence[str]) -> Callable[[str], Tensor]
         raise ValueError(f"{file}: not a whole archive: {error}") from error
     for name in names:
         if _member(name) not in inside:
-            raise FileNotFoundError(f"{file}: expected {_member(name)} in it, and so for every frame")
+            raise FileNotFoundError(f"{file}: expected a member for every frame; {_member(name)} is missing")
     return lambda name: _read_member(file, _member(name))
 
 

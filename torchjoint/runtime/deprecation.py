@@ -1,4 +1,4 @@
-"""Names on their way out: they work as before, warn, and say what replaces them."""
+"""Deprecated names: they work as before, and warn with the name that replaces them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ R = TypeVar("R")
 
 
 class Deprecation(NamedTuple):
-    """A name that goes, the first version that warns, the first without it, and what to use instead."""
+    """A deprecated name, the first version that warns, the first version without it, and its replacement."""
 
     name: str
     since: str
@@ -21,19 +21,19 @@ class Deprecation(NamedTuple):
     use: str
 
     def __str__(self) -> str:
-        return f"{self.name} is deprecated since torchjoint {self.since} and gone in {self.gone}: use {self.use}"
+        return f"{self.name} is deprecated since torchjoint {self.since} and will be removed in {self.gone}: use {self.use}"
 
 
 DEPRECATIONS: list[Deprecation] = []  # of the whole package; a test compares them with its version
 
 
 def deprecated(since: str, gone: str, use: str, name: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorates a function that goes: a call warns with FutureWarning, which Python shows once for each calling line.
+    """Decorates a deprecated function. A call emits a FutureWarning, which Python shows once for each calling line.
 
     Args:
         since: the first version that warns.
-        gone: the version that no longer has the function; a test fails when the package has come so far.
-        use: what to call instead, as the end of a sentence.
+        gone: the first version without the function; a test fails when the package reaches this version.
+        use: the replacement, as the end of a sentence.
         name: what users call it; default: its module and name.
     """
 
