@@ -62,7 +62,7 @@ def show(
     if granularity is not None:
         check_granularity(granularity, "--granularity")
         if result.hierarchy is None:
-            raise ValueError(f"--granularity: expected a result of method learned, which has all levels; {out} has one level")
+            raise ValueError(f"--granularity: expected a result with levels (method learned), got {out} with one")
     if static is not None:
         _write_static(static, result, out if is_folder else None, granularity, direction)
     else:
@@ -110,7 +110,7 @@ def _scene_of(out: Path) -> Scene:
         return demo_scene().scene
     recording = Path(source)
     if not recording.exists():
-        raise FileNotFoundError(f"--truth: expected the recording of this result, but {recording} does not exist any more")
+        raise FileNotFoundError(f"--truth: expected the recording of this result, {recording}; it does not exist")
     return load_scene(recording, cloud=next(iter(sorted(out.glob("cloud-*mm.ply"))), None))
 
 

@@ -57,7 +57,9 @@ def superpoints(
     """
     if is_las(cloud) and (out is None or cloud.is_dir() or out.suffix.lower() in SUFFIXES):
         if viewpoint is not None or columns is not None:
-            raise ValueError(f"--viewpoint, --columns: expected none for .las and .laz in tiles, got them for {cloud}; write a .ply")
+            raise ValueError(
+                f"{cloud}: expected no --viewpoint or --columns for .las and .laz in tiles; or write a .ply"
+            )
         out = out or Path(f"{cloud.stem}-superpoints{'' if cloud.is_dir() else '.laz'}")
         config = SuperpointsConfig.from_preset(preset).set(set)
         made = superpoints_of_files(

@@ -32,7 +32,7 @@ class Camera:
     Args:
         intrinsics: [3, 3] float64, pixels; pixel centres have integer coordinates.
         size: (H, W) of the images for which the camera was calibrated; None: images of any size.
-        distortion: k1, k2, p1, p2; optionally also k3; then optionally k4, k5, k6, as for ``cv2.undistort``; empty = none.
+        distortion: k1, k2, p1, p2; or also k3; or also k3, k4, k5, k6, as for ``cv2.undistort``; empty = none.
         name: used in messages.
 
     Raises:

@@ -65,7 +65,7 @@ class Poses:
             chain.append(frame)
             frame = self._parents[frame]
             if len(chain) > _DEEPEST:
-                raise ValueError(f"{self.bag.path}: expected a tree of tf frames, got a cycle: {', '.join(chain[:5])} ...")
+                raise ValueError(f"{self.bag.path}: expected a tree of frames, got a cycle: {', '.join(chain[:5])} ...")
         return chain
 
     def _add(self, header: Any, child: str, transform: Any, fixed: bool) -> None:

@@ -71,7 +71,7 @@ def find_cameras(folder: Path, info: Path) -> Cameras | None:
         info: ScanNet's SCAN.txt, which gives the sensor's calibration and resolution, but less exactly.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     color = folder / "intrinsic" / "intrinsic_color.txt"
     if color.is_file():

@@ -30,7 +30,7 @@ def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
     """Reads [N] int64, the objectId of each vertex of `SCAN_vh_clean_2.ply`; -1 = none.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     record = read_record(folder / f"{scan}{SEGMENTS}", "segments of a mesh")
     segments = _integers(record, "segIndices")

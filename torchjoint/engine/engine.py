@@ -55,7 +55,7 @@ class _Task(Generic[T]):
 
 
 class Engine(abc.ABC):
-    """A set of workers; each runs one task at a time. Close it, or use it in a ``with`` block, to end all its processes.
+    """A set of workers; each runs one task at a time. Close it, or use it in a ``with`` block, to end its processes.
 
     Args:
         name: as the user gave it.

@@ -47,7 +47,7 @@ _on_machine: ContextVar[int] = ContextVar("torchjoint_tasks_on_machine", default
 
 
 def tasks_on_machine() -> int:
-    """How many tasks of the engine this machine may run at a time: a task may use this share of it. 1 outside a task."""
+    """How many tasks of the engine this machine may run at a time, so that each takes its share; 1 outside a task."""
     return _on_machine.get()
 
 

@@ -25,14 +25,14 @@ def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") 
             rows.append(Row(name, method, "3D", score(prediction.points, known.points)))
     if len(prediction.images) and len(truth.images):
         if len(truth.images) != len(scene.frames):
-            raise ValueError(f"{name}: expected a truth for each of {len(scene.frames)} frames, got {len(truth.images)}")
+            raise ValueError(f"{name}: expected {len(scene.frames)} truths of images, got {len(truth.images)}")
         try:
             in_2d = score_images(prediction.images, truth.select_frames(prediction.of_frames).images)
         except ValueError as error:
             raise ValueError(f"{name}, images in the order of their names: {error}") from error
         rows += [Row(name, method, "2D", in_2d)] if in_2d else []
     if not rows:
-        raise ValueError(f"{name}: expected ground truth for the predicted points or images, got it only for the others")
+        raise ValueError(f"{name}: expected ground truth for the predicted points or images, got none")
     return rows
 
 

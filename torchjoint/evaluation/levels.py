@@ -68,7 +68,7 @@ def best_levels(values: Sequence[Sequence[float]], granularities: Sequence[float
         BestLevels(default=0.45, data_set=0.5, granularity=0.25, scene=0.8)
     """
     if not values or any(len(of_scene) != len(granularities) for of_scene in values):
-        raise ValueError(f"values: expected {len(granularities)} for each of one or more scenes, got {[*map(len, values)]}")
+        raise ValueError(f"values: expected {len(granularities)} for each scene, got {[*map(len, values)]}")
     if DEFAULT not in granularities:
         raise ValueError(f"granularities: expected {DEFAULT} among them, got {list(granularities)}")
     means = [fmean(of_level) for of_level in zip(*values, strict=True)]

@@ -47,7 +47,7 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
         scene: the segmented scene.
 
     Raises:
-        FileNotFoundError, ValueError, TypeError: naming the file and its error.
+        FileNotFoundError, ValueError, TypeError: the message names the file and its error.
     """
     if path.is_file():
         labels = _read_labels(path)
@@ -78,7 +78,7 @@ def _frame_names(scene: Scene) -> dict[str, int]:
     names = [name or f"{index:06d}" for index, name in enumerate(found)]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"{scene.name}: expected different names of frames, got {twice!r} twice: {twice}.png is ambiguous")
+        raise ValueError(f"{scene.name}: expected different names of frames, got {twice!r} twice")
     return {name: index for index, name in enumerate(names)}
 
 

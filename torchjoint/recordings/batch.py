@@ -140,7 +140,7 @@ def _check_record(job: Job) -> None:
     record = {"torchjoint": version("torchjoint"), "options": {**vars(job.options)}, "config": job.config.to_dict()}
     text = yaml.safe_dump(record, sort_keys=False)
     if file.is_file() and file.read_text(encoding="utf-8", errors="replace") != text and not job.overwrite:
-        raise ValueError(f"{job.out}: expected other parameters, those of {file}; choose another folder, or --overwrite")
+        raise ValueError(f"{job.out}: expected the parameters of {file}; choose another folder, or --overwrite")
     write_text(file, text)
 
 

@@ -46,7 +46,7 @@ class RecordingOptions:
         check_granularity(self.granularity, "--granularity")
         method = config.point_segments.method
         if method not in ("learned", "auto"):
-            raise ValueError(f"--granularity: expected a method with levels, as in --preset default, got {method}, which has one level")
+            raise ValueError(f"--granularity: expected a method with levels, as in --preset default, got {method}")
 
     def source(self) -> str:
         """The options that change a fused cloud, as text."""

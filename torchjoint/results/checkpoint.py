@@ -69,7 +69,7 @@ class Checkpoint:
                 observations.extend([PackedObservation.from_dict(_read(self._file(i)))])
             state = JointState(**values, observations=observations)
         except Exception as error:  # a damaged file can raise anything
-            warnings.warn(f"{self.directory}: expected a whole checkpoint, got {error}; the run starts again", stacklevel=2)
+            warnings.warn(f"{self.directory}: damaged, starting again ({error})", stacklevel=2)
             return None
         self._saved = count
         return state

@@ -47,8 +47,8 @@ def write_result(
     """Writes points.ply, points.npz, segments.json, images/NAME.png, overview.png and run.yaml into a folder.
 
     The frames are written, too: cameras.json, inputs/NAME.jpg, and images_color/NAME.jpg with the labels over them.
-    A result with a hierarchy also gets hierarchy.npz and pieces/NAME.png, from which any level can be computed; run.yaml
-    then records the granularity of the labels.
+    A result with a hierarchy also gets hierarchy.npz and pieces/NAME.png, from which any level can be computed. Then
+    run.yaml also records the granularity of the labels.
 
     Raises:
         ValueError: a label does not fit 16-bit images, or two frames have the same name.
@@ -149,7 +149,7 @@ def read_granularity(folder: Path) -> float | None:
 
 
 def read_record(folder: Path) -> tuple[dict[str, int], dict[str, float]]:
-    """Reads the counts of a result (points, frames, point_segments) and its seconds by stage; raises as `read_source`."""
+    """Reads the counts of a result (points, frames, point_segments) and its seconds by stage. Raises as read_source."""
 
     def numbers(record: Any) -> tuple[dict[str, int], dict[str, float]]:
         counts = {name: int(record["counts"][name]) for name in ("points", "frames", "point_segments")}
@@ -173,7 +173,7 @@ def _write_label_images(folder: Path, result: Segmentation) -> None:
     names = _image_names(result)
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"frames: expected different names, got {twice!r} twice: the label images would overwrite each other")
+        raise ValueError(f"frames: expected different names, got {twice!r} twice")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     for name, labels in zip(names, result.images, strict=True):

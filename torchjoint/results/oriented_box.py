@@ -41,7 +41,7 @@ def oriented_box(points: Array, up: Array) -> OrientedBox:
     side = sides[int(np.argmax(np.linalg.norm(sides, axis=1)))]
     length = float(np.linalg.norm(side))
     first = (side / length) @ level if length > 1e-9 else level[0]
-    if first[np.argmax(np.abs(first))] < 0:  # of two opposite directions, choose the one whose largest component is positive
+    if first[np.argmax(np.abs(first))] < 0:  # the largest component shall be positive
         first = -first
     axes = np.stack([first, np.cross(up, first), up])
     along = (points - origin) @ axes.T

@@ -119,7 +119,7 @@ def _prepare(partial: Path, source: str) -> None:
     # A run may be killed after it made the folder and before it wrote the first file.
     is_new = not partial.exists() or {path.name for path in partial.iterdir()} <= {f".{SOURCE[:-4]}.partial.txt"}
     if not is_new and not source_file.is_file():
-        raise FileExistsError(f"{partial}: expected nothing, or the folder of an earlier run; move it, or choose another output")
+        raise FileExistsError(f"{partial}: expected the folder of an earlier run; move it, or choose another output")
     if not is_new and source_file.read_text(encoding="utf-8") != source:
         _remove(partial, SOURCE)
     partial.mkdir(parents=True, exist_ok=True)
@@ -183,6 +183,6 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
     if not overwrite:
         raise FileExistsError(f"{out}: exists already; choose another folder, or --overwrite")
     if content and not (out / "run.yaml").is_file():
-        raise FileExistsError(f"{out}: expected a result of torchjoint, with run.yaml; it has none, and will not be overwritten")
+        raise FileExistsError(f"{out}: expected a result of torchjoint, which has a run.yaml; it is not overwritten")
     if places.inside and not os.access(out, os.W_OK | os.X_OK):
         raise PermissionError(f"{out}: is read-only")

@@ -79,7 +79,7 @@ def edited(result: Result, edits: Edits) -> Result:
     """
     parts = Parts(result)
     table = parts.table(edits)
-    firsts, of_piece = np.unique(table, return_inverse=True)  # first pieces ascend, so the numbers are in the order of first appearance
+    firsts, of_piece = np.unique(table, return_inverse=True)  # ascending: in the order of first appearance
     names = {int(np.searchsorted(firsts, first)): name for first, name in edits.names(table).items()}
     segments = torch.from_numpy(of_piece.astype(np.int64))
     pieces = None if result.hierarchy is None else result.piece_images

@@ -12,7 +12,7 @@ from torchjoint import ops
 from torchjoint.scene import Hierarchy
 
 Table = npt.NDArray[np.int64]
-#: A split gives parts with at least this share of the points, if possible. The last merges of a large segment mostly add
+#: A split gives parts with at least this share of the points, if possible. The last merges of a large segment often add
 #: tiny parts: in 15 of the demo's 25 largest segments the last merge adds less than a twentieth of the points.
 LEAST_SHARE = 0.05
 
@@ -33,7 +33,7 @@ def split(table: Table, pieces: tuple[int, ...], hierarchy: Hierarchy | None) ->
         ValueError: there is no hierarchy, the two pieces are no merge, or the segment is a single piece.
     """
     if hierarchy is None:
-        raise ValueError("split: expected a result with a hierarchy, got none; only point_segments.method learned makes one")
+        raise ValueError("split: expected a hierarchy, got none; only point_segments.method learned makes one")
     inside = table == table[pieces[0]]
     merges, heights = hierarchy.merges.numpy(), hierarchy.heights.numpy()
     own = np.nonzero(inside[merges].all(axis=1))[0]
@@ -48,7 +48,7 @@ def split(table: Table, pieces: tuple[int, ...], hierarchy: Hierarchy | None) ->
         rest = inside & (parts == parts[away])
     else:
         if inside.sum() < 2:
-            raise ValueError(f"split: expected a segment of several pieces, got {int(table[pieces[0]])}, which is a single piece")
+            raise ValueError(f"split: expected a segment of several pieces, got {int(table[pieces[0]])} with one")
         parts = _parts(merges[own], len(table))
         if len(np.unique(parts[inside])) == 1:  # undo the last merge
             parts = _parts(np.delete(merges[own], _last(heights[own]), axis=0), len(table))

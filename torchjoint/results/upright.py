@@ -16,8 +16,8 @@ from torchjoint.scene import Scene
 
 #: Number of points that are used, evenly selected: enough to find a floor.
 SAMPLED = 20_000
-#: A plane is searched within NEAR degrees of the poses' upward direction if the cameras turned: then the poses determine
-#: it well. If all cameras look one way, it is wrong by their downward tilt, and the limit is FAR degrees.
+#: A plane is searched within NEAR degrees of the poses' upward direction if the cameras turned: the poses determine it
+#: well. If all cameras look one way, it is wrong by their downward tilt, and the limit is FAR degrees.
 NEAR, FAR = 20.0, 55.0
 #: The normals of a plane's points differ from the plane's normal by at most this angle, degrees.
 FLAT = 8.0
@@ -50,7 +50,7 @@ def _of_poses(scene: Scene) -> tuple[Tensor, float]:
     rotations = torch.stack([scene.frames[i].world_to_camera[:3, :3] for i in chosen])
     sideways, mean = rotations[:, 0], -rotations[:, 1].mean(0)
     spread = sideways.T @ sideways / count
-    # If the cameras turned, one direction is perpendicular to all x axes; else several: the mean of the -y axes decides.
+    # One direction is across all x axes if the cameras turned, else several are: the mean of the -y axes decides.
     values, vectors = torch.linalg.eigh(spread - 0.05 * torch.outer(mean, mean))
     up = vectors[:, 0]
     side = float(up @ mean)

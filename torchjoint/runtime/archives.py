@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-#: Limit of an unpacked archive: RATIO x the file's bytes + FREE bytes. Labels compress well, decompression bombs better.
+#: Limit of an unpacked archive, bytes: RATIO x its file + FREE. Labels compress well, decompression bombs even better.
 RATIO, FREE = 100, 1 << 30
 
 
@@ -38,9 +38,7 @@ def read_archive(path: Path, names: Collection[str] | None = None) -> dict[str, 
             _check_number(archive, len(entries))
             size, most = sum(entry.file_size for entry in entries), RATIO * path.stat().st_size + FREE
             if size > most:
-                raise ValueError(
-                    f"expected at most {most / 1e9:.3g} GB in a file of this size, got a declaration of {size / 1e9:.3g} GB"
-                )
+                raise ValueError(f"expected at most {most / 1e9:.3g} GB in so small a file, got {size / 1e9:.3g} GB")
             named = {entry.filename.removesuffix(".npy"): entry for entry in entries}
             return {name: _read_array(archive, named[name]) for name in named if names is None or name in names}
     except (ValueError, KeyError, OSError, EOFError, RuntimeError, NotImplementedError, OverflowError, SyntaxError,

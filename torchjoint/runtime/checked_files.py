@@ -25,7 +25,7 @@ def read_checked(path: Path) -> bytes:
     """
     data = path.read_bytes()
     if not data.startswith(_MARK):
-        raise ValueError(f"{path}: expected a file of this version of torchjoint, got one of another version, or a damaged one")
+        raise ValueError(f"{path}: expected a file of this version of torchjoint, got another, or a damaged one")
     checksum, _, content = data[len(_MARK) :].partition(b"\n")
     if checksum != hashlib.sha256(content).hexdigest().encode():
         raise ValueError(f"{path}: damaged: its checksum does not match its content")

@@ -21,7 +21,7 @@ class Deprecation(NamedTuple):
     use: str
 
     def __str__(self) -> str:
-        return f"{self.name} is deprecated since torchjoint {self.since} and will be removed in {self.gone}: use {self.use}"
+        return f"{self.name} is deprecated since torchjoint {self.since}, removed in {self.gone}: use {self.use}"
 
 
 DEPRECATIONS: list[Deprecation] = []  # of the whole package; a test compares them with its version

@@ -1,8 +1,8 @@
 """Cuts the plane into tiles along the cells of a survey.
 
-Without a size, the whole plane is one tile. A tile that holds too many points, with its buffer, is cut across its longer
-side into two tiles with about equally many points; these are cut again if necessary. So each tile fits into memory,
-also if the density is uneven, and a small cloud is one tile.
+Without a size, the whole plane is one tile. A tile that holds too many points, with its buffer, is cut across its
+longer side into two tiles with about equally many points; these are cut again if necessary. So each tile fits into
+memory, also if the density is uneven, and a small cloud is one tile.
 """
 
 from __future__ import annotations

@@ -159,14 +159,18 @@ def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool
     if out.exists() and out.samefile(cloud):
         raise ValueError(f"out: expected another path than the cloud's, got {out}")
     if out.is_symlink() or (out.exists() and out.is_dir() != cloud.is_dir()):
-        raise FileExistsError(f"{out}: expected nothing, or an earlier result, got a link, or a file in place of a folder or the reverse")
+        raise FileExistsError(
+            f"{out}: expected no link, and a {'folder' if cloud.is_dir() else 'file'}; choose another name"
+        )
     if out.exists() and not overwrite:
         raise FileExistsError(f"{out}: exists already; choose another name, or --overwrite")
     names = Counter(_result_name(file) for file in files)
     if twice := [name for name, count in names.items() if count > 1]:
-        raise ValueError(f"{cloud}: expected different names of results, but a .laz and a .copc.laz both become {twice[0]}")
+        raise ValueError(f"{cloud}: a .laz and a .copc.laz would both become {twice[0]}; rename one of them")
     if out.is_dir() and (others := {path.name for path in out.iterdir()} - set(names)):
-        raise FileExistsError(f"{out}: expected only files of an earlier result, got {min(others)}; it will not be replaced")
+        raise FileExistsError(
+            f"{out}: expected only files of an earlier result, got {min(others)}; it will not be replaced"
+        )
 
 
 def _result_name(file: Path) -> str:
@@ -179,7 +183,9 @@ def _prepare(work: Path, source: str) -> None:
     """Makes the working folder, or uses that of an earlier run with the same source."""
     file = work / "source.txt"
     if work.exists() and (not work.is_dir() or (any(work.iterdir()) and not file.is_file())):
-        raise FileExistsError(f"{work}: expected nothing, or the folder of an earlier run; move it, or choose another output")
+        raise FileExistsError(
+            f"{work}: expected nothing, or the folder of an earlier run; move it, or choose another output"
+        )
     if file.is_file() and file.read_text(encoding="utf-8") != source:
         shutil.rmtree(work)
     work.mkdir(exist_ok=True)

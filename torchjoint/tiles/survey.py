@@ -39,7 +39,7 @@ def read_points(files: Sequence[Path]) -> Iterator[tuple[int, LasPoints]]:
     """Yields the points of all files in their order, in parts; with each part, the number of its first point.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     first = 0
     for path in files:
@@ -61,7 +61,7 @@ def survey(files: Sequence[Path], align: float | None = None) -> Survey:
         align: metres; the grid starts at a multiple of this length, which is itself a multiple of the cells' side.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     num_points, low, high = _bounds(files)
     for _ in range(2):

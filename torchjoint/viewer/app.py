@@ -205,7 +205,9 @@ class Viewer:
         self._can_save = False
         self.replace(result)
         self._count_frames()
-        self._say(f"{result.num_point_segments} segments; the result in OUT is unchanged: run `segment` with --set to write this")
+        self._say(
+            f"{result.num_point_segments} segments; the files are unchanged: `segment --set ...` writes this result"
+        )
 
     def _on_mode(self) -> None:
         self.model.mode = self._panel.mode.value

@@ -31,7 +31,7 @@ def read_boundary_map(path: Path) -> Tensor:
     """Reads a grey .png of 8 or 16 bits, or a floating [H, W] .npy in [0, 1]; returns [H, W] float32 in [0, 1].
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     if path.suffix == ".png":
         return read_grey_image(path)

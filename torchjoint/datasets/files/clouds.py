@@ -51,7 +51,7 @@ def read_cloud_file(path: Path, columns: int | None = None) -> CloudFile:
         columns: numbers in a row of a .bin file, if other than above.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -86,7 +86,7 @@ def _read_bin(path: Path, columns: int | None) -> Tensor:
 
 
 def likelier_columns(rows: Tensor) -> int | None:
-    """Finds a row length that is much more plausible for a LiDAR scan than that of its rows [N, C]; None: there is none.
+    """The row length that is much more plausible for a LiDAR scan than that of its rows [N, C]; or None.
 
     A LiDAR rotates, so consecutive points are near each other. Rows of a wrong length mix up the columns.
     """

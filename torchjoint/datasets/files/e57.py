@@ -33,7 +33,7 @@ def read_e57(path: Path) -> tuple[Tensor, Tensor | None]:
         points [N, 3] float64 metres, colours [N, 3] float32 in [0, 1] or None.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
         ModuleNotFoundError: pye57 is not installed.
     """
     if not path.is_file():

@@ -40,7 +40,7 @@ def read_las(path: Path) -> tuple[Tensor, Tensor | None]:
         points [N, 3] float64, colours [N, 3] float32 in [0, 1] or None.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
         ModuleNotFoundError: laspy or lazrs is not installed.
     """
     with open_las(path) as reader:
@@ -67,7 +67,7 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
         only_places: decompress only coordinates and colours, if the file's point format allows it.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
         ModuleNotFoundError: laspy or lazrs is not installed.
     """
     laspy = las_library()

@@ -40,8 +40,8 @@ def read_ply(path: Path) -> Ply:
     """Reads the vertices and faces of a PLY file; of other elements only the size is checked.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error; sizes in the header are compared with the file's
-            size before memory is allocated.
+        FileNotFoundError, ValueError: the message names the file and its error; sizes in the header are compared
+            with the file's size before memory is allocated.
     """
     elements = _read_elements(path)
     try:

@@ -44,7 +44,7 @@ def read_image_size(path: Path) -> tuple[int, int]:
 
 
 def read_depth(path: Path, unit: float = 0.001) -> Tensor:
-    """Reads a 16-bit depth image, one step = `unit` metres, as [H, W] float32 metres; 0 and 65535 become 0 = unknown."""
+    """Reads a 16-bit depth image, one step = `unit` metres, as [H, W] float32 metres; 0 and 65535 give 0 = unknown."""
     image = _opened(path)
     if image.mode not in ("I;16", "I;16B", "I"):
         raise ValueError(f"{path}: expected a 16-bit grey image, got mode {image.mode}")
@@ -87,7 +87,7 @@ def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
         if all are zero).
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     return read_mesh(path)[:3]
 

@@ -79,7 +79,7 @@ def _intrinsics(path: Path, points: Tensor, known: Tensor, width: int) -> Tensor
         offset = float((focal * slope + center - pixel).abs().max())
         if not (offset <= LARGEST_OFFSET and focal > 0):
             raise ValueError(
-                f"{path}: expected points on the rays of a pinhole camera's pixels, got a point {offset:.3g} px from its pixel"
+                f"{path}: expected points on the rays of a pinhole camera's pixels, got one {offset:.3g} px off its ray"
             )
         matrix[axis, axis], matrix[axis, 2] = focal, center
     return matrix

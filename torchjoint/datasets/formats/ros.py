@@ -178,7 +178,7 @@ def _reader(
 
 
 def _merged_scans(bag: Bag, topic: str, poses: Poses, voxel_size: float) -> tuple[Tensor, Tensor | None]:
-    """The points [N, 3] float64 of all scans in the world, one per voxel, and their colours if every scan has colours."""
+    """The points [N, 3] float64 of all scans in the world, one per voxel, and their colours if every scan has them."""
     stamps = bag.stamps(topic)
     at = poses.world_from(_frame(bag.first(topic)), [one.time for one in stamps])
     points, colors, colored, thinned = torch.empty(0, 3, dtype=torch.float64), torch.empty(0, 3), True, 0
