@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import re
 import warnings
 from collections.abc import Callable
 from typing import NamedTuple, ParamSpec, TypeVar
@@ -49,12 +48,3 @@ def deprecated(since: str, gone: str, use: str, name: str = "") -> Callable[[Cal
         return warn_first
 
     return decorate
-
-
-def overdue(version: str) -> list[Deprecation]:
-    """The deprecations that `version` should no longer have."""
-    return [deprecation for deprecation in DEPRECATIONS if _numbers(deprecation.gone) <= _numbers(version)]
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    return tuple(map(int, re.findall(r"\d+", version)[:3]))  # 0.2.0rc1 counts as 0.2.0

@@ -169,7 +169,7 @@ def evaluate_boundaries(
         progress: show a progress bar.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file, or the image with an invalid boundary strength.
+        FileNotFoundError, ValueError: the message names the file, or the image with an invalid boundary strength.
     """
     return evaluate_predictions(
         lambda record: detector(record.image[None])[0], records, thresholds, nms=nms, progress=progress

@@ -99,7 +99,7 @@ def domain_settings(domain: str, seed: int = 0) -> DomainSettings:
     """What :func:`~torchjoint_lab.synthetic.make_domain_scene` draws for ``domain`` and ``seed``.
 
     Raises:
-        ValueError: naming the argument.
+        ValueError: the message names the argument.
     """
     if domain not in DOMAINS:
         raise ValueError(f"domain: expected one of {', '.join(map(repr, DOMAINS))}, got {domain!r}")

@@ -57,15 +57,6 @@ def read_label_image(path: Path) -> Tensor:
     return labels_of(_opened(path), str(path))
 
 
-def read_grey_image(path: Path) -> Tensor:
-    """Reads a grey image of 8 or 16 bits; returns [H, W] float32 in [0, 1]."""
-    image = _opened(path)
-    if image.mode not in ("1", "L", "I;16", "I;16B", "I"):
-        raise ValueError(f"{path}: expected a grey image of 8 or 16 bits, got mode {image.mode}")
-    white = {"1": 1, "L": 255}.get(image.mode, 65535)
-    return torch.from_numpy(np.array(image).astype(np.float32)) / white
-
-
 def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
     """Reads a matrix from a text file; returns float64 of this shape."""
     if not path.is_file():
