@@ -42,9 +42,7 @@ class SharedLabels(NamedTuple):
     point: npt.NDArray[np.int64]  #: [m] ascending
     superpoint: npt.NDArray[np.int32]  #: [m] numbered in the tile
     is_own: npt.NDArray[np.bool_]  #: [m] whether the tile owns the point
-    whole_size: npt.NDArray[
-        np.int32
-    ]  #: [K] points of each superpoint of the tile; 0: it may continue beyond the buffer
+    whole_size: npt.NDArray[np.int32]  #: [K] points of each superpoint; 0: it may continue beyond the buffer
 
 
 def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -> None:

@@ -205,9 +205,7 @@ class Viewer:
         self._can_save = False
         self.replace(result)
         self._count_frames()
-        self._say(
-            f"{result.num_point_segments} segments; the files are unchanged: `segment --set ...` writes this result"
-        )
+        self._say(f"{result.num_point_segments} segments; not written to OUT: run `segment` with --set to write this")
 
     def _on_mode(self) -> None:
         self.model.mode = self._panel.mode.value

@@ -114,10 +114,7 @@ def labels_so_far(
         number = torch.arange(int(labels.given.max()) + 1)
         if before is not None:
             number = kept_numbers(labels.given, before)
-    seen, sizes = (
-        segmenter.state.observations[:],
-        torch.bincount(labels.of_graph),
-    )  # a copy, because frames may be added
+    seen, sizes = segmenter.state.observations[:], torch.bincount(labels.of_graph)  # a copy: frames may be added
 
     @lru_cache(maxsize=4)
     def image(index: int) -> Tensor:

@@ -6,7 +6,7 @@ Hierarchical Image Segmentation" (PAMI 2011). At each threshold the prediction i
 matched to each annotator's pixels, one to one, within a share of the image's diagonal. A predicted pixel is correct if
 it is matched to a pixel of any annotator; recall counts the pixels of all annotators.
 
-One thing is simpler here: a match has no cost. The largest number of pairs is taken, whatever their distances.
+One thing is simpler here: a match has no cost. The largest number of pairs is chosen; their distances do not matter.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ class DomainSettings(NamedTuple):
         printed: probability that a package or cloth has a print.
         difficult: probability that a thing is glossy, black or half transparent to the sensor.
         clutter: scales the number of things.
-        cropped: whether the cloud holds only what is near the things.
+        cropped: whether the cloud holds only the surroundings of the things.
         beams: of the LiDAR; 0 for cameras.
     """
 
