@@ -230,7 +230,7 @@ class TestPredictions:
         with pytest.raises(ValueError, match="expected a scene with ground truth"):
             evaluate(everything, tj.Scene(points), "a")
         only_images = tj.Scene(points, synthetic.scene.frames, truth=Truth(images=synthetic.image_labels))
-        with pytest.raises(ValueError, match="is not what there is truth for"):
+        with pytest.raises(ValueError, match="expected ground truth for the predicted points or images"):
             evaluate(everything, only_images, "a")
 
 

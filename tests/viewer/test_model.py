@@ -92,7 +92,7 @@ def test_a_split_goes_down_the_tree():
     assert Edits(5, None, apart[:2]).apply(table, hierarchy).tolist() == [0, 0, 0, 0, 4]
     with pytest.raises(ValueError, match="split: expected a segment of several pieces, got 4"):
         Edits(5, None, apart).apply(table, hierarchy)
-    with pytest.raises(ValueError, match="split: the result has no hierarchy"):
+    with pytest.raises(ValueError, match="split: expected a hierarchy, got none"):
         Edits(5, None, apart[1:]).apply(table, None)
     assert confidence(hierarchy, 0.5).tolist() == pytest.approx([0.6, 0.6, 0.6, 0.6, 0.9])
 
