@@ -150,7 +150,7 @@ class TestSameLabels:
         assert loads[-2:] == [4, 5]
         with (tmp_path / "state" / "sums.pt").open("r+b") as file:
             file.truncate(100)
-        with pytest.warns(UserWarning, match="state: damaged, starting over"):
+        with pytest.warns(UserWarning, match="state: damaged, starting again"):
             assert Checkpoint(tmp_path / "state", key).load() is None
         assert Checkpoint(tmp_path / "state", run_key("synthetic 4", config)).load() is None
         assert [file.name for file in (tmp_path / "state").iterdir()] == ["key.txt"]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from torchjoint_lab.synthetic.household import _lined, bowl, mug
+from torchjoint_lab.synthetic.household import _lined, bowl, cup_sides, mug
 from torchjoint_lab.synthetic.style import Style
 
 from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.mesh import Part, cup, cup_sides
+from torchjoint.synthetic.mesh import Part, cup
 
 
 def area(part: Part) -> float:

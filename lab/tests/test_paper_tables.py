@@ -153,7 +153,7 @@ def test_results_that_are_there_already(data, out, run, run_lab, tmp_path):
     shutil.copytree(tmp_path / "results" / SCANS[1], tmp_path / "wrong" / SCANS[0])
     for folder, message in (
         ("results", r"9\.png: the scene has no frame of that name"),
-        ("wrong", r"points\.npz: its points are not those of the scene"),
+        ("wrong", r"points\.npz: expected points of the scene, got one"),
     ):
         arguments = [data / "scans" / SCANS[0], "-o", tmp_path / "x", "--results", tmp_path / folder]
         with pytest.raises(SystemExit, match=message):

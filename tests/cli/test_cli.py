@@ -108,7 +108,7 @@ def test_overwrite(recording, run, tmp_path):
     folder = tmp_path / "twice"
     folder.mkdir()
     (folder / "thesis.tex").write_text("precious")
-    with pytest.raises(SystemExit, match=r"twice: is no result of torchjoint \(it has no run\.yaml\)"):
+    with pytest.raises(SystemExit, match=r"twice: expected a result of torchjoint, which has a run\.yaml"):
         run("segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
     assert (folder / "thesis.tex").read_text() == "precious"
     (folder / "run.yaml").write_text("an earlier result")
@@ -146,7 +146,7 @@ def test_outputs_that_cannot_be(recording, run, tmp_path, kind):
         out.symlink_to(tmp_path / "nowhere")
     else:
         out = recording
-    with pytest.raises(SystemExit, match=r"exists and is not a folder|holds, the recording itself"):
+    with pytest.raises(SystemExit, match=r"exists and is not a folder|does not contain the recording"):
         run("segment", recording, "-o", out, "--overwrite", *SMALL)
     assert kind != "file" or out.read_text() == "precious"
     assert (recording / "camera-intrinsics.txt").exists()
@@ -185,7 +185,7 @@ def test_a_folder_in_the_way_is_left_alone(recording, run, tmp_path):
     mine = tmp_path / "out.partial" / "thesis.tex"
     mine.parent.mkdir()
     mine.write_text("precious")
-    with pytest.raises(SystemExit, match=r"out\.partial: is in the way and not of an earlier run"):
+    with pytest.raises(SystemExit, match=r"out\.partial: expected the folder of an earlier run"):
         run("segment", recording, "-o", tmp_path / "out", *SMALL)
     assert mine.read_text() == "precious"
 
@@ -213,7 +213,7 @@ def test_an_error_that_is_no_one_s_fault_is_one_line(recording, run, tmp_path, m
     """Full disks and too little memory; what the package itself does wrong keeps its traceback."""
     for error, message in [
         (OSError(errno.ENOSPC, "No space", "sums.pt"), r"error: the disk is full \(sums\.pt\); make room"),
-        (MemoryError(), r"error: out of memory; see --thin"),
+        (MemoryError(), r"error: out of memory; --thin"),
         (RuntimeError("[enforce fail] DefaultCPUAllocator: not enough memory: you tried"), r"error: out of memory"),
         (RecursionError("maximum recursion depth exceeded"), r"error: nested too deeply"),
         (BrokenProcessPool("a worker was killed"), r"error: a worker was killed"),

@@ -58,7 +58,7 @@ def test_an_interrupt_while_fusing_says_what_is_lost(run, scene_of, tmp_path, mo
         raise KeyboardInterrupt
 
     monkeypatch.setattr("torchjoint.datasets.formats.folder.read_depth", interrupt)
-    with pytest.raises(SystemExit, match=r"interrupted; .*the cloud was being fused from depth, which starts over"):
+    with pytest.raises(SystemExit, match=r"interrupted; .*the cloud was being fused from depth; the next run"):
         run("segment", recording, "-o", tmp_path / "out")
 
 

@@ -126,7 +126,9 @@ class TestScans:
 
     def test_columns_that_are_not_plausible(self, tmp_path, run):
         turning().tofile(tmp_path / "scan.bin")  # would be 2500 points of KITTI
-        with pytest.raises(SystemExit, match=r"scan\.bin: is not likely to have rows of 4 float32.*--columns 5"):
+        with pytest.raises(
+            SystemExit, match=r"scan\.bin: expected rows of 4 float32, but rows of 5 are more plausible.*--columns 5"
+        ):
             run("superpoints", tmp_path / "scan.bin", "-o", tmp_path / "a.npy", "--no-picture")
         run("superpoints", tmp_path / "scan.bin", "-o", tmp_path / "a.npy", "--no-picture", "--columns", 5)
         assert len(np.load(tmp_path / "a.npy")) == 2000

@@ -61,7 +61,7 @@ class TestImagesOfAnotherSize:
     def test_rotated_and_cropped_images_are_refused(self, new):
         camera = Camera(pinhole_matrix(500, 500, 320, 240), (480, 640), name="cameras.txt: line 3")
         with pytest.raises(
-            ValueError, match=r"image 'a' of cameras\.txt: line 3: is \d+ x \d+ pixels, not of the shape of"
+            ValueError, match=r"image 'a' of cameras\.txt: line 3: expected the aspect ratio of 640 x 480 pixels"
         ):
             camera.frame(torch.zeros(3, *new, dtype=torch.uint8), torch.eye(4), name="a")
 
@@ -70,7 +70,9 @@ class TestImagesOfAnotherSize:
         assert resize_depth(depth, (2, 2)) is depth
         assert resize_depth(depth, (4, 4)).tolist() == [[1, 1, 2, 2], [1, 1, 2, 2], [3, 3, 0, 0], [3, 3, 0, 0]]
         assert resize_depth(resize_depth(depth, (6, 6)), (2, 2)).tolist() == depth.tolist()
-        with pytest.raises(ValueError, match="depth of frame 'a': is 4 x 2 pixels, not of the shape of 2 x 2"):
+        with pytest.raises(
+            ValueError, match="depth of frame 'a': expected the aspect ratio of 2 x 2 pixels, got 4 x 2"
+        ):
             resize_depth(depth, (2, 4), "a")
 
 

@@ -185,7 +185,8 @@ class TestCameras:
 
     def test_rotated_images(self, folder, kind):
         with pytest.raises(
-            ValueError, match=r"image '0' of .*cameras\.(txt: line 2|bin: camera 3): is 160 x 120 pixels"
+            ValueError,
+            match=r"image '0' of .*cameras\.(txt: line 2|bin: camera 3): expected the aspect ratio of 120 x 160",
         ):
             self.load(folder, kind, "PINHOLE", 120, 160, [150, 150, 60, 80])
 

@@ -167,7 +167,7 @@ class TestDepth:
     def test_other_arrays(self, folder, wrong):
         np.save(folder / "0.npy", wrong)
         with pytest.raises(
-            ValueError, match=r"depth of frame .*(expected shape|not of the shape)|0\.npy: expected numbers"
+            ValueError, match=r"depth of frame .*(expected shape|expected the aspect ratio)|0\.npy: expected numbers"
         ):
             self.load(folder, "0.npy")
 
@@ -241,7 +241,7 @@ class TestPaths:
         ({"fl_x": None}, {}, r"frames\[0\]: expected fl_x or camera_angle_x, got neither"),
         ({"fl_x": None, "camera_angle_x": 4}, {}, r"frames\[0\]: camera_angle_x: expected an angle of view in radians"),
         ({"w": -1}, {}, r"frames\[0\]: w, h: expected a size in pixels"),
-        ({"h": 300}, {}, r"image 'frame_0000\d' of .*: is 160 x 120 pixels, not of the shape of 160 x 300"),
+        ({"h": 300}, {}, r"image 'frame_0000\d' of .*: expected the aspect ratio of 160 x 300 pixels, got 160 x 120"),
         ({"fl_y": -5}, {}, r"intrinsics of .*frames\[0\]: expected \[\[fx"),
         ({"camera_model": "OPENCV_FISHEYE"}, {}, r"frames\[0\]: camera_model: .* got 'OPENCV_FISHEYE'; undistort"),
         ({"is_fisheye": True}, {}, r"frames\[0\]: camera_model: .* got a fisheye; undistort the images first"),
@@ -263,7 +263,7 @@ class TestPaths:
         (
             {},
             {"depth_file_path": "sparse_pc.ply", "depth_unit_scale_factor": 0},
-            r"scale_factor: expected metres a unit",
+            r"scale_factor: expected the metres per unit, above 0",
         ),
     ],
 )

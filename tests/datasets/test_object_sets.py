@@ -85,5 +85,5 @@ class TestCloudAlone:
         assert torch.equal(result.points, expected.points)
         assert result.num_point_segments > 1
         assert len(result.images) == len(result.scene.frames) == 0
-        with pytest.raises(ValueError, match="no images"):
+        with pytest.raises(ValueError, match="expected a result with images, got none"):
             tj.results.exports.coco.export_coco(tmp_path / "x.json", result)

@@ -105,7 +105,7 @@ def test_too_few_points_to_find_intrinsics(tmp_path, left):
 def test_labels_that_are_none(tmp_path):
     fields = view(np.random.default_rng(0))
     count = HEIGHT * WIDTH
-    with pytest.raises(ValueError, match="expected one integer a point in the field label, got float32"):
+    with pytest.raises(ValueError, match="expected one integer per point in the field label, got float32"):
         tj.load_scene(write(tmp_path / "view.pcd", fields | {"label": np.ones(count, dtype=np.float32)}))
     with pytest.raises(ValueError, match="label: expected labels >= -1"):
         tj.load_scene(write(tmp_path / "view.pcd", fields | {"label": np.full(count, -50, dtype=np.int32)}))

@@ -165,7 +165,10 @@ def test_instances_of_pixels_zipped_and_of_another_size(folder, synthetic):
     assert torch.equal(images[3], synthetic.image_labels[3])
     with zipfile.ZipFile(folder / f"{SCAN}_2d-instance-filt.zip", "w") as archive:
         archive.writestr("instance-filt/0.png", b"no image")
-    with pytest.raises(FileNotFoundError, match=r"2d-instance-filt\.zip: expected instance-filt/1\.png in it"):
+    with pytest.raises(
+        FileNotFoundError,
+        match=r"2d-instance-filt\.zip: expected a member for every frame; instance-filt/1\.png is missing",
+    ):
         tj.load_scene(folder)
 
 
@@ -434,7 +437,7 @@ class TestExported:
             (("colorWidth = 8", "colorWidth = 1e99"), "expected an image size in pixels"),
             (("colorWidth = 8", "colorWidth = nan"), "expected an image size in pixels"),
             (("fy_color = 8", "fy_color = -8"), "txt, colour: expected"),
-            (("fx_color", "fx_colour"), "scene0011_00.txt tells of no cameras"),
+            (("fx_color", "fx_colour"), "scene0011_00.txt has no calibration"),
         ],
     )
     def test_bad_calibrations(self, folder, spoil, message):

@@ -37,7 +37,7 @@ class TestScores:
         assert score_images([good], [void]) is None
 
     def test_as_many_images_as_truths(self):
-        with pytest.raises(ValueError, match="images: expected one for each of 2 truths, got 1"):
+        with pytest.raises(ValueError, match="images: expected 2, one for each truth, got 1"):
             score_images([torch.zeros(1, 1).long()], [torch.zeros(1, 1).long()] * 2)
 
     def test_images_of_another_size(self):
@@ -215,7 +215,7 @@ class TestPredictions:
         assert torch.equal(synthetic.scene.points[read.of_points], points)
         assert evaluate(read, synthetic.scene, "a")[0].scores.f == 1
         np.savez(tmp_path / "points.npz", points=points.numpy() + 1, labels=labels.numpy())
-        with pytest.raises(ValueError, match=r"points\.npz: its points are not those of the scene"):
+        with pytest.raises(ValueError, match=r"points\.npz: expected points of the scene, got one that is"):
             read_prediction(tmp_path, synthetic.scene)
 
     def test_nothing_there(self, tmp_path, synthetic):
@@ -227,10 +227,10 @@ class TestPredictions:
     def test_scenes_without_truth(self, synthetic):
         points = synthetic.scene.points
         everything = Prediction(torch.zeros(len(points)).long(), torch.arange(len(points)), (), ())
-        with pytest.raises(ValueError, match="comes without truth"):
+        with pytest.raises(ValueError, match="expected a scene with ground truth"):
             evaluate(everything, tj.Scene(points), "a")
         only_images = tj.Scene(points, synthetic.scene.frames, truth=Truth(images=synthetic.image_labels))
-        with pytest.raises(ValueError, match="is not what there is truth for"):
+        with pytest.raises(ValueError, match="expected ground truth for the predicted points or images"):
             evaluate(everything, only_images, "a")
 
 
@@ -279,7 +279,7 @@ class TestCommand:
         points, labels = synthetic.scene.points[keep], synthetic.point_labels[keep]
         np.savez(tmp_path / "points.npz", points=points.numpy(), labels=labels.numpy())
         run("evaluate", tmp_path, recording)
-        assert f"recording: only {len(points)} of 6000 points are there to be scored" in capsys.readouterr().out
+        assert f"recording: the result has only {len(points)} of 6000 points" in capsys.readouterr().out
 
     def test_scenes_before_a_bad_one_are_not_lost(self, recording, synthetic, run, tmp_path, capsys):
         data, results = tmp_path / "data", tmp_path / "results"
@@ -292,7 +292,7 @@ class TestCommand:
         write_folder(data / "without", synthetic)
         run("evaluate", results, data, "-o", tmp_path / "scores")
         printed = capsys.readouterr().out
-        assert "without: has no truth and is left out" in printed
+        assert "without: has no ground truth and is left out" in printed
         np.save(results / "second.npy", np.zeros(3, int))
         with pytest.raises(SystemExit, match="exists already"):
             run("evaluate", results, data, "-o", tmp_path / "scores")

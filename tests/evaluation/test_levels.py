@@ -55,9 +55,9 @@ def test_best_levels_by_hand():
 
 
 def test_best_levels_of_what_does_not_fit():
-    with pytest.raises(ValueError, match="values: expected at least one scene with 2 values each"):
+    with pytest.raises(ValueError, match="values: expected 2 for each scene, got"):
         best_levels([], [0.5, 1.0])
-    with pytest.raises(ValueError, match="values: expected at least one scene with 2 values each"):
+    with pytest.raises(ValueError, match="values: expected 2 for each scene, got"):
         best_levels([[0.1, 0.2], [0.1]], [0.5, 1.0])
     with pytest.raises(ValueError, match=r"granularities: expected 0\.5 among them, got \[0\.1, 1\.0\]"):
         best_levels([[0.1, 0.2]], [0.1, 1.0])
@@ -148,7 +148,7 @@ class TestCommands:
         [
             (
                 ["--granularity", 0.5, "--preset", "paper"],
-                r"--granularity: method paper has one level only; --preset",
+                r"--granularity: expected a method with levels, .* got paper",
             ),
             (["--granularity", -0.1], r"--granularity: expected a number from 0 \(coarse\)"),
         ],
@@ -161,5 +161,5 @@ class TestCommands:
     def test_show_of_a_result_with_one_level(self, out, run, tmp_path):
         for name in ("points.npz", "run.yaml"):
             (tmp_path / name).symlink_to(out / name)
-        with pytest.raises(SystemExit, match=r"--granularity: .* has one level only"):
+        with pytest.raises(SystemExit, match=r"--granularity: expected a result with levels"):
             run("show", tmp_path, "--granularity", 0.2)

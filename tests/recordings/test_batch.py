@@ -119,7 +119,7 @@ def test_what_is_done_is_skipped(done, scans):
 
 
 def test_other_parameters_are_not_mixed(done, scans):
-    with pytest.raises(ValueError, match=r"out: has results of other parameters \(.*batch.yaml\)"):
+    with pytest.raises(ValueError, match=r"out: expected the parameters of .*batch\.yaml"):
         tj.batch(scans, done[0], engine=HereEngine(), config=QUICK)
     with pytest.raises(FileExistsError, match="a is the result of one recording"):
         tj.batch(scans, done[0] / "a", engine=HereEngine())
@@ -187,7 +187,7 @@ def test_tables_that_cannot_be_written(scans, tmp_path):
     """The results are there all the same, the report is whole, and a warning tells."""
     out = tmp_path / "out"
     (out / "summary.csv").mkdir(parents=True)
-    with pytest.warns(UserWarning, match=r"summary.csv and failures.csv are not up to date"):
+    with pytest.warns(UserWarning, match=r"summary.csv and failures.csv could not be written"):
         report = tj.batch(
             scans / "a", out, engine=HereEngine(), config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2)
         )

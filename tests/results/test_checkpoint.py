@@ -41,7 +41,7 @@ def test_every_flipped_bit_is_noticed(tmp_path, segmenter):
             spoiled = bytearray(whole)
             spoiled[place] ^= 16
             file.write_bytes(bytes(spoiled))
-            with pytest.warns(UserWarning, match="state: damaged, starting over"):
+            with pytest.warns(UserWarning, match="state: damaged, starting again"):
                 assert checkpoint.load() is None
         file.write_bytes(whole)
     assert checkpoint.load() is not None

@@ -142,7 +142,7 @@ def test_a_mount_point_keeps_what_is_not_ours(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "is_fixed", lambda path: True)
     out = tmp_path / "out"
     write(out, {"thesis.tex": "precious"})
-    with pytest.raises(FileExistsError, match=r"it has no run\.yaml"):
+    with pytest.raises(FileExistsError, match=r"which has a run\.yaml"):
         run(out)
     assert content(out) == {"thesis.tex": "precious"}
 

@@ -29,7 +29,7 @@ def test_what_numpy_writes(tmp_path):
 def test_an_array_that_declares_more_than_there_is(tmp_path):
     path = declared(tmp_path / "a.npz", (10**9, 3))
     tracemalloc.start()
-    with pytest.raises(ValueError, match=r"a\.npz.*declares shape \[1000000000, 3\], more than the archive holds"):
+    with pytest.raises(ValueError, match=r"a\.npz.*expected a shape that fits the archive, got \[1000000000, 3\]"):
         read_cloud_file(path)
     assert tracemalloc.get_traced_memory()[1] < 10_000_000
     tracemalloc.stop()
@@ -38,7 +38,7 @@ def test_an_array_that_declares_more_than_there_is(tmp_path):
 def test_an_archive_that_inflates(tmp_path, monkeypatch):
     monkeypatch.setattr("torchjoint.runtime.archives.FREE", 0)
     path = declared(tmp_path / "a.npz", (100_000, 3), bytes(1_200_000))
-    with pytest.raises(ValueError, match=r"declares 0\.0012 GB; expected .* at most in so small a file"):
+    with pytest.raises(ValueError, match=r"expected at most .* GB in so small a file, got 0\.0012 GB"):
         read_archive(path)
 
 

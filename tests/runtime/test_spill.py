@@ -42,7 +42,9 @@ def test_a_full_disk_is_told_and_nothing_is_lost(tmp_path, monkeypatch):
         return pwrite(number, data[: 12 - start], start)
 
     monkeypatch.setattr(spill.os, "pwrite", full)
-    with pytest.raises(OSError, match=r"memory: .*cannot be written \(No space left on device\); make room") as raised:
+    with pytest.raises(
+        OSError, match=r"memory: .*cannot be written \(No space left on device\); free disk space"
+    ) as raised:
         file.write([b"abc", b"defghi"])
     assert (raised.value.errno, raised.value.filename) == (errno.ENOSPC, str(tmp_path))
     assert os.fstat(file._file.fileno()).st_size == 6

@@ -95,9 +95,9 @@ def test_the_command(cloud, tmp_path, run, capsys):
         run("superpoints", cloud, "-o", tmp_path / "out.laz")
     with pytest.raises(SystemExit, match="tile: expected at least 4 buffers"):
         run("superpoints", cloud, "-o", tmp_path / "other.laz", "--tile", 3, "--buffer", 1)
-    with pytest.raises(SystemExit, match="COPC is read, not written"):
+    with pytest.raises(SystemExit, match="COPC is read but not written"):
         run("superpoints", cloud, "-o", tmp_path / "other.copc.laz")
-    with pytest.raises(SystemExit, match=r"out\.laz: has a dimension superpoint already"):
+    with pytest.raises(SystemExit, match=r"out\.laz: expected no dimension superpoint, got one"):
         run("superpoints", tmp_path / "out.laz", "-o", tmp_path / "other.laz")
     with pytest.raises(SystemExit, match=r"--tile: expected a \.las or \.laz cloud and result"):
         run("superpoints", cloud, "-o", tmp_path / "out.npy", "--tile", 8)

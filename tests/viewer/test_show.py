@@ -31,7 +31,7 @@ def test_the_truth_is_in_the_order_of_the_result(scene_of, tmp_path):
     assert torch.equal(truth.images[0], synthetic.image_labels[4])
     with pytest.raises(ValueError, match="has no frame 'frame-0000"):
         with_truth(result, scene.select_frames([1]))
-    with pytest.raises(ValueError, match="has no ground truth"):
+    with pytest.raises(ValueError, match="expected a scene with ground truth"):
         with_truth(result, replace(scene, truth=None))
 
 
@@ -44,7 +44,7 @@ def test_superpoints_can_be_shown(run, scene_of, tmp_path, suffix):
     result = read_labelled_cloud(out)
     assert torch.equal(result.points, tj.superpoints(cloud.points, cloud.colors))
     run("show", out, "--static", tmp_path / "page.html")
-    with pytest.raises(ValueError, match=r"cloud\.npz: has no labels"):
+    with pytest.raises(ValueError, match=r"cloud\.npz: expected .* got no labels"):
         read_labelled_cloud(tmp_path / "cloud.npz")
 
 
@@ -60,7 +60,7 @@ def test_a_large_cloud_says_how_many_points_are_shown(tmp_path):
     [
         (["--granularity", 2], "--granularity: expected a number from 0"),
         (["--up", 0, 0, 0], "--up: expected a direction"),
-        (["--truth"], r"--truth: the recording test of this result is no longer there"),
+        (["--truth"], r"--truth: expected the recording of this result, test"),
     ],
 )
 def test_errors(run, out, tmp_path, arguments, message):

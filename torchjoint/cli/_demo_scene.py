@@ -1,4 +1,4 @@
-"""The scene of `torchjoint demo`. It is nowhere on disk: `torchjoint show --truth` makes it again."""
+"""The scene of `torchjoint demo`. It is not saved to disk: `torchjoint show --truth` makes it again."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from torchjoint.synthetic import SyntheticScene
 
-#: What run.yaml names as the scene.
+#: The name of the scene in run.yaml.
 SOURCE = "synthetic, seed 0"
 
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def printed_log() -> Iterator[None]:
-    """While it is open, what the package logs is printed to stderr, as ``torchjoint: ...``."""
+    """Inside the block, log messages of the package are printed to stderr as ``torchjoint: ...``."""
     logger, handler = logging.getLogger("torchjoint"), logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("torchjoint: %(message)s"))
     level = logger.level

@@ -38,7 +38,7 @@ def read_topics(assignments: Iterable[str]) -> tuple[tuple[str, str], ...]:
     """Roles and topics of ``role=/topic``, as :class:`~torchjoint.recordings.RecordingOptions` has them.
 
     Raises:
-        ValueError: one has another form.
+        ValueError: an assignment has another form.
     """
     parts = {assignment: assignment.partition("=") for assignment in assignments}
     for assignment, (role, _, topic) in parts.items():

@@ -12,7 +12,7 @@ from torchjoint.recordings import BatchReport, RecordingOptions
 from torchjoint.recordings import batch as run_batch
 from torchjoint.recordings.summary import FAILURES, SUMMARY
 
-#: So many failures are printed, and so much of each; failures.csv has all.
+#: Most failures that are printed, and most characters of each; failures.csv has all.
 MOST_PRINTED, MOST_CHARACTERS = 20, 160
 
 
@@ -34,7 +34,8 @@ def batch(
 ) -> None:
     """Segments any number of recordings over many workers; each gets a result folder OUT/NAME.
 
-    Started again, it skips what is done. A recording that fails does not stop the others; the exit status is then 1.
+    If it is started again, it skips finished recordings. A recording that fails does not stop the others; the exit
+    status is then 1.
 
     Args:
         scenes: recordings, patterns ('scans/*'), the folder of a data set, or a .txt file that lists any of these.
@@ -45,13 +46,13 @@ def batch(
         threads: threads of one recording; workers on this machine never have more threads than there are cores.
         overwrite: replace earlier results.
         voxel_size: metres, for fusing a cloud from depth if a recording has no cloud.
-        topics: of ROS recordings, where several would do: --topics color=/front/image_raw; also info, depth, points,
-            odometry.
-        time_limit: of ROS recordings: seconds between an image and its depth, and its pose, at most.
+        topics: for ROS recordings, if several topics fit a role: --topics color=/front/image_raw. The roles are color,
+            info, depth, points and odometry.
+        time_limit: for ROS recordings: largest time from an image to its depth image and its pose, seconds.
         max_frames: number of frames to use, evenly spread over a recording.
         in_view: leave out the points that no frame has in its view.
         thin: keep one point per voxel of this size, metres.
-        merge_within: metres; the points in a cube with this side count as one point, and all get its label.
+        merge_within: metres; all points in a cube with this side are treated as one point and get the same label.
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5.
     """
     options = RecordingOptions(

@@ -1,4 +1,4 @@
-"""Runs a command by name; a command's module is imported only then, so that `--help` is quick."""
+"""Runs a command by name. Only then is the command's module imported, so that `--help` is quick."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ class Command(NamedTuple):
     """One command."""
 
     function: str  #: module:function
-    help: str  #: what it does, a line
+    help: str  #: what it does, in one line
 
 
 def run(program: str, commands: Mapping[str, Command], description: str, interrupted: str) -> None:
     """Runs the command that the command line names; prints user errors and warnings as one line.
 
     Args:
-        program: its name, which is also that of its distribution.
+        program: name of the program, and of its distribution.
         commands: by name.
         description: for `--help`.
-        interrupted: what Ctrl-C says of the commands that can be resumed.
+        interrupted: the message after Ctrl-C about commands that can be resumed.
     """
     warnings.formatwarning = lambda message, *_, **__: f"{program}: warning: {message}\n"
     names = argparse.ArgumentParser(program, description=description, formatter_class=argparse.RawTextHelpFormatter)
@@ -44,7 +44,7 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         command, arguments = names.parse_known_args(sys.argv[1:2])[0].command, sys.argv[2:]
         module, _, function = commands[command].function.partition(":")
         _call(getattr(import_module(module), function), f"{program} {command}", arguments)
-        sys.stdout.flush()  # here, where a closed pipe can still be dealt with
+        sys.stdout.flush()  # here, where an error of a closed pipe can still be handled
     except BrokenPipeError:  # `torchjoint parameters | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(PIPE_CLOSED)
@@ -61,7 +61,7 @@ def _call(function: object, program: str, arguments: list[str]) -> None:
 
 
 def _tell(program: str, error: Exception) -> NoReturn:
-    """Ends with what went wrong, for a user; an error of the package itself is raised again, with its traceback."""
+    """Exits with the message of a user error; raises any other error again, so that its traceback is printed."""
     is_users = isinstance(error, BrokenExecutor | RecursionError) or is_out_of_memory(error)
     if isinstance(error, RuntimeError) and not is_users:
         raise error

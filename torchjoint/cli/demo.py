@@ -29,7 +29,7 @@ def demo(
     view = live_view(show)
     synthetic, config = demo_scene(), parameters.config()
     with output_folder(out, SOURCE, overwrite=overwrite) as partial:
-        assert partial is not None  # without a key there is always something to do
+        assert partial is not None  # it is None only if a key is given
         with printed_log():
             segmenter = JointSegmenter(config)
             result = segmenter(synthetic.scene, progress=True, on_frames=view)

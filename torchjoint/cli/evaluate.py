@@ -31,7 +31,7 @@ def evaluate(
 ) -> None:
     """Scores results against the ground truth of one scene, or of all scenes of a data set.
 
-    If all results have a hierarchy (method learned), they are also scored at all levels.
+    If all results have a hierarchy (method learned), all their levels are also scored.
 
     Args:
         pred: a folder written by `torchjoint segment`; or point labels, .npy or .txt; or, for a data set, a folder of
@@ -50,15 +50,15 @@ def evaluate(
             found = pred if is_result(pred) and len(scenes) == 1 else _of_scene(pred, name)
             loaded = load_scene(path, cloud=_kept_cloud(found, voxel_size), voxel_size=voxel_size)
             if loaded.truth is None and len(scenes) > 1:
-                scored.notes.append(f"{name}: has no truth and is left out")
+                scored.notes.append(f"{name}: has no ground truth and is left out")
             else:
                 scored.add(name, loaded, read_prediction(found, loaded))
-    finally:  # scores from before an error are not lost
+    finally:  # also reports the scores from before an error
         scored.report(out)
 
 
 class _ScoreCollector:
-    """The scores so far."""
+    """Collects the scores of scenes, and reports them."""
 
     def __init__(self) -> None:
         from torchjoint.metrics import ScannetAveragePrecisionMetric  # torchmetrics takes a second to import
@@ -73,7 +73,7 @@ class _ScoreCollector:
         if of_levels := evaluate_levels(prediction, scene):
             self.levels[name] = of_levels
         if partial := left_out(prediction, scene):
-            self.notes.append(f"{name}: only {partial} are there to be scored")
+            self.notes.append(f"{name}: the result has only {partial}; these are scored")
         truth = scene.truth.points if scene.truth is not None else None
         if prediction.points is not None and truth is not None:
             self.instances.update(prediction.points, truth[prediction.of_points])
@@ -97,7 +97,7 @@ class _ScoreCollector:
             out.mkdir(parents=True, exist_ok=True)
             write_csv(out / TABLE, self.rows)
             write_plot(out / PICTURE, self.rows)
-            (out / LEVELS).unlink(missing_ok=True)  # an earlier one would not belong to these scores
+            (out / LEVELS).unlink(missing_ok=True)  # a file of an earlier run does not belong to these scores
             if self.levels:
                 write_levels(out / LEVELS, self.levels)
             print(f"written to {out}: {TABLE}, {PICTURE}{', ' + LEVELS if self.levels else ''}")

@@ -19,7 +19,7 @@ DESCRIPTION = """\
 Joint segmentation of a point cloud and its images. The default needs no choice. --preset takes default, paper, or a
 YAML file; that of superpoints takes default, scan, segmentator, or a YAML file."""
 
-INTERRUPTED = "`segment` and `batch` go on where they were when started again"
+INTERRUPTED = "`segment` and `batch` resume when they are started again"
 
 
 def main() -> None:

@@ -15,14 +15,14 @@ def parameters(
 ) -> None:
     """Prints the parameters of the method with default, unit, sensible range and effect (Markdown).
 
-    The first table has the few parameters that a user turns, and what a value that is too low or too high looks like.
+    The first table lists the few parameters that users change, and the effect of values that are too low or too high.
 
     Args:
-        stage: print the parameters of this stage alone, such as paper.
+        stage: print only the parameters of this stage, such as paper.
         superpoints: print the parameters of `torchjoint superpoints` instead, with their values in each preset.
     """
     if superpoints and stage is not None:
-        raise ValueError(f"parameters: superpoints have one table; leave {stage!r} out")
+        raise ValueError(f"parameters: expected no stage with --superpoints, which have one table, got {stage!r}")
     if superpoints:
         print(superpoint_table())
     elif stage is not None:

@@ -47,25 +47,25 @@ def segment(
         parameters: parameters of the method.
         overwrite: replace OUT if it is an earlier result.
         voxel_size: metres, for fusing a cloud from depth if the recording has no cloud.
-        topics: of a ROS recording, where several would do: --topics color=/front/image_raw; also info, depth, points,
-            odometry.
-        time_limit: of a ROS recording: seconds between an image and its depth, and its pose, at most.
+        topics: for a ROS recording, if several topics fit a role: --topics color=/front/image_raw. The roles are color,
+            info, depth, points and odometry.
+        time_limit: for a ROS recording: largest time from an image to its depth image and its pose, seconds.
         max_frames: number of frames to use, evenly spread over the recording.
         thin: keep one point per voxel of this size, metres; for clouds that are denser than their noise, or too large.
-        merge_within: metres; the points in a cube with this side count as one point, and all get its label.
+        merge_within: metres; all points in a cube with this side are treated as one point and get the same label.
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
-        granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5. All levels are saved in any case.
-            Only point_segments.method learned has levels (auto, if the cloud is no scan).
+        granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5. All levels are always saved. Only
+            point_segments.method learned has levels; auto chooses it unless the cloud is a scan.
         masks: masks of a network: a folder with NAME.png (labels, 0 = none), NAME.npz, NAME.json (SAM) or a folder NAME
             of binary PNGs for each frame NAME; or a COCO file. docs/masks.md shows how to make them.
-        without_masks: what becomes of frames without masks: they are segmented without masks, or left out.
-        memory: how much of the frames stays in memory, such as 2GB; the rest goes to the disk of OUT. It does not
-            change the labels. Default: a quarter of the memory of the machine or container.
+        without_masks: whether frames without masks are segmented without masks, or left out.
+        memory: memory for the data of the frames, such as 2GB; the rest goes to the disk of OUT. The labels do not
+            change. Default: a quarter of the memory of the machine or container.
         engine: workers for the frames of a long recording: loky, dask or ray on this machine (loky:4: with 4 workers),
-            dask://HOST:PORT or ray://HOST:PORT for a cluster; the labels are those without it.
+            dask://HOST:PORT or ray://HOST:PORT for a cluster. The labels do not change.
         threads: threads of each of these workers.
-        show: show the run in the browser, labels that change while frames come, and then the result, as `torchjoint
-            show` does.
+        show: show the run in the browser: first the labels so far, which change with each frame, then the result, as
+            `torchjoint show` does.
     """
     config = parameters.config()
     options = RecordingOptions(
@@ -87,7 +87,7 @@ def segment(
             on_frames=view,
         )
     if segmented is None:
-        print(f"{out}: an earlier run was killed when all was written; its result is in its place now")
+        print(f"{out}: an earlier run was killed after it wrote the result; this result is now in its place")
         return
     summarize(segmented.result, out)
     show_result(out, view, segmented.segmenter, segmented.scene)

@@ -43,13 +43,13 @@ def show(
     Needs `pip install 'torchjoint[viewer]'`. Ctrl-C ends it.
 
     Args:
-        out: folder that `torchjoint segment` wrote; or labelled points: a .ply or .npz of `torchjoint superpoints`.
-        static: write this HTML file to send around, instead.
-        granularity: start with another level than OUT holds, 0 (coarse) to 1 (fine); needs a result of method learned.
+        out: folder that `torchjoint segment` wrote; or a .ply or .npz with labelled points of `torchjoint superpoints`.
+        static: write this HTML file, which can be shared, instead of opening the page.
+        granularity: start with another level than OUT has, 0 (coarse) to 1 (fine); needs a result of method learned.
         up: upward direction x y z in the coordinates of the cloud; default: from the poses and the largest level plane.
-        truth: show the ground truth of the recording, too (Colour by: truth).
-        host: address of the page; 127.0.0.1 is this machine alone, 0.0.0.0 any.
-        port: of the page; if it is taken, the next one is used.
+        truth: also offer the ground truth of the recording (Colour by: truth).
+        host: address of the page; 127.0.0.1: only this machine can open it; 0.0.0.0: any machine can.
+        port: of the page; if it is in use, the next free one.
         open_browser: open the page.
     """
     if up is not None and not any(up):
@@ -62,7 +62,7 @@ def show(
     if granularity is not None:
         check_granularity(granularity, "--granularity")
         if result.hierarchy is None:
-            raise ValueError(f"--granularity: {out} has one level only, because only method learned makes all levels")
+            raise ValueError(f"--granularity: expected a result with levels (method learned), got {out} with one")
     if static is not None:
         _write_static(static, result, out if is_folder else None, granularity, direction)
     else:
@@ -70,7 +70,7 @@ def show(
 
 
 def live_view(now: bool) -> LiveView | None:
-    """Shows a run that begins; None if it shall not be shown."""
+    """Shows a run from its start if `now` is True; otherwise returns None."""
     if not now:
         return None
     from torchjoint.viewer.live import LiveView
@@ -79,7 +79,7 @@ def live_view(now: bool) -> LiveView | None:
 
 
 def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, scene: Scene) -> None:
-    """Shows a result that was just written, with parameters that can be changed; or says how to show it."""
+    """Shows a new result, whose parameters can be changed on the page; without a view, prints how to show it."""
     if view is None:
         print(f"torchjoint show {out}: look at it in the browser")
         return
@@ -104,13 +104,13 @@ def _read(out: Path, truth: bool) -> Result:
 
 
 def _scene_of(out: Path) -> Scene:
-    """The scene of a result, read or made again; a fused cloud is the one that the result holds."""
+    """Reads the scene of a result, or makes that of the demo again; a fused cloud is taken from the result."""
     source = read_source(out)
     if source == SOURCE:
         return demo_scene().scene
     recording = Path(source)
     if not recording.exists():
-        raise FileNotFoundError(f"--truth: the recording {recording} of this result is no longer there")
+        raise FileNotFoundError(f"--truth: expected the recording of this result, {recording}; it does not exist")
     return load_scene(recording, cloud=next(iter(sorted(out.glob("cloud-*mm.ply"))), None))
 
 
@@ -144,7 +144,7 @@ def _serve(
 
 
 def _serve_until_interrupted(viewer: Viewer) -> None:
-    with suppress(KeyboardInterrupt):  # which is how the page is meant to be ended
+    with suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
         viewer.wait()
 
 

@@ -1,4 +1,4 @@
-"""torchjoint superpoints: segments a cloud's file into superpoints; writes labels and a picture."""
+"""torchjoint superpoints: segments the cloud of a file into superpoints; writes labels and a picture."""
 
 from __future__ import annotations
 
@@ -34,29 +34,32 @@ def superpoints(
     buffer: float | None = None,
     engine: str | None = None,
 ) -> None:
-    """Segments a cloud into superpoints. LAS and LAZ files may be of any size; docs/tiles.md tells more.
+    """Segments a cloud into superpoints. LAS and LAZ files may have any size: see docs/tiles.md.
 
     Args:
         cloud: .ply, .pcd, .npy, .npz, .bin (KITTI), .pcd.bin (nuScenes), .xyz, .las, .laz or .e57 file, or a folder of
             .las and .laz files. Preset segmentator uses the triangles of a .ply mesh.
-        out: file for the result; default: CLOUD-superpoints.ply in the current folder. A .ply holds the points, a
-            colour per superpoint, and a property `label`; a .npy the labels, int64; a .npz the arrays points, labels
-            and colors. A .las or .laz (only of .las and .laz files; their default) holds all that the cloud's
-            file holds, and a dimension `superpoint`; of a folder, OUT is the folder.
+        out: file for the result; default: CLOUD-superpoints.ply in the current folder. A .ply has the points, a colour
+            for each superpoint, and a property `label`. A .npy has the labels, int64. A .npz has the arrays points,
+            labels and colors. A .las or .laz has all data of the cloud's file, and a dimension `superpoint`; it is the
+            default for .las and .laz clouds, and not possible for others. For a folder of clouds, OUT is a folder.
         preset: default, scan or segmentator, or a YAML file of your own.
         set: single parameters: --set scale=2 color_weight=0.5; `torchjoint parameters --superpoints` lists them.
-        viewpoint: x y z of the sensor, metres; orients the normals outward, so that convex and concave edges differ.
-        columns: numbers in a row of a .bin file; default: 4, or 5 for .pcd.bin.
+        viewpoint: x y z of the sensor, metres; normals then point outward, so that convex and concave edges differ.
+        columns: numbers per point in a .bin file; default: 4, or 5 for .pcd.bin.
         picture: write a picture of the cloud and its superpoints next to OUT (not if OUT is .las or .laz).
         overwrite: replace existing files.
-        tile: metres, side of a tile of a .las or .laz; default: as large as 2 million points allow.
-        buffer: metres, rim that a tile shares with its neighbours; default: 60 typical distances of points.
+        tile: side of a tile of a .las or .laz, metres; default: the largest tile with at most 2 million points.
+        buffer: width of the rim that a tile shares with its neighbours, metres; default: 60 x the typical distance of
+            neighbouring points.
         engine: where tiles are segmented: loky (this machine, the default; loky:2: two workers), dask, dask://HOST:PORT,
-            ray, ray://HOST:PORT. The workers must see the folder of OUT.
+            ray, ray://HOST:PORT. The workers must be able to access the folder of OUT.
     """
     if is_las(cloud) and (out is None or cloud.is_dir() or out.suffix.lower() in SUFFIXES):
         if viewpoint is not None or columns is not None:
-            raise ValueError(f"{cloud}: --viewpoint and --columns are not for .las and .laz in tiles; write a .ply")
+            raise ValueError(
+                f"{cloud}: expected no --viewpoint or --columns for .las and .laz in tiles; or write a .ply"
+            )
         out = out or Path(f"{cloud.stem}-superpoints{'' if cloud.is_dir() else '.laz'}")
         config = SuperpointsConfig.from_preset(preset).set(set)
         made = superpoints_of_files(

@@ -1,4 +1,4 @@
-// A plain array that is not zeroed: every element is written before it is read.
+// An array whose memory is not set to zero: the user writes every element before reading it.
 #pragma once
 
 #include <cstddef>
@@ -14,8 +14,8 @@ namespace torchjoint {
 
 constexpr size_t kHugePage = size_t{2} << 20;
 
-// Random access to many small pages is slow, and so is the first access to each page: asks for huge pages for memory that
-// is not yet written, if it is large. Memory may begin and end anywhere.
+// Asks for huge pages if the memory is large. Random access to many small pages is slow, and so is the first access to
+// each page. The memory must not be written yet; it may begin and end anywhere.
 inline void use_huge_pages([[maybe_unused]] void* data, [[maybe_unused]] size_t bytes) {
 #ifdef __linux__
   const auto begin = reinterpret_cast<uintptr_t>(data), first = (begin + kHugePage - 1) / kHugePage * kHugePage;

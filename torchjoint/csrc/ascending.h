@@ -1,8 +1,8 @@
-// Visits the edges of a graph in ascending order of weight, ties in the order of the edges, without sorting them all.
+// Visits the edges of a graph in ascending order of weight, ties in the order of the edges, but does not sort all edges.
 //
 // An algorithm like Kruskal's does not need most edges: their two ends are already joined when the edge is visited
 // (V. Osipov, P. Sanders, J. Singler, "The Filter-Kruskal Minimum Spanning Tree Algorithm", ALENEX 2009). So the edges
-// are first distributed to groups of ascending weight, without sorting. Inside a group they keep their original order,
+// are first distributed to groups of ascending weight, unsorted. Inside a group they keep their original order,
 // so neighbours in memory are mostly neighbours in the graph. Before a group is visited, edges with joined ends are
 // removed, and only the remaining edges are sorted and visited, all within the processor's cache.
 //
@@ -74,7 +74,7 @@ class RecordSorter {
     }
   }
 
-  // Returns false if all records have the same digit; then nothing was moved.
+  // Returns false if all records have the same digit; then no record was moved.
   bool distribute(const Record* from, Record* to, size_t count, uint32_t lowest, int shift) {
     const auto digit = [=](const Record& record) { return ((record.key - lowest) >> shift) & (kDigits - 1); };
     starts_.fill(0);
@@ -220,7 +220,7 @@ class Ascending {
       Ends ends = source_.ends(waiting[i].edge);
       const bool keep = graph_.filter(ends);
       records_[count] = {waiting[i].key, ends};
-      count += keep;  // without a branch, which would be unpredictable
+      count += keep;  // no branch, because it would be unpredictable
     }
     const Record* sorted = sorter_.sort(records_.data(), count, group.lowest, group.highest);
     for (size_t i = 0; i < count; ++i) {

@@ -1,4 +1,4 @@
-// The order of values, by a radix sort of their bits: for many values several times as fast as one by comparisons.
+// The order of values, by a radix sort of their bits. For many values it is several times as fast as comparisons.
 #include "ascending.h"
 #include "common.h"
 

@@ -6,10 +6,10 @@
 namespace torchjoint {
 namespace {
 
-// Rows that go through one tree after the other together, so that a tree is in the cache for all of them. The result of
-// a row never depends on it.
+// Rows that are processed together, tree by tree, so that a tree stays in the cache. This number does not change the
+// result.
 constexpr int64_t kRowsPerBlock = 64;
-// Rows that go down a tree side by side: which way one goes is not predictable, but none waits for another.
+// Rows that go down a tree at the same time. The path of a row is unpredictable, but no row waits for another.
 constexpr int64_t kRowsAtOnce = 16;
 
 // The value is the threshold of an inner node, or the value of a leaf. Both children of a leaf are the leaf itself.
@@ -60,7 +60,7 @@ struct Trees {
     }
   }
 
-  // A child comes after its parent, so there are no circles.
+  // A child comes after its parent, so there are no cycles.
   void check_child(int32_t child, const char* name, int64_t place, int64_t tree) const {
     check(child == -1 || (child > place && child < length), name, ": expected -1 or places after the node's, below ",
           length, ", got ", child, " at node ", place, " of tree ", tree);
@@ -75,7 +75,7 @@ struct Trees {
       for (int64_t i = 0; i < kRows; ++i) {
         const Node& node = root[at[i]];
         const double value = rows[i * num_features + node.feature];
-        // No comparison holds for a missing value, which is NaN.
+        // All comparisons with a missing value, NaN, are false.
         at[i] = node.child[(value > node.value) | (std::isnan(value) & node.missing_right)];
       }
     }
@@ -84,7 +84,7 @@ struct Trees {
 
   int64_t count, length;
   std::vector<Node> nodes;
-  std::vector<int32_t> depth;  // of each tree, the longest way from its root to a leaf
+  std::vector<int32_t> depth;  // of each tree: the longest path from its root to a leaf
 };
 
 Tensor boosted_trees(const Tensor& values, const Tensor& feature, const Tensor& threshold, const Tensor& missing_left,

@@ -1,5 +1,5 @@
 // Graph-based segmentation: P. Felzenszwalb, D. Huttenlocher, "Efficient Graph-Based Image Segmentation", IJCV 2004.
-// This file has its components, its two passes over the edges, and the algorithm for any edge source.
+// This file has its components, its two passes over the edges, and the algorithm for any source of edges.
 #pragma once
 
 #include <algorithm>
@@ -44,7 +44,7 @@ class Components : public UnionFind {
   }
 
  private:
-  // An array of its own, because links are needed far more often than thresholds.
+  // A separate array, because links are read far more often than thresholds.
   Array<float> threshold_;  // of a root: Int(C) + k / |C|
   float scale_;
   int32_t min_size_;

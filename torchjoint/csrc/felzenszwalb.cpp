@@ -8,7 +8,7 @@ namespace {
 template <typename Weight>
 class EdgeList {
  public:
-  // Not the edge's number: in the order of weights, looking up the ends by number would be random access to memory.
+  // Stores the ends, not the edge's number: in the order of weights, looking up ends by number would be random access.
   using Edge = Ends;
 
   EdgeList(const int64_t* edge_index, const Weight* weight, int64_t num_edges)

@@ -1,5 +1,5 @@
 // The operator felzenszwalb_image: segments images. The edges of the 8-connected grid (eq. 1) and their weights (eq. 2)
-// are computed again, row by row, whenever they are read; they are never stored.
+// are computed again, row by row, at each read; they are never stored.
 #include <atomic>
 #include <cmath>
 #include <limits>
@@ -135,7 +135,7 @@ Tensor felzenszwalb_image(const Tensor& images, const std::optional<Tensor>& bou
 
   Tensor labels = torch::stable::new_empty(colors, {batch, height, width}, ScalarType::Long);
   int64_t* label_data = labels.mutable_data_ptr<int64_t>();
-  std::atomic<bool> out_of_memory = false;  // an exception must not leave a thread of the parallel loop
+  std::atomic<bool> out_of_memory = false;  // an exception must not leave the parallel loop
   torch::stable::parallel_for(0, batch, 1, [&](int64_t begin, int64_t end) {
     try {
       for (int64_t b = begin; b < end; ++b) {

@@ -1,6 +1,6 @@
-// The channels of an image whose values a structured forest tests: colours, gradients and their orientations.
+// Computes the channels of an image that a structured forest tests: colours, gradients and their orientations.
 //
-// They equal those of OpenCV's detector up to the rounding of float32 (P. Dollar, C. L. Zitnick, "Fast Edge Detection
+// They equal those of OpenCV's detector up to float32 rounding (P. Dollar, C. L. Zitnick, "Fast Edge Detection
 // Using Structured Forests", PAMI 2015).
 #pragma once
 
@@ -18,12 +18,13 @@
 namespace torchjoint {
 
 constexpr int64_t kChannels = 13, kOrientations = 4;
-// The image is mirrored by so many pixels on each side, so that patches may cross its border.
+// The image is extended by so many mirrored pixels on each side, because patches cross its border.
 constexpr int64_t kPadding = 8;
 // Rows in one task of a thread.
 constexpr int64_t kTaskRows = 32;
 
-// The row or column that a place outside [0, length) mirrors; the border itself is repeated, or not (`inner`).
+// The row or column that is the mirror image of a place outside [0, length). The pixel at the border is repeated, unless
+// `inner` is true.
 inline int64_t mirrored(int64_t place, int64_t length, bool inner = false) {
   if (place >= 0 && place < length) return place;
   if (length == 1) return 0;
@@ -35,7 +36,7 @@ inline int64_t mirrored(int64_t place, int64_t length, bool inner = false) {
 // Calls function(begin, end) for parts of the tasks 0, ..., count - 1, on all threads of the calling thread.
 template <typename Function>
 void in_parallel(int64_t count, Function&& function) {
-  std::atomic<bool> out_of_memory = false;  // an exception must not leave a thread of the parallel loop
+  std::atomic<bool> out_of_memory = false;  // an exception must not leave the parallel loop
   torch::stable::parallel_for(0, count, 1, [&](int64_t begin, int64_t end) {
     try {
       function(begin, end);
@@ -123,11 +124,12 @@ inline void rgb_to_luv(const float* red, const float* green, const float* blue, 
   }
 }
 
-// Magnitude and orientation of the gradient of one row of three planes, in the plane where it is largest. `rows` are
-// the rows above, here and below, of each plane. Orientations are 0 to 3: across, falling, down, rising.
+// Magnitude and orientation of the gradient in one row of three planes; each pixel uses the plane with the largest
+// gradient. `rows` are the row above, the row itself and the row below, of each plane. Orientations are 0 to 3: across,
+// falling, down, rising.
 inline void gradient_row(const std::array<std::array<const float*, 3>, 3>& rows, int64_t width, float* magnitude,
                          int32_t* orientation) {
-  // OpenCV's polynomial for the arc tangent reaches 22.5 degrees, where orientations part, at this ratio.
+  // At this ratio OpenCV's polynomial for the arc tangent gives 22.5 degrees, the limit between two orientations.
   constexpr float kParting = 0.41412405f;
   const auto pixel = [&](int64_t left, int64_t x, int64_t right) {
     float best = -1, across = 0, down = 0;
@@ -149,7 +151,7 @@ inline void gradient_row(const std::array<std::array<const float*, 3>, 3>& rows,
   if (width > 1) pixel(width - 2, width - 1, width - 1);
 }
 
-// The channels of images of one size, at half of it. Memory is kept from image to image.
+// The channels of images of one size, at half resolution. Memory is reused for the next image.
 class ForestChannels {
  public:
   ForestChannels(int64_t height, int64_t width)
@@ -164,7 +166,7 @@ class ForestChannels {
   // features that are differences.
   const float* values() const { return values_; }
 
-  // Computes values() of an image [3, height, width] of finite numbers; an odd side is mirrored by one more pixel.
+  // Computes values() of an image [3, height, width] of finite numbers; an odd side is extended by one mirrored pixel.
   void compute(const float* image) {
     float *const luv = memory_.data(), *const raw = luv + 4 * 6 * plane();
     pad_and_convert(image, luv);
@@ -262,7 +264,7 @@ class ForestChannels {
       for (int64_t down = 0; down < cell; ++down) {
         for (int64_t right = 0; right < cell; ++right) {
           const int64_t place = down * width + cell * x + right;
-          const float share = value[place] * (1.0f / (cell * cell));  // read in any case: no branch
+          const float share = value[place] * (1.0f / (cell * cell));  // always read, to avoid a branch
           sum += orientation[place] == turn ? share : 0.0f;
         }
       }
@@ -271,7 +273,7 @@ class ForestChannels {
   }
 
   const int64_t height_, width_, padded_height_, padded_width_;
-  Array<float> memory_;  // Luv; magnitude, its mean around, and orientation; then the channels; then values()
+  Array<float> memory_;  // Luv; magnitude, its local mean, and orientation; then the channels; then values()
   float* const values_;
 };
 

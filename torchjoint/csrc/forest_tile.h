@@ -1,7 +1,7 @@
 // The channels around some sites, copied to one small block of memory.
 //
-// All that the walks of these sites read is then in the cache. And a tile has the same size in every image, so 16 bits
-// tell where in a patch a value lies.
+// So all values that the walks of these sites read are in the cache. A tile has the same size in every image, so 16 bits
+// can store the offset of a value.
 #pragma once
 
 #include <algorithm>
@@ -14,7 +14,7 @@
 
 namespace torchjoint {
 
-// Side of a patch in cells of the channels, two pixels wide.
+// Side of a patch, in cells of the channels; a cell is two pixels wide.
 constexpr int64_t kPatch = 16;
 // Features: single values (channel, column, row), then differences of a channel between two cells of a 5 x 5 grid.
 constexpr int64_t kGrid = 5, kPairs = kGrid * kGrid * (kGrid * kGrid - 1) / 2;
@@ -23,10 +23,10 @@ constexpr std::array<int64_t, kGrid> kGridCells{1, 4, 8, 11, 14};
 
 // 16 x 63 sites and the patches around them.
 constexpr int64_t kTileRows = 31, kTileColumns = 78, kTilePlane = kTileRows * kTileColumns;
-// The channels smoothed in two ways, and zeros, so that a single value is a difference, too.
+// The channels smoothed in two ways, and zeros, so that a single value is also a difference.
 constexpr int64_t kZeros = 2 * kChannels, kTileSize = (kZeros + 1) * kTilePlane;
 
-// The places, relative to a site's first cell, of the two values whose difference is a feature.
+// The offsets from a site's first cell to the two values whose difference is a feature.
 struct Feature {
   uint16_t first, second;
 };
@@ -61,7 +61,7 @@ class ForestTile {
  public:
   ForestTile() : values_(kTileSize) {}
 
-  // Copies the channels from this cell on, as far as they and the tile reach.
+  // Copies the channels from this cell on, up to the end of the tile or of the channels.
   void copy(const ForestChannels& channels, int64_t first_row, int64_t first_column) {
     const int64_t rows = std::min(kTileRows, channels.rows - first_row);
     const int64_t columns = std::min(kTileColumns, channels.columns - first_column);

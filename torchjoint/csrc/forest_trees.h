@@ -12,14 +12,15 @@ namespace torchjoint {
 // Side of the square of pixels that a leaf votes for.
 constexpr int64_t kVotes = 16;
 
-// An inner node. A child >= 0 is an inner node of the same tree; of a leaf it is the complement of the leaf's number.
+// An inner node. A child >= 0 is the number of an inner node of the same tree; a child < 0 is the complement of the
+// number of a leaf.
 struct Node {
   float threshold;
   Feature feature;
   int32_t child[2];  // left, right
 };
 
-// All trees, checked, and laid out for walks: a step reads one node.
+// All trees, checked, in a layout in which each step of a walk reads one node.
 struct Forest {
   Forest(const Tensor& children, const Tensor& features, const Tensor& thresholds, const Tensor& counts,
          const Tensor& pixels, int64_t trees_per_site)
@@ -50,13 +51,13 @@ struct Forest {
     }
   }
 
-  // One tree as it is given: 0 at a leaf, else one more than the left child's place; the right child follows.
+  // One tree as given: `child` is 0 at a leaf, else 1 + the place of the left child; the right child is the next node.
   struct Given {
     const int32_t *child, *feature;
     const float* threshold;
     int32_t length;
 
-    // Whether the node is a leaf, or in order. A child comes after its parent, so there are no circles.
+    // Whether the node is a leaf or a valid inner node. A child comes after its parent, so there are no cycles.
     int32_t fits(int32_t place) const {
       const int32_t inside = (child[place] > place + 1) & (child[place] < length);
       const int32_t known = static_cast<uint32_t>(feature[place]) < static_cast<uint32_t>(kFeatures);
@@ -65,14 +66,15 @@ struct Forest {
     }
   };
 
-  // The inner nodes of a tree, in order, and by place the number of each inner node and the complement of each leaf's.
+  // `inner`: the places of the inner nodes of a tree. `number`: for each place the number of the inner node, or the
+  // complement of the number of the leaf.
   struct Scratch {
     explicit Scratch(int64_t length) : inner(length), number(length) {}
     std::vector<int32_t> inner, number;
   };
 
-  // Appends the inner nodes to `nodes`, of which the first `used` are taken; returns how many are then. No branch
-  // depends on what is a leaf, because it would be predicted wrongly half of the time.
+  // Writes the inner nodes of a tree behind the first `used` of `nodes`; returns the new number of used nodes. No branch
+  // depends on whether a node is a leaf, because half of the predictions would be wrong.
   int32_t add_tree(const Given& given, int64_t tree, int32_t used, Scratch& scratch) {
     int32_t fits = 1;
     for (int32_t place = 0; place < given.length; ++place) fits &= given.fits(place);
@@ -109,18 +111,18 @@ struct Forest {
     fail("children: expected a tree");
   }
 
-  // Whether a tree votes at a site whose row and column add up to `turn`: neighbouring sites ask different trees.
+  // Whether a tree votes at a site whose row + column is `turn`; neighbouring sites use different trees.
   bool votes(int64_t tree, int64_t turn) const {
     return (tree - turn % (2 * per_site) + 2 * num_trees) % num_trees < per_site;
   }
 
   struct Root {
-    int32_t first, node;  // where the tree's inner nodes begin, and where its walks do
+    int32_t first, node;  // index of the tree's first inner node; node at which its walks begin
   };
 
   int64_t num_trees, per_site;
   const uint8_t* pixel;  // column * 16 + row
-  Array<int32_t> start;  // of each leaf's pixels
+  Array<int32_t> start;  // for each leaf, the index of its first pixel
   Array<Node> nodes;
   std::vector<Root> root;
 };

@@ -15,8 +15,8 @@ namespace torchjoint {
 // Rows and columns of pixels that the sites of a tile vote for.
 constexpr int64_t kVotedRows = 2 * (kTileRows - kPatch) + kVotes, kVotedColumns = 2 * (kTileColumns - kPatch) + kVotes;
 
-// Votes are counted in cells of 2 x 2 pixels, apart for each of the four pixels. So the counts of a site begin at the
-// place of its first cell.
+// Votes are counted in cells of 2 x 2 pixels, separately for each of the four pixels. So the counts of a site begin at
+// the place of its first cell.
 class TileVotes {
  public:
   TileVotes() : counts_(4 * kTilePlane) {
@@ -34,7 +34,7 @@ class TileVotes {
     }
   }
 
-  // Adds the counts to those of pixels in rows of this length, up to `columns` in a row, and begins anew.
+  // Adds the counts to rows of pixels of this length, at most `columns` in a row; then sets them to 0.
   void move_to(uint32_t* pixels, int64_t row_length, int64_t columns) {
     columns = std::min(columns, kVotedColumns);
     for (int64_t row = 0; row < kVotedRows; ++row, pixels += row_length) {
@@ -48,7 +48,7 @@ class TileVotes {
   }
 
  private:
-  // Leaves are reached in no order: what later ones need is on its way to the cache while earlier ones vote.
+  // Leaves come in random order: the data of later leaves are prefetched while earlier leaves vote.
   static void fetch(const Forest& forest, const std::vector<Walk>& walks, size_t i) {
     constexpr size_t kAhead = 16;
     if (i + 2 * kAhead < walks.size()) __builtin_prefetch(&forest.start[~walks[i + 2 * kAhead].node]);
@@ -60,7 +60,7 @@ class TileVotes {
   }
 
   std::vector<uint32_t> counts_;
-  std::array<int32_t, kVotes * kVotes> place_;  // of a leaf's pixels, column * 16 + row
+  std::array<int32_t, kVotes * kVotes> place_;  // by column * 16 + row of a leaf's pixel
 };
 
 }  // namespace torchjoint

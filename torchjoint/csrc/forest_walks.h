@@ -1,4 +1,4 @@
-// Sites of a tile on their way through a tree of a structured forest, from the root to a leaf.
+// Walks of the sites of a tile through a tree of a structured forest, from the root to a leaf.
 #pragma once
 
 #include <cstdint>
@@ -9,19 +9,19 @@
 
 namespace torchjoint {
 
-// Sites of a tile, `step` cells apart. `turn` is the sum of row and column, in the whole image, of the first one.
+// Sites of a tile, `step` cells apart. `turn` is row + column of the first site in the whole image.
 struct TileSites {
   int64_t rows, columns, step, turn;
 };
 
-// A site, by the place of its first cell in the tile; at the end of its walk the node is the complement of a leaf.
+// A site; `place` is that of its first cell in the tile. At the end of its walk, the node is the complement of a leaf.
 struct Walk {
   int32_t node, place;
 };
 
 class ForestWalks {
  public:
-  // Walks down a tree from those sites at which it votes, in the order of their arrival.
+  // The walks of those sites at which the tree votes, in the order in which they reach a leaf.
   const std::vector<Walk>& to_leaves(const Forest& forest, int64_t tree, const TileSites& sites, const float* values) {
     start(forest, tree, sites);
     if (forest.root[tree].node >= 0) find_leaves(&forest.nodes[forest.root[tree].first], values);
@@ -41,7 +41,7 @@ class ForestWalks {
     }
   }
 
-  // All walks go down a level together: the next node of one is fetched while others are compared.
+  // All walks go down one level at a time: the next node of a walk is prefetched while other walks are compared.
   void find_leaves(const Node* nodes, const float* values) {
     arrived_.resize(walks_.size() + 1);
     Walk *const going = walks_.data(), *arrived = arrived_.data();
@@ -52,7 +52,7 @@ class ForestWalks {
         const Walk walk = going[i];
         const Node& node = nodes[walk.node];
         const float* const patch = values + walk.place;
-        // No branches: half of them would be predicted wrongly.
+        // No branches: half of the predictions would be wrong.
         const int32_t next = node.child[!(patch[node.feature.first] - patch[node.feature.second] < node.threshold)];
         __builtin_prefetch(nodes + next);
         *arrived = going[stay] = {next, walk.place};

@@ -1,5 +1,5 @@
-// Mean and quantiles of the values in each group. The values are put in order once for many groupings: one pass in this
-// order then meets the values of each group in ascending order, and nothing is sorted.
+// Mean and quantiles of the values in each group. The caller has sorted the values, once for many groupings. One pass in
+// this order meets the values of each group in ascending order, so nothing is sorted here.
 #include "array.h"
 #include "common.h"
 
@@ -14,7 +14,7 @@ namespace {
 
 constexpr int32_t kNoGroup = -1, kWasMet = -2;
 
-// The values of a group: all of them, and how far the pass in ascending order has come.
+// Count and sum of the values of a group, and the progress of the pass in ascending order.
 struct Group {
   double sum = 0;
   int32_t count = 0, met = 0;
@@ -42,7 +42,7 @@ class Quantiles {
     group.next_place = static_cast<int32_t>(std::min(static_cast<int64_t>(place), int64_t{group.count} - 1));
   }
 
-  // Takes the value at the next place, for each quantile at this place.
+  // Handles the next value of the group: writes it for each quantile that is at its place.
   void take(Group& group, float value, double* out) const {
     const int32_t here = group.next_place;
     while (group.next_place == here) {

@@ -1,5 +1,5 @@
 // Region merging by the agreement of masks: the two regions with the lowest cost merge first. The cost of a boundary
-// is the share of disagreement between masks over all views, with a prior for regions that few views see together.
+// is the share of masks that separate its regions, over all views, with a prior for regions that few views see together.
 #include <cmath>
 #include <functional>
 #include <map>
@@ -15,7 +15,7 @@ namespace {
 
 // Weights of masks are whole numbers up to this, so that all sums are exact.
 constexpr int64_t kWeightUnit = 256;
-// A list is searched, and not walked, if it is this many times longer than the other one.
+// A list is searched instead of traversed if it is this many times longer than the other list.
 constexpr size_t kMuchLonger = 8;
 
 struct InMask {
@@ -64,7 +64,7 @@ std::vector<Item> united(const std::vector<Item>& one, const std::vector<Item>& 
   return result;
 }
 
-// What the frames know of a region. The sums are whole numbers, so they do not depend on the order of anything.
+// The evidence of the frames about a region. Sums of whole numbers do not depend on the order of the terms.
 struct Views {
   std::vector<InMask> masks;
   std::vector<InFrame> frames;
@@ -78,8 +78,8 @@ struct Views {
   }
 };
 
-// Over all pairs of points, one of each region, that one frame sees: twice the weights of the masks in which both lie,
-// and this plus the weights of the masks in which one of the two lies.
+// Sums over all pairs of points, one of each region, that one frame sees. First: twice the weights of the masks that
+// contain both points. Second: this, plus the weights of the masks that contain one of them.
 struct Agreement {
   int64_t agree = 0, total = 0;
 
@@ -158,7 +158,7 @@ class MaskGraph {
   }
 
   // The region with fewer borders passes its borders to the other region. All sums are linear in the regions' points, so
-  // only what a border lacks of the other region is added.
+  // each border only adds the terms of the other region.
   void merge(int32_t number, double threshold) {
     auto [kept, given] = borders_[number].region;
     if (border_to_[kept].size() < border_to_[given].size()) std::swap(kept, given);
@@ -210,7 +210,7 @@ class MaskGraph {
   std::priority_queue<Waiting, std::vector<Waiting>, std::greater<>> waiting_;
 };
 
-// Reads and checks what the frames know of the regions. Rows may have any order; equal ones are added.
+// Reads and checks the evidence of the frames about the regions. Entries may have any order; equal ones are added.
 std::vector<Views> read_views(const Tensor& in_mask, const Tensor& in_frame, const Tensor& frame_of_mask,
                               const int64_t* weight, int64_t num_masks, int64_t num_regions) {
   const int64_t num_in_mask = in_mask.size(1), num_in_frame = in_frame.size(1);

@@ -9,7 +9,7 @@
 namespace torchjoint {
 namespace {
 
-// Places of an image's pixels in an image with a margin, so that no offset within the radius leads outside.
+// Indices of an image's pixels in an image with a margin, so that no offset within the radius leaves it.
 struct Frame {
   Frame(int64_t height, int64_t width, double radius)
       : height(height), width(width),
@@ -116,7 +116,7 @@ class Matching {
         queue_.push_back(pred_of_[target]);
       }
     }
-    // No free target can be reached from the visited targets, now or later: exclude them from all further searches.
+    // The visited targets lead to no free target, now or later: they are excluded from all further searches.
   }
 
   void flip(int32_t target) {

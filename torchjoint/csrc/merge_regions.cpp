@@ -1,8 +1,8 @@
 // Region merging by mean boundary cost (average linkage): see region_graph.h.
 //
-// Two regions merge up to the threshold only if an edge between them costs no more than it. So what such edges connect
-// merges by itself: each connected part of the regions is a small graph of its own, which fits in the processor's cache,
-// and several of them are merged at once.
+// Two regions merge only if an edge between them costs at most the threshold. So the connected parts of the graph of
+// such edges are independent: each is a small graph, which fits in the processor's cache, and several of them are merged
+// in parallel.
 #include "array.h"
 #include "merged_regions.h"
 
@@ -13,7 +13,7 @@
 namespace torchjoint {
 namespace {
 
-// Connected parts with together so many edges are merged as one graph. The result does not depend on it.
+// Connected parts are merged as one graph until it has so many edges. This number does not change the result.
 constexpr int64_t kEdgesPerBlock = 1 << 14;
 
 // Things in blocks: those of block b are member[start[b]] ... member[start[b + 1] - 1], in their own order.
@@ -63,14 +63,14 @@ class Merging {
           const int64_t e = inside.member[i];
           graph.add(number[first(e)], number[second(e)], cost_[e]);
         }
-        // Other blocks do not touch these regions.
+        // No other block contains these regions.
         graph.merge_weakest([&](const RegionBoundary& border) { return border.mean() <= threshold; },
                             [&](int32_t n) { join(graph.border(n), region); });
       }
     });
   }
 
-  // Joins the regions of fewer than `min_size` points. Boundaries between two larger ones stay whatever merges.
+  // Merges the regions of fewer than `min_size` points. Boundaries between two larger regions are never merged.
   void join_small(int64_t min_size) {
     std::vector<int32_t> group(num_regions_), root;
     for (int64_t region = 0; region < num_regions_; ++region) {  // the root of a group is its lowest region
@@ -92,7 +92,7 @@ class Merging {
     graph.merge_weakest(is_small, [&](int32_t n) {
       const auto [a, b] = graph.border(n).region;
       join(graph.border(n), root.data());
-      small[a] = small[b] = merged_.size(root[a]) < min_size;  // the graph keeps one of both
+      small[a] = small[b] = merged_.size(root[a]) < min_size;  // the merged region keeps one of both numbers
     });
   }
 

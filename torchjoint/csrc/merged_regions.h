@@ -1,4 +1,4 @@
-// What the operators that merge regions share: the unit of costs, the graph from its edges, and the merged regions.
+// Shared by the operators that merge regions: the unit of costs, the graph of regions, and the merged regions.
 #pragma once
 
 #include <cmath>
@@ -16,7 +16,7 @@ namespace torchjoint {
 constexpr double kUnit = 1 << 20;
 constexpr float kLargestCost = 1 << 10;
 
-// The cost of edge e as a whole number; checks the edge.
+// Checks edge e, and returns its cost as a whole number.
 inline double checked_cost(const int64_t* edges, const float* cost, int64_t num_edges, int64_t num_regions, int64_t e) {
   check_node(edges[e], num_regions, e);
   check_node(edges[num_edges + e], num_regions, e);

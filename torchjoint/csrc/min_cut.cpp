@@ -3,10 +3,11 @@
 // Implementing Push-Relabel Method for the Maximum Flow Problem", Algorithmica 1997). Three additions make it fast:
 //
 // - Parking: if the label of a node has risen by more than `slack_` since the last global relabelling, the node waits
-//   for the next one. Otherwise excess that is cut off would climb step by step, in quadratic time on long thin graphs.
+//   for the next one. Otherwise excess without a path would rise step by step, in quadratic time on long thin graphs.
 //   Labels stay near the exact distances, as in the incremental breadth-first search of A. Goldberg et al. (ESA 2011).
-// - Each global relabelling also pushes all excess along its search tree, as far as the tree's arcs allow: one push a node.
-//   The first one is repeated at once. If the only way to the drains is narrow, it is full now, and nothing is left to do.
+// - Each global relabelling also pushes all excess along its search tree, as far as the tree's arcs allow, with one push
+//   per node. The first one is repeated at once: if all paths to the drains are narrow, they are now full, and nothing is
+//   left to do.
 // - Seeds become part of their terminals, and leaves are pruned until there are none: trees need no search at all.
 //
 // Only the first phase is run, which finds the cut but not the flow. A maximum preflow tells which nodes can still
@@ -61,7 +62,7 @@ class Quantiser {
   int64_t operator()(double value, int64_t largest) const {
     if (value == 0) return 0;
     const double scaled = value * scale_;
-    if (scaled >= 0x1p62) return largest;  // not `>= largest`, because a double may be unable to represent it
+    if (scaled >= 0x1p62) return largest;  // not `>= largest`, because a double may not represent it exactly
     // Rounds to the nearest integer, ties to even, like llrint but inline. Above 2^52 all doubles are integers.
     const double rounded = scaled < 0x1p52 ? (scaled + 0x1p52) - 0x1p52 : scaled;
     return std::clamp<int64_t>(static_cast<int64_t>(rounded), 1, largest);
@@ -107,7 +108,7 @@ class Preflow {
 
   void solve() {
     prune_leaves();
-    // About a tenth of the cost of a global relabelling.
+    // This takes about a tenth of the time of a global relabelling.
     const int64_t little_work = num_nodes_ + nodes_[num_nodes_].first_arc / 4;
     level_size_.assign(num_nodes_ + 1, 0);
     active_first_.assign(num_nodes_ + 1, kNone);
@@ -222,8 +223,8 @@ class Preflow {
     return push_along_tree(back);
   }
 
-  // From the farthest node of the queue to the nearest, so each node also sends on what it gets. What is left is active.
-  // Returns false if there was no excess.
+  // Goes from the farthest node of the queue to the nearest, so each node also sends on the excess that it receives.
+  // Nodes with remaining excess become active. Returns false if there was no excess.
   bool push_along_tree(int32_t queue_length) {
     bool any_excess = false;
     for (int32_t i = queue_length; i-- > 0;) {
@@ -301,7 +302,7 @@ class Preflow {
     const int32_t end = nodes_[index + 1].first_arc;
     const int32_t old_label = label_[index];
     int32_t lowest = ceiling_;
-    for (int32_t a = node.first_arc; a < end && lowest > old_label; ++a) {  // no label is lower than that
+    for (int32_t a = node.first_arc; a < end && lowest > old_label; ++a) {  // no lower label is possible
       if (label_[arcs_[a].head()] < lowest && arcs_[a].residual > 0) {
         lowest = label_[arcs_[a].head()];
         node.current_arc = a;
@@ -324,8 +325,8 @@ class Preflow {
   }
 
   int32_t num_nodes_;
-  std::vector<Node> nodes_;  // one extra node, for the end of the last node's arcs
-  std::vector<int32_t> label_;  // not in Node: labels are read most often, and at random
+  std::vector<Node> nodes_;  // one extra node marks the end of the last node's arcs
+  std::vector<int32_t> label_;  // outside of Node, because labels are read most often and at random
   std::unique_ptr<Arc[]> arcs_;
   std::unique_ptr<int32_t[]> queue_;
   std::vector<int32_t> level_size_, active_first_, parked_;

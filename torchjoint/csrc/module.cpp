@@ -1,8 +1,8 @@
 // An empty Python module: importing torchjoint._C loads the library, whose static initialisers register the operators.
 #include <Python.h>
 
-// libstdc++ reads this variable of glibc >= 2.32 to leave out atomic operations in programs of one thread. With a copy of
-// our own, which says that there are several, the binary loads with older glibc, too (manylinux_2_28, as torch).
+// libstdc++ reads this variable of glibc >= 2.32 to avoid atomic operations in programs with one thread. We define our own
+// copy, which means several threads, so that the binary also loads with older glibc (manylinux_2_28, like torch).
 #ifdef __linux__
 extern "C" __attribute__((visibility("hidden"))) char __libc_single_threaded;
 char __libc_single_threaded = 0;

@@ -1,5 +1,5 @@
 // The nearest neighbours of every point of a cloud. The points of a leaf of a k-d tree have nearly the same neighbours, so
-// the tree is walked once a leaf, for what any of its points may need; each point then chooses among these candidates.
+// the tree is searched once per leaf, for all candidates of its points; each point then chooses among these candidates.
 #include "neighbor_candidates.h"
 
 #include <atomic>
@@ -9,12 +9,12 @@ namespace torchjoint {
 namespace {
 
 constexpr int64_t kLeavesPerBlock = 64;
-// A leaf with more candidates than this, and than this for each neighbour, holds points that are far apart.
+// If a leaf has more candidates than kFewCandidates, and than kMostCandidates per neighbour, its points are far apart.
 constexpr size_t kFewCandidates = 8192, kMostCandidates = 32;
 constexpr size_t kNoLimit = std::numeric_limits<size_t>::max();
-// Sorting by rank needs no branches, but the square of the number.
+// Sorting by rank needs no branches, but quadratic time, so it is only used up to this number.
 constexpr size_t kMostRanked = 96;
-// Factor on bounds, for their rounding.
+// Factor for bounds, larger than their rounding errors.
 constexpr double kSlack = 1 + 1e-9;
 
 struct Neighbor {
@@ -22,7 +22,7 @@ struct Neighbor {
   int32_t index;
 };
 
-// The order of neighbours, and the rule for ties: of equally far points the one with the smaller number comes first.
+// The order of neighbours: by distance; of equally far points, the one with the smaller number comes first.
 bool operator<(const Neighbor& a, const Neighbor& b) {
   return a.squared_distance != b.squared_distance ? a.squared_distance < b.squared_distance : a.index < b.index;
 }
@@ -53,12 +53,12 @@ class Search {
     double radius;  // distance from the centre of the points that are searched together
   };
 
-  // Searches the neighbours of some points of a leaf; returns false, and searches none, if they are too far apart.
+  // Searches the neighbours of some points of a leaf. If the points are too far apart, it returns false and does nothing.
   bool search_together(int64_t leaf, int64_t first, int64_t last) {
     Value center[3];
     const double radius = take(tree_.leaf(leaf), first, last, center);
-    // As many points as are wanted are up to `reach` from the centre, so for a point at distance r of the centre as many
-    // are within reach + r, and all these are within reach + 2 r of the centre. The first reach is a rough one.
+    // At least `wanted_` points are within `reach` of the centre. So a point at distance r from the centre has as many
+    // within reach + r, and all of these are within reach + 2 r of the centre. The first reach is a rough estimate.
     double reach = reach_around(leaf, center);
     gather(center, squared(reach), kNoLimit);
     candidates_.measure(center);
@@ -93,7 +93,7 @@ class Search {
 
   static double squared(double distance) { return distance * distance * kSlack; }
 
-  // A distance from a place in a leaf within which there are as many points as are wanted.
+  // A distance from the centre within which there are at least `wanted_` points.
   double reach_around(int64_t leaf, const Value* center) {
     const auto [first, last] = tree_.leaves_around(leaf, wanted_);
     candidates_.size = 0;
@@ -118,7 +118,7 @@ class Search {
     return true;
   }
 
-  // If there are enough copies of a point, keeps those with the lowest numbers: a point may have any number of copies.
+  // If a point has more copies than are wanted, keeps those with the lowest numbers.
   void keep_lowest_copies(const Value* place) {
     near_.clear();
     for (size_t i = 0; i < candidates_.size; ++i) {
@@ -132,8 +132,8 @@ class Search {
     for (int d = 0; d < 3; ++d) std::fill_n(candidates_.at[d].begin(), wanted_, place[d]);
   }
 
-  // Writes the neighbours of a point, of which the wanted number is known to be within sqrt(limit). Distances are first
-  // computed in Value, which is quick, and those that may count once more in double.
+  // Writes the neighbours of a point; at least the wanted number is within sqrt(limit). All distances are first computed
+  // in Value, which is fast; those of possible neighbours are computed again in double.
   void choose(const Point& point, double limit) {
     candidates_.measure(point.at);
     const Value* distance = candidates_.distance.data();
@@ -166,7 +166,7 @@ class Search {
       sorted_[i] = {squared_distance(at, point.at), candidates_.index[candidate]};
     }
     if (size > kMostRanked) return std::sort(sorted_.begin(), sorted_.end());
-    for (size_t i = 1; i < size; ++i) {  // nearly nothing is left to move
+    for (size_t i = 1; i < size; ++i) {  // nearly sorted already
       const Neighbor moved = sorted_[i];
       size_t to = i;
       for (; to > 0 && moved < sorted_[to - 1]; --to) sorted_[to] = sorted_[to - 1];
@@ -174,7 +174,7 @@ class Search {
     }
   }
 
-  // Puts the near candidates in the order of their rounded distances, unless there are many.
+  // Sorts the near candidates by their rounded distances, unless there are too many.
   void order(size_t size) {
     order_.resize(size);
     if (size > kMostRanked) {
@@ -209,7 +209,7 @@ class Search {
   Value* distances_;
   Point together_[PointTree<Value>::kLeafSize];
   Candidates<Value> candidates_;
-  Value last_ = 0;  // squared distance of the last of a point's neighbours: a first guess for the next point's
+  Value last_ = 0;  // squared distance of the previous point's last neighbour: a first guess for the next point
   std::vector<Value> near_distance_;
   std::vector<int32_t> leaves_, near_, order_;
   std::vector<Neighbor> sorted_;
@@ -221,14 +221,14 @@ void search_leaves(Search<Value>& search, int64_t first, int64_t last) {
 }
 
 #ifdef __x86_64__
-// The same, compiled for vectors of twice the length; without fused operations, so with the same results.
+// The same code, compiled for vectors of twice the length; without fused operations, so that results are the same.
 template <typename Value>
 __attribute__((target("avx2"), flatten)) void search_leaves_avx2(Search<Value>& search, int64_t first, int64_t last) {
   for (int64_t leaf = first; leaf < last; ++leaf) search.search_leaf(leaf);
 }
 #endif
 
-// What searches leaves fastest on this machine.
+// The fastest version for this processor.
 template <typename Value>
 void (*block_search())(Search<Value>&, int64_t, int64_t) {
 #ifdef __x86_64__
@@ -243,7 +243,7 @@ void search_all(const Value* points, int64_t num_points, int64_t count, int64_t 
   const PointTree<Value> tree(points, num_points);
   const int64_t blocks = (tree.num_leaves() + kLeavesPerBlock - 1) / kLeavesPerBlock;
   const auto search_block = block_search<Value>();
-  std::atomic<int64_t> next = 0;  // blocks take different times, so each thread takes the next one when it is free
+  std::atomic<int64_t> next = 0;  // blocks take different times, so a free thread takes the next block
   torch::stable::parallel_for(0, blocks, 1, [&](int64_t, int64_t) {
     Search<Value> search(tree, count, num_distances, indices, distances);
     for (int64_t block = next++; block < blocks; block = next++) {

@@ -1,4 +1,4 @@
-// Points of a tree that may be neighbours of a place, and their squared distances from it.
+// Points of a tree that may be neighbours of a place, and their squared distances from this place.
 #pragma once
 
 #include "point_tree.h"
@@ -14,7 +14,7 @@
 
 namespace torchjoint {
 
-// At least `squared`, and larger than any squared distance up to `squared` that was rounded to Value in between.
+// An upper limit for squared distances up to `squared` that were computed in Value with rounding errors.
 template <typename Value>
 Value rounded_up(double squared) {
   constexpr double margin = 16 * double{std::numeric_limits<Value>::epsilon()};
@@ -23,7 +23,7 @@ Value rounded_up(double squared) {
   return larger < largest ? static_cast<Value>(larger) : std::numeric_limits<Value>::infinity();
 }
 
-// Bit i tells whether values[i] is up to the limit, of four values.
+// Compares four values; bit i is 1 if values[i] <= limit.
 #ifdef __SSE2__
 inline uint32_t up_to(const float* values, float limit) {
   return _mm_movemask_ps(_mm_cmple_ps(_mm_loadu_ps(values), _mm_set1_ps(limit)));
@@ -43,8 +43,8 @@ uint32_t up_to(const Value* values, Value limit) {
 }
 #endif
 
-// Calls `function` with the place of each value up to the limit. One loop over 64 values has one end, which is hard to
-// predict; a test of each value would have 64.
+// Calls `function` with the index of each value <= limit. One loop over the bits of 64 values has one unpredictable
+// branch, its end; a test of each value would have 64.
 template <typename Value, typename Function>
 void for_each_up_to(const Value* values, size_t size, Value limit, const Function& function) {
   for (size_t start = 0; start < size; start += 64) {
@@ -57,7 +57,7 @@ void for_each_up_to(const Value* values, size_t size, Value limit, const Functio
   }
 }
 
-// Points that may be neighbours, one array a coordinate, and their squared distances from a place, rounded to Value.
+// Points that may be neighbours, one array per coordinate, and their squared distances from a place, rounded to Value.
 template <typename Value>
 struct Candidates {
   static constexpr int64_t kLeafSize = PointTree<Value>::kLeafSize;
@@ -104,8 +104,8 @@ size_t count_up_to(const Value* values, size_t size, Value limit) {
   return count;
 }
 
-// A value up to which there are at least `wanted` of the values, and few more; as there are up to `high`. On a surface the
-// number of points grows with their squared distance, which makes good guesses after the first.
+// A limit below or at which there are at least `wanted` of the values, but not many more; `high` is such a limit. On a
+// surface the number of points grows linearly with the squared distance, so interpolation finds the limit fast.
 template <typename Value>
 Value threshold(const Value* values, size_t size, size_t wanted, Value high, Value guess) {
   const size_t enough = wanted + wanted / 4 + 2;

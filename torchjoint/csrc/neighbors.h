@@ -9,7 +9,7 @@
 
 namespace torchjoint {
 
-// Number of rows in a block. The result of a row never depends on it.
+// Number of rows in a block. It does not change the result.
 constexpr int64_t kRowsPerBlock = 1024;
 
 inline int64_t num_blocks(int64_t num_rows) { return (num_rows + kRowsPerBlock - 1) / kRowsPerBlock; }
@@ -31,8 +31,8 @@ auto with_indices(const Tensor& indices, Function&& function) {
   return function(indices.const_data_ptr<int64_t>());
 }
 
-// The order in which rows are worked on, [N] int32, or none for their own. It changes no result: if rows after each other
-// name the same points, more of these are in the processor's cache.
+// The order in which rows are processed, [N] int32; none: 0, 1, ... It does not change the result. If consecutive rows
+// contain the same points, more of these points are in the processor's cache.
 class RowOrder {
  public:
   RowOrder(const std::optional<Tensor>& order, int64_t num_rows) {
@@ -55,8 +55,8 @@ class RowOrder {
 };
 
 // Calls `function(block, first_row, last_row)` for all blocks of rows, on torch's threads. An exception must not leave
-// a parallel loop. So `function` returns whether all numbers in its rows are in [0, N); afterwards the first number
-// outside is reported.
+// a parallel loop. So `function` returns whether all numbers in its rows are in [0, N); after the loop, the first
+// invalid number is reported.
 template <typename Index, typename Function>
 void for_blocks_of_rows(const Index* neighbors, int64_t num_rows, int64_t row_length, const Function& function) {
   const int64_t blocks = num_blocks(num_rows);

@@ -1,4 +1,4 @@
-// Which markers of an image have neighbours, by place and colour, most of which have another label.
+// Finds the markers of an image whose neighbours, by position and colour, mostly have other labels.
 #include "common.h"
 
 #include <cmath>
@@ -43,7 +43,7 @@ class Cells {
   int64_t num_rows() const { return num_rows_; }
   int64_t num_columns() const { return num_columns_; }
 
-  // Calls the function for all markers of the cells first, ..., last of a row; what is outside of the image is left out.
+  // Calls the function for all markers of the cells first, ..., last of a row; cells outside of the image are skipped.
   template <typename Function>
   void for_each(int64_t row, int64_t first, int64_t last, Function f) const {
     if (row < 0 || row >= num_rows_) return;
@@ -61,13 +61,13 @@ class Cells {
   std::vector<Marker> markers_;
 };
 
-// The nearest markers of one marker, and one more.
+// The nearest markers of one marker: the voters, and one more to detect ties.
 class Voters {
  public:
   explicit Voters(int64_t count) : most_(count + 1) { near_.reserve(most_ + 1); }
 
-  // Whether fewer than half of the voters, and of the `others` with the marker's label, have its label. Of equally far
-  // last ones all vote, or none.
+  // Whether the voters with the marker's label are fewer than half of the voters, and fewer than half of `others`, the
+  // other markers with this label. Markers that tie at the last place vote only if all of them fit.
   bool outvote(const Cells& cells, const Marker& marker, int64_t others) {
     near_.clear();
     const int64_t enough = std::min<int64_t>(most_ - 1, others);
@@ -78,9 +78,10 @@ class Voters {
     const int64_t left = marker.column - column * side + 1, right = (column + 1) * side - marker.column;
     const int64_t nearest_side = std::min({above, below, left, right});
     bool is_done = false;
-    for (int64_t ring = 1; !is_done; ++ring) {  // of cells; each side of it is left out once it is too far
+    for (int64_t ring = 1; !is_done; ++ring) {  // of cells; a side of it that is too far is skipped
       is_done = true;
-      if (2 * agreeing(marker, nearest_side + (ring - 1) * side) >= enough) return false;  // however others vote
+      if (2 * agreeing(marker, nearest_side + (ring - 1) * side) >= enough)
+        return false;  // independent of the other votes
       const int64_t closer = (ring - 1) * side;
       const auto is_near = [&](int64_t gap, bool is_inside) {
         const bool found = is_inside && static_cast<double>(gap + closer) * (gap + closer) < farthest();
@@ -112,7 +113,7 @@ class Voters {
     int32_t label;
   };
 
-  // How many voters with the marker's label lie within a distance of pixels: if all nearer markers are known, all vote.
+  // The number of voters with the marker's label within a distance, pixels. All nearer markers must be known.
   int64_t agreeing(const Marker& marker, int64_t within) const {
     const double limit = std::min(farthest(), static_cast<double>(within) * within);
     int64_t count = 0;
@@ -123,7 +124,7 @@ class Voters {
     return count;
   }
 
-  // Squared distance of the last of the markers; infinite if there may be more.
+  // Squared distance of the last marker; infinite while there are too few markers.
   double farthest() const {
     return near_.size() < most_ ? std::numeric_limits<double>::infinity() : near_.back().distance;
   }
@@ -159,7 +160,7 @@ std::vector<Marker> markers_of(const int32_t* labels, const float* colors, int64
   return markers;
 }
 
-// For each cell of an image the lowest and the highest label in it and in the eight around it.
+// For each cell of an image, the lowest and the highest label in it and in its eight neighbours.
 class LabelRanges {
  public:
   LabelRanges(const Cells& cells) : num_columns_(cells.num_columns()), range_(cells.num_rows() * num_columns_) {
@@ -197,7 +198,7 @@ class LabelRanges {
   std::vector<Range> range_;
 };
 
-// The side of cells, in pixels, that is so many mean distances of markers.
+// The side of cells, pixels, from its length in mean distances of markers.
 int64_t side_of(double distances, int64_t num_pixels, size_t num_markers) {
   const double side = std::ceil(distances * std::sqrt(static_cast<double>(num_pixels) / num_markers));
   return static_cast<int64_t>(std::min(std::max(side, 1.0), static_cast<double>(kMaxCount)));

@@ -1,4 +1,4 @@
-// Numbers that are written as text, in lines of equal length: each character is accounted for.
+// Parses numbers from text, with the same number of words in each line; every character is checked.
 #include "common.h"
 
 #include <array>
@@ -18,7 +18,7 @@
 namespace torchjoint {
 namespace {
 
-// std::from_chars of doubles is younger than the C++ library that a manylinux_2_28 wheel may ask for.
+// The C++ library of manylinux_2_28 wheels does not have std::from_chars for doubles yet.
 double slow_value(const char* begin, const char* end) {
   const std::string word(begin, end);
 #ifdef _WIN32
@@ -44,7 +44,7 @@ double divided(uint64_t digits, int places) {
   if (digits <= uint64_t{1} << 53) {  // both are doubles (10^19, too), and a division is correctly rounded
     return static_cast<double>(digits) / static_cast<double>(kPowers[places]);
   }
-  // A quotient of 63 or 64 bits; if there is a remainder, its last bit says so, far below the bits of a double.
+  // A quotient of 63 or 64 bits. A remainder sets its last bit, which is far below the bits of a double.
   const uint64_t divisor = kPowers[places];
   const int left = std::countl_zero(digits), below = std::countl_zero(divisor);
   __extension__ using Wide = unsigned __int128;
@@ -54,7 +54,7 @@ double divided(uint64_t digits, int places) {
   return std::ldexp(static_cast<double>(quotient | !exact), below - left - 63);
 }
 
-// The end of the word `name` at the start of `text`, in capitals or not; nullptr if another word is there.
+// The end of the word `name` at the start of `text`, in small letters or capitals; nullptr for another word.
 const char* skip_name(const char* text, const char* end, std::string_view name) {
   if (end - text < static_cast<int64_t>(name.size())) return nullptr;
   for (size_t i = 0; i < name.size(); ++i) {
@@ -72,12 +72,12 @@ const char* parse_name(const char* text, const char* end, double& value) {
   return skip_name(text, end, "nan");
 }
 
-// Digits with a decimal point and an exponent, as they are read.
+// The digits, decimal point and exponent that were read so far.
 struct Decimal {
   uint64_t digits = 0;
-  int count = 0;  // of significant digits
+  int count = 0;  // number of significant digits
   int64_t places = 0;  // digits after the point, less the exponent
-  bool is_any = false;  // whether there is a digit
+  bool is_any = false;  // whether any digit was read
 
   const char* read_digits(const char* text, const char* end, bool after_point) {
     for (; text != end && is_digit(*text); ++text) {
@@ -125,7 +125,7 @@ const char* parse_number(const char* text, const char* end, double& value) {
   return place;
 }
 
-// A line break, which ends a row, is no blank.
+// A line feed is not a blank, because it ends a row.
 const char* skip_blanks(const char* text, const char* end) {
   while (text != end && *text != '\n' && is_space(*text)) ++text;
   return text;
@@ -141,7 +141,7 @@ class Parser {
   Parser(const char* text, int64_t size, int64_t num_rows, int64_t num_columns)
       : begin_(text), end_(text + size), num_rows_(num_rows), num_columns_(num_columns) {}
 
-  // Writes the numbers of each column; returns the position behind the last row.
+  // Writes the numbers of each column; returns the position after the last row.
   int64_t parse(double* values) const {
     const char* place = begin_;
     for (int64_t row = 0; row < num_rows_; ++row) {
@@ -186,7 +186,7 @@ std::tuple<Tensor, Tensor> parse_numbers(const Tensor& text, int64_t num_rows, i
   const int64_t size = bytes.size(0);
   check(num_rows >= 0, "num_rows: expected a number >= 0, got ", num_rows);
   check(num_columns > 0, "num_columns: expected a number > 0, got ", num_columns);
-  // Each number has a character: sizes that a file declares cannot ask for more memory than this.
+  // Each number has at least one character: so a file that declares a wrong size cannot cause a large allocation.
   check(num_rows == 0 || num_columns <= size / num_rows, "text: expected ", num_rows, " rows of ", num_columns,
         " numbers, got ", size, " bytes");
   Tensor values = torch::stable::new_empty(bytes, {num_columns, num_rows}, ScalarType::Double);

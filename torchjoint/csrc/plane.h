@@ -82,13 +82,13 @@ inline Vector smallest_eigenvector(const Symmetric& covariance) {
   return smallest_across(b, eigenvector(b, 2 * std::cos(angle)));
 }
 
-// A plane has two normals: take the upper one (z > 0, or else y > 0, or else x > 0).
+// Of the two normals of a plane, the upper one (z > 0, or z = 0 and y > 0, or z = y = 0 and x > 0).
 inline Vector upper(const Vector& v) {
   const double sign = v.z != 0 ? v.z : v.y != 0 ? v.y : v.x;
   return sign < 0 ? Vector{-v.x, -v.y, -v.z} : v;
 }
 
-// Sums over points in double precision, relative to one point: also accurate far from the origin.
+// Sums over points in double precision, relative to one point, so that they are also accurate far from the origin.
 class Scatter {
  public:
   void add(const Vector& v) {

@@ -1,4 +1,4 @@
-// A balanced k-d tree over points: leaves of equally many points, in the order of the tree, and boxes around them.
+// A balanced k-d tree over points: leaves with equal numbers of points, in the order of the tree, and their boxes.
 #pragma once
 
 #include "array.h"
@@ -30,10 +30,10 @@ class PointTree {
  public:
   static constexpr int64_t kLeafSize = 16;
 
-  // The points of a leaf, one array a coordinate, as vector instructions read them. The last leaf may have fewer.
+  // The points of a leaf, one array per coordinate, for vector instructions. The last leaf may have fewer points.
   struct Leaf {
     Value at[3][kLeafSize];
-    int32_t index[kLeafSize];  // of the points as given
+    int32_t index[kLeafSize];  // of the points in the input
   };
 
   PointTree(const Value* points, int64_t num_points)
@@ -74,7 +74,7 @@ class PointTree {
   // Writes the leaves whose boxes are at most sqrt(limit) from a place.
   void leaves_near(const Value* place, Value limit, std::vector<int32_t>& found) const {
     size_t size = 0;
-    Node stack[64];  // of twice the tree's depth at most
+    Node stack[64];  // at most twice the depth of the tree is used
     int depth = 0;
     stack[depth++] = {0, 0, num_leaves_};
     while (depth > 0) {
@@ -103,7 +103,7 @@ class PointTree {
     int32_t index;
   };
 
-  // The leaves of a node of no more than these are tested all at once, which is quicker than to go on to its halves.
+  // The leaves of a node with at most so many leaves are tested at once: this is faster than testing its halves.
   static constexpr int64_t kFewLeaves = 8;
 
   // A node is a range of leaves; its first half is the next node, and its second half follows all nodes of the first.
@@ -114,7 +114,7 @@ class PointTree {
   static int64_t split(int64_t first, int64_t last) { return (first + last + 1) / 2; }
   static int64_t right(int64_t id, int64_t first, int64_t middle) { return id + 2 * (middle - first); }
 
-  // The upper levels of the tree one by one, then subtrees: so all threads have work soon.
+  // Builds the upper levels of the tree one by one, then subtrees in parallel: so all threads soon have work.
   void build(Point* points) {
     std::vector<Node> level{{0, 0, num_leaves_}};
     for (int depth = 0; depth < 6; ++depth) {
@@ -140,8 +140,8 @@ class PointTree {
     build_below(points, other);
   }
 
-  // Measures the box of a node, and moves its points to its two halves along the longest side of the box. Where points
-  // have equal coordinates, any may go to either side.
+  // Measures the box of a node, and divides its points into two halves along the longest side of the box. Points with
+  // equal coordinates may go to either half.
   std::pair<Node, Node> halves(Point* points, const Node& node) {
     Point *const from = points + node.first * kLeafSize, *const to = from + num_points(node.first, node.last);
     const Box<Value>& box = boxes_[node.id] = box_of(from, to);
@@ -161,7 +161,7 @@ class PointTree {
     return {{node.id + 1, node.first, middle}, {right(node.id, node.first, middle), middle, node.last}};
   }
 
-  // As squared_gap, for the boxes of leaves [first, last), of which vector instructions test several.
+  // As squared_gap, for the boxes of leaves [first, last): vector instructions test several at once.
   void squared_gaps(const Value* place, int64_t first, int64_t last, Value* gap) const {
     const Value px = place[0], py = place[1], pz = place[2];
     const Array<Value>&low_x = low_[0], &low_y = low_[1], &low_z = low_[2];

@@ -13,11 +13,12 @@ constexpr int32_t kUnits = 8;
 constexpr double kMaxWeight = 1000;
 constexpr float kDiagonal = 1.41421356f;
 
-// A pixel's cheapest path so far, in one number: its cost, and below that its label. So the lower label wins a tie.
+// A pixel's cheapest path so far, in one number: the cost in the upper bits, the label in the lower bits. So the lower
+// label wins a tie.
 using Path = uint64_t;
 constexpr int kCostShift = 32;
 constexpr Path kFar = std::numeric_limits<Path>::max();
-// Around the image. It has no label, and no path is cheaper.
+// The value of the margin around the image: it has no label, and no path is cheaper.
 constexpr Path kMargin = std::numeric_limits<uint32_t>::max();
 
 Path path_of(int32_t label) { return static_cast<uint32_t>(label); }
@@ -36,7 +37,7 @@ struct Weights {
   float color, boundary;
 };
 
-// Costs of the steps from pixels first, ..., last - 1 of a row to those `right` further, in the same row or another.
+// Costs of the steps from pixels first, ..., last - 1 of a row to the pixels `right` columns further, in any row.
 void step_costs(const Rows& from, const Rows& to, int64_t right, int64_t first, int64_t last, float length,
                 Weights weights, float* cost) {
   constexpr float kRound = 12582912;  // adding it leaves no bits for a fraction: rounds half to even
@@ -87,7 +88,7 @@ class LabelPropagation {
     }
   }
 
-  // Labels all pixels from the markers, which are the labels >= 0; there must be one.
+  // Labels all pixels from the markers, which are the labels >= 0; there must be at least one.
   void run(const int32_t* markers) {
     for_each_pixel([&](int64_t pixel, int64_t here) {
       if (markers[pixel] >= 0) {
@@ -99,7 +100,7 @@ class LabelPropagation {
     spread();
   }
 
-  // Labels anew the connected parts of one label that contain fewer markers than `least`, from the other parts.
+  // Labels the connected parts that contain fewer markers than `least` again, from the other parts.
   void settle_specks(const int32_t* markers, int64_t least) {
     std::vector<int32_t> root;
     const Array<int32_t> part = parts(root);
@@ -153,7 +154,7 @@ class LabelPropagation {
       std::vector<int32_t>& bucket = buckets_[number % buckets_.size()];
       waiting_ -= bucket.size();
       for (const int32_t here : bucket) {
-        if (cost_of(path_[here]) / kUnits == number) leave(here);  // else a cheaper path came later
+        if (cost_of(path_[here]) / kUnits == number) leave(here);  // else a cheaper path was found later
       }
       bucket.clear();
     }
@@ -178,7 +179,7 @@ class LabelPropagation {
     if (cost_of(there) < cost_of(path_[next])) {
       reach(next, there);
     } else {
-      path_[next] = there;  // the lower label; the pixel already waits
+      path_[next] = there;  // the lower label; the pixel is already in a bucket
     }
   }
 
@@ -192,7 +193,7 @@ class LabelPropagation {
     for_each_pixel([&](int64_t, int64_t here) {
       const auto same = [&](int64_t there) { return label_of(path_[there]) == label_of(path_[here]); };
       const int64_t left = here - 1, above = here - stride_, corner = above + 1;
-      // Pixels above are in one part with their own neighbours, so at most two of the four have to be looked at.
+      // Pixels above are already in one part with their own neighbours, so at most two of the four need a test.
       int64_t first = same(left) ? left : above - 1;
       if (same(above)) first = above;
       if (!same(above) && same(corner)) {
@@ -230,7 +231,7 @@ Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tenso
         boundary_weight);
   check(min_markers >= 0, "min_markers: expected a number >= 0, got ", min_markers);
   // The cheapest path costs at most as much as a straight path. A straight path has fewer steps than this limit, and
-  // each step costs less than 2^15, so the sum fits 32 bits.
+  // each step costs less than 2^15, so the sum fits into 32 bits.
   check(std::max(height, width) < (1 << 16), "markers: expected sides of fewer than 2^16 pixels, got ", height, " x ",
         width);
   check((height + 2) * (width + 2) <= kMaxCount, "markers: expected fewer than 2^31 pixels with a margin of one, got ",

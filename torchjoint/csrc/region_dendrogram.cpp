@@ -1,4 +1,4 @@
-// The merges of region merging by mean boundary cost, in their order: see region_graph.h.
+// Lists the merges of region merging by mean boundary cost, in order: see region_graph.h.
 #include "merged_regions.h"
 
 #include <tuple>

@@ -41,7 +41,7 @@ class NumberMap {
     return slot.number;
   }
 
-  // Asks for the memory of a key ahead of its look-up.
+  // Prefetches the memory of a key before its look-up.
   void prefetch(uint64_t key) const { __builtin_prefetch(&slots_[place(key)]); }
 
  private:
@@ -74,17 +74,19 @@ class NumberMap {
 
   int shift_ = 0;  // 64 - log2 of the number of slots
   size_t count_ = 0;
-  Array<Slot> slots_{0};  // at random places: in huge pages, if they are many
+  Array<Slot> slots_{0};  // accessed at random: in huge pages if there are many
 };
 
-// Boundaries that wait for their merge, by mean and number; the lowest comes first. Means hardly ever fall below that of
-// the last one, so only a few waiting ones must be in order: the others lie in buckets, by the first bits of their means.
+// A priority queue of boundaries; the boundary with the lowest mean, then number, comes first. A new mean is seldom below
+// the last one that left the queue. So only a few boundaries must be in order; the others are in buckets by the first
+// bits of their means.
 class MergeQueue {
  public:
   MergeQueue() : far_(kBuckets) {}
 
   void push(double mean, int32_t number) {
-    const uint32_t bucket = std::bit_cast<uint32_t>(static_cast<float>(mean)) >> kShift;  // ascends with the mean >= 0
+    const uint32_t bucket =
+        std::bit_cast<uint32_t>(static_cast<float>(mean)) >> kShift;  // grows with the mean, which is >= 0
     if (bucket < open_) {
       near_.emplace_back(mean, number);
       std::push_heap(near_.begin(), near_.end(), std::greater<>());
@@ -115,24 +117,24 @@ class MergeQueue {
 
   using Waiting = std::vector<std::pair<double, int32_t>>;
 
-  std::vector<Waiting> far_;  // bucket by bucket, in no order
-  Waiting near_;  // a heap of all those in buckets below the open one
+  std::vector<Waiting> far_;  // the buckets, unsorted
+  Waiting near_;  // a heap of the boundaries in buckets below open_
   uint32_t open_ = 0;
 };
 
-// Of boundaries with equal means the one with the lowest number is merged first. Boundaries are numbered in the order
+// Of boundaries with equal means, the one with the lowest number is merged first. Boundaries are numbered in the order
 // in which they are added; a joined boundary keeps the lower number. Costs must be whole numbers with sums below 2^53:
 // then sums are exact and do not depend on the order.
 class RegionAdjacencyGraph {
  public:
-  // The number of edges to come only saves time. Regions have rarely more than 32 neighbours on average.
+  // `num_edges` only reserves memory. On average, regions seldom have more than 32 neighbours.
   RegionAdjacencyGraph(int64_t num_regions, int64_t num_edges)
       : number_of_(std::min(num_edges, 16 * num_regions)), borders_around_(num_regions) {}
 
   size_t num_borders() const { return borders_.size(); }
   const RegionBoundary& border(int32_t number) const { return borders_[number]; }
 
-  // Adds an edge to the boundary between two regions a != b; returns the boundary's number. Only before merging.
+  // Adds an edge to the boundary between two regions a != b; returns the boundary's number. Call it only before merging.
   int32_t add(int32_t a, int32_t b, double cost) {
     const int32_t number = number_of_(key(a, b), static_cast<int32_t>(borders_.size()));
     if (number == static_cast<int32_t>(borders_.size())) {
@@ -151,7 +153,7 @@ class RegionAdjacencyGraph {
     if (is_gone_.empty()) list_borders();
     MergeQueue waiting;
     constexpr double kNever = std::numeric_limits<double>::infinity();
-    Array<double> turn(borders_.size());  // with which mean each boundary waits
+    Array<double> turn(borders_.size());  // the mean with which each boundary is in the queue
     const auto wait = [&](int32_t number) {
       turn[number] = borders_[number].mean();
       waiting.push(turn[number], number);
@@ -160,13 +162,13 @@ class RegionAdjacencyGraph {
       turn[number] = kNever;
       if (!is_gone_[number] && may_merge(borders_[number])) wait(static_cast<int32_t>(number));
     }
-    // A mean that has risen is not too late when its old turn comes: most change again before.
+    // A boundary whose mean rose is updated when it leaves the queue: most means change again before.
     const auto on_join = [&](int32_t number) {
       if (borders_[number].mean() < turn[number] && may_merge(borders_[number])) wait(number);
     };
     while (!waiting.empty()) {
       const auto [mean, number] = waiting.pop();
-      if (is_gone_[number] || mean != turn[number]) continue;  // its turn has come before
+      if (is_gone_[number] || mean != turn[number]) continue;  // an old entry of the queue
       turn[number] = kNever;
       if (!may_merge(borders_[number])) continue;
       if (mean != borders_[number].mean()) {
@@ -209,7 +211,7 @@ class RegionAdjacencyGraph {
   void merge(int32_t kept, int32_t given, const OnJoin& on_join) {
     if (borders_around_[kept].size() < borders_around_[given].size()) std::swap(kept, given);
     const std::vector<int32_t> moving = std::move(borders_around_[given]);
-    // What is needed of one boundary and of the next ones is far apart in memory: so that the waits overlap.
+    // The data of successive boundaries are far apart in memory: prefetching makes their waiting times overlap.
     for (const int32_t moved : moving) __builtin_prefetch(&borders_[moved]);
     for (const int32_t moved : moving) {
       const int32_t* const region = borders_[moved].region;

@@ -1,4 +1,4 @@
-// One-sided planes: fitted to a point and its neighbours in the same region.
+// Planes on one side of a boundary: each is fitted to a point and its neighbours in the same region.
 #include "neighbors.h"
 #include "plane.h"
 

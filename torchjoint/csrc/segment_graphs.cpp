@@ -34,7 +34,7 @@ constexpr std::array<Step, 4> kSteps = {{{0, 1}, {1, 0}, {1, 1}, {-1, 1}}};
 struct Nodes {
   Nodes(const int32_t* labels, int64_t height, int64_t width, const bool* chosen, int64_t num_labels)
       : number_at(height * width) {
-    std::vector<int64_t> next(num_labels);  // first the segments' sizes, then their next places
+    std::vector<int64_t> next(num_labels);  // first the sizes of the segments, then the next free place of each
     for (int64_t i = 0; i < height * width; ++i) {
       if (labels[i] == -1) continue;
       check_index(labels[i], num_labels, "labels", i);

@@ -36,12 +36,12 @@ class Voting {
  private:
   int64_t sites(int64_t cells) const { return std::max<int64_t>(0, (cells - kPatch + step_ - 1) / step_); }
 
-  // Sites whose patches fit into so many cells of a tile.
+  // The number of sites whose patches fit into so many cells of a tile.
   int64_t tile_sites(int64_t cells) const { return (cells - kPatch) / step_ + 1; }
 
   int64_t row_length() const { return 2 * channels_.columns; }
 
-  // The votes of a band of tiles: [kVotedRows, row_length()]. Its last rows are the next band's first.
+  // The votes of a band of tiles: [kVotedRows, row_length()]. Its last rows are the first rows of the next band.
   uint32_t* counts(int64_t band) { return counts_.data() + band * kVotedRows * row_length(); }
 
   void vote(int64_t band) {
@@ -116,7 +116,7 @@ Tensor structured_forest(const Tensor& images, const Tensor& children, const Ten
   const float* const data = image.const_data_ptr<float>();
   float* const out = result.mutable_data_ptr<float>();
   check_finite(data, batch * 3 * height * width);
-  // Each thread works on its own images; only a single image is divided between threads.
+  // Each thread processes whole images; only a single image is divided between threads.
   in_parallel(batch, [&](int64_t begin, int64_t end) {
     Voting voting(forest, height, width, stride / 2);
     for (int64_t i = begin; i < end; ++i) voting.run(data + i * 3 * height * width, out + i * height * width);

@@ -1,5 +1,5 @@
-// Closed contours of a boundary map (ultrametric contour map). The strength of a contour is the height at which region
-// merging removes it.
+// The ultrametric contour map of a boundary map: closed contours. The strength of a contour is the height at which
+// region merging removes it.
 #include "common.h"
 #include "region_graph.h"
 
@@ -33,8 +33,8 @@ struct Grid {
   }
 };
 
-// For each pixel of a row: the lowest value among the pixel and its two neighbours in the row, and its place; of equal
-// values the first.
+// For each pixel of a row: the lowest value among the pixel and its two neighbours in the row, and its index; of equal
+// values, the first.
 struct LowestInRow {
   explicit LowestInRow(int64_t width) : value(width), place(width) {}
 

@@ -1,4 +1,4 @@
-// The edges of a graph whose two ends an image sees.
+// The edges of a graph whose two ends are visible in an image.
 #pragma once
 
 #include "common.h"
@@ -8,7 +8,7 @@
 
 namespace torchjoint {
 
-// Walks a graph in CSR form (see views/csr_adjacency.py). M points are seen; the slot of a point is its place among them.
+// Walks a graph in CSR form (see cloud/adjacency.py). M points are visible; the slot of a point is its index among them.
 class VisibleEdges {
  public:
   VisibleEdges(const Tensor& order, const Tensor& other_end, const Tensor& start, const Tensor& point,
@@ -75,8 +75,8 @@ class VisibleEdges {
   const int64_t num_nodes, num_points;
   const int64_t *const rows, *const columns;  // pixels of the points, [M]
 
-  // Number of edges that start at visible points. Most of them are visible, so room for all costs less than arrays that
-  // grow.
+  // Number of edges that start at visible points. Most of them are visible, so memory for all is cheaper than arrays
+  // that grow.
   int64_t at_most = 0;
 };
 

@@ -32,16 +32,16 @@ def load_scene(
         cloud: a file to use as the cloud; if it does not exist yet, a fused cloud is written there, as PLY.
         voxel_size: of the fusion, metres; about the distance between fused points.
         progress: show a progress bar while fusing; None: if there is a terminal. A fused cloud is kept in the user's
-            cache for the next time (environment variable TORCHJOINT_CACHE: another folder, or empty: nowhere).
-        topics: of a ROS recording, where several topics would do: {"color": "/camera/color/image_raw"}; also info,
-            depth, points, odometry.
-        time_limit: of a ROS recording: seconds between an image and its depth, and its pose, at most.
+            cache for the next time. The environment variable TORCHJOINT_CACHE names another folder; empty: no cache.
+        topics: for a ROS recording: the topic of a role, such as {"color": "/camera/color/image_raw"}. The roles are
+            color, info, depth, points and odometry. A role needs it only if several topics fit.
+        time_limit: for a ROS recording: an image takes a depth image and a pose at most this many seconds away.
 
     Returns:
         The scene; `scene.truth` holds the ground-truth instances, if the data set has any.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file; if no format fits, the message lists the expected files.
+        FileNotFoundError, ValueError: the message names the file; if no format fits, it lists the expected files.
     """
     path = Path(path)
     if not path.exists():
@@ -57,7 +57,7 @@ def load_scene(
 
 
 def list_scenes(path: str | Path) -> dict[str, Path]:
-    """Returns the scenes of a data set by name, as paths for :func:`load_scene`; a single scene is a data set of one.
+    """Returns the scenes of a data set: their paths, for :func:`load_scene`, by name. A path may be a single scene.
 
     Raises:
         FileNotFoundError: there is no such path.

@@ -9,8 +9,8 @@ from torch import Tensor
 def instances_in_boxes(points: Tensor, centers: Tensor, sizes: Tensor, rotations: Tensor) -> Tensor:
     """Assigns each point to the box that contains it; a box includes its faces.
 
-    A point in several boxes gets the smallest box, since small objects stand in or on large objects; of equally large
-    boxes the last.
+    A point in several boxes gets the smallest box, since small objects stand in or on large objects. If several boxes
+    are equally small, it gets the last of them.
 
     Args:
         points: [N, 3] metres.

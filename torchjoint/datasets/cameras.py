@@ -32,7 +32,7 @@ class Camera:
     Args:
         intrinsics: [3, 3] float64, pixels; pixel centres have integer coordinates.
         size: (H, W) of the images for which the camera was calibrated; None: images of any size.
-        distortion: (k1, k2, p1, p2), then k3, then k4, k5, k6, as for ``cv2.undistort``; empty = none.
+        distortion: k1, k2, p1, p2; or also k3; or also k3, k4, k5, k6, as for ``cv2.undistort``; empty = none.
         name: used in messages.
 
     Raises:
@@ -77,7 +77,7 @@ class Camera:
 
 
 def pinhole_matrix(fx: float, fy: float, cx: float, cy: float, *, center: float = 0.0) -> Tensor:
-    """Returns a camera matrix [3, 3] float64; `center`: coordinate of the first pixel's centre in cx, cy: 0 or 1/2."""
+    """Returns a camera matrix [3, 3] float64. In cx and cy the first pixel's centre is at `center`, 0 or 1/2."""
     return torch.tensor([[fx, 0, cx - center], [0, fy, cy - center], [0, 0, 1]], dtype=torch.float64)
 
 
@@ -154,7 +154,7 @@ def undistort(
 
 
 def _can_be_undone(before: Matrix, after: Matrix, coefficients: Matrix, size: tuple[int, int]) -> bool:
-    """Whether distortion is monotonic: larger radius, larger distorted radius, up to the undistorted corners."""
+    """Whether the distorted radius grows with the radius, up to the corners of the undistorted image."""
     focal, center = np.diag(after)[:2], after[:2, 2]
     zoom = focal / np.diag(before)[:2]
     if not (np.isfinite(after).all() and (zoom > 0.25).all() and (zoom < 4).all()):
@@ -189,5 +189,5 @@ def _check_same_shape(old: tuple[int, int], new: tuple[int, int], name: str) -> 
     # Sizes are integers: half of 1051 is 525 or 526.
     if abs(new[1] * old[0] - new[0] * old[1]) > max(old):
         raise ValueError(
-            f"{name}: is {new[1]} x {new[0]} pixels, not of the shape of {old[1]} x {old[0]}: cropped? rotated?"
+            f"{name}: expected the aspect ratio of {old[1]} x {old[0]} pixels, got {new[1]} x {new[0]}: is it cropped?"
         )

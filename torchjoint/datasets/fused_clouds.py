@@ -1,4 +1,4 @@
-"""Keeps fused clouds in the user's cache, because fusing takes long: load the same recording again, and it is there."""
+"""Keeps fused clouds in the user's cache: fusing takes long, and the same recording is often loaded again."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from torchjoint.datasets.files.readers import fingerprint, read_cloud
 from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.scene import Frame
 
-#: Names the folder of the cache; empty: nothing is kept. Default: torchjoint/ in the user's cache (XDG_CACHE_HOME).
+#: Environment variable with the cache's folder; empty: no cache. Default: torchjoint/ in the user's XDG_CACHE_HOME.
 VARIABLE = "TORCHJOINT_CACHE"
 
 
 def fuse_or_recall(
     path: Path, frames: Sequence[Frame], voxel_size: float, progress: bool | None
 ) -> tuple[Tensor, Tensor | None]:
-    """The cloud fused from the frames of a recording, from the cache if it was fused before.
+    """Returns the cloud that is fused from the frames of a recording; from the cache, if it was fused before.
 
     Args:
-        path: the recording; a changed file in it makes the kept cloud void, as does another version of the package.
+        path: the recording. A cached cloud is not used if a file of the recording or the package's version changed.
         frames, voxel_size, progress: as of :func:`~torchjoint.datasets.fusion.fuse_cloud`.
 
     Returns:
-        points [N, 3] metres and colours [N, 3] in [0, 1]; the same whether they were kept or not.
+        points [N, 3] metres and colours [N, 3] in [0, 1]; the same with and without the cache.
     """
     file = _file(path, voxel_size)
     if file is not None and file.is_file():
@@ -44,7 +44,7 @@ def fuse_or_recall(
             file.parent.mkdir(parents=True, exist_ok=True)
             write_cloud(file, points, colors)
         except OSError:
-            pass  # no place, or no permission: then the next time takes as long
+            pass  # the disk is full, or there is no permission: the cloud is fused again next time
     return points, colors
 
 

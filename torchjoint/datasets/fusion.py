@@ -14,20 +14,20 @@ from torchjoint.runtime.extras import needed_for
 from torchjoint.scene import Frame
 from torchjoint.scene.camera import camera_center
 
-#: Depth beyond this many metres is left out: a depth camera's error grows with the square of distance.
+#: Depth beyond this, metres, is ignored: a depth camera's error grows with the square of the distance.
 FAR = 5.0
 
-#: Voxels between the places where the origin of the volume may lie.
+#: The volume's origin is at a multiple of this many voxels.
 GRID = 1 << 14
 
 
 @contextmanager
 def _lost_if_interrupted() -> Iterator[None]:
-    """An interrupt inside says that the volume, which is in memory alone, is lost."""
+    """Adds to an interrupt the message that the volume is lost, because it is only in memory."""
     try:
         yield
     except KeyboardInterrupt as stop:
-        raise KeyboardInterrupt("the cloud was being fused from depth, which starts over") from stop
+        raise KeyboardInterrupt("the cloud was being fused from depth; the next run fuses it from the start") from stop
 
 
 @_lost_if_interrupted()
@@ -94,15 +94,15 @@ def fuse_cloud(
     sorted_points = torch.from_numpy(points[order])
     return (
         sorted_points.double() + origin if origin.any() else sorted_points,
-        # As the file of a cloud stores them, so that a cloud that is read again is the same.
+        # A cloud's file has 8 bits per colour: a cloud that is read back must be the same.
         (torch.from_numpy(colors[order]).clamp(0, 1) * 255).round().double().div(255).float(),
     )
 
 
 def _origin(frames: Sequence[Frame], voxel_size: float) -> Tensor:
-    """The volume's own origin in the world, [3] float64 metres: a voxel less than GRID voxels away from a camera.
+    """The origin of the volume in the world, [3] float64 metres: less than GRID voxels from a camera.
 
-    So coordinates fit float32 wherever the recording was made; near the origin of the world it is that origin.
+    So float32 is enough for coordinates in the volume, also far from the world's origin; near it, both coincide.
     """
     step = GRID * voxel_size
     center = camera_center(frames[0].world_to_camera) if len(frames) else torch.zeros(3, dtype=torch.float64)

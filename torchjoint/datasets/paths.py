@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def path_inside(folder: Path, name: str, source: str, *, or_inside: Sequence[Path] = ()) -> Path:
-    """Resolves a path `name`, given by file `source` relative to `folder`; links within the folder are followed.
+    """Resolves path `name` in file `source`, which is relative to `folder`; links within the folder are followed.
 
     Raises:
         ValueError: `name` is not a file name, or it leads out of the folder and of `or_inside`: untrusted data must not

@@ -13,16 +13,17 @@ from torchjoint.datasets.cameras import rotations_from_quaternions
 def interpolate_poses(
     rows: npt.NDArray[np.float64], wanted: npt.NDArray[np.float64], tolerance: float, name: str
 ) -> list[Tensor | None]:
-    """Poses at the wanted times; rotations are interpolated spherically, positions linearly.
+    """Interpolates poses at the wanted times: rotations spherically, positions linearly.
 
     Args:
         rows: [P, 8] time tx ty tz qx qy qz qw: seconds, ascending, each time once; metres; a unit quaternion.
         wanted: [T] seconds.
-        tolerance: seconds from the nearest pose at most.
+        tolerance: a pose is used if it is at most this many seconds from the wanted time.
         name: used in messages.
 
     Returns:
-        T poses [4, 4] float64, with the sense of the rows; None where no pose is near enough in time.
+        T poses [4, 4] float64, with the direction of the rows (such as camera-to-world); None where no pose is near
+            enough in time.
 
     Raises:
         ValueError: a quaternion's length is not 1.

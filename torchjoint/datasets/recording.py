@@ -15,7 +15,7 @@ from torchjoint.datasets.fused_clouds import fuse_or_recall
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.camera import camera_center
 
-#: Of a file `cloud` in a recording's folder, the first that exists.
+#: Suffixes of a file `cloud` in a recording's folder; the first that exists is used.
 CLOUD_SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".copc.laz", ".e57")
 
 
@@ -26,12 +26,12 @@ class Options:
     cloud: Path | None = None  #: a cloud file to use; if it does not exist, a fused cloud is written there
     voxel_size: float = 0.02  #: of the fusion, metres
     progress: bool | None = False  #: show a progress bar while fusing; None: if there is a terminal
-    topics: Mapping[str, str] = field(default_factory=dict)  #: of a ROS recording, by their roles
-    time_limit: float = 0.02  #: of a ROS recording: seconds between an image and its depth, and its pose, at most
+    topics: Mapping[str, str] = field(default_factory=dict)  #: for a ROS recording: topics by role
+    time_limit: float = 0.02  #: for a ROS recording: most seconds from an image to its depth and pose
 
 
 def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:
-    """Makes a scene from a folder's frames, with the cloud from :func:`find_cloud`, else a fused cloud.
+    """Makes a scene from a folder's frames, with the cloud of :func:`find_cloud`, or else with a fused cloud.
 
     Raises:
         ValueError: there is no cloud, and no depth to fuse a cloud from.

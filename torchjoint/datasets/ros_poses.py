@@ -1,4 +1,4 @@
-"""Where the sensors of a ROS recording are: the tree of tf, or odometry with the fixed part of the tree."""
+"""Poses of the sensors of a ROS recording, from the tree of tf, or from odometry and the fixed part of the tree."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torchjoint.datasets.files.ros_bag import Bag
 from torchjoint.datasets.pose_interpolation import interpolate_poses
 
 TF, ODOMETRY = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), ("nav_msgs/msg/Odometry",)
-#: Frames deeper than this in the tree are a circle.
+#: A chain of more frames than this is taken for a cycle.
 _DEEPEST = 64
 
 
@@ -22,7 +22,7 @@ class Poses:
 
     Args:
         bag: the recording; all messages of tf are read.
-        limit: seconds between a wanted time and the nearest transform, at most.
+        limit: largest time between a wanted time and the nearest transform, seconds.
     """
 
     def __init__(self, bag: Bag, limit: float) -> None:
@@ -36,11 +36,11 @@ class Poses:
                     self._add(one.header, one.child_frame_id, one.transform, topic.endswith("static"))
 
     def moves(self, frame: str) -> bool:
-        """Whether a frame moves in the world: its transform, or one above it, is not fixed."""
+        """Whether a frame moves in the world: its transform, or one above it in the tree, changes over time."""
         return any(not self._fixed[one] for one in self._chain(frame))
 
     def world_from(self, frame: str, times: Sequence[float]) -> list[Tensor | None]:
-        """The poses [4, 4] float64 of a frame in the world, the root of its tree; None: none is near enough in time."""
+        """The poses [4, 4] float64, world from frame, at each time; None where no transform is near enough in time."""
         wanted = np.array(times, np.float64)
         poses: list[Tensor | None] = [torch.eye(4, dtype=torch.float64) for _ in times]
         for one in self._chain(frame):
@@ -51,7 +51,7 @@ class Poses:
         return poses
 
     def add_odometry(self, topic: str) -> None:
-        """Takes the poses of a frame from odometry, instead of what tf says of it."""
+        """Takes the poses of a frame from odometry instead of from tf."""
         messages = list(self.bag.messages(topic))
         for child in {message.child_frame_id.lstrip("/") for message in messages}:
             self._rows.pop(child, None)
@@ -59,13 +59,13 @@ class Poses:
             self._add(message.header, message.child_frame_id, message.pose.pose, False)
 
     def _chain(self, frame: str) -> list[str]:
-        """A frame and those above it, without the root."""
+        """A frame and the frames above it in the tree, without the root."""
         chain, frame = [], frame.lstrip("/")
         while frame in self._parents:
             chain.append(frame)
             frame = self._parents[frame]
             if len(chain) > _DEEPEST:
-                raise ValueError(f"{self.bag.path}: the frames of tf are a circle: {', '.join(chain[:5])} ...")
+                raise ValueError(f"{self.bag.path}: expected a tree of frames, got a cycle: {', '.join(chain[:5])} ...")
         return chain
 
     def _add(self, header: Any, child: str, transform: Any, fixed: bool) -> None:

@@ -65,13 +65,13 @@ def find_cameras(folder: Path, info: Path) -> Cameras | None:
 
     Args:
         folder: may hold intrinsic/intrinsic_color.txt and intrinsic/intrinsic_depth.txt, 4x4, as ScanNet's exporter
-            writes them. Without the second, the first holds for depth, too, because ScanNet's depth is warped to the
-            colour camera's view. They apply to the sensor's resolution, which the files do not give, or to the images,
-            if both were scaled.
+            writes them. Without the second file, the first is also used for depth, because ScanNet's depth is warped to
+            the colour camera's view. They apply either to the sensor's resolution, which the files do not give, or to
+            the images, if the calibration was scaled with them.
         info: ScanNet's SCAN.txt, which gives the sensor's calibration and resolution, but less exactly.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     color = folder / "intrinsic" / "intrinsic_color.txt"
     if color.is_file():

@@ -30,7 +30,7 @@ def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
     """Reads [N] int64, the objectId of each vertex of `SCAN_vh_clean_2.ply`; -1 = none.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     record = read_record(folder / f"{scan}{SEGMENTS}", "segments of a mesh")
     segments = _integers(record, "segIndices")
@@ -83,7 +83,7 @@ def _archive_reader(file: Path, names: Sequence[str]) -> Callable[[str], Tensor]
         raise ValueError(f"{file}: not a whole archive: {error}") from error
     for name in names:
         if _member(name) not in inside:
-            raise FileNotFoundError(f"{file}: expected {_member(name)} in it, and so for every frame")
+            raise FileNotFoundError(f"{file}: expected a member for every frame; {_member(name)} is missing")
     return lambda name: _read_member(file, _member(name))
 
 

@@ -26,7 +26,7 @@ def read_world_to_scene(path: Path) -> Tensor:
     The file's grid has additional padding; the returned transform removes this padding.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     matrix = read_matrix(path, (4, 4))
     if not torch.isfinite(matrix).all() or matrix[3].tolist() != [0, 0, 0, 1] or torch.linalg.det(matrix) == 0:

@@ -1,4 +1,4 @@
-"""Independent tasks on the workers of an existing engine: loky on this machine, dask or ray on a cluster.
+"""Runs independent tasks on the workers of an engine: loky on this machine, dask or ray on a cluster.
 
 ::
 

@@ -26,19 +26,19 @@ except ModuleNotFoundError as error:
 
 logger = logging.getLogger(__name__)
 
-#: How long to wait for a scheduler, and for its first worker, seconds. A busy machine takes long to start a worker.
+#: Longest waits for a scheduler, and for its first worker, seconds. A busy machine takes long to start a worker.
 PATIENCE, WORKER_PATIENCE = 30.0, 180.0
 
-#: Settings of a LocalCluster. Engine.run tries again, not the scheduler. A worker that takes long to start again, on a
-#: busy machine, is not given up.
+#: Settings of a LocalCluster. The scheduler does not repeat tasks, because Engine.run does. It waits for a worker that
+#: restarts slowly, as on a busy machine.
 _LOCAL = {"distributed.scheduler.allowed-failures": 0, "distributed.deploy.lost-worker-timeout": "1 hour"}
 
-#: States of a future whose value has to be made again.
+#: States of a future whose value must be computed again.
 _GONE = ("error", "cancelled", "lost")
 
 
 class SharedTask(Shared):
-    """A value as a task of the scheduler's, which repeats it when the workers that hold it die.
+    """A value as a task of the scheduler. The scheduler repeats the task if the workers that hold its value die.
 
     Scattered data would be lost with these workers.
 
@@ -51,7 +51,7 @@ class SharedTask(Shared):
         self._future: DaskFuture | None = None
 
     def future(self, client: Client) -> DaskFuture:
-        """The value on the cluster; workers get it in place of this argument, and keep it."""
+        """The value on the cluster. Workers get the value in place of this argument, and keep it."""
         if self._future is None or self._future.client is not client or self._future.status in _GONE:
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "Sending large graph")  # it is sent once
@@ -59,18 +59,18 @@ class SharedTask(Shared):
         return self._future
 
     def load(self) -> Any:
-        """The value; a task of dask's gets it in place of this argument, without a call."""
+        """The value. A task of dask does not call this: it gets the value in place of this argument."""
         return cloudpickle.loads(self._pickled)
 
     def close(self) -> None:
-        """Lets the workers forget the value."""
+        """Frees the value on the workers."""
         self._future = None
 
 
 class DaskEngine(Engine):
     """The workers of a scheduler; a worker of `n` threads runs `n` tasks at a time.
 
-    Tasks are placed here, because the scheduler may queue two on one worker, and then both would die with it.
+    This class chooses the worker of each task. The scheduler may queue two tasks on one worker; both would die with it.
 
     Args:
         name: as the user gave it.
@@ -93,7 +93,7 @@ class DaskEngine(Engine):
                 dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
             )
-        # By address: what a client asks of a cluster object is not kept up to date after workers have died.
+        # By address: a client of a cluster object gets old information after workers have died.
         self._address = self._cluster.scheduler_address if self._cluster is not None else f"tcp://{address}"
         try:
             self._client = self._connect()
@@ -131,12 +131,12 @@ class DaskEngine(Engine):
             ) from error
 
     def slots(self) -> int:
-        """As many as the workers have threads at this moment, by threads of a task; waits for the first worker."""
+        """The workers' threads at this moment, divided by the threads of a task; waits for the first worker."""
         try:
             self._slots = self._slots_of_workers()
         except OSError:
             if self._placed:
-                self._end_all()  # Engine.run notices, and connects again
+                self._end_all()  # Engine.run notices it, and connects again
                 return 0
             self._reconnect()
             self._slots = self._slots_of_workers()
@@ -177,21 +177,21 @@ class DaskEngine(Engine):
     def _reconnect(self) -> None:
         self._end_all()
         logger.warning("engine %s: the connection was cut; connecting again", self.name)
-        with suppress(Exception):  # whatever a half-dead client raises
+        with suppress(Exception):  # a client that lost its connection may raise anything
             self._client.close(timeout=1)
         self._client = self._connect()
 
     def _end_all(self) -> None:
-        """Ends the futures that wait for a client: one that is closed forgets them."""
+        """Ends the futures that wait for a client: a closed client would never end them."""
         for answer in list(self._placed):
             _end(answer, error=CancelledError())
 
     def close(self) -> None:
-        """Ends the workers, if they are this engine's own; a cluster's workers end what they have begun."""
+        """Ends the workers if this engine started them; workers of a cluster finish their tasks."""
         with suppress(Exception):
             self._client.close(timeout=5)
         if self._cluster is not None:
-            with suppress(KeyError):  # distributed 2026.8 stumbles at its very end if a worker had died
+            with suppress(KeyError):  # distributed 2026.8 raises it when it closes after a worker died
                 self._cluster.close(timeout=60)
         self._closing.close()
 

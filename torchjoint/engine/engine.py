@@ -1,8 +1,8 @@
-"""What all engines share: tasks go to workers, results come back in any order, and no failure stops the others.
+"""The base of all engines: tasks go to workers, results come back in any order, and no failure stops other tasks.
 
-The engines' own futures are used, not ``joblib.Parallel``: with joblib 1.6 a task whose worker dies four times on dask
-disappears without an error, and on ray the death of one worker ends all tasks. Here a task is tried once more if its
-worker dies, whatever the engine, and then it is reported.
+The engines' own futures are used, not ``joblib.Parallel``. With joblib 1.6, a task whose worker dies four times on dask
+disappears without an error, and on ray the death of one worker ends all tasks. Here, a task whose worker dies runs once
+more; if its worker dies again, the task is reported as failed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ S = TypeVar("S")
 T = TypeVar("T")
 R = TypeVar("R")
 
-#: A task whose workers have died this many times is given up.
+#: A task fails when its workers have died this many times.
 MOST_DEATHS = 2
 
 #: A task whose connection was cut this many times in a row ends the run.
@@ -55,12 +55,12 @@ class _Task(Generic[T]):
 
 
 class Engine(abc.ABC):
-    """Workers, which run one task at a time each. Close it, or use it in a ``with`` block: then no process is left.
+    """A set of workers; each runs one task at a time. Close it, or use it in a ``with`` block, to end its processes.
 
     Args:
         name: as the user gave it.
         threads: threads of one task; the number of workers times `threads` is at most the number of cores.
-        on_machine: how many tasks a machine runs at a time; None: it is not known, as many as its cores allow.
+        on_machine: how many tasks a machine runs at a time; None: unknown, so as many as its cores allow.
     """
 
     def __init__(self, name: str, threads: int, on_machine: int | None = None) -> None:
@@ -74,27 +74,27 @@ class Engine(abc.ABC):
 
     @abc.abstractmethod
     def _share(self, value: Any) -> Shared:
-        """What stands for a value that all tasks use: an argument for :meth:`_submit`."""
+        """Wraps a value that all tasks use; the result is an argument for :meth:`_submit`."""
 
     @abc.abstractmethod
     def _submit(self, call: Callable[..., Answer], *arguments: Any) -> Future[Answer]:
-        """Starts a call on a worker. If the worker dies the future has an error that :meth:`_death` knows."""
+        """Starts a call on a worker. If the worker dies, the future gets an error that :meth:`_death` recognises."""
 
     @abc.abstractmethod
     def _death(self, error: BaseException) -> str | None:
         """Why a worker died; None if the error is of another kind."""
 
     def _reconnect(self) -> None:
-        """Called if futures were cancelled that nobody has cancelled here: the connection was cut. Ends all futures.
+        """Connects again, and ends all futures. Called if the connection was lost, which cancels futures.
 
         Raises:
-            ConnectionError: there is no connection any more.
+            ConnectionError: the engine cannot connect again.
         """
         raise ConnectionError(f"engine {self.name}: the connection was cut")
 
     @abc.abstractmethod
     def close(self) -> None:
-        """Ends the workers that this engine has started, at once; may be called twice."""
+        """Ends the workers that this engine has started, without waiting for tasks; may be called twice."""
 
     def __enter__(self) -> Self:
         return self
@@ -103,14 +103,14 @@ class Engine(abc.ABC):
         self.close()
 
     def run(self, function: Callable[[S, T], R], tasks: Iterable[T], shared: S) -> Iterator[Outcome[R]]:
-        """Yields the outcome of ``function(shared, task)`` for each task, as they come, in any order.
+        """Yields the outcome of ``function(shared, task)`` for each task, in the order in which they end.
 
-        Function, tasks, `shared` and values are pickled (with cloudpickle, so functions may be local). `shared` travels
-        once to each worker, not once for each task; a task must not change it. Only as many tasks as there are workers
-        are on the way at a time. A task whose worker dies runs once more.
+        Function, tasks, `shared` and values are pickled (with cloudpickle, so functions may be local). `shared` is sent
+        once to each worker, not once for each task; a task must not change it. At a time, only as many tasks are
+        submitted as there are workers. A task whose worker dies runs once more.
 
         Raises:
-            ConnectionError: the engine cannot be reached any more; what was yielded is not lost.
+            ConnectionError: the engine cannot be reached any more. Outcomes that were yielded stay valid.
         """
         waiting: deque[_Task[T]] = deque()
         source = (_Task(index, item) for index, item in enumerate(tasks))
@@ -169,7 +169,7 @@ def _is_cut(future: Future[Answer]) -> bool:
 
 
 def _of_task(error: BaseException) -> Exception:
-    """An error of one task, such as arguments that cannot be pickled; an interrupt is of all."""
+    """Returns an error that belongs to one task, such as arguments that cannot be pickled; raises an interrupt."""
     if isinstance(error, Exception):
         return error
     raise error

@@ -20,7 +20,7 @@ _VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 class LokyEngine(Engine):
-    """One executor for each worker, so that the death of a worker breaks only its own.
+    """Processes of loky. Each worker has its own executor, so that the death of a worker breaks no other worker.
 
     Args:
         name: as the user gave it.
@@ -30,7 +30,7 @@ class LokyEngine(Engine):
 
     def __init__(self, name: str, threads: int, workers: int) -> None:
         super().__init__(name, threads, workers)
-        # Loky replaces a worker that has grown by 300 MB, after its task. Large recordings do that; nothing is lost.
+        # Loky replaces a worker that has grown by 300 MB, after its task. Large recordings cause this; nothing is lost.
         warnings.filterwarnings("ignore", "A worker stopped while some jobs were given to the executor")
         self._workers = workers
         self._idle: list[ProcessPoolExecutor] = []
@@ -69,7 +69,7 @@ class LokyEngine(Engine):
         return f"{code[1] if code else type(error).__name__} (killed, out of memory, or a crash)"
 
     def close(self) -> None:
-        """Ends the workers, at once."""
+        """Ends the workers without waiting for tasks."""
         executors, idle, self._all, self._idle = self._all, self._idle, set(), []
         for executor in executors:
             executor.shutdown(kill_workers=executor not in idle)

@@ -1,4 +1,4 @@
-"""Engines by their names, as users write them: ``loky:4``, ``dask``, ``dask://host:port``, ``ray``, ``ray://...``."""
+"""Opens engines by the names that users write: ``loky:4``, ``dask``, ``dask://host:port``, ``ray``, ``ray://...``."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def open_engine(engine: str | Engine = "loky", threads: int = 1) -> Iterator[Eng
     """Starts the workers of an engine on this machine, or connects to a cluster; ends what it started.
 
     Args:
-        engine: ``loky``, ``dask`` or ``ray``: workers on this machine, one for each core; ``loky:4`` etc.: four, but
-            never more than cores. ``dask://HOST:PORT``: a running scheduler. ``ray://HOST:PORT``: a running cluster. An
-            :class:`Engine` is taken as it is, and stays open.
+        engine: ``loky``, ``dask`` or ``ray``: workers on this machine, one per core. ``loky:4``, ``dask:4``, ``ray:4``:
+            four workers, or fewer if there are fewer cores. ``dask://HOST:PORT``: a running scheduler.
+            ``ray://HOST:PORT``: a running cluster. An :class:`Engine` is used as it is, and stays open.
         threads: threads of each task.
 
     Raises:
-        ValueError, TypeError: no such engine, or more threads than cores.
+        ValueError, TypeError: an unknown engine, or more threads than cores.
         ModuleNotFoundError: the engine is not installed; the message says how.
         ConnectionError: there is no cluster at the address, or it has no workers.
     """
@@ -67,7 +67,7 @@ def _started(engine: str, threads: int) -> Engine:
 
 
 def _workers(count: int | None, threads: int) -> int:
-    """Number of workers on this machine, such that these have no more threads than there are cores."""
+    """Number of workers on this machine; together they have at most as many threads as there are cores."""
     cores = joblib.cpu_count()
     if not 1 <= threads <= cores:
         raise ValueError(f"threads: expected 1 to {cores}, the number of cores, got {threads}")

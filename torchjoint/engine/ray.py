@@ -1,4 +1,4 @@
-"""Workers of ray: a cluster's, or on this machine."""
+"""Workers of ray: those of a cluster, or new ones on this machine."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ except ModuleNotFoundError as error:
 
 
 class SharedObject(Shared):
-    """A value in ray's object store: ray would unpack an argument again for each task.
+    """A value in ray's object store. Ray would unpickle a plain argument again for each task.
 
     Args:
         value: that all tasks use.
@@ -37,7 +37,7 @@ class SharedObject(Shared):
         return ray.get(self._reference)
 
     def close(self) -> None:
-        """Lets ray forget the value."""
+        """Frees the value in ray."""
         del self._reference
 
 
@@ -60,11 +60,11 @@ class RayEngine(Engine):
             assert workers is not None
             with _paths_for_workers():
                 ray.init("local", num_cpus=workers * threads, include_dashboard=False, **quiet)
-        # Engine.run tries again, not ray.
+        # Ray must not repeat tasks, because Engine.run does.
         self._options = {"num_cpus": threads, "max_retries": 0}
 
     def slots(self) -> int:
-        """As many as the cluster has CPUs at this moment, by threads of a task."""
+        """The cluster's CPUs at this moment, divided by the threads of a task."""
         return max(1, int(ray.cluster_resources().get("CPU", 0)) // self.threads)
 
     def _share(self, value: Any) -> SharedObject:
@@ -81,13 +81,13 @@ class RayEngine(Engine):
         return "killed, out of memory, or a crash" if is_death else None
 
     def close(self) -> None:
-        """Ends the workers, if they are this engine's own, or leaves the cluster."""
+        """Ends the workers if this engine started them; otherwise disconnects from the cluster."""
         ray.shutdown()
 
 
 @contextmanager
 def _paths_for_workers() -> Iterator[None]:
-    """Inside the block new processes find the modules that this process finds: ray's workers import tasks by name."""
+    """Inside the block, new processes find the modules that this process finds: ray's workers import tasks by name."""
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = os.pathsep.join(os.path.abspath(path) for path in sys.path)
     try:

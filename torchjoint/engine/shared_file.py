@@ -13,7 +13,7 @@ from torchjoint.engine.worker import Shared
 
 
 class SharedFile(Shared):
-    """A pickled value in an unlinked file of the head process: no worker can outlive it, and it is never left behind.
+    """A pickled value in a file of the main process. The file is already deleted: it disappears with the process.
 
     Args:
         value: that all tasks use.

@@ -1,4 +1,4 @@
-"""What runs in a worker: a task's function, and what guards it."""
+"""The code that runs in a worker: it calls a task's function, and handles its errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import joblib
 import torch
 
-#: How often a worker looks whether the process that started it still runs, seconds.
+#: Seconds between a worker's checks that the process that started it still runs.
 INTERVAL = 0.5
 
 
@@ -26,35 +26,35 @@ class Answer(NamedTuple):
 
 
 class Shared(ABC):
-    """Stands for a value that is loaded once in each worker."""
+    """A reference to a value that each worker loads once."""
 
     key: str
 
     @abstractmethod
     def load(self) -> Any:
-        """The value, in a worker."""
+        """Loads the value in a worker."""
 
     @abstractmethod
     def close(self) -> None:
-        """No task will use it any more."""
+        """Frees the value; no task will use it any more."""
 
 
-#: The shared value of this worker, by its key: at most one, so that a long-lived worker does not fill its memory.
+#: The shared value of this worker, by its key. It holds at most one, so that a long-lived worker does not fill memory.
 _loaded: dict[str, Any] = {}
 _lock = threading.Lock()  # a worker of dask may run several tasks at once
-#: Of the task that this thread runs.
+#: The result of :func:`tasks_on_machine` in the task of this thread.
 _on_machine: ContextVar[int] = ContextVar("torchjoint_tasks_on_machine", default=1)
 
 
 def tasks_on_machine() -> int:
-    """How many tasks of the engine this machine may run at a time, so that a task takes its share; 1 outside a task."""
+    """How many tasks of the engine this machine may run at a time, so that each takes its share; 1 outside a task."""
     return _on_machine.get()
 
 
 def answer(
     function: Callable[[Any, Any], Any], shared: Any, task: Any, threads: int, on_machine: int | None = None
 ) -> Answer:
-    """Runs a task on `threads` threads. An error is returned, not raised: what is raised is then the engine's own."""
+    """Runs a task on `threads` threads. Returns an error of the task, so that only errors of the engine are raised."""
     sharing = _on_machine.set(max(1, joblib.cpu_count() // threads) if on_machine is None else on_machine)
     try:
         torch.set_num_threads(threads)
@@ -76,11 +76,11 @@ def _value(shared: Any) -> Any:
 
 
 def _portable(error: BaseException) -> Exception:
-    """The error, if it survives its way to another process; else one with its name and message."""
+    """The error if it can be pickled; else a RuntimeError with its name and message."""
     if isinstance(error, Exception):
         try:
             pickle.loads(pickle.dumps(error))
-        except Exception:  # whatever its own code raises
+        except Exception:  # the error's own code may raise anything
             pass
         else:
             return error.with_traceback(None)
@@ -88,7 +88,7 @@ def _portable(error: BaseException) -> Exception:
 
 
 def end_with(parent: int) -> None:
-    """Ends this process soon after its parent, the process with this id, has ended, even by SIGKILL."""
+    """Ends this process soon after its parent, whose process id is `parent`, has ended, even by SIGKILL."""
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -10,14 +10,14 @@ from torchjoint.scene import Scene
 
 
 def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") -> list[Row]:
-    """Returns the score rows of one scene: 3D if both have point labels, 2D if both have label images.
+    """Scores one scene; returns a row for 3D if both have point labels, and one for 2D if both have label images.
 
     Raises:
-        ValueError: the scene has no ground truth, or none for the predicted points or images; sizes that do not fit.
+        ValueError: the scene has no ground truth for the predicted points or images, or sizes do not fit.
     """
     truth = scene.truth
     if truth is None or not (truth.has_points or len(truth.images)):
-        raise ValueError(f"{name}: the scene comes without truth, there is nothing to compare with")
+        raise ValueError(f"{name}: expected a scene with ground truth, got one without")
     rows = []
     if prediction.points is not None and truth.points is not None:
         known = truth.select_points(prediction.of_points)
@@ -25,21 +25,21 @@ def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") 
             rows.append(Row(name, method, "3D", score(prediction.points, known.points)))
     if len(prediction.images) and len(truth.images):
         if len(truth.images) != len(scene.frames):
-            raise ValueError(f"{name}: {len(truth.images)} truths for {len(scene.frames)} frames")
+            raise ValueError(f"{name}: expected {len(scene.frames)} truths of images, got {len(truth.images)}")
         try:
             in_2d = score_images(prediction.images, truth.select_frames(prediction.of_frames).images)
         except ValueError as error:
             raise ValueError(f"{name}, images in the order of their names: {error}") from error
         rows += [Row(name, method, "2D", in_2d)] if in_2d else []
     if not rows:
-        raise ValueError(f"{name}: what is predicted (points, images) is not what there is truth for")
+        raise ValueError(f"{name}: expected ground truth for the predicted points or images, got none")
     return rows
 
 
 def evaluate_levels(prediction: Prediction, scene: Scene) -> list[Scores]:
     """Returns the 3D scores at :data:`~torchjoint.evaluation.levels.GRANULARITIES`.
 
-    They are empty if the prediction has no hierarchy, or the scene no ground truth for its points.
+    The list is empty if the prediction has no hierarchy, or the scene has no ground truth for its points.
     """
     truth = scene.truth
     if prediction.hierarchy is None or truth is None or truth.points is None:

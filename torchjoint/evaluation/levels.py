@@ -1,8 +1,8 @@
-"""Scores of a hierarchy at all its levels: at the default, at the best level of a data set, and of each scene.
+"""Scores of a hierarchy at its default level, at the best level of a data set, and at the best level of each scene.
 
-The boundary benchmark of BSDS reports in the same way the optimal data set scale (ODS) and the optimal image scale
-(OIS): P. Arbelaez et al., "Contour Detection and Hierarchical Image Segmentation" (PAMI 2011). The best levels are
-chosen by the ground truth, so they say what a hierarchy contains, not what a user gets without choosing.
+The last two correspond to the optimal data set scale (ODS) and the optimal image scale (OIS) of the boundary benchmark
+BSDS: P. Arbelaez et al., "Contour Detection and Hierarchical Image Segmentation" (PAMI 2011). The ground truth chooses
+the best levels. So they show what a hierarchy contains, not what a user gets at the default level.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from torchjoint.scene import Hierarchy
 GRANULARITIES = tuple(step / 20 for step in range(21))
 #: The granularity of the default level.
 DEFAULT = 0.5
-#: The scores for which best levels are reported; precision and recall alone are best at the ends.
+#: The scores for which best levels are reported. Precision and recall are not among them: extreme levels maximise them.
 REPORTED = ("covering", "f", "best_iou")
 
 
 class BestLevels(NamedTuple):
     """One score of a data set, in [0, 1]: the mean over its scenes, with levels chosen in three ways."""
 
-    default: float  #: every scene at the default level
-    data_set: float  #: one level for all scenes, the best (ODS)
-    granularity: float  #: of that level; of equally good levels the coarsest
-    scene: float  #: the best level of each scene (OIS)
+    default: float  #: all scenes at the default level
+    data_set: float  #: all scenes at the one level that is best for the data set (ODS)
+    granularity: float  #: of that level; the coarsest of equally good levels
+    scene: float  #: each scene at its own best level (OIS)
 
 
 def score_levels(hierarchy: Hierarchy, target: Tensor, granularities: Sequence[float] = GRANULARITIES) -> list[Scores]:
@@ -48,7 +48,7 @@ def score_levels(hierarchy: Hierarchy, target: Tensor, granularities: Sequence[f
         granularities: the levels, each in [0, 1].
 
     Raises:
-        TypeError, ValueError: a granularity outside [0, 1]; labels as in :mod:`torchjoint.metrics`.
+        TypeError, ValueError: a granularity is outside [0, 1], or the labels are invalid (:mod:`torchjoint.metrics`).
     """
     return parallel_map(lambda granularity: score(hierarchy.at(granularity), target), granularities)
 
@@ -68,7 +68,7 @@ def best_levels(values: Sequence[Sequence[float]], granularities: Sequence[float
         BestLevels(default=0.45, data_set=0.5, granularity=0.25, scene=0.8)
     """
     if not values or any(len(of_scene) != len(granularities) for of_scene in values):
-        raise ValueError(f"values: expected at least one scene with {len(granularities)} values each")
+        raise ValueError(f"values: expected {len(granularities)} for each scene, got {[*map(len, values)]}")
     if DEFAULT not in granularities:
         raise ValueError(f"granularities: expected {DEFAULT} among them, got {list(granularities)}")
     means = [fmean(of_level) for of_level in zip(*values, strict=True)]

@@ -1,4 +1,4 @@
-"""Reads predicted segmentations from disk, to be compared with a scene's ground truth."""
+"""Reads predicted segmentations from disk; evaluation compares them with a scene's ground truth."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Prediction(NamedTuple):
 
 
 def is_result(path: Path) -> bool:
-    """Returns whether a path is a single prediction (and not a folder of several)."""
+    """Returns whether a path is one prediction, not a folder of several."""
     return path.is_file() or (path / "points.npz").is_file() or (path / "images").is_dir()
 
 
@@ -41,12 +41,13 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
     """Reads a segmentation of a scene.
 
     Args:
-        path: a folder that `torchjoint segment` wrote; or labels of all points, a .npy of integers [N] or a .txt with
-            one number per line; or a folder with `images/NAME.png`, label + 1 in 8 or 16 bits, named like the frames.
+        path: a folder that `torchjoint segment` wrote; or the labels of all points, as a .npy of integers [N] or a .txt
+            with one number per line; or a folder with an image `images/NAME.png` for each frame NAME, which holds label
+            + 1 in 8 or 16 bits.
         scene: the segmented scene.
 
     Raises:
-        FileNotFoundError, ValueError, TypeError: naming the file and its error.
+        FileNotFoundError, ValueError, TypeError: the message names the file and its error.
     """
     if path.is_file():
         labels = _read_labels(path)
@@ -72,12 +73,12 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
 
 def _frame_names(scene: Scene) -> dict[str, int]:
     """Indices of the frames by name; a frame without a name is named by its number, as in a result."""
-    known = getattr(scene.frames, "names", ())  # lazy frames need not be read then
+    known = getattr(scene.frames, "names", ())  # avoids reading lazy frames
     found = known or parallel_map(lambda index: scene.frames[index].name, range(len(scene.frames)))
     names = [name or f"{index:06d}" for index, name in enumerate(found)]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"{scene.name}: two frames have the name {twice!r}; whose label image is {twice}.png?")
+        raise ValueError(f"{scene.name}: expected different names of frames, got {twice!r} twice")
     return {name: index for index, name in enumerate(names)}
 
 
@@ -93,7 +94,7 @@ def _read_labels(path: Path) -> Tensor:
 
 
 def _places(points: Tensor, of: Tensor, file: Path) -> Tensor:
-    """Indices of the scene's points that are the result's points; these may be fewer, and in another order."""
+    """For each point of the result, the index of the same point in the scene, which may have more, in another order."""
     if points.shape == of.shape and torch.equal(points, of):
         return torch.arange(len(of))
     from scipy.spatial import cKDTree
@@ -101,7 +102,7 @@ def _places(points: Tensor, of: Tensor, file: Path) -> Tensor:
     distance, index = cKDTree(of.double().numpy()).query(points.double().numpy())
     if float(distance.max(initial=0.0)) > NEAR:
         raise ValueError(
-            f"{file}: its points are not those of the scene, the farthest is {distance.max():.3g} m from any of them; "
+            f"{file}: expected points of the scene, got one that is {distance.max():.3g} m from all of them; "
             "was the cloud fused with another --voxel-size?"
         )
     return torch.from_numpy(index)

@@ -29,7 +29,7 @@ COLUMNS = ("covering", "precision", "recall", "F", "best IoU")
 
 
 def score(pred: Tensor, target: Tensor) -> Scores:
-    """Scores labels of any shape; target -1 = void. Errors: as in :mod:`torchjoint.metrics`."""
+    """Scores int64 labels of any shape; target -1 = void. Raises as the functions of :mod:`torchjoint.metrics`."""
     areas, tables = overlap_tables(pred, target)
     precision, recall, f = objects_and_parts_of(areas, tables)
     return Scores(covering_of(tables).symmetric, precision, recall, f, best_iou_of(tables))
@@ -42,7 +42,7 @@ def score_images(pred: Sequence[Tensor], target: Sequence[Tensor]) -> Scores | N
         ValueError: the number of images or the size of an image differs from the ground truth.
     """
     if len(pred) != len(target):
-        raise ValueError(f"images: expected one for each of {len(target)} truths, got {len(pred)}")
+        raise ValueError(f"images: expected {len(target)}, one for each truth, got {len(pred)}")
 
     def score_one(index: int) -> Scores | None:
         image, truth = pred[index], target[index]
@@ -58,5 +58,5 @@ def score_images(pred: Sequence[Tensor], target: Sequence[Tensor]) -> Scores | N
 
 
 def mean_scores(scores: Sequence[Scores]) -> Scores:
-    """Returns the mean of each score: the value of a data set, also F, is the mean of its samples' values."""
+    """Returns the mean of each score over the samples of a data set; also F is averaged, not recomputed."""
     return Scores(*map(fmean, zip(*scores, strict=True)))

@@ -88,7 +88,7 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
 
 
 def write_plot(path: Path, rows: Sequence[Row], titles: Callable[[str], str] = str) -> None:
-    """Draws F and best IoU: of several methods, the means with their standard errors; of one method, by scene.
+    """Draws F and best IoU: for several methods their means and standard errors, for one method its scenes.
 
     Writes atomically (a temporary file is renamed).
     """

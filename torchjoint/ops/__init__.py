@@ -2,9 +2,9 @@
 
 They work on CPU tensors with any strides, are deterministic, release the GIL, and support :func:`torch.compile`.
 
-Each operator has a module of its name, also those that only this package calls, such as
-:mod:`torchjoint.ops.parse_numbers`: these may change without notice. A slow and simple Python version of each is in
-``tests/reference/``.
+Each operator has a module with its name. Operators that only this package calls, such as
+:mod:`torchjoint.ops.parse_numbers`, also have one; they may change without notice. A slow and simple Python version of
+each operator is in ``tests/reference/``.
 """
 
 from torchjoint.ops import _extension  # noqa: F401  must come first: it registers the operators

@@ -1,4 +1,4 @@
-"""Calls a compiled kernel, without gradient; its errors have the same types with every version of torch."""
+"""Calls a compiled kernel without gradient; its errors have the same types with every version of torch."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from torch import Tensor
 
 
 def call(kernel: Any, *arguments: Any) -> Any:
-    """What ``kernel``, such as ``torch.ops.torchjoint.min_cut.default``, returns for the arguments, without gradient.
+    """Calls ``kernel``, such as ``torch.ops.torchjoint.min_cut.default``, without gradient; returns its result.
 
-    Kernels throw C++ exceptions of the standard library. Up to 2.14, torch translates them to ValueError and
-    MemoryError; from 2.15 on to RuntimeError, which is undone here. Where torch.compile traces there is nothing to
-    catch yet: errors of compiled code are as torch translates them.
+    Kernels throw C++ exceptions of the standard library. Up to version 2.14, torch translates them to ValueError and
+    MemoryError. From 2.15 on, torch translates them to RuntimeError, which this function converts back. It cannot do
+    this in compiled code: when torch.compile traces it, no error exists yet.
 
     Raises:
         ValueError: an argument is wrong; the message begins with its name.
@@ -33,7 +33,7 @@ def call(kernel: Any, *arguments: Any) -> Any:
 
 
 def _translated(message: str, names: list[str]) -> ValueError | MemoryError | None:
-    """The exception that a kernel meant by a RuntimeError; None if the error is not the kernel's."""
+    """The exception that a kernel threw, from the message of a RuntimeError; None if a kernel did not throw it."""
     if message == "std::bad_alloc":
         return MemoryError("a compiled operator: not enough memory")
     first = re.match(r"\w+", message)

@@ -1,7 +1,7 @@
-"""Checks of the operators' arguments that need no tensor values: types, dtypes, shapes, devices.
+"""Checks of the operators' arguments that do not read tensor values: types, dtypes, shapes, devices.
 
-They cost nothing and are safe under :func:`torch.compile`. The compiled kernels check the values (node numbers, NaN,
-signs) while they read them, and also raise :class:`ValueError`.
+They take almost no time and also work under :func:`torch.compile`. The compiled kernels check the values (node numbers,
+NaN, signs) when they read them, and also raise :class:`ValueError`.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def check_number(name: str, value: object, kinds: tuple[type, ...]) -> None:
 
 
 def check_num_nodes(num_nodes: int) -> None:
-    """Raise unless ``num_nodes`` is a number of nodes that the kernels can store."""
+    """Raise unless ``num_nodes`` is an integer in [0, 2^31), which the kernels can store."""
     check_number("num_nodes", num_nodes, (int,))
     if not torch.compiler.is_compiling() and num_nodes > MAX_NODES:
         raise ValueError(f"num_nodes: expected less than 2^31, got {num_nodes}")

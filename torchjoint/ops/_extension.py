@@ -9,7 +9,7 @@ import torch  # noqa: F401  must come first: the extension links to libraries th
 
 
 def _missing_extension(error: ImportError) -> str:
-    """The error message for the case that torchjoint._C does not load."""
+    """The error message if torchjoint._C does not load."""
     package = Path(__file__).parents[1]
     checkout = package.parent
     if (checkout / "pyproject.toml").is_file() and not list(package.glob("_C*")):

@@ -1,4 +1,4 @@
-"""Step 6, method learned: the order of a measure's values, from which quantiles over many groups follow."""
+"""Step 6, method learned: sorts the values of a measure, as quantiles over many groups need it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchjoint.ops._checks import check_array
 
 
 def ascending_order(values: Tensor) -> Tensor:
-    """Compute the order of values, like a stable sort: equal values in their order, -0 equal to 0, NaN last.
+    """Compute the order of values, like a stable sort: equal values keep their order, -0 equals 0, NaN comes last.
 
     The running time is linear.
 

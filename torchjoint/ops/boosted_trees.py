@@ -22,9 +22,9 @@ def boosted_trees(
 ) -> Tensor:
     """Sum the values of the leaves that each row reaches, over all trees.
 
-    A row starts at place 0 of a tree. At an inner node it goes to the left child if its feature is at most the
-    threshold (compared in float64, as scikit-learn's HistGradientBoosting does), otherwise to the right child. If the
-    feature is NaN, ``missing_left`` decides.
+    A row starts at node 0 of a tree. At an inner node it goes to the left child if its feature is at most the threshold
+    (compared in float64, as in scikit-learn's HistGradientBoosting), otherwise to the right child. If the feature is
+    NaN, ``missing_left`` decides.
 
     Args:
         values: ``[B, F]`` float32, the features of each row; NaN = missing.
@@ -32,7 +32,7 @@ def boosted_trees(
             are padded to M >= 1 nodes.
         threshold: ``[T, M]`` float64, finite.
         missing_left: ``[T, M]`` bool, whether rows without the feature go left.
-        left, right: ``[T, M]`` int32, places of the children in the tree, after the node's own place; both -1 at a
+        left, right: ``[T, M]`` int32, numbers of the children in the tree, above the node's own number; both -1 at a
             leaf.
         leaf_value: ``[T, M]`` float64, finite; only those of leaves count.
 

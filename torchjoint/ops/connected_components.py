@@ -1,4 +1,4 @@
-"""Connected components of a graph: what merges, patches and tiles have joined."""
+"""Connected components of a graph, for example of merged segments or stitched tiles."""
 
 from __future__ import annotations
 

@@ -20,14 +20,14 @@ def felzenszwalb_image(
     color_weight: float = 1.0,
     boundary_weight: float = 1.0,
 ) -> Tensor:
-    """Segment images: :func:`felzenszwalb` on their 8-connected pixel grids; edges and weights are computed on the fly.
+    """Segment images by :func:`felzenszwalb` on their 8-connected pixel grids; edges are computed, not stored.
 
     The edges are those of :func:`torchjoint.images.pixel_graph.grid_edges`, the weights those of
     :func:`torchjoint.images.pixel_graph.pixel_weights`,
     ``w = color_weight |c_i - c_j| + boundary_weight min(b_i, b_j)`` (M. Abello et al., ICRA 2021, eq. 1-2). So the
     labels are bit for bit the same as with an explicit list of edges. The images of a batch are distributed over
-    torch's threads; the labels do not depend on the number of threads. Besides the result, less than 40 bytes per
-    pixel are used.
+    torch's threads; the labels do not depend on the number of threads. In addition to the result, less than 40
+    bytes per pixel are used.
 
     Args:
         images: ``[B, C, H, W]`` float32, any number of channels; the default weights suit RGB in [0, 1].

@@ -15,16 +15,16 @@ def fit_normals(points: Tensor, neighbors: Tensor, order: Tensor | None = None) 
     """Fit a plane to each point and its neighbours, and return its normal.
 
     The normal is the eigenvector for the smallest eigenvalue of the points' covariance. Covariances are computed in
-    float64, relative to the point. Of a plane's two normals the upper one is returned: z > 0, or z = 0 and y > 0, or
+    float64, relative to the point. Of a plane's two normals, the upper one is returned: z > 0, or z = 0 and y > 0, or
     z = y = 0 and x > 0. The normal is (0, 0, 1) if the points coincide, vary equally in all directions, or are fewer
     than three (K < 2). If the points lie on a line, the normal is perpendicular to the line.
 
     Args:
         points: ``[N, 3]`` float32 or float64, finite.
         neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point, without the point itself.
-        order: ``[N]`` int32, a permutation: the order in which the rows are worked on, which changes no result. For a
-            large cloud in no order, one along space (:func:`ascending_order` of its cells) is much faster. Default: 0,
-            1, ...
+        order: ``[N]`` int32, a permutation: the order in which rows are processed; the result does not depend on it.
+            For a large cloud in random order, a spatial one (:func:`ascending_order` of its cells) is much faster.
+            Default: 0, 1, ...
 
     Returns:
         ``[N, 3]`` float32, unit length. Runs on torch's threads; the result does not depend on the number of threads.

@@ -12,16 +12,16 @@ from torchjoint.ops._checks import check_array, check_number
 
 
 def group_summaries(values: Tensor, order: Tensor, group: Tensor, num_groups: int, quantiles: Tensor) -> Tensor:
-    """Compute the mean and quantiles of the values in each group; values that are not finite do not count.
+    """Compute the mean and quantiles of the finite values in each group.
 
-    The values are put in order beforehand, once for many groupings. The running time is then linear. A
-    quantile q of n values is the value at place (n - 1) q in ascending order, computed in float32 and rounded half to
-    even.
+    The caller sorts the values once for many groupings. Then the running time of each grouping is linear. The quantile
+    q of n values is the value at index (n - 1) q in ascending order; the index is computed in float32 and rounded to
+    the nearest integer, ties to even.
 
     Args:
         values: ``[C]`` float32.
-        order: ``[C]`` int32, a permutation: the places of the values in ascending order, those of values that are not
-            finite anywhere; see :func:`ascending_order`.
+        order: ``[C]`` int32, a permutation: the indices of the values in ascending order; indices of values that are
+            not finite may be anywhere. See :func:`ascending_order`.
         group: ``[C]`` int64, the group of each value, 0 ... G - 1, or -1 = none.
         num_groups: G.
         quantiles: ``[Q]`` float32 in [0, 1].
@@ -32,8 +32,8 @@ def group_summaries(values: Tensor, order: Tensor, group: Tensor, num_groups: in
 
     Raises:
         TypeError: an argument of the wrong type or dtype.
-        ValueError: a wrong shape or device, a place, group or quantile out of range, or an order that is no
-            permutation, or not ascending.
+        ValueError: a wrong shape or device; an index, group or quantile out of range; an order that is no permutation
+            or not ascending.
 
     Example:
         >>> import torch

@@ -16,8 +16,8 @@ def line_maxima(
 ) -> tuple[Tensor, Tensor]:
     """Find the largest pixel of an image between the two ends of an edge, for all edges with two visible ends.
 
-    The image is read at the pixels of both ends and at three places between them, at a quarter, a half and three
-    quarters of the line. These are rounded to the nearest pixel, halves to the even row or column. ``order``,
+    The image is read at the pixels of both ends, and at a quarter, a half and three quarters of the line between them.
+    These positions are rounded to the nearest pixel, ties to the even row or column. ``order``,
     ``other_end`` and ``start`` are the CSR adjacency of the graph, as for :func:`torchjoint.ops.window_overlaps`.
 
     Args:

@@ -1,4 +1,4 @@
-"""Step 6, with masks: the merges of region merging by the agreement of masks, in their order."""
+"""Step 6, with masks: merges regions by the agreement of masks, and lists the merges in order."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ def mask_merges(
     stays: Tensor | None = None,
     min_size: int = 0,
 ) -> tuple[Tensor, Tensor]:
-    """Repeatedly merge the two touching regions whose points the fewest masks tell apart, and list these merges.
+    """Repeatedly merge the two adjacent regions with the lowest cost, up to a threshold, and list the merges.
 
-    For two regions with n and n' points, take all pairs of points, one of each region, that one frame sees. A mask of
-    weight s with both points adds s to A; a mask with one of them adds s / 2 to D; a mask with none is silent. With
-    the mean prior p over the edges between the two regions, the cost of their boundary is
+    For two regions with n and n' points, consider all pairs of points, one of each region, that one frame sees. A mask
+    of weight s that contains both points adds s to A. A mask that contains one of them adds s / 2 to D. A mask with
+    neither adds nothing. With the mean prior p over the edges between the two regions, the cost of their boundary is
 
         (w D / (n n') + k p) / ((A + w D) / (n n') + k)
 
-    So k is a number of views: the prior counts as much as k frames that see both regions whole. A merged region has the
-    points of both. Of equal costs the boundary that comes first in ``edge_index`` counts. All sums are exact, so
-    the order of the rows of ``in_mask`` and ``in_frame`` does not change a bit.
+    So k is a number of views: the prior has the weight of k frames that see both regions completely. A merged region
+    has the points of both. Of equal costs, the boundary that comes first in ``edge_index`` is merged. All sums are
+    exact, so the order of the columns of ``in_mask`` and ``in_frame`` does not change the result.
 
     Args:
         edge_index: ``[2, E]`` int64, region numbers of the two ends. Edges inside a region are ignored. Parallel edges
@@ -52,9 +52,9 @@ def mask_merges(
         apart_weight: w >= 0. Masks of parts are more common than masks of several objects, so w < 1.
         prior_weight: k > 0, frames.
         threshold: largest cost of two regions that merge, >= 0.
-        stays: optional ``[R]`` bool, regions that are not small, whatever their size.
-        min_size: if it is not 0, two groups of regions merge only if one of them is small: it has fewer points, and no
-            region that stays.
+        stays: optional ``[R]`` bool, regions that are never small.
+        min_size: if it is not 0, two groups of regions merge only if one of them is small: it has fewer points than
+            this, and contains no region of ``stays``.
 
     Returns:
         ``[2, M']`` int64, for each merge the lowest regions a < b of the two groups that merge; ``[M']`` float64, the

@@ -14,11 +14,11 @@ from torchjoint.ops._checks import check_array, check_number
 def match_pixels(pred: Tensor, target: Tensor, radius: float) -> tuple[Tensor, Tensor]:
     """Match the set pixels of two maps one to one, within a radius; the number of pairs is the largest possible.
 
-    First a greedy pass pairs the nearest pixels. It goes through the offsets within the radius, sorted by length, then
-    row, then column, and pairs all pixels at this offset that are both still free. Then each free pixel of ``pred``,
-    row by row, gets a partner along a shortest alternating path, if one exists (breadth first, offsets in the same
-    order). The result is a maximum matching (C. Berge, "Two theorems in graph theory", PNAS 1957). It takes
-    milliseconds for maps of thin lines, and seconds if both maps are dense and random.
+    First a greedy pass pairs the nearest pixels. It takes the offsets within the radius in the order of length, row,
+    column, and pairs all pixels with this offset that are both still free. Then each free pixel of ``pred``, row by
+    row, gets a partner along a shortest alternating path, if one exists (breadth first, offsets in the same order). The
+    result is a maximum matching (C. Berge, "Two theorems in graph theory", PNAS 1957). It takes milliseconds for maps
+    of thin lines, and seconds if both maps are dense and random.
 
     Args:
         pred: ``[H, W]`` bool.

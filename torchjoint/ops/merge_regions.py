@@ -20,7 +20,7 @@ def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: flo
     Michener, 1958) of the region adjacency graph, as P. Arbeláez et al. (PAMI 2011) merge image regions.
 
     Costs are rounded to multiples of 2^-20, so that sums are exact (below 2^33 per boundary). Of boundaries with equal
-    means the one with the lowest number is merged first. Boundaries are numbered by their first edges; a joined
+    means, the one with the lowest number is merged first. Boundaries are numbered by their first edges; a joined
     boundary keeps the lower number.
 
     Args:
@@ -29,7 +29,7 @@ def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: flo
         cost: ``[E]`` float32 in [0, 1024].
         size: ``[R]`` int64, size of each region, >= 0, in any unit.
         threshold: largest mean cost of two regions that merge, >= 0.
-        min_size: in the unit of ``size``.
+        min_size: smaller regions are merged with a neighbour; in the unit of ``size``.
 
     Returns:
         ``[R]`` int64, for each region a label 0, 1, ..., numbered by first appearance. No gradient flows through it.

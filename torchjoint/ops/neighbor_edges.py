@@ -12,16 +12,16 @@ from torchjoint.ops._checks import check_neighbors, check_order
 
 
 def neighbor_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
-    """Make a table of neighbours symmetric: i and j have an edge if one is in the other's row; each edge once, i < j.
+    """Make the edges of a table of neighbours: i < j have one edge if i is in the row of j, or j in the row of i.
 
     The edges have the order of their first occurrence in the table. A row that contains its own point gives no edge. A
     row that contains a neighbour twice gives this edge twice (:func:`torchjoint.ops.felzenszwalb` accepts this).
 
     Args:
         neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point.
-        order: ``[N]`` int32, a permutation: the order in which the rows are worked on, which changes no result. For a
-            large cloud in no order, one along space (:func:`ascending_order` of its cells) is much faster. Default: 0,
-            1, ...
+        order: ``[N]`` int32, a permutation: the order in which rows are processed; the result does not depend on it.
+            For a large cloud in random order, a spatial one (:func:`ascending_order` of its cells) is much faster.
+            Default: 0, 1, ...
 
     Returns:
         ``[2, E]`` int64. Runs on torch's threads; the result does not depend on the number of threads.

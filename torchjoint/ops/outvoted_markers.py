@@ -1,4 +1,4 @@
-"""Steps 7 and 8, method geodesic: finds markers that others near them contradict."""
+"""Steps 7 and 8, method geodesic: finds markers whose neighbours mostly have other labels."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from torchjoint.ops._checks import check_array, check_number
 
 
 def outvoted_markers(markers: Tensor, colors: Tensor, color_weight: float, num_voters: int, near: float) -> Tensor:
-    """Find the markers of an image whose neighbours, by place and colour, mostly have other labels.
+    """Find the markers of an image whose neighbours, by position and colour, mostly have other labels.
 
-    The distance of two markers is the root of the squares of rows, columns, and `color_weight` times red, green and
-    blue. The nearest `num_voters` other markers vote; of equally far last ones all, or none. A marker is outvoted if
-    fewer than half of its voters have its label, and fewer of them than half of all other markers of its label, so that
-    small things stay. Only markers near other labels are asked: the image is cut in square cells, and there must be
-    another label in the marker's cell, or in one of the eight around it.
+    The distance of two markers is the Euclidean distance of their vectors (row, column, `color_weight` x red, green,
+    blue). The nearest `num_voters` other markers vote. Markers that tie at the last place vote only if all of them fit.
+    A marker is outvoted if the voters with its label are fewer than half of its voters, and also fewer than half of all
+    other markers with its label, so that small objects keep their markers. Only markers near other labels are tested:
+    in square cells of the image, another label must be in the marker's cell or in one of its eight neighbours.
 
     Args:
         markers: ``[H, W]`` int32, labels; negative where there is no marker.
         colors: ``[3, H, W]`` float32 RGB in [0, 1].
         color_weight: pixels per RGB distance, 0 to 1000.
         num_voters: at least 1.
-        near: side of a cell, in mean distances of markers, which are the root of pixels per marker; rounded up to whole
+        near: side of a cell, in mean distances of markers (square root of pixels per marker); rounded up to whole
             pixels.
 
     Returns:

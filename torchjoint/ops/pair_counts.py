@@ -16,8 +16,8 @@ def pair_counts(
 ) -> tuple[Tensor, Tensor]:
     """Count the pairs of points at most ``radius`` apart, grouped by the segments and labels of the two points.
 
-    Pairs with equal segments and equal labels (most pairs) are not counted. Pairs within one pixel and points without a
-    segment are not counted either. The pairs are not stored: only the points and the result need memory.
+    Pairs with equal segments and equal labels (most pairs) are not counted. Neither are pairs within one pixel, and
+    points without a segment. The pairs are not stored: only the points and the result need memory.
 
     Args:
         u, v: ``[M]`` float32, positions, finite.

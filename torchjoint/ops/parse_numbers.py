@@ -12,7 +12,7 @@ from torchjoint.ops._checks import check_array, check_number
 
 
 def parse_numbers(text: Tensor, num_rows: int, num_columns: int) -> tuple[Tensor, Tensor]:
-    r"""Read the numbers of the first ``num_rows`` lines of a text; each character is accounted for.
+    r"""Read the numbers of the first ``num_rows`` lines of a text; every character of these lines is checked.
 
     Words are separated by blanks (space, tab, vertical tab, form feed, carriage return), lines by a line feed. A number
     is decimal with an optional sign, point and exponent, or ``nan``, ``inf`` or ``infinity`` in small letters or
@@ -20,18 +20,18 @@ def parse_numbers(text: Tensor, num_rows: int, num_columns: int) -> tuple[Tensor
 
     Args:
         text: ``[B]`` uint8, ASCII characters.
-        num_rows: lines to read, >= 0. What comes behind them is not looked at.
+        num_rows: lines to read, >= 0. The text after them is ignored.
         num_columns: numbers in each line, > 0.
 
     Returns:
         ``values`` ``[num_columns, num_rows]`` float64, and ``end`` ``[1]`` int64, the number of characters that were
-        read: the lines with their line feeds, which the last may lack.
+        read: the lines with their line feeds; the last line feed may be missing.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.
-        ValueError: a wrong shape or device; a line with more or less words than ``num_columns``; a word that is no
-            number, with its row and position; or ``text`` is too short for so many numbers, which is checked before
-            memory is allocated.
+        ValueError: a wrong shape or device; a line that does not have ``num_columns`` words; a word that is no number
+            (the message gives row and position); a ``text`` that is too short for so many numbers (this is checked
+            before memory is allocated).
 
     Example:
         >>> import torch

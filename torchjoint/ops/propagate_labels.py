@@ -23,13 +23,13 @@ def propagate_labels(
 
     A path goes from pixel to pixel in the 8-neighbourhood. A step costs its length (1, or the square root of 2)
     + color_weight x RGB distance + boundary_weight x the smaller boundary strength of the two pixels, rounded to an
-    eighth; the unit is the width of a pixel. With weights of 0 labels meet half way, as in a Voronoi diagram. The
-    larger the weights, the more labels meet at image edges. Of equally cheap paths the path from the lower label counts
-    (image foresting transform with additive costs: A. Falcão, J. Stolfi, R. Lotufo, PAMI 2004).
+    eighth; the unit is the width of a pixel. If both weights are 0, labels meet half way, as in a Voronoi diagram. With
+    larger weights they meet more often at image edges. Of equally cheap paths, the one from the lower label wins (image
+    foresting transform with additive costs: A. Falcão, J. Stolfi, R. Lotufo, PAMI 2004).
 
     Then each connected part of one label (8-neighbourhood) with fewer than `min_markers` markers loses its label. Its
-    pixels are labelled from the pixels of the other parts, all of which now count as markers. Nothing changes if no
-    part has enough markers.
+    pixels are labelled again, with all pixels of the other parts as markers. Nothing changes if no part has enough
+    markers.
 
     Args:
         markers: ``[H, W]`` int32, labels; negative where there is no marker. Markers keep their labels, except in

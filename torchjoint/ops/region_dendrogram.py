@@ -1,4 +1,4 @@
-"""Step 6, method learned: the merges of region merging, in their order."""
+"""Step 6, method learned: lists the merges of region merging in order."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from torchjoint.ops._checks import check_array, check_edge_index, check_number
 def region_dendrogram(edge_index: Tensor, cost: Tensor, num_regions: int, threshold: float) -> tuple[Tensor, Tensor]:
     """List the merges that :func:`torchjoint.ops.merge_regions` makes up to a threshold.
 
-    The mean costs ascend: a merge joins boundaries whose means are not below its own. The groups that the merges
-    connect are those of ``merge_regions`` without ``min_size``. Costs are rounded as there, and ties are broken as
-    there.
+    The mean costs of the merges ascend, because each merge has the lowest mean of all boundaries. The merges connect
+    the same groups as ``merge_regions`` without ``min_size``. Costs are rounded, and ties are broken, in the same
+    way.
 
     Args:
         edge_index: ``[2, E]`` int64, region numbers of the two ends. Edges inside a region are ignored. Parallel edges

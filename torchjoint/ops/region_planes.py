@@ -22,8 +22,8 @@ def region_planes(
         points: ``[N, 3]`` float32, finite.
         neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point, without the point itself.
         region: ``[N]`` int64, region of each point.
-        normals: ``[N, 3]`` float32. The fitted normals are turned to the side of these normals. If too few points are
-            in the region, the given normal is returned.
+        normals: ``[N, 3]`` float32. A fitted normal gets the sign with which it points to the side of this normal. If
+            too few of the points are in the region, this normal is returned.
         min_points: smallest number of points, including the point itself, to which a plane is fitted; >= 3.
 
     Returns:

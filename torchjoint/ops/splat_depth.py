@@ -1,4 +1,4 @@
-"""Step 4, method zbuffer: renders points as squares into a z-buffer."""
+"""Step 4, method zbuffer: a z-buffer of points that are drawn as squares."""
 
 from __future__ import annotations
 

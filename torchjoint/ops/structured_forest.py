@@ -1,4 +1,4 @@
-"""Step 1: evaluates a structured forest, which tells how strong an object boundary is at each pixel."""
+"""Step 1: evaluates a structured forest, which gives the strength of an object boundary at each pixel."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ def structured_forest(
     trees_per_site: int,
     stride: int = 2,
 ) -> Tensor:
-    """Boundary strength by structured forests: P. Dollár and C. L. Zitnick (PAMI 2015).
+    """Compute boundary strength by structured forests: P. Dollár and C. L. Zitnick (PAMI 2015).
 
-    Sites lie `stride` pixels apart. At each site some of the trees vote: the patch around the site, 32 pixels wide,
-    goes down the tree, and each pixel in which the leaf has a boundary gets a vote. Sums of votes are smoothed.
+    Sites are `stride` pixels apart. At each site, some of the trees vote: the patch around the site, 32 pixels wide,
+    reaches a leaf of the tree, and each boundary pixel of the leaf gets a vote. Sums of votes are smoothed.
 
-    On images with even sides the result is that of OpenCV's ``detectEdges`` up to rounding: a patch with a feature that
-    is within rounding of a threshold may go the other way. An odd side is mirrored by one more pixel (OpenCV resamples
-    the image instead). The trees are those of :class:`torchjoint.images.forest.Forest`.
+    On images with even sides, the result equals that of OpenCV's ``detectEdges`` up to rounding: if a feature almost
+    equals a threshold, a patch may go to the other child. An odd side is extended by one mirrored pixel (OpenCV
+    resamples the image instead). The trees are those of :class:`torchjoint.images.forest.Forest`.
 
     Args:
         images: ``[B, 3, H, W]`` float32 RGB in [0, 1], at most 2^14 pixels a side.
-        children: ``[T, N]`` int32, 0 at a leaf, else 1 + the left child's place in the tree; the right child follows.
-            Children come after their parents.
+        children: ``[T, N]`` int32, 0 at a leaf, else 1 + the index of the left child in the tree; the right child is
+            the next node. Children come after their parents.
         features: ``[T, N]`` int32, the feature that an inner node tests, in [0, 7228). The first 13 x 16 x 16 are
             values (channel, column, row; the row varies fastest), the others differences of a channel between two cells
             of a 5 x 5 grid.
@@ -45,15 +45,15 @@ def structured_forest(
         stride: 2 or 4 pixels; 4 is faster and less accurate.
 
     Returns:
-        ``[B, H, W]`` float32, >= 0. The work is spread over torch's threads, and the result does not depend on their
-        number, nor that of an image on the other images. No gradient flows through it.
+        ``[B, H, W]`` float32, >= 0. Runs on torch's threads; the result does not depend on their number, and the result
+        of an image does not depend on the other images. No gradient flows through it.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.
         ValueError: a wrong shape or device, a value out of range or not finite.
 
     Example:
-        A forest of one leaf votes for the same pixel at each site, and so for the same everywhere:
+        A forest of one leaf votes for the same pixel of the patch at each site, so the result is uniform:
 
         >>> import torch
         >>> leaf, feature = torch.zeros(2, 1, 1, dtype=torch.int32)

@@ -15,7 +15,7 @@ def ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
     """Close the contours of a boundary map: compute its ultrametric contour map.
 
     First a watershed divides the image into the basins of ``relief``: steepest descent over the eight neighbours leads
-    from each pixel to a lowest pixel (of equally low pixels the one with the smaller number, row by row). The region
+    from each pixel to a lowest pixel (of equally low pixels, to the one that comes first row by row). The region
     boundary of two basins consists of the pairs of neighbouring pixels with one pixel in each basin. The strength of a
     pair is the larger value of ``boundary`` at its two pixels; the strength of a region boundary is the mean over its
     pairs. The two regions with the weakest region boundary are merged, and their boundaries with the same third region
@@ -24,9 +24,9 @@ def ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
     (P. Arbeláez et al., "Contour Detection and Hierarchical Image Segmentation", PAMI 2011, with another watershed and
     without orientations).
 
-    Strengths are rounded to 16 bits, so that sums are exact. Of equally weak region boundaries the one with the lowest
-    number is merged. They are numbered by their first pair: pairs to the right come first, then down, down-right and
-    up-right. Joined region boundaries keep the lower number.
+    Strengths are rounded to 16 bits, so that sums are exact. Of equally weak region boundaries, the one with the
+    lowest number is merged. They are numbered by their first pair: pairs to the right come first, then down, down-right
+    and up-right. Joined region boundaries keep the lower number.
 
     Args:
         boundary: ``[H, W]`` float32, strength in [0, 1].

@@ -1,4 +1,4 @@
-"""Recordings from disk to result folders: one, or any number of them over many workers."""
+"""Segments recordings on disk into result folders: one recording, or any number of them on many workers."""
 
 from torchjoint.recordings.batch import BatchReport, batch
 from torchjoint.recordings.options import RecordingOptions

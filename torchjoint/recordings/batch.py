@@ -1,4 +1,4 @@
-"""Many recordings over many workers: each gets its result folder, whatever becomes of the others."""
+"""Segments many recordings on many workers. Each gets its own result folder; a failure does not affect the others."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _RECORD, _LOCK = "batch.yaml", ".batch.lock"
 
 @dataclass(frozen=True)
 class BatchReport:
-    """What became of the recordings of a batch.
+    """The outcome of a batch.
 
     Attributes:
         out: folder of the batch; the result of scene NAME is in OUT/NAME, see :func:`torchjoint.load_result`.
-        reports: of all results, by scene.
-        skipped: scenes whose results were there before.
-        failures: why there is no result, by scene.
+        reports: a report of each result, by scene.
+        skipped: scenes whose results existed before.
+        failures: the reason of each failure, by scene.
     """
 
     out: Path
@@ -51,17 +51,17 @@ def batch(
     overwrite: bool = False,
     progress: bool = False,
 ) -> BatchReport:
-    """Segments any number of recordings, each into a result folder OUT/NAME that is there as a whole or not at all.
+    """Segments any number of recordings, each into a result folder OUT/NAME, which is written completely or not at all.
 
-    What is done is skipped when the batch is run again; what was begun goes on where it was. A recording that fails
-    does not stop the others. OUT/summary.csv has a row for each result, OUT/failures.csv the reasons of failures.
+    A batch that is run again skips finished recordings and resumes interrupted ones. A recording that fails does not
+    stop the others. OUT/summary.csv has a row for each result, OUT/failures.csv the reason of each failure.
 
     Args:
         scenes: recordings, folders of data sets, patterns, and files that list them; see
             :func:`torchjoint.recordings.find_recordings`.
-        out: folder for the results; workers on other machines must see it, and the recordings, at the same path.
-        engine: where to work; see :func:`torchjoint.engine.open_engine`. A script that uses dask on this machine must
-            call this below ``if __name__ == "__main__":``.
+        out: folder for the results; workers on other machines must see it and the recordings at the same paths.
+        engine: the workers; see :func:`torchjoint.engine.open_engine`. A script that uses dask on this machine must
+            call this function below ``if __name__ == "__main__":``.
         threads: threads of one recording. Workers on this machine never have more threads than there are cores.
         config: parameters of the method; default ``Config()``.
         options: how recordings are read; default ``RecordingOptions()``.
@@ -72,12 +72,12 @@ def batch(
         reports and failures by scene.
 
     Raises:
-        ValueError, TypeError: a bad argument, or OUT holds results of other parameters.
+        ValueError, TypeError: an argument is invalid, or OUT holds results of other parameters.
         FileExistsError: another batch is writing to OUT, or OUT is in use for something else.
-        ConnectionError: the engine cannot be reached (any more); start again, and what is done is skipped.
+        ConnectionError: the engine cannot be reached. Start the batch again; it skips finished recordings.
 
     Warns:
-        UserWarning: the tables could not be written in the end, for example because the disk is full.
+        UserWarning: the last write of the tables failed, for example because the disk is full.
     """
     config, options = config or Config(), options or RecordingOptions()
     options.check(config)
@@ -95,7 +95,7 @@ def batch(
 
 
 def _run(job: Job, todo: dict[str, Path], tables: Tables, engine: str | Engine, threads: int, progress: bool) -> None:
-    """Segments what is to be done. The bar counts all, and its time is that of what is left."""
+    """Segments the recordings `todo`. The bar counts all recordings, and estimates the time of the remaining ones."""
     if not todo:
         return
     names, done = list(todo), len(tables.reports)
@@ -120,7 +120,7 @@ def _note(name: str, outcome: Outcome[SceneReport], tables: Tables) -> None:
 
 
 def _reason(error: Exception) -> str:
-    """Why a recording failed; of an error of the package itself also its kind."""
+    """The reason of a failure; it names the error's type if the error is not one that users can cause."""
     is_own = isinstance(error, RuntimeError) and not isinstance(error, WorkerDied) and not is_out_of_memory(error)
     return f"{type(error).__name__}: {in_one_line(error)}" if is_own else in_one_line(error)
 
@@ -135,17 +135,17 @@ def _prepared(out: Path) -> Path:
 
 
 def _check_record(job: Job) -> None:
-    """Writes down the parameters of a new batch; those of one that goes on must be the same."""
+    """Writes the parameters of a new batch to a file; a batch that is resumed must have the same parameters."""
     file = job.out / _RECORD
     record = {"torchjoint": version("torchjoint"), "options": {**vars(job.options)}, "config": job.config.to_dict()}
     text = yaml.safe_dump(record, sort_keys=False)
     if file.is_file() and file.read_text(encoding="utf-8", errors="replace") != text and not job.overwrite:
-        raise ValueError(f"{job.out}: has results of other parameters ({file}); choose another folder, or --overwrite")
+        raise ValueError(f"{job.out}: expected the parameters of {file}; choose another folder, or --overwrite")
     write_text(file, text)
 
 
 def _sorted_out(job: Job, tables: Tables, found: dict[str, Path]) -> tuple[dict[str, Path], tuple[str, ...]]:
-    """What is to be done, and the names of what is there; a damaged result is a failure."""
+    """The recordings without a result, and the names of those that have one; a damaged result is a failure."""
     skipped = [name for name in found if not job.overwrite and is_done(job.folder(name))]
     memory = tables.earlier_memory()
     for name in skipped:

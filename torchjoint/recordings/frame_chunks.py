@@ -1,4 +1,4 @@
-"""One long recording over many workers: each sees chunks of the frames on the same cloud, and the evidence adds up."""
+"""Segments one long recording on many workers: each handles chunks of frames, and their evidence is added."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.views.state import JointState
 
-#: Chunks for each worker, so that all end at about the same time; and the largest chunk, frames.
+#: Chunks for each worker, so that all workers finish at about the same time; and most frames in a chunk.
 CHUNKS, LARGEST = 4, 64
 
 #: Frames that a worker holds at a time.
@@ -27,22 +27,22 @@ def segment_over(
     checkpoint: Checkpoint | None = None,
     on_frames: Watch | None = None,
 ) -> Segmentation:
-    """Segments a scene as ``segmenter(scene)`` does, with the same labels; workers see the frames (steps 1, 2, 4, 5).
+    """Segments a scene as ``segmenter(scene)`` does, with the same labels; workers do steps 1, 2, 4 and 5.
 
-    The cloud and its graph travel once to each worker. Frames that are read from disk are read by the workers.
+    The cloud and its graph are sent once to each worker. The workers read those frames that are on disk.
 
     Args:
-        engine: its workers.
-        segmenter: with the parameters; it has all the evidence afterwards.
+        engine: the workers.
+        segmenter: gives the parameters; it has all the evidence afterwards.
         scene: the cloud and its frames.
         progress: show progress bars.
         checkpoint: saves the state from time to time; an interrupted run resumes from it.
-        on_frames: looks at the run while evidence comes, see :meth:`torchjoint.JointSegmenter.forward`.
+        on_frames: is called when evidence was added, see :meth:`torchjoint.JointSegmenter.forward`.
 
     Raises:
         WorkerDied: two workers died with the same chunk.
         ConnectionError: the engine cannot be reached any more.
-        ValueError, TypeError, OSError: as of the segmenter, and of reading frames.
+        ValueError, TypeError, OSError: as from the segmenter, or from reading frames.
     """
     segmenter.begin(scene, checkpoint)
     steps = _add_chunks(engine, segmenter, scene.frames)
@@ -50,7 +50,7 @@ def segment_over(
 
 
 def _add_chunks(engine: Engine, segmenter: JointSegmenter, frames: Sequence[Frame]) -> Iterator[int]:
-    """Adds the evidence of the frames that are not in the segmenter's state yet, as it comes from the workers."""
+    """Adds the evidence of the frames that the segmenter's state lacks, when it arrives from the workers."""
     for evidence, seconds in _in_order(engine, segmenter, frames, len(segmenter.state.observations)):
         segmenter.state = segmenter.state + evidence
         segmenter.stopwatch.add(seconds)
@@ -60,7 +60,7 @@ def _add_chunks(engine: Engine, segmenter: JointSegmenter, frames: Sequence[Fram
 def _in_order(
     engine: Engine, segmenter: JointSegmenter, frames: Sequence[Frame], done: int
 ) -> Iterator[tuple[JointState, dict[str, float]]]:
-    """The evidence of the chunks of the frames from number `done` on, in the order of the frames."""
+    """Yields the evidence of the chunks of frames from index `done` on, in the order of the frames."""
     if done == len(frames):
         return
     size = min(LARGEST, math.ceil((len(frames) - done) / (CHUNKS * max(1, engine.slots()))))
@@ -78,9 +78,9 @@ def _in_order(
 
 
 def _evidence(shared: tuple[JointSegmenter, Sequence[Frame]], chunk: range) -> tuple[JointState, dict[str, float]]:
-    """What a worker does: the evidence of a chunk, and the seconds that it took."""
+    """The task of a worker: computes the evidence of a chunk, and the seconds by stage."""
     segmenter, frames = shared
-    own = segmenter.without_evidence()  # other tasks of this worker use the shared one
+    own = segmenter.without_evidence()  # a copy, because other tasks of this worker use the shared segmenter
     for start in range(0, len(chunk), BATCH):
         with own.stopwatch("load frames"):
             batch = [frames[index] for index in chunk[start : start + BATCH]]

@@ -1,4 +1,4 @@
-"""What a worker does with one recording of a batch."""
+"""The task of a worker: segments one recording of a batch."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from torchjoint.runtime.locks import BusyError
 from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.peak_memory import peak_memory, reset_peak_memory
 
-#: A result that another worker writes: how often to look whether it is done, and how long to wait, seconds. A worker
-#: whose connection was cut goes on for a while, and its scene is given to another.
+#: If another worker writes the result: seconds between checks whether it is done, and longest wait, seconds. A worker
+#: that lost its connection continues for a while, although its scene was given to another worker.
 LOOK, PATIENCE = 1.0, 3600.0
 
 
 @dataclass(frozen=True)
 class SceneReport:
-    """What a result holds, and what it cost.
+    """The size of a result, and the time and memory of its run.
 
     Attributes:
         points: number of points.
         frames: number of frames.
         segments: number of segments of the points.
-        seconds: by stage; added up over threads.
-        peak_memory: of the worker, megabytes; None if it is not known.
-        warnings: what the run has warned of.
+        seconds: by stage; the sum over threads.
+        peak_memory: of the worker, megabytes; None if it is unknown.
+        warnings: the warnings of the run.
     """
 
     points: int
@@ -44,7 +44,7 @@ class SceneReport:
 
 @dataclass(frozen=True)
 class Job:
-    """What all recordings of a batch share."""
+    """The settings of a batch, for all its recordings."""
 
     out: Path
     config: Config
@@ -57,9 +57,9 @@ class Job:
 
 
 def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
-    """Segments a recording, unless its result is there already; waits while another worker writes it.
+    """Segments a recording, unless its result exists already; waits while another worker writes the result.
 
-    The workers of a machine share the default of the memory for frames.
+    The tasks that a machine runs at a time share the default memory for frames.
     """
     name, path = scene
     out, memory = job.folder(name), as_bytes(None) // tasks_on_machine()
@@ -80,7 +80,7 @@ def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
 
 
 def is_done(out: Path) -> bool:
-    """Whether a folder holds a result: it has one as a whole, or not at all."""
+    """Whether a folder holds a result; results are written completely or not at all."""
     return (out / "run.yaml").is_file()
 
 
@@ -88,7 +88,7 @@ def report_of(out: Path, memory: float | None = None, told: tuple[str, ...] = ()
     """The report of a result on disk.
 
     Raises:
-        OSError, ValueError, TypeError: there is none, or it is damaged; the message names the file.
+        OSError, ValueError, TypeError: there is no result, or it is damaged; the message names the file.
     """
     counts, seconds = read_record(out)
     return SceneReport(counts["points"], counts["frames"], counts["point_segments"], seconds, memory, told)

@@ -1,4 +1,4 @@
-"""How a recording is read and cut down before it is segmented."""
+"""Options to read a recording, and to select its frames and points before segmentation."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from torchjoint.views.projection import in_any_view
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """Options of a recording; those of `torchjoint segment` and `torchjoint batch`.
+    """Options of a recording, as in `torchjoint segment` and `torchjoint batch`.
 
     Attributes:
         voxel_size: metres, for fusing a cloud from depth if the recording has no cloud.
         max_frames: number of frames to use, evenly spread over the recording; None: all.
         in_view: leave out the points that no frame has in its view.
         thin: keep one point per voxel of this size, metres; None: all points.
-        merge_within: metres; the points in a cube with this side count as one point, and all get its label.
+        merge_within: metres; all points in a cube with this side are treated as one point and get the same label.
         granularity: level of the labels, 0 (coarse) to 1 (fine); None: the default, 0.5.
-        topics: of a ROS recording: pairs of a role and its topic, where several topics would do.
-        time_limit: of a ROS recording: seconds between an image and its depth, and its pose, at most.
+        topics: for a ROS recording: pairs of a role and its topic, for roles that several topics fit.
+        time_limit: for a ROS recording: largest time from an image to its depth image and its pose, seconds.
     """
 
     voxel_size: float = 0.02
@@ -36,7 +36,7 @@ class RecordingOptions:
     time_limit: float = 0.02
 
     def check(self, config: Config) -> None:
-        """Raises ValueError if an option is out of its range, or does not go with the parameters."""
+        """Raises ValueError if an option is out of range, or does not fit the parameters."""
         if self.max_frames is not None and self.max_frames < 0:
             raise ValueError(f"--max-frames: expected >= 0, got {self.max_frames}")
         if self.thin is not None and not self.thin > 0:
@@ -46,18 +46,18 @@ class RecordingOptions:
         check_granularity(self.granularity, "--granularity")
         method = config.point_segments.method
         if method not in ("learned", "auto"):
-            raise ValueError(f"--granularity: method {method} has one level only; --preset default has all")
+            raise ValueError(f"--granularity: expected a method with levels, as in --preset default, got {method}")
 
     def source(self) -> str:
-        """The options on which a fused cloud depends, as text."""
+        """The options that change a fused cloud, as text."""
         return f"{self.voxel_size} {sorted(self.topics)} {self.time_limit}"
 
     def key(self) -> str:
-        """The options on which the state of a run depends, as text."""
+        """The options that change the state of a run, as text."""
         return f"{self.max_frames} {self.in_view} {self.thin} {self.merge_within}"
 
     def cut_down(self, scene: Scene) -> Scene:
-        """The frames and points of a recording that are used."""
+        """Selects the frames and points of a recording that are used."""
         if self.max_frames is not None:
             scene = scene.sample_frames(self.max_frames)
         if self.in_view:

@@ -1,4 +1,4 @@
-"""The recordings that a user names: folders, patterns, data sets, and files that list them."""
+"""Finds the recordings that a user names: folders, patterns, data sets, and files that list them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from torchjoint.datasets import list_scenes
 
-#: A file with one of these suffixes lists recordings, one a line.
+#: A file with one of these suffixes lists recordings, one per line.
 LISTS = (".txt", ".list")
 
 
@@ -17,16 +17,16 @@ def find_recordings(scenes: str | Path | Iterable[str | Path]) -> dict[str, Path
     """Returns recordings by name, for :func:`torchjoint.datasets.load_scene`.
 
     Args:
-        scenes: one or several of: a recording; the folder of a data set, which stands for all its scenes; a pattern
-            such as ``scans/*`` (``**`` matches folders at any depth; of files only those count that are recordings);
-            a ``.txt`` or ``.list`` file with one of these a line, relative to the file; lines with ``#`` are comments.
+        scenes: one or several of: a recording; the folder of a data set, for all its scenes; a pattern such as
+            ``scans/*`` (``**`` matches folders at any depth; matching files that are no recordings are ignored); a
+            ``.txt`` or ``.list`` file with one of these per line, relative to the file. ``#`` begins a comment line.
 
     Returns:
-        paths by names. If two have the same name, all names begin with those of their parents. What does not exist,
-        or is of no known format, is returned too: loading it says why it is none.
+        paths by names. If two recordings have the same name, all names begin with the names of parent folders. Paths
+        that do not exist or have no known format are returned too: loading them raises the error.
 
     Raises:
-        ValueError: a pattern that matches nothing, or nothing at all; a list that cannot be read.
+        ValueError: there is no recording, a pattern matches nothing, or a list cannot be read.
     """
     given = [scenes] if isinstance(scenes, str | Path) else list(scenes)
     found = list(dict.fromkeys(Path(path) for one in given for path in _expanded(one)))
@@ -52,12 +52,12 @@ def _lines(path: Path) -> list[str]:
     try:
         lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: expected a list of recordings, one a line: {error}") from error
+        raise ValueError(f"{path}: expected a list of recordings, one per line: {error}") from error
     return [line for line in lines if line and not line.startswith("#")]
 
 
 def _scenes(path: Path) -> list[Path]:
-    """The scenes of a data set; what is none stands for itself."""
+    """The scenes of a data set; any other path is returned itself."""
     try:
         return list(list_scenes(path).values())
     except (ValueError, OSError):
@@ -80,12 +80,12 @@ def _named(paths: list[Path]) -> dict[str, Path]:
             return dict(zip(names, paths, strict=True))
         if depth > max(len(_parts(path)) for path in paths):
             twice = next(name for name in names if names.count(name) > 1)
-            raise ValueError(f"scenes: two recordings would both have the result {twice}")
+            raise ValueError(f"scenes: expected different recordings, got two with the result {twice}")
         depth += 1
 
 
 def _parts(path: Path) -> list[str]:
-    """The names of the folders above a recording, and its own."""
+    """The names of the folders above a recording, then its own name."""
     absolute = path.absolute()
     own = absolute.stem if path.is_file() else absolute.name
     return [*absolute.parent.parts[1:], own]

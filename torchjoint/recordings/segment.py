@@ -1,4 +1,4 @@
-"""One recording, from its files to its result folder; an interrupted run continues where it stopped."""
+"""Segments one recording from its files to its result folder; an interrupted run continues where it stopped."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from torchjoint.scene import Scene, Segmentation
 
 
 class Segmented(NamedTuple):
-    """What a run has made."""
+    """The output of a run."""
 
     result: Segmentation
     segmenter: JointSegmenter
@@ -47,7 +47,7 @@ def segment_recording(
     progress: bool = False,
     on_frames: Watch | None = None,
 ) -> Segmented | None:
-    """Segments a recording and writes its result folder, as a whole or not at all.
+    """Segments a recording and writes its result folder, completely or not at all.
 
     Args:
         path: of the recording.
@@ -55,26 +55,26 @@ def segment_recording(
         config: parameters of the method.
         options: how the recording is read.
         masks: masks of a network, see :func:`torchjoint.masks.read_folder`.
-        without_masks: what becomes of frames without masks.
+        without_masks: whether frames without masks are segmented without masks, or left out.
         overwrite: replace an earlier result.
-        memory: how much of the frames stays in memory, see :class:`~torchjoint.JointSegmenter`; the rest goes to the
-            disk of `out`.
+        memory: memory for the data of the frames, see :class:`~torchjoint.JointSegmenter`; the rest goes to the disk of
+            `out`.
         engine: workers for the frames; None: this process. The labels are the same.
         progress: show progress bars.
-        on_frames: looks at the run while frames come, see :meth:`torchjoint.JointSegmenter.forward`.
+        on_frames: is called when frames were added, see :meth:`torchjoint.JointSegmenter.forward`.
 
     Returns:
-        the result; None if an earlier run was killed when all was written: its result is then in its place.
+        the result; None if an earlier run was killed after its last file: its result is now in `out`.
 
     Raises:
-        ValueError, TypeError, OSError: a bad option or file, named in the message; `out` exists, or is in use.
+        ValueError, TypeError, OSError: an invalid option or file, which the message names; `out` exists or is in use.
     """
     options.check(config)
     as_bytes(memory, "--memory")
     if out.resolve() in (path.resolve(), *path.resolve().parents):
-        raise ValueError(f"-o: {out} is, or holds, the recording itself; choose another folder")
+        raise ValueError(f"-o: expected a folder that does not contain the recording, got {out}")
     if masks is not None and out.resolve() in (masks.resolve(), *masks.resolve().parents):
-        raise ValueError(f"-o: {out} is, or holds, the masks; choose another folder")
+        raise ValueError(f"-o: expected a folder that does not contain the masks, got {out}")
     for name, needed in (("scene", path), ("--masks", masks)):
         if needed is not None and not needed.exists():
             raise FileNotFoundError(f"{name}: {needed} does not exist")
@@ -87,7 +87,7 @@ def segment_recording(
         if partial is None:
             return None
         if masks is not None:
-            check_files(masks)  # first, for fusing a cloud takes long
+            check_files(masks)  # first, because fusing a cloud takes long
         scene = _load(path, partial, options, progress)
         if masks is not None:
             scene = read_folder(masks, scene, "segment" if without_masks == "segment" else "leave out")
@@ -107,7 +107,7 @@ def segment_recording(
 
 
 def _load(path: Path, partial: Path, options: RecordingOptions, progress: bool) -> Scene:
-    """The recording; a fused cloud is kept in the partial result, and stays in the result."""
+    """Loads the recording; a fused cloud is written to the partial result, and becomes part of the result."""
     fused, checksum = partial / f"cloud-{options.voxel_size * 1000:g}mm.ply", partial / STATE / "cloud.sha256"
     is_whole = fused.is_file() and checksum.is_file() and checksum.read_bytes().decode() == file_checksum(fused)
     if not is_whole:

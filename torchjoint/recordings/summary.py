@@ -1,4 +1,4 @@
-"""The tables of a batch: summary.csv, a row for each result, and failures.csv, a row for each that failed."""
+"""The tables of a batch: summary.csv has a row for each result, failures.csv a row for each failed recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchjoint.recordings.one_scene import SceneReport
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.messages import in_one_line
 
-#: Longest time between two writes, seconds; a write may take a twentieth of the time.
+#: Least time between two writes, seconds, and largest share of the time that writes may take.
 INTERVAL, SHARE = 5.0, 0.05
 
 SUMMARY, FAILURES = "summary.csv", "failures.csv"
@@ -20,7 +20,7 @@ _COLUMNS = ("scene", "points", "frames", "segments", "seconds", "peak_memory_mb"
 
 
 class Tables:
-    """Reports and failures by scene, in a folder; written from time to time, each file as a whole.
+    """Reports and failures by scene. They are written to a folder from time to time, each file atomically.
 
     Args:
         folder: of the batch.
@@ -35,19 +35,19 @@ class Tables:
         self._next = 0.0
 
     def earlier_memory(self) -> dict[str, float]:
-        """Peak memory by scene, from the summary of an earlier run: the results do not hold it."""
+        """Reads the peak memory by scene from the summary of an earlier run; the results do not contain it."""
         try:
             text = (self.folder / SUMMARY).read_text(encoding="utf-8")
             rows = list(csv.DictReader(io.StringIO(text)))
             return {row["scene"]: float(row["peak_memory_mb"]) for row in rows if row["peak_memory_mb"]}
         except (OSError, ValueError, KeyError, TypeError, csv.Error):
-            return {}  # there is none, or somebody has edited it
+            return {}  # there is no summary, or somebody has edited it
 
     def save(self, *, now: bool = False) -> None:
-        """Writes both tables, if `now` is True or if it is time; a disk that is full then does not end the batch.
+        """Writes both tables if `now` is True or if it is time. A failed write, as on a full disk, raises no error.
 
         Warns:
-            UserWarning: they could not be written although `now` is True.
+            UserWarning: `now` is True, and the write failed.
         """
         start = time.monotonic()
         if not now and start < self._next:
@@ -57,12 +57,12 @@ class Tables:
         except OSError as error:
             if now:
                 reason = in_one_line(error)
-                warnings.warn(f"{self.folder}: {SUMMARY} and {FAILURES} are not up to date: {reason}", stacklevel=2)
+                warnings.warn(f"{self.folder}: {SUMMARY} and {FAILURES} could not be written: {reason}", stacklevel=2)
         end = time.monotonic()
         self._next = end + max(INTERVAL, (end - start) / SHARE)
 
     def _write(self) -> None:
-        """Without failures there is no failures.csv."""
+        """Writes both tables; without failures it removes failures.csv."""
         write_text(self.folder / SUMMARY, self._summary())
         if self.failures:
             rows = [(name, self.failures[name]) for name in self._names if name in self.failures]

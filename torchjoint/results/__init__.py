@@ -1,1 +1,1 @@
-"""Output after step 8: the folder that a run writes, checkpoints, figures."""
+"""Output after step 8: the folder that a run writes, checkpoints, figures, corrections by hand, exports."""

@@ -25,7 +25,7 @@ from torchjoint.views.state import JointState
 #: Longest time between two saves, seconds.
 INTERVAL = 20.0
 
-#: A save may take this share of the time: a small state is saved after each batch, a large one every INTERVAL seconds.
+#: Saves may take this share of the time: a small state is saved after each batch, a large one every INTERVAL seconds.
 SHARE = 0.05
 
 #: Version of the files.
@@ -35,11 +35,11 @@ FORMAT = 5
 class Checkpoint:
     """Saves a :class:`JointState` from time to time: one file per observation, then the sums over these observations.
 
-    Every file is written under another name first and has a checksum, so that a run that is killed, or whose disk is
-    full, leaves the state as it was at the last save.
+    Every file has a checksum and is first written under another name. So after a kill, or on a full disk, the state is
+    that of the last save.
 
     Args:
-        directory: created if it does not exist; emptied if it belongs to another run.
+        directory: is created if it does not exist, and emptied if it belongs to another run.
         key: identifies the run, see :func:`run_key`.
     """
 
@@ -54,10 +54,10 @@ class Checkpoint:
         self._next_save = 0.0
 
     def load(self, observations: Observations | None = None) -> JointState | None:
-        """The last saved state; None if there is none, or (with a warning) if its files are damaged.
+        """Loads the last saved state; None if there is none, or, with a warning, if its files are damaged.
 
         Args:
-            observations: an empty one, for the state; default: one without a limit of memory.
+            observations: an empty object, which the state will use; default: one that keeps all in memory.
         """
         if not (self.directory / "sums.pt").is_file():
             return None
@@ -69,7 +69,7 @@ class Checkpoint:
                 observations.extend([PackedObservation.from_dict(_read(self._file(i)))])
             state = JointState(**values, observations=observations)
         except Exception as error:  # a damaged file can raise anything
-            warnings.warn(f"{self.directory}: damaged, starting over ({error})", stacklevel=2)
+            warnings.warn(f"{self.directory}: damaged, starting again ({error})", stacklevel=2)
             return None
         self._saved = count
         return state
@@ -78,7 +78,7 @@ class Checkpoint:
         """Saves the state if `now` is True, or if it is time: after INTERVAL seconds, or sooner if saving is quick.
 
         Raises:
-            OSError: the disk is full, for example; the state on disk is that of the last save.
+            OSError: for example if the disk is full; the state on disk is then that of the last save.
         """
         start = time.monotonic()
         if not now and start < self._next_save:

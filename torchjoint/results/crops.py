@@ -1,4 +1,4 @@
-"""The best views of a segment (output after step 8), cut out of their images: for CLIP, a labelling tool, a person."""
+"""Cuts the best views of a segment out of their images, for example for CLIP (output after step 8)."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class Crop:
 
 
 def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, margin: float = 0.1) -> list[Crop]:
-    """The frames that see a segment largest and whole, best first.
+    """Crops the frames that show a segment best, best first.
 
-    A frame is as good as the number of the segment's pixels, times the share of its points that lie inside the image,
-    squared: half an object at the image's border is worth less than the whole from farther away. Of equally good frames
-    the first counts.
+    The score of a frame is the number of the segment's pixels, times the square of the share of its points that lie
+    inside the image: half an object at the border scores less than the whole object from farther away. Of frames with
+    equal scores, the first comes first.
 
     Args:
         scene: the frames and the cloud.
@@ -80,7 +80,7 @@ def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, mar
 
 
 def check_segment(segment: int, count: int) -> int:
-    """An id of a segment of the cloud, of which there are `count`.
+    """Returns the id of a segment as int, if it is one of 0, ..., `count` - 1.
 
     Raises:
         TypeError: not an integer.

@@ -28,9 +28,9 @@ class Edit:
     """One correction.
 
     Attributes:
-        kind: join: the segments of two pieces become one; split: the segment of a piece falls in two, at its last
-            merge, or, with three pieces, at the merge of the other two; name: the segment of a piece gets a name (""
-            takes it away).
+        kind: join: the segments of two pieces become one. split: the segment of a piece is divided where its last merge
+            joined it; with three pieces, where the merge of the other two joined it. name: the segment of a piece gets
+            a name; "" removes its name.
         pieces: one piece, the two of a join, or the three of a split at a merge.
         name: of a segment.
     """
@@ -42,10 +42,10 @@ class Edit:
 
 @dataclass(frozen=True)
 class Edits:
-    """Corrections in their order.
+    """Corrections, in the order in which they were made.
 
     Attributes:
-        num_pieces: number of pieces of the result: of its hierarchy, else of its labels.
+        num_pieces: number of pieces of the result's hierarchy; without a hierarchy, of its segments.
         granularity: the level that was corrected; None: the labels of the result.
         steps: the corrections.
     """
@@ -59,10 +59,10 @@ class Edits:
 
         Args:
             table: [P] the segment of each piece, any numbers.
-            hierarchy: of the pieces; None: then no segment can be split.
+            hierarchy: of the pieces; if None, no segment can be split.
 
         Returns:
-            [P] the segment of each piece, which has the number of its first piece.
+            [P] the segment of each piece; the number of a segment is that of its first piece.
 
         Raises:
             ValueError: a split without a hierarchy, of a single piece, or at a merge that does not exist.
@@ -77,7 +77,7 @@ class Edits:
         return table
 
     def names(self, table: Table) -> dict[int, str]:
-        """The names of segments, by the segment's number in `table`; of two names of one segment the later counts."""
+        """The names of segments, by the segment's number in `table`; of two names of one segment, the later one."""
         names = {int(table[step.pieces[0]]): step.name for step in self.steps if step.kind == "name"}
         return {segment: name for segment, name in names.items() if name}
 
@@ -121,7 +121,7 @@ def read_edits(folder: Path, num_pieces: int) -> Edits:
 def _parse(step: Mapping[str, Any], num_pieces: int) -> Edit:
     kind, pieces = step["kind"], tuple(int(piece) for piece in step["pieces"])
     if len(pieces) not in {"join": (2,), "split": (1, 3), "name": (1,)}.get(kind, ()):
-        raise ValueError(f"unknown edit {dict(step)}")
+        raise ValueError(f"expected an edit, got {dict(step)}")
     if not all(0 <= piece < num_pieces for piece in pieces):
-        raise ValueError(f"piece out of range in {dict(step)}")
+        raise ValueError(f"expected pieces below {num_pieces}, got {dict(step)}")
     return Edit(kind, pieces, str(step.get("name", "")))

@@ -18,10 +18,10 @@ from torchjoint.scene.subset import evenly_spaced_indices
 
 @on_cpu()
 def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
-    """A matplotlib figure: input, initial and final segmentation of some frames, and the cloud.
+    """Draws a matplotlib figure: input, initial and final segmentation of some frames, and the cloud.
 
-    In the final images and in the cloud one colour is one object; pale segments contain no point of the cloud. The
-    initial segmentations have separate ids, and so separate colours, in every frame.
+    In the final images and in the cloud, one colour is one object; pale segments contain no point of the cloud. The
+    initial segmentation has separate ids in every frame, so its colours are not comparable between frames.
 
     Args:
         scene: the cloud and its frames.
@@ -47,7 +47,7 @@ def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
 
 @on_cpu()
 def cloud_figure(scene: Scene, labels: Tensor) -> Any:
-    """A matplotlib figure: the cloud in its own colours, and in the colours of its labels.
+    """Draws a matplotlib figure: the cloud in its own colours, and in the colours of its labels.
 
     Args:
         scene: the cloud; its frames, if there are any, determine the upward direction.
@@ -84,5 +84,5 @@ def _draw_cloud(figure: Any, scene: Scene, result: Segmentation) -> None:
 
 
 def _bytes(picture: Tensor) -> npt.NDArray[np.uint8]:
-    """[H, W, 3] colours in [0, 1] as bytes, which matplotlib resizes in less time."""
+    """[H, W, 3] colours in [0, 1] as bytes: matplotlib resizes bytes faster than floats."""
     return (picture * 255).round().to(torch.uint8).numpy()

@@ -47,8 +47,8 @@ def write_result(
     """Writes points.ply, points.npz, segments.json, images/NAME.png, overview.png and run.yaml into a folder.
 
     The frames are written, too: cameras.json, inputs/NAME.jpg, and images_color/NAME.jpg with the labels over them.
-    A result with a hierarchy also gets hierarchy.npz and pieces/NAME.png, from which any level follows; run.yaml then
-    records the granularity of the labels.
+    A result with a hierarchy also gets hierarchy.npz and pieces/NAME.png, from which any level can be computed. Then
+    run.yaml also records the granularity of the labels.
 
     Raises:
         ValueError: a label does not fit 16-bit images, or two frames have the same name.
@@ -71,7 +71,7 @@ def write_result(
 
 
 def _remove_earlier(folder: Path) -> None:
-    """Deletes what an interrupted run has written: it may have had other parameters, and so other files."""
+    """Deletes the files of an interrupted run: with other parameters it may have written other files."""
     for name in ("points.ply", "points.npz", FILE, "overview.png", "run.yaml"):
         (folder / name).unlink(missing_ok=True)
     for name in ("images", FOLDER):
@@ -120,7 +120,7 @@ def read_result(folder: Path) -> Segmentation:
 
 
 def read_config(folder: Path) -> Config:
-    """The parameters of the run that made a result.
+    """Reads the parameters of the run that made a result.
 
     Raises:
         FileNotFoundError: there is no run.yaml.
@@ -130,7 +130,7 @@ def read_config(folder: Path) -> Config:
 
 
 def read_source(folder: Path) -> str:
-    """The input of the run that made a result: the recording's path, as `segment` was given it.
+    """Reads the input of the run that made a result: the recording's path, as it was given to `segment`.
 
     Raises:
         FileNotFoundError: there is no run.yaml.
@@ -140,7 +140,7 @@ def read_source(folder: Path) -> str:
 
 
 def read_granularity(folder: Path) -> float | None:
-    """The level of a result's labels; None if it has no levels. Raises as :func:`read_source`."""
+    """Reads the level of a result's labels; None if it has no levels. Raises as :func:`read_source`."""
 
     def level(record: Any) -> float | None:
         return None if record.get("granularity") is None else float(record["granularity"])
@@ -149,7 +149,7 @@ def read_granularity(folder: Path) -> float | None:
 
 
 def read_record(folder: Path) -> tuple[dict[str, int], dict[str, float]]:
-    """The counts of a result (points, frames, point_segments), and the seconds by stage. Raises as `read_source`."""
+    """Reads the counts of a result (points, frames, point_segments) and its seconds by stage. Raises as read_source."""
 
     def numbers(record: Any) -> tuple[dict[str, int], dict[str, float]]:
         counts = {name: int(record["counts"][name]) for name in ("points", "frames", "point_segments")}
@@ -173,7 +173,7 @@ def _write_label_images(folder: Path, result: Segmentation) -> None:
     names = _image_names(result)
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"frames: two have the name {twice!r}, and so would their label images")
+        raise ValueError(f"frames: expected different names, got {twice!r} twice")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     for name, labels in zip(names, result.images, strict=True):

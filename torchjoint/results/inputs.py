@@ -1,6 +1,6 @@
 """The frames of a result on disk (output after step 8): cameras.json, inputs/NAME.jpg and images_color/NAME.jpg.
 
-With them a result needs the recording no more: its frames can be shown, cropped and exported.
+With them a result does not need the recording any more: its frames can be shown, cropped and exported.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ QUALITY = 90
 
 
 def write_inputs(folder: Path, scene: Scene, result: Segmentation, names: Sequence[str]) -> None:
-    """Writes the cameras, the images, and the images with their labels blended over them; equal results, equal bytes.
+    """Writes cameras, images, and images under the colours of their labels; equal results give equal bytes.
 
     Args:
         folder: the result.
@@ -59,11 +59,11 @@ def write_inputs(folder: Path, scene: Scene, result: Segmentation, names: Sequen
 
 
 def read_inputs(folder: Path, names: Sequence[str]) -> Sequence[Frame]:
-    """The frames of a result, in the order of `names`; images are read when they are used.
+    """Reads the frames of a result, in the order of `names`; images are read when they are used.
 
     Raises:
-        FileNotFoundError: there is no cameras.json (a result of an earlier version has none).
-        ValueError: it is damaged or has other names; the message names it.
+        FileNotFoundError: there is no cameras.json (results of earlier versions have none).
+        ValueError: cameras.json is damaged or has other names; the message names the file.
     """
     file = folder / CAMERAS
     if not file.is_file():

@@ -22,7 +22,7 @@ def label_colors(labels: Tensor, num_point_segments: int | None = None) -> Tenso
     from matplotlib.colors import hsv_to_rgb
 
     ids = labels.clamp(min=0).double().numpy()
-    # Hues in steps of the golden ratio: consecutive ids never look alike.
+    # Hues advance by the golden ratio: consecutive ids get clearly different colours.
     hue = np.mod(0.07 + ids * 0.6180339887498949, 1.0)
     saturation = 0.45 + 0.5 * np.mod(ids * 0.7548776662466927, 1.0)
     value = 0.6 + 0.4 * np.mod(ids * 0.5698402909980532, 1.0)

@@ -21,8 +21,8 @@ def load_result(folder: str | Path, *, edits: bool = True) -> Result:
 
     Args:
         folder: the result.
-        edits: apply the corrections of edits.json, if there are any; then ids are numbered anew. Levels from
-            :meth:`~torchjoint.Segmentation.at` are without them.
+        edits: apply the corrections of edits.json, if there are any; ids are then renumbered. Levels from
+            :meth:`~torchjoint.Segmentation.at` do not contain the corrections.
 
     Raises:
         FileNotFoundError: a file is missing.

@@ -1,4 +1,4 @@
-"""What is known of each segment (output after step 8): its place, size, colour, and the frames that see it."""
+"""Describes each segment: its position, size, colour, and the frames that see it (output after step 8)."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class SegmentRecord:
     views: tuple[View, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """The record as it stands in segments.json: lengths in metres to a hundredth of a millimetre."""
+        """The record as written to segments.json: lengths in metres, rounded to a hundredth of a millimetre."""
         return {
             "id": self.id,
             "points": self.points,
@@ -116,7 +116,7 @@ def write_segments(folder: Path, scene: Scene, result: Segmentation) -> None:
 
 
 def image_views(labels: Tensor, num_segments: int) -> list[tuple[int, int, tuple[int, int, int, int]]]:
-    """Segments in a label image [H, W]: (id, number of pixels, box x, y, width, height), for ids below a number."""
+    """The segments in a label image [H, W] with ids below `num_segments`: (id, number of pixels, box x y w h)."""
     shown = torch.where(labels < num_segments, labels, -1).to(torch.int32).numpy() + 1
     counts = np.bincount(shown.ravel(), minlength=num_segments + 1)
     found = []

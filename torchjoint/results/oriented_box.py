@@ -1,4 +1,4 @@
-"""An upright box around an object (output after step 8): two of its sides are level, and it is turned to be small."""
+"""An upright box around an object: its base is level and is rotated to have the least area (output after step 8)."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ Array = npt.NDArray[np.float64]
 
 
 class OrientedBox(NamedTuple):
-    """A box: its axes are level, level, and up."""
+    """A box; its first two axes are level, and the third points up."""
 
     center: Array  #: [3] metres
-    size: Array  #: [3] metres, along the three axes; the first is the longer one of the two level sides
-    axes: Array  #: [3, 3], a row for each axis, unit length, right-handed
+    size: Array  #: [3] metres, along the three axes; of the two level sides, the longer one comes first
+    axes: Array  #: [3, 3], one axis per row, unit length, right-handed
 
 
 def oriented_box(points: Array, up: Array) -> OrientedBox:
-    """The box with the smallest footprint around some points; its height is the extent along `up`.
+    """Computes the box with the smallest base around points; its height is their extent along `up`.
 
     Args:
         points: [N, 3] metres, N >= 1.
@@ -41,7 +41,7 @@ def oriented_box(points: Array, up: Array) -> OrientedBox:
     side = sides[int(np.argmax(np.linalg.norm(sides, axis=1)))]
     length = float(np.linalg.norm(side))
     first = (side / length) @ level if length > 1e-9 else level[0]
-    if first[np.argmax(np.abs(first))] < 0:  # of the two opposite directions, the one that points along the axes
+    if first[np.argmax(np.abs(first))] < 0:  # the largest component shall be positive
         first = -first
     axes = np.stack([first, np.cross(up, first), up])
     along = (points - origin) @ axes.T
@@ -50,7 +50,7 @@ def oriented_box(points: Array, up: Array) -> OrientedBox:
 
 
 def level_axes(up: Array) -> Array:
-    """Two directions across `up`, [2, 3]."""
+    """Two unit vectors [2, 3] that are perpendicular to `up` and to each other."""
     across = np.eye(3)[int(np.argmin(np.abs(up)))]
     first = across - up * (across @ up)
     first /= np.linalg.norm(first)

@@ -1,10 +1,10 @@
-"""The folder that a run writes its result to: one run at a time, and the result is there as a whole, or not at all.
+"""The folder that a run writes its result to. One run at a time writes it, and it is replaced as a whole.
 
-A run writes to a partial folder, OUT.partial. When all is written, a marker says so (`complete`), and from then on the
-partial folder is the result: whoever finds the marker finishes what was begun. An earlier result is first renamed to
-.OUT.replaced, then the partial folder to OUT, then the earlier result is deleted. If OUT cannot be renamed, because a
-file system is mounted there (a container's volume) or its parent folder is read-only, both folders are inside OUT, and
-the contents of OUT are moved one by one.
+A run writes to a partial folder, OUT.partial. After the last file it writes a marker, `complete.txt`. From then on the
+partial folder is the result: a later run that finds the marker finishes the following steps. An earlier result is
+renamed to .OUT.replaced, then the partial folder is renamed to OUT, then the earlier result is deleted. OUT cannot be
+renamed if a file system is mounted there (a container's volume), or if its parent folder is read-only. Then both
+folders are inside OUT, and the contents of OUT are moved one by one.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from pathlib import Path
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.locks import lock
 
-#: Files in a partial folder: the source of its content; that it is complete; that also the old result has moved.
+#: Files in a partial folder: its source; the marker that it is complete; the marker that the old result has moved.
 SOURCE, COMPLETE, PLACING = "source.txt", "complete.txt", "placing.txt"
 
-#: A folder in a partial folder, for what only resuming needs: it is no part of the result.
+#: A folder in a partial folder, with the files that only resuming needs. It is no part of the result.
 STATE = "state"
 
 _OVERWRITE = "overwrite "  # the marker's first word if an earlier result may be replaced; the key follows
@@ -30,13 +30,13 @@ _OVERWRITE = "overwrite "  # the marker's first word if an earlier result may be
 
 @dataclass(frozen=True)
 class _Places:
-    """Where the parts of a result are while it is made."""
+    """The paths that a run uses while it writes a result."""
 
     out: Path
     partial: Path
     replaced: Path
     lock: Path
-    inside: bool  #: of OUT
+    inside: bool  #: whether partial, replaced and lock are inside OUT
 
     @classmethod
     def of(cls, out: Path) -> _Places:
@@ -52,7 +52,7 @@ class _Places:
         return {self.partial, self.replaced, self.lock}
 
     def content(self) -> list[Path]:
-        """What OUT holds, without our own files."""
+        """The content of OUT, without the files of this module."""
         return [path for path in sorted(self.out.iterdir()) if path not in self.own] if self.out.is_dir() else []
 
 
@@ -64,32 +64,32 @@ def is_fixed(out: Path) -> bool:
 def _is_mount_point(path: Path) -> bool:
     if os.path.ismount(path):
         return True
-    mounts = Path("/proc/self/mountinfo")  # has the bind mounts of one file system, too
+    mounts = Path("/proc/self/mountinfo")  # also lists bind mounts within one file system
     lines = mounts.read_text(encoding="utf-8", errors="replace").splitlines() if mounts.is_file() else []
     escaped = str(path).replace("\\", "\\134").replace(" ", "\\040").replace("\t", "\\011")
     return any(line.split(" ")[4:5] == [escaped] for line in lines)
 
 
 def own_files(out: Path) -> set[Path]:
-    """OUT and all that a run writes beside it."""
+    """OUT, and all paths that a run writes beside it."""
     out = Path(os.path.abspath(out))
     return {out, *_Places.of(out).own}
 
 
 @contextmanager
 def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = False) -> Iterator[Path | None]:
-    """A temporary folder to write into; it becomes `out` on success. After an error it stays, so the run can resume.
+    """Yields a temporary folder, which becomes `out` on success. After an error it stays, so that the run can resume.
 
     Args:
         out: the result's folder.
         source: describes the input of the result; a partial result of another source is deleted.
-        key: describes input and parameters. If an earlier run with this key was killed after it had written all, its
-            result is put in its place, and there is nothing left to do: the folder is then None.
+        key: describes input and parameters. If an earlier run with this key was killed after its last file, its result
+            becomes `out`. Then nothing is left to do, and None is yielded.
         overwrite: replace an earlier result; only a result (an empty folder, or one with a run.yaml) is replaced.
 
     Raises:
-        FileExistsError: `out` exists and `overwrite` is False, or `out` is not a result; or the path of the partial
-            result is used by something else; or another run is writing to `out`.
+        FileExistsError: `out` exists and `overwrite` is False; `out` is not a result; the path of the partial result is
+            used by something else; or another run is writing to `out`.
     """
     out = Path(os.path.abspath(out))
     if out.is_symlink() or (out.exists() and not out.is_dir()):
@@ -114,12 +114,12 @@ def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = Fa
 
 
 def _prepare(partial: Path, source: str) -> None:
-    """Makes the partial folder, or takes that of an earlier run with the same source."""
+    """Makes the partial folder, or uses that of an earlier run with the same source."""
     source_file = partial / SOURCE
-    # A run may be killed between the making of the folder and of its first file.
+    # A run may be killed after it made the folder and before it wrote the first file.
     is_new = not partial.exists() or {path.name for path in partial.iterdir()} <= {f".{SOURCE[:-4]}.partial.txt"}
     if not is_new and not source_file.is_file():
-        raise FileExistsError(f"{partial}: is in the way and not of an earlier run; move it, or choose another output")
+        raise FileExistsError(f"{partial}: expected the folder of an earlier run; move it, or choose another output")
     if not is_new and source_file.read_text(encoding="utf-8") != source:
         _remove(partial, SOURCE)
     partial.mkdir(parents=True, exist_ok=True)
@@ -127,7 +127,7 @@ def _prepare(partial: Path, source: str) -> None:
 
 
 def _finish_earlier(places: _Places, overwrite: bool) -> str | None:
-    """Finishes what a killed run had begun; returns the key of the result that it put in its place."""
+    """Finishes the steps of a killed run; returns the key of its result, or None if there is nothing to finish."""
     partial, out = places.partial, places.out
     found = next((path for path in (partial / PLACING, partial / COMPLETE, out / COMPLETE) if path.is_file()), None)
     marker = "" if found is None else found.read_text(encoding="utf-8")
@@ -142,7 +142,7 @@ def _finish_earlier(places: _Places, overwrite: bool) -> str | None:
 
 
 def _place(places: _Places) -> None:
-    """Makes the partial folder, which is complete, the result; can be repeated after each of its steps."""
+    """Turns the complete partial folder into the result; can be repeated after a kill at any step."""
     out, partial, replaced = places.out, places.partial, places.replaced
     shutil.rmtree(partial / STATE, ignore_errors=True)
     (partial / SOURCE).unlink(missing_ok=True)
@@ -167,7 +167,7 @@ def _place(places: _Places) -> None:
 
 
 def _remove(folder: Path, last: str) -> None:
-    """Deletes a folder; the file that says whose it is goes last, so that a killed deletion can be repeated."""
+    """Deletes a folder; file `last`, which identifies it, goes last, so that a killed deletion can be repeated."""
     if not folder.is_dir():
         return
     for path in folder.iterdir():
@@ -183,6 +183,6 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
     if not overwrite:
         raise FileExistsError(f"{out}: exists already; choose another folder, or --overwrite")
     if content and not (out / "run.yaml").is_file():
-        raise FileExistsError(f"{out}: is no result of torchjoint (it has no run.yaml) and will not be overwritten")
+        raise FileExistsError(f"{out}: expected a result of torchjoint, which has a run.yaml; it is not overwritten")
     if places.inside and not os.access(out, os.W_OK | os.X_OK):
         raise PermissionError(f"{out}: is read-only")

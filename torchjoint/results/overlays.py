@@ -9,7 +9,7 @@ from torchjoint.results.label_colors import label_colors
 
 
 def overlay(image: Tensor, labels: Tensor, num_point_segments: int | None = None, opacity: float = 0.5) -> Tensor:
-    """An image under the colours of its labels; borders between two labels are drawn in white.
+    """Blends the colours of labels over their image; borders between two labels are white.
 
     Args:
         image: [3, H, W] RGB in [0, 1].

@@ -1,4 +1,4 @@
-"""A result as one HTML file to send around (output after step 8): the cloud, and a strip of its images."""
+"""Writes a result as one HTML file to share: the cloud, and a row of its images (output after step 8)."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.subset import evenly_spaced_indices
 
-#: Number of points and of images in the page, at most, and height of an image in pixels.
+#: Largest number of points and of images in the page, and height of an image in pixels.
 MOST_POINTS, MOST_IMAGES, HEIGHT = 100_000, 8, 150
-#: Number of colours of the points' own colours: an index of one byte for each point keeps the page small.
+#: Size of the palette for the points' own colours: one byte per point keeps the page small.
 PALETTE = 255
 
 
 @on_cpu()
 def write_page(path: Path, result: Result, up: Tensor | None = None) -> int:
-    """Writes a page that works in any browser, without a network; it is replaced as a whole.
+    """Writes a page that works in any browser, without a network; an earlier file is replaced atomically.
 
     Args:
         path: file to write.
@@ -41,7 +41,7 @@ def write_page(path: Path, result: Result, up: Tensor | None = None) -> int:
         up: [3] upward direction; None: as :func:`~torchjoint.results.upright.up_direction`.
 
     Returns:
-        the number of points that it shows: all, or an even selection of them, as the page says.
+        the number of points that it shows: all, or an even selection of them; the page shows this number.
     """
     scene = result.scene
     upward = (up_direction(scene) if up is None else torch.nn.functional.normalize(up.double(), dim=0)).numpy()
@@ -61,7 +61,7 @@ def write_page(path: Path, result: Result, up: Tensor | None = None) -> int:
 
 
 def _figure(result: Result, keep: Tensor, up: npt.NDArray[np.float64]) -> Any:
-    with needed_for("a page to send around", "plotly", "torchjoint[viewer]"):
+    with needed_for("an HTML file of a result", "plotly", "torchjoint[viewer]"):
         import plotly.graph_objects as go
 
     scene = result.scene
@@ -117,7 +117,7 @@ def _palette(colors: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.int64], Tens
 
 
 def _colorscale(colors: Tensor) -> list[tuple[float, str]]:
-    """A scale of steps: index i has colour i."""
+    """A colour scale in steps: index i gets colour i."""
     names = [f"rgb({r},{g},{b})" for r, g, b in (colors * 255).round().int().tolist()]
     ends: Sequence[float] = np.linspace(0, 1, len(names) + 1).tolist()
     return [(end, name) for i, name in enumerate(names) for end in (ends[i], ends[i + 1])]

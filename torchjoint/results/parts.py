@@ -1,4 +1,4 @@
-"""A result as its smallest parts and the segments they form (output after step 8): what can be joined and split."""
+"""The pieces of a result, and the segments that they form: what can be joined and split (output after step 8)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from torchjoint.scene.level_images import LevelImages
 class Parts:
     """The pieces of a result: those of its hierarchy, or else its segments.
 
-    A segment made of pieces has a key. It is the segment's label, as on disk, if it begins with the same piece as a
-    segment on disk. Else, a part of one, it is the number of its first piece + the number of segments on disk. So an
-    edit and another level change no other segment's key.
+    Each segment has a key. If its first piece is the first piece of a segment on disk, the key is the label of that
+    segment. Otherwise the key is the number of its first piece + the number of segments on disk. So neither an edit nor
+    another level changes the keys of other segments.
     """
 
     result: Result
@@ -50,7 +50,7 @@ class Parts:
         return np.where(labels < self.count, labels, -1)
 
     def table(self, edits: Edits) -> Table:
-        """[P] the segment of each piece after the edits, which has the number of its first piece.
+        """[P] the segment of each piece after the edits; the number of a segment is that of its first piece.
 
         Raises:
             ValueError: an edit that is not possible.
@@ -66,20 +66,20 @@ class Parts:
 
     @cached_property
     def keys(self) -> Table:
-        """[P] the key of a segment, by its first piece."""
+        """[P] for each piece, the key of the segment that begins with this piece."""
         number = np.arange(self.count)
         return np.where(first_pieces(self.stored) == number, self.stored, number + int(self.stored.max()) + 1)
 
 
 def edited(result: Result, edits: Edits) -> Result:
-    """A result after corrections by hand: labels numbered by first appearance again, and `segment_names`.
+    """Applies corrections by hand: renumbers the labels by first appearance, and sets `segment_names`.
 
     Raises:
         ValueError: an edit that is not possible.
     """
     parts = Parts(result)
     table = parts.table(edits)
-    firsts, of_piece = np.unique(table, return_inverse=True)  # first pieces ascend: numbers by first appearance
+    firsts, of_piece = np.unique(table, return_inverse=True)  # ascending: in the order of first appearance
     names = {int(np.searchsorted(firsts, first)): name for first, name in edits.names(table).items()}
     segments = torch.from_numpy(of_piece.astype(np.int64))
     pieces = None if result.hierarchy is None else result.piece_images

@@ -25,7 +25,7 @@ def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640
 
     Args:
         scene: the points; the frames determine the view.
-        colors: [N, 3] RGB in [0, 1]; of several pictures from one view: [N, 3 k].
+        colors: [N, 3] RGB in [0, 1]; for k pictures of one view: [N, 3 k].
         size: (H, W) of the picture, pixels.
 
     Returns:
@@ -71,7 +71,7 @@ def _bird_view(scene: Scene) -> Tensor:
 
 
 def _up_and_forward(scene: Scene) -> tuple[Tensor, Tensor]:
-    """Up, and the level direction in which the cameras look on average, [3] each."""
+    """The upward direction, and the mean level viewing direction of the cameras, [3] each."""
     up = up_direction(scene)
     forward = torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)
     if len(scene.frames):

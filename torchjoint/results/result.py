@@ -13,7 +13,7 @@ from torchjoint.scene import Scene, Segmentation
 
 @dataclass(frozen=True, repr=False)
 class Result(Segmentation):
-    """A :class:`~torchjoint.Segmentation` that knows its scene: segments can be measured, cut out and cropped.
+    """A :class:`~torchjoint.Segmentation` with its scene: its segments can be measured, cut out and cropped.
 
     Attributes:
         scene: the cloud, and the frames in the order of the images. Frames are read when they are used.
@@ -42,7 +42,7 @@ class Result(Segmentation):
         return cls(**values, scene=scene, config=config)
 
     def records(self) -> list[SegmentRecord]:
-        """What is known of each segment: points, centre, box, colour, and the frames that see it."""
+        """Describes each segment: points, centre, box, colour, and the frames that see it."""
         return segment_records(self.scene, self)
 
     def cloud(self, segment: int) -> Scene:
@@ -57,7 +57,7 @@ class Result(Segmentation):
         return cloud.select_points(self.points == segment)
 
     def crops(self, segment: int, k: int = 3, margin: float = 0.1) -> list[Crop]:
-        """The views that see a segment largest and whole, best first; see :class:`~torchjoint.results.crops.Crop`.
+        """Crops the frames that show a segment best, best first; see :func:`~torchjoint.results.crops.best_crops`.
 
         Args:
             segment: id of a segment of the cloud.
@@ -66,6 +66,6 @@ class Result(Segmentation):
 
         Raises:
             TypeError: the id is no integer.
-            ValueError: an unknown id, k < 1, or a negative margin; or the result's frames are not there.
+            ValueError: the id is unknown, k < 1, the margin is negative, or the result has no frames.
         """
         return best_crops(self.scene, self, segment, k, margin)

@@ -1,4 +1,4 @@
-"""Splits by hand (output after step 8): where in the tree of merges a segment falls in two."""
+"""Splits a segment by hand, at a merge of the hierarchy (output after step 8)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from torchjoint import ops
 from torchjoint.scene import Hierarchy
 
 Table = npt.NDArray[np.int64]
-#: A split gives parts with at least this share of the points, if any does. The last merges of a large segment mostly
-#: add crumbs: of the 25 largest segments of the demo, the last merge of 15 adds less than a twentieth of the points.
+#: A split gives parts with at least this share of the points, if possible. The last merges of a large segment often add
+#: tiny parts: in 15 of the demo's 25 largest segments the last merge adds less than a twentieth of the points.
 LEAST_SHARE = 0.05
 
 
@@ -21,26 +21,26 @@ def split(table: Table, pieces: tuple[int, ...], hierarchy: Hierarchy | None) ->
     """Splits a segment.
 
     Args:
-        table: [P] the segment of each piece, which has the number of its first piece.
-        pieces: one piece: its segment falls in two at its last merge, or in what was joined by hand. Three pieces: its
-            segment falls in two at the merge of the other two; if these are in other segments already, nothing changes.
+        table: [P] the segment of each piece; the number of a segment is that of its first piece.
+        pieces: one piece: its segment is divided where its last merge, or a join by hand, joined it. Three pieces: the
+            segment of the first is divided at the merge of the other two; if that merge is not in it, nothing changes.
         hierarchy: of the pieces.
 
     Returns:
         [P] the table after the split; the part without the segment's first piece is the new segment.
 
     Raises:
-        ValueError: there is no hierarchy, no merge of the two pieces, or the segment is a single piece.
+        ValueError: there is no hierarchy, the two pieces are no merge, or the segment is a single piece.
     """
     if hierarchy is None:
-        raise ValueError("split: the result has no hierarchy; only point_segments.method learned makes one")
+        raise ValueError("split: expected a hierarchy, got none; only point_segments.method learned makes one")
     inside = table == table[pieces[0]]
     merges, heights = hierarchy.merges.numpy(), hierarchy.heights.numpy()
     own = np.nonzero(inside[merges].all(axis=1))[0]
     if len(pieces) == 3:
         cut = np.nonzero((merges == pieces[1:]).all(axis=1))[0]
         if not len(cut):
-            raise ValueError(f"split: pieces {pieces[1]} and {pieces[2]} are no merge of the hierarchy")
+            raise ValueError(f"split: expected a merge of the hierarchy, got pieces {pieces[1]} and {pieces[2]}")
         if cut[0] not in own:
             return table
         parts = _parts(np.delete(merges[own], np.searchsorted(own, cut[0]), axis=0), len(table))
@@ -48,7 +48,7 @@ def split(table: Table, pieces: tuple[int, ...], hierarchy: Hierarchy | None) ->
         rest = inside & (parts == parts[away])
     else:
         if inside.sum() < 2:
-            raise ValueError(f"split: segment {int(table[pieces[0]])} is one piece, the smallest part there is")
+            raise ValueError(f"split: expected a segment of several pieces, got {int(table[pieces[0]])} with one")
         parts = _parts(merges[own], len(table))
         if len(np.unique(parts[inside])) == 1:  # undo the last merge
             parts = _parts(np.delete(merges[own], _last(heights[own]), axis=0), len(table))
@@ -59,10 +59,10 @@ def split(table: Table, pieces: tuple[int, ...], hierarchy: Hierarchy | None) ->
 
 
 def place_to_split(table: Table, piece: int, sizes: Table, hierarchy: Hierarchy | None) -> tuple[int, ...]:
-    """The pieces that say where to split a segment, for :func:`split`.
+    """Chooses where to split a segment; returns the argument `pieces` of :func:`split`.
 
-    It is the last merge of two parts of which each has at least LEAST_SHARE of the points, as far as one merge takes
-    them apart; the last merge, if there is none like this; or what was joined by hand.
+    If the segment was joined by hand, the join is undone. Otherwise it is the last merge whose removal leaves two parts
+    with at least LEAST_SHARE of the points each; if there is no such merge, the last merge.
 
     Args:
         table: [P] the segment of each piece.
@@ -72,10 +72,10 @@ def place_to_split(table: Table, piece: int, sizes: Table, hierarchy: Hierarchy 
     """
     inside = table == table[piece]
     if hierarchy is None or inside.sum() < 2:
-        return (piece,)  # which raises what is wrong
+        return (piece,)  # split() raises the error
     merges, heights = hierarchy.merges.numpy(), hierarchy.heights.numpy()
     own = np.nonzero(inside[merges].all(axis=1))[0]
-    if len(own) < inside.sum() - 1:  # not connected by merges
+    if len(own) < inside.sum() - 1:  # not connected by merges: joined by hand
         return (piece,)
     smaller = _smaller_sides(merges[own], np.where(inside, sizes, 0), int(table[piece]))
     large = smaller >= LEAST_SHARE * sizes[inside].sum()
@@ -84,12 +84,12 @@ def place_to_split(table: Table, piece: int, sizes: Table, hierarchy: Hierarchy 
 
 
 def _last(heights: npt.NDArray[np.float64]) -> int:
-    """The place of the last merge; of equal heights, of the later one."""
+    """The index of the last merge: of the greatest height, and of equal heights the last."""
     return len(heights) - 1 - int(np.argmax(heights[::-1]))
 
 
 def _smaller_sides(tree: Table, sizes: Table, root: int) -> Table:
-    """[M] the points of the smaller part, if one merge of a tree [M, 2] is taken away."""
+    """[M] for each merge of a tree [M, 2], the points of the smaller part that remains without this merge."""
     count = len(sizes)
     graph = coo_array((np.ones(len(tree), dtype=bool), (tree[:, 0], tree[:, 1])), shape=(count, count))
     order, parent = breadth_first_order(graph.tocsr(), root, directed=False)

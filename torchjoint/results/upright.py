@@ -14,12 +14,12 @@ from torchjoint.cloud.normals import estimate_normals
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
 
-#: Number of points that are looked at, evenly spread: enough to find a floor.
+#: Number of points that are used, evenly selected: enough to find a floor.
 SAMPLED = 20_000
-#: A plane is searched within this angle of the poses' upward direction (degrees), if the cameras turned and so fixed
-#: it well; and if all cameras look one way, so that it is off by as much as they look down.
+#: A plane is searched within NEAR degrees of the poses' upward direction if the cameras turned: the poses determine it
+#: well. If all cameras look one way, it is wrong by their downward tilt, and the limit is FAR degrees.
 NEAR, FAR = 20.0, 55.0
-#: A plane's points have normals within this angle of the plane's, degrees.
+#: The normals of a plane's points differ from the plane's normal by at most this angle, degrees.
 FLAT = 8.0
 #: A plane counts if it has at least this share of the points.
 SMALLEST_SHARE = 0.03
@@ -27,10 +27,10 @@ SMALLEST_SHARE = 0.03
 
 @one_thread_per_operation()
 def up_direction(scene: Scene) -> Tensor:
-    """The direction against gravity, in the world frame of the scene.
+    """Estimates the direction against gravity, in the world frame of the scene.
 
-    Most cameras are held upright, so their x axes are level. The largest plane near that direction, such as a floor or
-    a table, makes it exact. Without frames +z is taken as a start.
+    Most cameras are held upright, so their x axes are level. This gives a first direction; without frames it is +z. The
+    normal of the largest plane near it, such as a floor or a table, makes it exact.
 
     Returns:
         [3] float64, unit length; the same for the same scene.
@@ -42,7 +42,7 @@ def up_direction(scene: Scene) -> Tensor:
 
 
 def _of_poses(scene: Scene) -> tuple[Tensor, float]:
-    """Up as the cameras are held, and the angle, in degrees, by which it may be off."""
+    """The upward direction according to the poses, and its largest error in degrees."""
     if not len(scene.frames):
         return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64), NEAR
     count = min(32, len(scene.frames))
@@ -50,7 +50,7 @@ def _of_poses(scene: Scene) -> tuple[Tensor, float]:
     rotations = torch.stack([scene.frames[i].world_to_camera[:3, :3] for i in chosen])
     sideways, mean = rotations[:, 0], -rotations[:, 1].mean(0)
     spread = sideways.T @ sideways / count
-    # The x axes leave one direction open if the cameras turned, else two: then the mean of the -y axes chooses.
+    # One direction is across all x axes if the cameras turned, else several are: the mean of the -y axes decides.
     values, vectors = torch.linalg.eigh(spread - 0.05 * torch.outer(mean, mean))
     up = vectors[:, 0]
     side = float(up @ mean)
@@ -60,13 +60,13 @@ def _of_poses(scene: Scene) -> tuple[Tensor, float]:
 
 
 def _normals(points: Tensor) -> Tensor:
-    """Normals of a sample of the points, [M, 3] float64, of any sign."""
+    """Normals of a sample of the points, [M, 3] float64; their signs are arbitrary."""
     sample = points[:: -(-len(points) // SAMPLED)]
     return estimate_normals(sample, nearest_neighbors(sample, 12).indices).double()
 
 
 def _largest_plane(normals: Tensor, up: Tensor, angle: float) -> Tensor | None:
-    """The normal that most points share, within an angle of `up`; a plane that is less steep counts more."""
+    """The most common normal within an angle of `up`; None if too few points share it. Level planes count more."""
     steep = normals @ up
     normals = torch.where(steep[:, None] < 0, -normals, normals)
     near = normals[steep.abs() > math.cos(math.radians(angle))]
@@ -82,14 +82,14 @@ def _largest_plane(normals: Tensor, up: Tensor, angle: float) -> Tensor | None:
 
 
 def view_from_above(scene: Scene, up: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], ...]:
-    """A view of the whole cloud: its centre, and a position above and behind it, as seen from where the cameras look.
+    """Chooses a view of the whole cloud: from above, in the mean viewing direction of the cameras.
 
     Args:
         scene: the cloud and its frames.
         up: [3] unit length.
 
     Returns:
-        two positions [3], metres.
+        the centre of the cloud and the position of the viewer, [3] metres each.
     """
     points = scene.points[:: -(-len(scene.points) // SAMPLED)].double().numpy()
     center = np.median(points, axis=0)

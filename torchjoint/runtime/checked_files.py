@@ -1,4 +1,4 @@
-"""Files with a checksum, so that a damaged one is noticed: a flipped bit of a number looks like a number."""
+"""Files with a checksum, which detects damage: a number with a flipped bit still looks like a number."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def read_checked(path: Path) -> bytes:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: another version of the file, or its content is damaged; the message names it.
+        ValueError: the file has another version, or is damaged; the message names the file.
     """
     data = path.read_bytes()
     if not data.startswith(_MARK):
-        raise ValueError(f"{path}: of another version of torchjoint, or damaged")
+        raise ValueError(f"{path}: expected a file of this version of torchjoint, got another, or a damaged one")
     checksum, _, content = data[len(_MARK) :].partition(b"\n")
     if checksum != hashlib.sha256(content).hexdigest().encode():
-        raise ValueError(f"{path}: damaged: its checksum is not that of its content")
+        raise ValueError(f"{path}: damaged: its checksum does not match its content")
     return content
 
 

@@ -1,9 +1,8 @@
-"""Names on their way out: they work as before, warn, and say what replaces them."""
+"""Deprecated names: they work as before, and warn with the name that replaces them."""
 
 from __future__ import annotations
 
 import functools
-import re
 import warnings
 from collections.abc import Callable
 from typing import NamedTuple, ParamSpec, TypeVar
@@ -13,7 +12,7 @@ R = TypeVar("R")
 
 
 class Deprecation(NamedTuple):
-    """A name that goes, the first version that warns, the first without it, and what to use instead."""
+    """A deprecated name, the first version that warns, the first version without it, and its replacement."""
 
     name: str
     since: str
@@ -21,19 +20,19 @@ class Deprecation(NamedTuple):
     use: str
 
     def __str__(self) -> str:
-        return f"{self.name} is deprecated since torchjoint {self.since} and gone in {self.gone}: use {self.use}"
+        return f"{self.name} is deprecated since torchjoint {self.since}, removed in {self.gone}: use {self.use}"
 
 
 DEPRECATIONS: list[Deprecation] = []  # of the whole package; a test compares them with its version
 
 
 def deprecated(since: str, gone: str, use: str, name: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorates a function that goes: a call warns with FutureWarning, which Python shows once for each calling line.
+    """Decorates a deprecated function. A call emits a FutureWarning, which Python shows once for each calling line.
 
     Args:
         since: the first version that warns.
-        gone: the version that no longer has the function; a test fails when the package has come so far.
-        use: what to call instead, as the end of a sentence.
+        gone: the first version without the function; a test fails when the package reaches this version.
+        use: the replacement, as the end of a sentence.
         name: what users call it; default: its module and name.
     """
 
@@ -49,12 +48,3 @@ def deprecated(since: str, gone: str, use: str, name: str = "") -> Callable[[Cal
         return warn_first
 
     return decorate
-
-
-def overdue(version: str) -> list[Deprecation]:
-    """The deprecations that `version` should no longer have."""
-    return [deprecation for deprecation in DEPRECATIONS if _numbers(deprecation.gone) <= _numbers(version)]
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    return tuple(map(int, re.findall(r"\d+", version)[:3]))  # 0.2.0rc1 counts as 0.2.0

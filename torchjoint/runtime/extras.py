@@ -1,4 +1,4 @@
-"""Packages that a plain installation does not bring: one message says what to install."""
+"""Errors for optional packages that are not installed: the message names what to install."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from contextlib import contextmanager
 
 @contextmanager
 def needed_for(purpose: str, package: str, requirement: str) -> Iterator[None]:
-    """Around the import of a package that may be missing.
+    """Wraps the import of a package that may be missing.
 
     Args:
         purpose: what needs the package; the message begins with it.
-        package: its name for a reader, such as "Open3D".
-        requirement: what pip shall install, such as "torchjoint[open3d]".
+        package: name of the package, such as "Open3D".
+        requirement: the argument of `pip install`, such as "torchjoint[open3d]".
 
     Raises:
-        ModuleNotFoundError: the package is not there, or does not load; the message says what to do.
+        ModuleNotFoundError: the package is not installed or does not load; the message gives the command.
     """
     try:
         yield

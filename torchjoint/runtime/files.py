@@ -1,4 +1,4 @@
-"""Atomic file writes: a file is written under a temporary name, then renamed. A reader never sees half a file."""
+"""Atomic file writes: a file is written under a temporary name, then renamed. A reader never sees a partial file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` to write to. It replaces `path` on success, and is removed after an error.
+    """Yields a temporary path beside `path`. It replaces `path` on success, and is removed after an error.
 
     The temporary path has the suffix of `path`, because libraries choose the format by the suffix.
     """

@@ -8,9 +8,9 @@ from typing import Any
 
 
 def give_back() -> None:
-    """Gives memory that is free, but kept by the allocator for later, back to the system.
+    """Returns free memory that the allocator keeps to the system.
 
-    The allocator of glibc keeps freed blocks of up to 32 MB for each thread. Elsewhere this does nothing.
+    The allocator of glibc keeps freed blocks of up to 32 MB for each thread. On other systems this does nothing.
     """
     trim = _malloc_trim()
     if trim is not None:
@@ -19,7 +19,7 @@ def give_back() -> None:
 
 @cache
 def _malloc_trim() -> Any:
-    """The function of glibc, None on other systems."""
+    """The function malloc_trim of glibc; None on other systems."""
     try:
         return ctypes.CDLL("libc.so.6").malloc_trim
     except (OSError, AttributeError):

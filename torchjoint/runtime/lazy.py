@@ -11,9 +11,9 @@ T = TypeVar("T")
 
 
 class LazySequence(Sequence[T]):
-    """A sequence whose item `i` is `read(i)`, read again at each access; `read` gets 0 <= i < count and must be pure.
+    """A sequence whose item `i` is `read(i)`, called at each access. `read` gets 0 <= i < count and must be pure.
 
-    `names` are the names of the items, if they are known without reading the items.
+    `names` are the names of the items, if they are known without reading the items; else empty.
     """
 
     def __init__(self, count: int, read: Callable[[int], T], names: Sequence[str] = ()) -> None:

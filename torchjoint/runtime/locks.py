@@ -1,4 +1,4 @@
-"""A lock that one process holds; the system releases it when the process ends, however it ends."""
+"""A lock that one process holds. The system releases it when the process ends, also when it is killed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class BusyError(FileExistsError):
 
 @contextmanager
 def lock(path: Path, busy: str) -> Iterator[None]:
-    """Holds the lock of a file, which is removed afterwards.
+    """Holds the lock of a file inside the block; then removes the file.
 
     Raises:
         BusyError: another process holds it; `busy` is the message.
@@ -33,7 +33,7 @@ def lock(path: Path, busy: str) -> Iterator[None]:
             current = None
         if current == os.fstat(descriptor).st_ino:
             break
-        os.close(descriptor)  # the run that held the lock has removed its file meanwhile
+        os.close(descriptor)  # the run that held the lock has removed the file in the meantime
     try:
         yield
     finally:
@@ -47,8 +47,8 @@ if sys.platform == "win32":
         msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
 
     def _release(path: Path, descriptor: int) -> None:
-        os.close(descriptor)  # Windows removes no open file
-        with suppress(PermissionError):  # another run has opened it meanwhile
+        os.close(descriptor)  # Windows cannot remove an open file
+        with suppress(PermissionError):  # another run has opened it in the meantime
             path.unlink(missing_ok=True)
 
 else:

@@ -1,4 +1,4 @@
-"""How much memory the package may keep: what a user says, or a share of what this machine or container has."""
+"""Limits of memory: the size that a user gives, or a share of the memory of this machine or container."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import re
 import sys
 from pathlib import Path
 
-#: Share of the memory that is kept if the user says nothing.
+#: Default limit, as a share of the memory.
 SHARE = 0.25
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
@@ -16,10 +16,10 @@ _SIZE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([kmgt]i?)?b?\s*", re.I
 
 
 def as_bytes(memory: int | str | None, name: str = "memory") -> int:
-    """Bytes of "2GB" (10^9), "500 MiB" (2^20) or a number; None: SHARE of what there is.
+    """Converts a size to bytes: "2GB" (10^9), "500 MiB" (2^20) or a number; None: SHARE of the memory.
 
     Raises:
-        ValueError: not a size; the message names it.
+        ValueError: it is not a size; the message begins with `name`.
 
     Example:
         >>> as_bytes("2GB"), as_bytes("1.5 KiB"), as_bytes(0)
@@ -39,7 +39,7 @@ def available_memory(root: Path = Path("/")) -> int:
     """The memory of this machine in bytes, or the limit of the container (control group) that the process runs in.
 
     Args:
-        root: where /proc and /sys are.
+        root: the folder that contains proc/ and sys/.
     """
     limits = [_installed_memory()]
     own = root / "proc/self/cgroup"

@@ -1,4 +1,4 @@
-"""Errors in words for a user."""
+"""Texts of errors for users."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ def is_out_of_memory(error: BaseException) -> bool:
 
 
 def in_one_line(error: BaseException) -> str:
-    """What went wrong, and what to do about it."""
+    """Describes an error in one line, and how to solve it if this is known."""
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"the disk is full{f' ({error.filename})' if error.filename else ''}; make room and start again"
     if is_out_of_memory(error):
-        return "out of memory; see --thin, --max-frames and --voxel-size for less to compute"
+        return "out of memory; --thin, --max-frames and --voxel-size reduce the data"
     if isinstance(error, RecursionError):
         return f"nested too deeply: {error}"
     return " ".join(str(error).split())

@@ -1,8 +1,8 @@
-"""Tensors packed without loss, for what is kept long and read seldom: labels, images, pixels of points.
+"""Packs tensors without loss: labels, images and pixels of points, which are kept long and read seldom.
 
-Of what Python and the dependencies offer, these measured best on frames of 1296x968, one thread: whole numbers in the
-smallest type that holds them, zlib level 1 (labels 7 ms, 1 % of their size); images as differences along rows, Huffman
-codes alone (30 ms, as small as PNG, which takes 64 to 149 ms); floats byte by byte, zlib level 1.
+These methods measured best among those of Python and the dependencies (frames of 1296x968, one thread). Whole numbers:
+the smallest type that holds them, then zlib level 1 (labels: 7 ms, 1 % of their size). Images: differences along rows,
+then only Huffman codes (30 ms; as small as PNG, which takes 64 to 149 ms). Floats: byte by byte, then zlib level 1.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _TYPES = {str(dtype).removeprefix("torch."): dtype for dtype in (torch.uint8, to
 
 
 class Content(Protocol):
-    """Where packed bytes are."""
+    """A place from which packed bytes can be read."""
 
     def read(self) -> bytes:
         """The bytes."""
@@ -33,11 +33,11 @@ class Packed:
     """A packed tensor; :func:`pack` makes it.
 
     Attributes:
-        content: the compressed bytes, or where they are.
+        content: the compressed bytes, or an object that reads them.
         dtype: the tensor's type: uint8, int32, int64 or float32.
         shape: the tensor's shape.
         stored: the type of the compressed numbers, as NumPy writes it.
-        low: what was subtracted from whole numbers before.
+        low: the number that was subtracted from whole numbers before compression.
     """
 
     content: bytes | Content
@@ -51,7 +51,7 @@ class Packed:
         return self.content if isinstance(self.content, bytes) else self.content.read()
 
     def unpack(self) -> Tensor:
-        """The tensor, to the last bit."""
+        """Returns the original tensor, bit for bit."""
         flat: npt.NDArray[Any] = np.frombuffer(zlib.decompress(self.data()), dtype=self.stored)
         if self.dtype == "float32":
             flat = np.ascontiguousarray(flat.reshape(4, -1).T).view(np.float32)
@@ -67,7 +67,7 @@ class Packed:
         return math.prod(self.shape) * _TYPES[self.dtype].itemsize
 
     def at(self, content: bytes | Content) -> Packed:
-        """The same tensor, with its bytes elsewhere."""
+        """The same tensor, with its bytes at another place."""
         return replace(self, content=content)
 
 

@@ -1,4 +1,4 @@
-"""The most memory that this process has used since a moment."""
+"""Measures the largest memory use of this process over some time."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ _STATUS, _RESET = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 def reset_peak_memory() -> None:
-    """Begins to measure anew, where the system can (Linux)."""
+    """Starts a new measurement, if the system supports it (Linux)."""
     with suppress(OSError):
         _RESET.write_text("5")
 
 
 def peak_memory() -> float | None:
-    """Most memory since :func:`reset_peak_memory`, megabytes (10^6 bytes); None if the system does not tell."""
+    """Largest memory use since :func:`reset_peak_memory`, megabytes (10^6 bytes); None if the system does not tell."""
     try:
         found = re.search(r"VmHWM:\s*(\d+) kB", _STATUS.read_text())
     except OSError:

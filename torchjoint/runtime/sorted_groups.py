@@ -1,4 +1,4 @@
-"""Groups in sorted tensors: where they start, their members, and where a number stands."""
+"""Groups in sorted tensors: their first places, their members, and the place of a number."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def starts_group(sorted_values: Tensor) -> Tensor:
 
 
 def members_of_groups(size: Tensor, groups: Tensor) -> tuple[Tensor, Tensor]:
-    """Lists the members of groups, where the members of all groups are numbered consecutively, group by group.
+    """Lists the members of some groups. The members of all groups are numbered consecutively, group by group.
 
     Args:
         size: [G] int64, number of members of each group.

@@ -1,7 +1,7 @@
-"""A temporary file for what does not fit into memory.
+"""A temporary file for data that does not fit into memory.
 
-The file has no name in its folder: the system frees its room when the process ends, however it ends, and nobody can
-delete it before.
+The file has no name in its folder. So the system frees its space when the process ends, also when it is killed, and
+nobody can delete it before.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from threading import Lock
 
 
 class Span:
-    """Some bytes of a :class:`SpillFile`, which lives as long as they do. Pickled, they are plain bytes."""
+    """A range of bytes in a :class:`SpillFile`, which exists as long as its spans. Pickling makes it plain bytes."""
 
     def __init__(self, file: SpillFile, start: int, size: int) -> None:
         self._file, self._start, self._size = file, start, size
@@ -24,7 +24,7 @@ class Span:
         """The bytes.
 
         Raises:
-            OSError: the disk has failed.
+            OSError: the disk failed.
         """
         return self._file.read(self._start, self._size)
 
@@ -33,13 +33,13 @@ class Span:
 
 
 class SpillFile:
-    """Keeps bytes on disk until the last of their spans is gone. Several threads may read.
+    """Keeps bytes on disk until their last span is deleted. Several threads may read.
 
     Args:
-        folder: on the disk that is used; default: the variable TMPDIR, or /var/tmp (/tmp is often memory).
+        folder: a folder on the disk to use; default: the variable TMPDIR, or /var/tmp (/tmp is often in memory).
 
     Raises:
-        OSError: no file can be made there; the message names the folder.
+        OSError: no file can be created there; the message names the folder.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -56,7 +56,7 @@ class SpillFile:
         """Writes all parts, or none.
 
         Raises:
-            OSError: the disk is full, for example; what was written before stays readable.
+            OSError: for example if the disk is full; earlier data stay readable.
         """
         with self._lock:
             start, spans = self._end, []
@@ -91,8 +91,8 @@ class SpillFile:
     def _error(self, error: OSError) -> OSError:
         return OSError(
             error.errno,
-            f"memory: what is beyond it goes to a temporary file, which cannot be written ({error.strerror}); make "
-            "room, give another folder (spill=, or the variable TMPDIR), or more memory (memory=)",
+            f"memory: data beyond this limit go to a temporary file, which cannot be written ({error.strerror}); free "
+            "disk space, or give another folder (spill=, or the variable TMPDIR) or more memory (memory=)",
             str(self.folder),
         )
 

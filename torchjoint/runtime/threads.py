@@ -1,14 +1,14 @@
-"""Distributes work over threads such that results never depend on the number of threads.
+"""Distributes work over threads so that results never depend on the number of threads.
 
-A torch operation splits its tensor over threads. Vectorised code handles the middle of each part and scalar code its
-end, and the two may round differently: `atan2` of one element can change with the number of threads. Therefore, inside
-this package, one operation always runs on one thread. Parallelism comes from whole items (frames, clouds, blocks of
-edges): one Python thread works on each item, and several threads work at once, because torch releases the GIL.
+A torch operation splits its tensor over threads. Vector instructions handle the middle of each part, and scalar code
+handles its end. The two may round differently: `atan2` of one element can change with the number of threads. Therefore,
+inside this package, one operation always runs on one thread. Instead, whole items (frames, clouds, blocks of edges) are
+processed in parallel: each item on one Python thread, several threads at once, because torch releases the GIL.
 
 The limit of one thread applies only to the calling thread. ``torch.set_num_threads`` is not suitable: it also changes
-the setting that every *other* Python thread takes over at its first torch operation. Instead the limit is set in OpenMP
-and MKL directly, which store it per thread. So callers may overlap in any way, and the setting of other threads never
-changes. If torch does not run on OpenMP, the limit falls back to ``torch.set_num_threads`` while any caller is inside.
+the setting that every *other* Python thread gets at its first torch operation. So the limit is set directly in OpenMP
+and MKL, which store it per thread. Callers may overlap in any way, and the setting of other threads never changes. If
+torch does not use OpenMP, ``torch.set_num_threads`` is used as long as any caller is inside.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _workers: ContextVar[int | None] = ContextVar("torchjoint_workers", default=None
 
 @contextmanager
 def one_thread_per_operation() -> Iterator[None]:
-    """Inside the block a torch operation runs on one thread; :func:`parallel_map` uses as many as torch had before."""
+    """Inside the block, a torch operation runs on one thread; :func:`parallel_map` uses as many as torch had before."""
     token = _workers.set(num_threads())
     try:
         with _thread_limit(1), on_cpu():
@@ -47,7 +47,7 @@ def one_thread_per_operation() -> Iterator[None]:
 @contextmanager
 def on_cpu() -> Iterator[None]:
     """Inside the block, or a function that it decorates, new tensors are on the CPU, whatever the default device."""
-    if torch.get_default_device().type == "cpu":  # as nearly always: the other way slows each operation a little
+    if torch.get_default_device().type == "cpu":  # the usual case; the code below makes each operation slower
         yield
     else:
         with torch.device("cpu"):
@@ -56,7 +56,7 @@ def on_cpu() -> Iterator[None]:
 
 @contextmanager
 def all_threads() -> Iterator[None]:
-    """Inside the block compiled operators use all threads again.
+    """Inside the block, compiled operators use all threads again.
 
     Use it only for operators whose result does not depend on the number of threads.
     """
@@ -72,7 +72,7 @@ def num_threads() -> int:
 def parallel_map(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
     """``[function(item) for item in items]`` on several Python threads, in the order of the items.
 
-    Items of a lazy sequence are made on these threads, and are dropped once the function has returned.
+    The threads also read the items of a lazy sequence, and free each item when the function has returned.
     """
     items = items if isinstance(items, Sequence) else list(items)
     workers = min(num_threads(), len(items))
@@ -82,34 +82,34 @@ def parallel_map(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
 
     results: list[Any] = [None] * len(items)
     errors: dict[int, BaseException] = {}
-    left = iter(range(len(items)))  # the threads share it: one task for each item would take time
+    left = iter(range(len(items)))  # shared by the threads, because a task for each item would be slow
 
     def work() -> None:
         _workers.set(1)  # nested calls must not start more threads
-        with _thread_limit(1), torch.no_grad():  # the gradient mode is a setting per thread, too
+        with _thread_limit(1), torch.no_grad():  # each thread also has its own gradient mode
             for index in left:
                 try:
                     results[index] = function(items[index])
                 except BaseException as error:
                     errors[index] = error
-                    deque(left, maxlen=0)  # nobody begins another item
+                    deque(left, maxlen=0)  # no thread begins another item
 
     with one_thread_per_operation(), ThreadPoolExecutor(workers - 1) as pool:
         for _ in range(workers - 1):
             pool.submit(work)
-        copy_context().run(work)  # this thread works, too
+        copy_context().run(work)  # this thread also works
     if errors:
         try:
-            raise errors[min(errors)]  # items begin in their order, so this is the first one that fails
+            raise errors[min(errors)]  # items begin in order, so this is the first item that fails
         finally:
-            errors.clear()  # or the error would hold itself, and all that its frames hold
+            errors.clear()  # else a reference cycle would keep the error and all objects of its frames alive
     return results
 
 
 @contextmanager
 def _thread_limit(count: int) -> Iterator[None]:
-    """Inside the block torch operations of the calling thread run on `count` threads; other threads are unaffected."""
-    before = torch.get_num_threads()  # also makes a new thread take over torch's setting now instead of later
+    """Inside the block, torch operations of the calling thread run on `count` threads; other threads do not change."""
+    before = torch.get_num_threads()  # a new thread gets torch's setting here, not later
     set_limit = _openmp_limit()
     if set_limit is None:
         with _GLOBAL_LIMIT(count):
@@ -126,8 +126,8 @@ def _thread_limit(count: int) -> Iterator[None]:
 def _openmp_limit() -> Callable[[int, int], int] | None:
     """A function that sets the calling thread's OpenMP and MKL limits (MKL: 0 = none) and returns the old MKL limit.
 
-    None if torch has no OpenMP. The handle of a library also finds the symbols of the libraries it links to. So the
-    handle of torch finds the OpenMP that torch runs on, even if the process has loaded several.
+    None if torch has no OpenMP. The handle of a library also finds symbols of the libraries that it links to. So the
+    handle of torch finds the OpenMP that torch uses, even if the process has loaded several.
     """
     library = _torch_library()
     openmp = getattr(library, "omp_set_num_threads", None)
@@ -161,7 +161,7 @@ class _GlobalLimit:
 
     @contextmanager
     def __call__(self, count: int) -> Iterator[None]:
-        """Inside the block torch's global setting is `count`, whichever other callers are inside."""
+        """Inside the block, torch's global setting is `count`, also while other callers are inside."""
         with self._lock:
             if self._inside == 0:
                 self._before = torch.get_num_threads()

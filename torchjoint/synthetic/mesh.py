@@ -131,19 +131,11 @@ def cup(radius: float, height: float, wall: float, flare: float = 1.0, rounded: 
         flare: rim radius / foot radius; ignored if ``rounded``.
         rounded: makes a bowl; its foot radius is 0.35 of the rim radius.
     """
-    outer, inner = _profiles(radius, height, wall, flare, rounded)
+    outer, inner = cup_profiles(radius, height, wall, flare, rounded)
     return lathe([*outer, *inner])
 
 
-def cup_sides(
-    radius: float, height: float, wall: float, flare: float = 1.0, rounded: bool = False
-) -> tuple[Part, Part]:
-    """The outside and the inside (with the rim) of a :func:`cup`, so that they can have different materials."""
-    outer, inner = _profiles(radius, height, wall, flare, rounded)
-    return lathe(outer), lathe([outer[-1], *inner])
-
-
-def _profiles(
+def cup_profiles(
     radius: float, height: float, wall: float, flare: float, rounded: bool
 ) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
     """(radius, z) of a cup's outside from the middle of its foot to the rim, and of its inside from the rim on."""

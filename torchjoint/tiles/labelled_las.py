@@ -1,4 +1,4 @@
-"""Writes a LAS or LAZ file again, with one more dimension: the label of each point."""
+"""Writes a copy of a LAS or LAZ file with one more dimension: the label of each point."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchjoint.datasets.files.las import las_chunks, las_library, open_las
 
 #: The name of the dimension.
 DIMENSION = "superpoint"
-#: Records that describe how the points of a file are stored; the copy stores them otherwise.
+#: Records that describe how a file stores its points; they do not fit the copy, which stores them in another way.
 _STORAGE = ("LasZipVlr", "CopcInfoVlr", "CopcHierarchyVlr")
 
 
@@ -22,23 +22,23 @@ def check_dimension(path: Path) -> None:
     """Checks that a file does not have the dimension yet.
 
     Raises:
-        ValueError: it has.
+        ValueError: the file has the dimension.
     """
     with open_las(path) as reader:
         if DIMENSION in set(reader.header.point_format.dimension_names):
-            raise ValueError(f"{path}: has a dimension {DIMENSION} already; remove it first")
+            raise ValueError(f"{path}: expected no dimension {DIMENSION}, got one; remove it first")
 
 
 def write_labelled(
     path: Path, out: Path, labels: npt.NDArray[Any], progress: Callable[[int], object] = lambda count: None
 ) -> int:
-    """Copies a file; all dimensions, the records (the coordinate system is one), and the order stay.
+    """Copies a file, with all dimensions and records (such as the coordinate system), in the same order.
 
     Args:
-        path: .las or .laz. A .copc.laz becomes a plain .laz: the order of the points stays, its octree goes.
-        out: .las or .laz, written as it is named.
+        path: .las or .laz. A .copc.laz becomes a plain .laz: its points keep their order, but lose the octree.
+        out: .las or .laz; the suffix determines the format.
         labels: [N or more] unsigned integers, of 32 or 64 bits; may be mapped from disk.
-        progress: is told the number of points of each part.
+        progress: is called with the number of points of each part.
 
     Returns:
         N, the number of points.
@@ -68,7 +68,7 @@ def _header(laspy: Any, given: Any, dtype: np.dtype[Any]) -> Any:
 
 def _with_label(laspy: Any, chunk: Any, header: Any, labels: npt.NDArray[Any]) -> Any:
     record = laspy.ScaleAwarePointRecord.zeros(len(chunk), header=header)
-    for name in chunk.array.dtype.names:  # as stored: bit by bit
+    for name in chunk.array.dtype.names:  # the stored numbers, not scaled coordinates: an exact copy
         record.array[name] = chunk.array[name]
     record.array[DIMENSION] = labels
     return record

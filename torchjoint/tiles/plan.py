@@ -1,8 +1,8 @@
 """Cuts the plane into tiles along the cells of a survey.
 
-Without a size, the whole plane is one tile. A tile that holds too many points, with its buffer, is cut in two across
-its longer side, such that the halves hold equally many; and so on. So each tile fits the memory, however uneven the
-density, and small clouds are one tile.
+Without a size, the whole plane is one tile. A tile that holds too many points, with its buffer, is cut across its
+longer side into two tiles with about equally many points; these are cut again if necessary. So each tile fits into
+memory, also if the density is uneven, and a small cloud is one tile.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ class Tile(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """The tiles, and to which of them each cell belongs."""
+    """The tiles, and the tile of each cell."""
 
     tiles: list[Tile]  #: those that hold points
     buffer: float  #: metres
-    of_cell: npt.NDArray[np.int32]  #: [columns, rows] the tile of each cell; -1: of none, it has no points near
+    of_cell: npt.NDArray[np.int32]  #: [columns, rows] the tile of each cell; -1: no tile, because no points are near
 
     def neighbors(self, survey: Survey) -> list[tuple[int, int]]:
-        """Pairs of tiles whose buffered rectangles overlap, the lower number first."""
+        """Pairs of tiles whose rectangles with buffers overlap; the lower number comes first."""
         low = np.array([tile.first for tile in self.tiles]) * survey.side - self.buffer
         high = np.array([tile.end for tile in self.tiles]) * survey.side + self.buffer
         pairs = []
@@ -49,13 +49,13 @@ def plan_tiles(survey: Survey, size: float | None, buffer: float, most_points: i
     """Cuts the plane.
 
     Args:
-        survey: of the cloud; if `size` is given, its grid is aligned to it.
-        size: metres, of the squares that are cut first; None: the whole plane is one.
-        buffer: metres, the width of the rim that a tile shares with its neighbours.
-        most_points: of a tile with its buffer.
+        survey: of the cloud; if `size` is given, the survey's grid is aligned to it.
+        size: side of the squares that are cut first, metres; None: one rectangle for the whole plane.
+        buffer: width of the rim that a tile shares with its neighbours, metres.
+        most_points: largest number of points of a tile with its buffer.
 
     Warns:
-        a tile holds more points, because it is too narrow to be cut.
+        UserWarning: a tile holds more than twice as many points, because it is too narrow to be cut.
     """
     sums = np.zeros(np.array(survey.counts.shape) + 1, np.int64)
     sums[1:, 1:] = survey.counts.cumsum(0).cumsum(1)
@@ -74,8 +74,8 @@ def plan_tiles(survey: Survey, size: float | None, buffer: float, most_points: i
     largest = max(_points(sums, tile, rim) for tile in done)
     if largest > 2 * most_points:
         warnings.warn(
-            f"a tile holds {largest} points and is not cut, because it is no {NARROWEST} buffers wide; it takes more "
-            "memory: choose a smaller --buffer",
+            f"a tile holds {largest} points and needs more memory: its halves would be narrower than {NARROWEST} "
+            "buffers; choose a smaller --buffer",
             stacklevel=2,
         )
     of_cell = np.full(survey.counts.shape, -1, np.int32)
@@ -95,14 +95,14 @@ def _squares(survey: Survey, size: float | None) -> list[Tile]:
 
 
 def _points(sums: npt.NDArray[np.int64], tile: Tile, rim: int = 0) -> int:
-    """The number of points in a tile and in so many cells around it."""
+    """The number of points in a tile and in a rim of so many cells around it."""
     (x0, y0), (x1, y1) = np.maximum(np.array(tile.first) - rim, 0), np.minimum(np.array(tile.end) + rim, sums.shape)
     x1, y1 = min(x1, sums.shape[0] - 1), min(y1, sums.shape[1] - 1)
     return int(sums[x1, y1] - sums[x0, y1] - sums[x1, y0] + sums[x0, y0])
 
 
 def _halves(sums: npt.NDArray[np.int64], tile: Tile, narrowest: int) -> list[Tile] | None:
-    """The two parts of a tile, cut across its longer side; None: they would be too narrow."""
+    """Cuts a tile in two across its longer side; None if the halves would be too narrow."""
     (x0, y0), (x1, y1) = tile
     axis = 0 if x1 - x0 >= y1 - y0 else 1
     first, end = tile.first[axis], tile.end[axis]

@@ -1,8 +1,8 @@
-"""Superpoints of a cloud of any size, in LAS or LAZ files: cut, segment, stitch, write; resumable tile by tile.
+"""Superpoints of LAS or LAZ files of any size: cuts tiles, segments, stitches, writes; resumable after each tile.
 
-All that is not the result is in OUT.tiles beside it: `source.txt` says of which cloud and settings, `points/` has a
-file for each tile that waits, `cut.npz` says that all of these are written, `labels/` has a file for each tile that is
-done. The folder goes when the result is in its place.
+Temporary files are in OUT.tiles beside the result. `source.txt` identifies cloud and settings. `points/` has a file for
+each tile that is not yet segmented. `cut.npz` exists when all of them are written. `labels/` has a file for each
+segmented tile. The folder is deleted when the result is complete.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from torchjoint.tiles.stitching import stitch
 from torchjoint.tiles.survey import survey
 from torchjoint.tiles.tile import TileTask, read_own, read_shared, segment_tile
 
-#: Points of a tile with its buffer: they take about 0.7 GB while they are segmented.
+#: Most points of a tile with its buffer: segmenting them takes about 0.7 GB.
 MOST_POINTS = 2_000_000
 COPC = ".copc.laz"
-#: The engine that starts no worker.
+#: The name of the engine that starts no worker.
 HERE = "loky:1"
 #: The default buffer, in typical distances of neighbouring points.
 BUFFER_SPACINGS = 60
 
 
 class TiledCloud(NamedTuple):
-    """What became of a cloud."""
+    """The numbers of points, superpoints and tiles of a cloud."""
 
     num_points: int
     num_superpoints: int
@@ -51,7 +51,7 @@ class TiledCloud(NamedTuple):
 
 
 class _Cut(NamedTuple):
-    """The tiles of a cloud, all of whose points are written."""
+    """The tiles of a cloud, after their points were written."""
 
     num_points: int
     num_tiles: int
@@ -74,21 +74,22 @@ def superpoints_of_files(
 ) -> TiledCloud:
     """Writes LAS or LAZ files with the superpoint of each point, in bounded memory.
 
-    The result has all dimensions, records and the order of the points of the cloud, and a dimension `superpoint`. A
-    cloud that fits in one tile gets the labels of :func:`torchjoint.superpoints`. A larger one gets nearly these: the
-    same wherever a superpoint lies in one tile, and stitched where superpoints cross the edges of tiles. Labels do not
-    depend on the engine, the order in which tiles are done, or interruptions.
+    The result has all dimensions and records of the cloud and the order of its points, and also a dimension
+    `superpoint`. A cloud that fits in one tile gets the labels of :func:`torchjoint.superpoints`. In a larger cloud,
+    superpoints that cross the edges of tiles are stitched, so labels near the edges may differ from those. Labels do
+    not depend on the engine, the order in which tiles are segmented, or interruptions.
 
     Args:
-        cloud: a .las, .laz or .copc.laz file, or a folder of them, which are one cloud.
-        out: the file to write, .las or .laz (not .copc.laz: COPC has an order of its own); for a folder, the folder, in
-            which X.copc.laz becomes X.laz.
-        tile: metres, the side of a tile; default: as large as 2 million points allow. Tiles with more points than that
-            are halved in any case.
-        buffer: metres, the rim that a tile shares with its neighbours; default: 60 typical distances of points.
-        preset: as of :func:`torchjoint.superpoints`.
-        engine: as of :func:`torchjoint.engine.open_engine`: where the tiles are segmented. The workers must see the
-            folder of `out`. With "loky:1" it is this process.
+        cloud: a .las, .laz or .copc.laz file, or a folder of such files, which together are one cloud.
+        out: the file to write, .las or .laz. It cannot be .copc.laz, because COPC prescribes another order of points.
+            For a folder of clouds it is a folder, in which X.copc.laz becomes X.laz.
+        tile: side of a tile, metres; default: the largest tile with at most 2 million points. A tile with more points
+            is always halved.
+        buffer: width of the rim that a tile shares with its neighbours, metres; default: 60 x the typical distance of
+            neighbouring points.
+        preset: as in :func:`torchjoint.superpoints`.
+        engine: where the tiles are segmented, see :func:`torchjoint.engine.open_engine`. The workers must be able to
+            access the folder of `out`. "loky:1" is this process.
         overwrite: replace an earlier result.
         progress: show progress bars; None: if there is a terminal.
 
@@ -96,9 +97,9 @@ def superpoints_of_files(
         the numbers of points, superpoints and tiles.
 
     Raises:
-        FileNotFoundError, FileExistsError, ValueError, TypeError: naming the file or argument and what is wrong.
-        ModuleNotFoundError: laspy or lazrs, or the engine, is not installed.
-        ConnectionError, WorkerDied: of the engine. What is done stays done: the same call goes on.
+        FileNotFoundError, FileExistsError, ValueError, TypeError: the message names the file or argument and the error.
+        ModuleNotFoundError: laspy, lazrs or the engine is not installed.
+        ConnectionError, WorkerDied: the engine failed. The same call resumes the run.
     """
     cloud, out = Path(cloud), Path(os.path.abspath(out))
     config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
@@ -150,35 +151,41 @@ def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool
         raise ValueError(f"out: expected a file that ends in .las or .laz, got {out}")
     if out.name.lower().endswith(COPC):
         raise ValueError(
-            f"out: COPC is read, not written, because it has an order of its own; expected a name that ends in .laz "
-            f"(untwine or `pdal translate` makes COPC of it), got {out}"
+            f"out: expected a name that ends in .laz, got {out}: COPC is read but not written, because it prescribes "
+            "another order of points (untwine or `pdal translate` converts a .laz to COPC)"
         )
     if not out.parent.is_dir():
-        raise FileNotFoundError(f"out: {out.parent} is no folder")
+        raise FileNotFoundError(f"out: expected an existing folder, got {out.parent}")
     if out.exists() and out.samefile(cloud):
-        raise ValueError(f"out: {out} is the cloud itself; choose another name")
+        raise ValueError(f"out: expected another path than the cloud's, got {out}")
     if out.is_symlink() or (out.exists() and out.is_dir() != cloud.is_dir()):
-        raise FileExistsError(f"{out}: is in the way; choose another name")
+        raise FileExistsError(
+            f"{out}: expected no link, and a {'folder' if cloud.is_dir() else 'file'}; choose another name"
+        )
     if out.exists() and not overwrite:
         raise FileExistsError(f"{out}: exists already; choose another name, or --overwrite")
     names = Counter(_result_name(file) for file in files)
     if twice := [name for name, count in names.items() if count > 1]:
         raise ValueError(f"{cloud}: a .laz and a .copc.laz would both become {twice[0]}; rename one of them")
     if out.is_dir() and (others := {path.name for path in out.iterdir()} - set(names)):
-        raise FileExistsError(f"{out}: is no earlier result, and will not be replaced: it has {min(others)}")
+        raise FileExistsError(
+            f"{out}: expected only files of an earlier result, got {min(others)}; it will not be replaced"
+        )
 
 
 def _result_name(file: Path) -> str:
-    """The name of a file in a folder of results: one that ends in .copc.laz must be COPC, and the result is not."""
+    """The name of a file in a folder of results; X.copc.laz becomes X.laz, because the result is not COPC."""
     is_copc = file.name.lower().endswith(COPC)
     return f"{file.name[: -len(COPC)]}.laz" if is_copc else file.name
 
 
 def _prepare(work: Path, source: str) -> None:
-    """Makes the working folder, or takes that of an earlier run with the same source."""
+    """Makes the working folder, or uses that of an earlier run with the same source."""
     file = work / "source.txt"
     if work.exists() and (not work.is_dir() or (any(work.iterdir()) and not file.is_file())):
-        raise FileExistsError(f"{work}: is in the way and not of an earlier run; move it, or choose another output")
+        raise FileExistsError(
+            f"{work}: expected nothing, or the folder of an earlier run; move it, or choose another output"
+        )
     if file.is_file() and file.read_text(encoding="utf-8") != source:
         shutil.rmtree(work)
     work.mkdir(exist_ok=True)
@@ -214,14 +221,14 @@ def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | 
 
 
 def _check_disk(work: Path, num_points: int, colored: bool) -> None:
-    """The copies of the points and their labels; buffers add a third at most, unless tiles are very narrow."""
+    """Checks the free disk space for points and labels; buffers add at most a third, unless tiles are very narrow."""
     needed, free = int(num_points * (point_type(colored).itemsize * 1.3 + 16)), shutil.disk_usage(work).free
     if needed > free:
         raise ValueError(f"out: expected about {needed / 1e9:.1f} GB free in {work.parent}, got {free / 1e9:.1f} GB")
 
 
 def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: str | Engine, progress: bool | None) -> None:
-    """Segments the tiles that no earlier run has done, several at a time; a single one in this process."""
+    """Segments the tiles without labels, several at a time; a single tile is segmented in this process."""
     (work / "labels").mkdir(exist_ok=True)
     tasks = [
         TileTask(tile_file(work / "points", number), _labels_file(work, number), size, cut.buffer)
@@ -247,7 +254,7 @@ def _segment_shared(shared: tuple[int | None, SuperpointsConfig], task: TileTask
 
 
 def _stitch(cut: _Cut, work: Path) -> tuple[int, npt.NDArray[np.unsignedinteger]]:
-    """The number of superpoints, and the label of each point, mapped from disk."""
+    """Stitches the tiles; returns the number of superpoints and the labels [N], mapped from disk."""
     try:
         files = [_labels_file(work, number) for number in range(cut.num_tiles)]
         counts = [len(read_shared(file).whole_size) for file in files]
@@ -270,7 +277,7 @@ def _write(
     labels: npt.NDArray[np.unsignedinteger],
     progress: bool | None,
 ) -> None:
-    """Writes the files anew with their labels, and puts them in their place at once."""
+    """Writes copies of the files with labels, then moves all of them to `out` in one step."""
     made = work / "result"
     shutil.rmtree(made, ignore_errors=True)
     made.mkdir()
@@ -292,5 +299,5 @@ def _labels_file(work: Path, number: int) -> Path:
 
 
 def _hidden(progress: bool | None) -> bool | None:
-    """Tqdm's `disable`: None hides the bar if there is no terminal."""
+    """The argument `disable` of tqdm; None hides the bar if there is no terminal."""
     return None if progress is None else not progress

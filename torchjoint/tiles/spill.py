@@ -15,12 +15,12 @@ from torchjoint.datasets.files.las import LasPoints
 from torchjoint.tiles.plan import Plan
 from torchjoint.tiles.survey import Survey, read_points
 
-#: Bits of `kind`: the point belongs to this tile; it is in other tiles, too.
+#: Bits of `kind`: the point belongs to this tile; the point is also in other tiles.
 OWN, SHARED = 1, 2
 
 
 def point_type(colored: bool) -> np.dtype[Any]:
-    """A point in a tile's file: number in the cloud, place relative to the tile's corner in metres, colour, bits."""
+    """The type of a point in a tile's file: number in the cloud, metres from the tile's corner, bits, colour."""
     fields: list[Any] = [("number", "<i8"), ("xyz", "<f4", 3), ("kind", "u1")]
     return np.dtype([*fields, ("rgb", "<u2", 3)] if colored else fields)
 
@@ -33,13 +33,13 @@ def tile_file(folder: Path, number: int) -> Path:
 def spill_points(
     files: Sequence[Path], survey: Survey, plan: Plan, folder: Path, progress: Callable[[int], object]
 ) -> None:
-    """Writes the points of all tiles; memory is needed for one part of the cloud at a time.
+    """Writes the points of all tiles; only one part of the cloud is in memory at a time.
 
     Args:
         files: of the cloud.
         survey, plan: of the cloud.
-        folder: empty.
-        progress: is told the number of points of each part.
+        folder: an empty folder.
+        progress: is called with the number of points of each part.
     """
     corners = np.array([tile.first for tile in plan.tiles]) * survey.side + survey.origin[:2]
     alone = _cells_of_one_tile(survey, plan)
@@ -56,7 +56,7 @@ def spill_points(
 
 
 def _cells_of_one_tile(survey: Survey, plan: Plan) -> npt.NDArray[np.bool_]:
-    """[columns, rows] whether a point of the cell is in one tile only: the cells in reach of the buffer are its own."""
+    """[columns, rows] whether the points of a cell are in one tile only: all cells within a buffer are of its tile."""
     width, none = 2 * math.ceil(plan.buffer / survey.side) + 1, np.iinfo(np.int32).max
     highest = maximum_filter(plan.of_cell, width, mode="nearest")
     lowest = minimum_filter(np.where(plan.of_cell < 0, none, plan.of_cell), width, mode="nearest")
@@ -67,10 +67,10 @@ def _cells_of_one_tile(survey: Survey, plan: Plan) -> npt.NDArray[np.bool_]:
 def _copies(
     xy: npt.NDArray[np.float64], survey: Survey, plan: Plan, alone: npt.NDArray[np.bool_]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.uint8]]:
-    """Which point [c] is in which tile [c], ascending, and the bits of that; points of a tile in their order.
+    """Lists the copies of points in tiles: the point [c], the tile [c] and the bits [c], sorted by tile, then point.
 
-    A tile is wider than two buffers. So if it meets the square of side 2 x buffer around a point, it holds one of the
-    square's corners. Most points are far from the edges of tiles, as the cells say that are `alone`.
+    A tile is wider than two buffers. So if it intersects the square of side 2 x buffer around a point, it contains a
+    corner of the square. Most points are far from the edges of tiles: their cells are `alone`.
     """
     cell = survey.cells(xy)
     own = plan.of_cell[cell[:, 0], cell[:, 1]]

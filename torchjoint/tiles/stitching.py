@@ -1,16 +1,16 @@
-"""Unites superpoints of neighbouring tiles, and decides from which tile a point has its label.
+"""Unites superpoints of neighbouring tiles, and decides which tile gives a point its label.
 
-Two tiles share the points of their buffers, and both have segmented them. A superpoint of one and a superpoint of the
-other are the same if more than half of the shared points of each are in the other. So each superpoint has at most one
-partner in each neighbouring tile, and a few shared points connect nothing.
+Two tiles share the points of their buffers, and both tiles segment these points. A superpoint of one tile and a
+superpoint of the other are united if more than half of the shared points of each are in the other. So each superpoint
+has at most one partner in each neighbouring tile, and a few common points do not unite superpoints.
 
-A tile sees a superpoint whole if it ends before the buffer does. What the buffer cuts off is less certain, because it
-depends on its size whether a superpoint absorbs a small one. So a point has the label of the tile that sees its
-superpoint whole; if several do, of the one where it is the largest; if none does, or they are equal, of the tile that
-owns the point, and of two others the first. A superpoint that ends beyond its tile is therefore not cut at the edge.
+A tile sees a superpoint whole if the superpoint ends before the outer part of the buffer. The label of a point comes
+from the tile that sees the point's superpoint whole. If several tiles do, it comes from the tile in which the
+superpoint has the most points. If no tile does, or if the sizes are equal, the tile that owns the point has precedence,
+then the tile with the lower number. So a superpoint that crosses the edge of its tile is not cut there.
 
-The united superpoints are numbered by their first points. All of this depends on the tiles' labels alone, not on the
-order in which the tiles were done.
+The united superpoints are numbered by their first points. The result depends only on the tiles' labels, not on the
+order in which the tiles were segmented.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ def stitch(
     Args:
         neighbors: pairs of tiles that share points.
         counts: the number of superpoints of each tile.
-        own, shared: read what a tile says of its own points, and of those that others see, too. Two tiles are in memory
-            at a time.
-        labels: [N] integers, which must hold the sum of all counts; may be mapped from disk.
+        own, shared: read a tile's labels of its own points, and of the points that are also in other tiles. At most two
+            tiles are in memory at a time.
+        labels: [N] integers; their type must be able to hold the sum of all counts. May be mapped from disk.
 
     Returns:
         the number of labels.
@@ -76,7 +76,7 @@ def stitch(
 
 
 class _Choice:
-    """From which tiles those points of a tile have their labels that other tiles see, too."""
+    """Chooses the superpoints of those points of a tile that are also in other tiles."""
 
     def __init__(self, here: SharedLabels, offset: int) -> None:
         self.point = here.point[here.is_own]  #: [n] ascending
@@ -84,7 +84,7 @@ class _Choice:
         self._size = here.whole_size[here.superpoint[here.is_own]]
 
     def compare(self, there: SharedLabels, offset: int) -> None:
-        """Takes the superpoints of another tile where they are whole and larger."""
+        """Uses the superpoints of another tile where they are whole and larger."""
         mine, theirs = _common(self.point, there.point)
         superpoint = there.superpoint[theirs]
         larger = there.whole_size[superpoint] > self._size[mine]
@@ -94,9 +94,9 @@ class _Choice:
 
 
 def _ranks(united: Ints, first: Ints, none: int) -> tuple[int, Ints]:
-    """The number of labels, and the label of each superpoint of all tiles, by the first points of the united ones.
+    """The number of labels, and the label of each superpoint of all tiles, in the order of their first points.
 
-    Those without a point (`first` is `none`) unite nothing: what a tile sees in its buffer alone is for others to say.
+    Superpoints to which no point was given (`first` is `none`) do not unite others.
     """
     united = united[(first[united] < none).all(1)]
     group = ops.connected_components(torch.from_numpy(united).t(), len(first)).numpy()
@@ -109,7 +109,7 @@ def _ranks(united: Ints, first: Ints, none: int) -> tuple[int, Ints]:
 
 
 def matching_superpoints(one: SharedLabels, other: SharedLabels) -> Ints:
-    """Pairs [P, 2] of superpoints of two tiles, more than half of whose shared points are in one another."""
+    """Pairs [P, 2] of superpoints of two tiles; more than half of the shared points of each are in the other."""
     here, there = _common(one.point, other.point)
     if not len(here):
         return np.empty((0, 2), np.int64)
@@ -122,7 +122,7 @@ def matching_superpoints(one: SharedLabels, other: SharedLabels) -> Ints:
 
 
 def _common(one: Ints, other: Ints) -> tuple[Ints, Ints]:
-    """The places of common numbers in two ascending rows of numbers."""
+    """The indices of the common numbers in each of two ascending arrays."""
     place = np.minimum(np.searchsorted(other, one), max(len(other) - 1, 0))
     here = np.flatnonzero(other[place] == one) if len(other) else np.empty(0, np.int64)
     return here, place[here]

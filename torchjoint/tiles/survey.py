@@ -1,4 +1,4 @@
-"""First look at a cloud: where its points are, counted in cells of a grid, and which colours it has."""
+"""First pass over a cloud: counts its points in the cells of a grid, and finds the range of its colours."""
 
 from __future__ import annotations
 
@@ -12,56 +12,56 @@ import numpy.typing as npt
 
 from torchjoint.datasets.files.las import LasPoints, las_points, open_las, white_of
 
-#: Mean number of points in a cell, and most cells: fine enough to cut tiles along cells, and small in memory.
+#: Mean number of points in a cell, and most cells: small enough to cut tiles along cells, and few enough for memory.
 POINTS, MOST_CELLS = 100, 4_000_000
 
 
 class Survey(NamedTuple):
-    """What is known of a cloud before it is cut."""
+    """The distribution of a cloud's points."""
 
     num_points: int
     origin: npt.NDArray[np.float64]  #: [3] metres, the lower corner of the grid, and the lowest height
     side: float  #: of a cell, metres
     counts: npt.NDArray[np.int64]  #: [columns, rows] points in each cell
-    white: int | None  #: the colour's value of full brightness; None: there are no colours
+    white: int | None  #: the colour value of full brightness; None: there are no colours
 
     def cells(self, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
-        """The column and row [n, 2] of the cell of each place [n, 2]; of the nearest cell if it is outside."""
+        """The column and row [n, 2] of the cell of each position [n, 2], or of the nearest cell if it is outside."""
         cell = np.floor((xy - self.origin[:2]) / self.side)
         return cell.clip(0, np.array(self.counts.shape) - 1).astype(np.int64)
 
     def spacing(self) -> float:
-        """The typical distance of neighbouring points, metres: from the density of half of the occupied cells."""
+        """The typical distance of neighbouring points, metres: from the median density of the occupied cells."""
         return self.side / float(np.median(self.counts[self.counts > 0])) ** 0.5
 
 
 def read_points(files: Sequence[Path]) -> Iterator[tuple[int, LasPoints]]:
-    """The points of all files in their order, in parts, with the number of the first point of each part.
+    """Yields the points of all files in their order, in parts; with each part, the number of its first point.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     first = 0
     for path in files:
         with open_las(path) as reader:
             for points in las_points(reader, path):
                 if not np.isfinite(points.xyz).all():
-                    raise ValueError(f"{path}: coordinates that are NaN or infinite")
+                    raise ValueError(f"{path}: expected finite coordinates, got NaN or infinite ones")
                 yield first, points
                 first += len(points.xyz)
 
 
 def survey(files: Sequence[Path], align: float | None = None) -> Survey:
-    """Counts the points of a cloud by cells.
+    """Counts the points of a cloud in cells.
 
-    The headers say where the points are. If they were wrong by much, the points are counted once more.
+    The grid covers the box that the headers give. If this box is much too large, the points are counted again.
 
     Args:
         files: of the cloud.
-        align: metres; the grid starts at a multiple of it, and it is a multiple of the cells' side.
+        align: metres; the grid starts at a multiple of this length, which is itself a multiple of the cells' side.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     num_points, low, high = _bounds(files)
     for _ in range(2):
@@ -74,7 +74,7 @@ def survey(files: Sequence[Path], align: float | None = None) -> Survey:
 
 
 def _bounds(files: Sequence[Path]) -> tuple[int, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """The number of points, and the box [3], [3] in which they are according to the headers."""
+    """The number of points, and the lowest and highest corner [3] of their box, according to the headers."""
     lows, highs, num_points = [], [], 0
     for path in files:
         with open_las(path) as reader:
@@ -83,7 +83,7 @@ def _bounds(files: Sequence[Path]) -> tuple[int, npt.NDArray[np.float64], npt.ND
             num_points += reader.header.point_count
     low, high = np.min(lows, axis=0), np.max(highs, axis=0)
     if not (np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()):
-        low, high = np.zeros(3), np.zeros(3)  # counted in one cell, and then again
+        low, high = np.zeros(3), np.zeros(3)  # all points are counted in one cell, then again in a proper grid
     return num_points, low, high
 
 
@@ -102,7 +102,7 @@ def _grid(num_points: int, low: npt.NDArray[np.float64], high: npt.NDArray[np.fl
 
 
 def _count(files: Sequence[Path], grid: Survey) -> tuple[Survey, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """The grid with the number of points in each cell, and the box in which they really are."""
+    """The grid with the number of points in each cell, and the corners of the box of the points."""
     counts, num_points, largest = np.zeros(grid.counts.size, np.int64), 0, 0
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     colored = True

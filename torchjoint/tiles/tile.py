@@ -1,4 +1,4 @@
-"""Segments one tile: a task of its own, which reads one file and writes one."""
+"""Segments one tile: an independent task, which reads one file and writes one."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
 from torchjoint.tiles.spill import OWN, SHARED, point_type
 
-#: The outer part of the buffer, in buffers. A superpoint that reaches it may go on where the tile does not see.
+#: Width of the outer part of the buffer, in buffers. A superpoint that reaches it may continue outside of the buffer.
 RIM = 0.1
 
 
 class TileTask(NamedTuple):
-    """All that a worker needs; it can be pickled."""
+    """The files and sizes that a worker needs; can be pickled."""
 
     points: Path  #: the file of the tile's points
     labels: Path  #: the file to write
@@ -37,22 +37,22 @@ class OwnLabels(NamedTuple):
 
 
 class SharedLabels(NamedTuple):
-    """What a tile says of the points that others see, too; its own, and others'."""
+    """Superpoints of the points of a tile that are also in other tiles; the tile owns only some of them."""
 
     point: npt.NDArray[np.int64]  #: [m] ascending
     superpoint: npt.NDArray[np.int32]  #: [m] numbered in the tile
     is_own: npt.NDArray[np.bool_]  #: [m] whether the tile owns the point
-    whole_size: npt.NDArray[np.int32]  #: [K] points of each superpoint of the tile; 0: it may go on beyond the buffer
+    whole_size: npt.NDArray[np.int32]  #: [K] points of each superpoint; 0: it may continue beyond the buffer
 
 
 def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -> None:
     """Segments the points of a tile and its buffer, writes the labels, and removes the file of the points.
 
-    A worker may die between these steps, and the tile may be given to another: what is done is not done again.
+    If a worker dies between these steps, another worker may get the tile; finished steps are not repeated.
 
     Args:
-        white: as of a survey.
-        config: of the superpoints.
+        white: the colour value of full brightness, see :class:`~torchjoint.tiles.survey.Survey`.
+        config: parameters of the superpoints.
         task: the files.
     """
     if task.labels.is_file():
@@ -62,7 +62,7 @@ def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -
     points = torch.from_numpy(np.ascontiguousarray(records["xyz"]))
     colors = None if white is None else torch.from_numpy(records["rgb"].astype(np.float32) / white)
     number, kind = records["number"].copy(), records["kind"].copy()
-    inside = (1 - RIM) * task.buffer  # so far outside of the tile a superpoint may reach
+    inside = (1 - RIM) * task.buffer  # a superpoint is whole if it reaches at most so far outside of the tile
     xy = records["xyz"][:, :2]
     at_rim = ((xy < -inside) | (xy > np.array(task.size) + inside)).any(1)
     del records
@@ -84,7 +84,7 @@ def _prefixed(name: str, arrays: OwnLabels | SharedLabels) -> dict[str, npt.NDAr
 
 
 def read_own(path: Path) -> OwnLabels:
-    """Reads of the file that :func:`segment_tile` wrote what is said of the tile's own points.
+    """Reads the labels of a tile's own points from the file that :func:`segment_tile` wrote.
 
     Raises:
         ValueError: the file is damaged; the message names it.
@@ -93,7 +93,7 @@ def read_own(path: Path) -> OwnLabels:
 
 
 def read_shared(path: Path) -> SharedLabels:
-    """Reads of the same file what is said of the points that others see, too.
+    """Reads the labels of the points that are also in other tiles from the same file.
 
     Raises:
         ValueError: as :func:`read_own`.

@@ -1,4 +1,4 @@
-"""The viewer's page: a panel of controls beside the cloud, and what happens at each click."""
+"""The viewer's page: a panel of controls beside the cloud, and the reaction to each click."""
 
 from __future__ import annotations
 
@@ -27,18 +27,19 @@ from torchjoint.viewer.shown import Shown
 class Viewer:
     """A result in the browser: cloud, images, a table of segments, levels, and corrections by hand.
 
-    It serves a page until :meth:`stop`, or as long as the program runs.
+    It serves a page until :meth:`stop` is called or the program ends.
 
     Args:
-        result: as on disk, without corrections.
-        shown: where the result is from; default: from nowhere.
+        result: the result as on disk, without corrections.
+        shown: folder and run of the result; default: neither.
         granularity: level to start with, 0 (coarse) to 1 (fine); None: as on disk, or as corrected.
         up: [3] upward direction in the world frame; None: from the poses and the largest level plane.
-        host, port: of the page. The default host is this machine alone; if the port is taken, the next one is used.
+        host, port: of the page. With the default host only this machine can open it. If the port is in use, the next
+            free one is used.
 
     Raises:
         ModuleNotFoundError: viser is not installed.
-        ValueError: edits.json is damaged, or of another result.
+        ValueError: edits.json is damaged, or belongs to another result.
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class Viewer:
         upward = (up_direction(result.scene) if up is None else normalize(up.double(), dim=0)).numpy()
         self._shown = shown or Shown()
         self.model = Model(result, self._shown.edits(result, granularity), upward)
-        self._lock = threading.RLock()  # viser calls back from several threads
+        self._lock = threading.RLock()  # viser calls the functions below on several threads
         self._order, self._can_save = "points", True
         self.server, distance = start_server(result.scene, upward, host, port)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), self.model.point_colors())
@@ -66,12 +67,12 @@ class Viewer:
 
     @property
     def result(self) -> Result:
-        """What is shown, without corrections."""
+        """The shown result, without corrections."""
         return self.model.result
 
     @property
     def folder(self) -> Path | None:
-        """Where corrections are saved."""
+        """The folder in which corrections are saved; None: they cannot be saved."""
         return self._shown.folder
 
     def replace(self, result: Result) -> None:
@@ -81,10 +82,10 @@ class Viewer:
             self._draw()
 
     def open(self, result: Result, shown: Shown) -> None:
-        """Shows another result of the same scene with its own corrections, and all that can be done with it.
+        """Shows another result of the same scene with its own corrections, and the controls that it allows.
 
         Raises:
-            ValueError: edits.json is damaged, or of another result.
+            ValueError: edits.json is damaged, or belongs to another result.
         """
         with self._lock:
             edits = shown.edits(result)
@@ -94,7 +95,7 @@ class Viewer:
         self._count_frames()
 
     def tell(self, note: str) -> None:
-        """Writes a line at the top of the panel of a run whose frames still come."""
+        """Writes a line at the top of the panel of a run that is not finished."""
         with self._lock:
             self._panel.note.content = note_html(note)
 
@@ -112,7 +113,7 @@ class Viewer:
         self.server.stop()
 
     def _add_panel(self, frame: int = 0, cameras: bool = True) -> None:
-        """Builds the panel anew, and says what each element does."""
+        """Builds a new panel, and connects its elements to their actions."""
         panel = self._panel = Panel(self.server.gui, self.model, self._shown, frame, cameras)
 
         def then(action: Any) -> Any:
@@ -152,10 +153,10 @@ class Viewer:
         def _(client: Any) -> None:
             client.camera.on_update(lambda camera: self._guarded(self._cloud.look_from, camera.position))
 
-    # What happens
+    # Reactions to events
 
     def _guarded(self, action: Any, *arguments: Any) -> None:
-        """Runs an action, one at a time; says on the page what is not possible."""
+        """Runs an action, one at a time; shows the message of a ValueError on the page."""
         with self._lock:
             try:
                 action(*arguments)
@@ -184,7 +185,7 @@ class Viewer:
         self._choose(None if point is None else int(self.model.table[self.model.parts.of_point[point]]), more)
 
     def _choose(self, segment: int | None, more: bool) -> None:
-        """Selects a segment, or with shift adds it or takes it away; nothing was hit: clears the selection."""
+        """Selects a segment; with shift, adds it to the selection or removes it. None clears the selection."""
         before = self.model.selected
         if not more:
             self._select(() if segment is None else (segment,))
@@ -196,7 +197,7 @@ class Viewer:
         self._draw()
 
     def _on_parameters(self) -> None:
-        """Shows the result with other parameters; corrections of another result mean nothing here, and go."""
+        """Shows the result of other parameters; corrections that do not belong to it are dropped."""
         assert self._shown.run is not None  # without a run there are no parameters
         self._say("computing again ...", "blue")
         values = {name: float(field.value) for name, field in self._panel.parameters.items()}
@@ -204,7 +205,7 @@ class Viewer:
         self._can_save = False
         self.replace(result)
         self._count_frames()
-        self._say(f"{result.num_point_segments} segments; OUT keeps its result: run `segment` with --set to write this")
+        self._say(f"{result.num_point_segments} segments; not written to OUT: run `segment` with --set to write this")
 
     def _on_mode(self) -> None:
         self.model.mode = self._panel.mode.value
@@ -244,7 +245,7 @@ class Viewer:
     def _on_save(self) -> None:
         assert self.folder is not None  # without a folder there is no button
         if not self._can_save:
-            raise ValueError("save: these are not the parameters of the result on disk")
+            raise ValueError("save: expected the parameters of the result on disk, got others")
         write_edits(self.folder, self.model.edits)
         self._say(f"{len(self.model.edits.steps)} corrections saved to {self.folder / 'edits.json'}")
 
@@ -287,9 +288,9 @@ class Viewer:
         self._panel.image.content = image_html(painted, self.result.names[index])
 
     def _count_frames(self) -> None:
-        """Counts what each frame sees, while the page can already be used."""
+        """Counts the pixels of the segments in each frame in the background; the page can already be used."""
         model = self.model
-        if self._shown.is_running:  # frames still come, and labelling all of them is most of a run's work
+        if self._shown.is_running:  # labelling all frames is most of a run's work
             return
 
         def read() -> None:

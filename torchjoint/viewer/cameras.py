@@ -1,4 +1,4 @@
-"""The cameras in the cloud, and the views from which to look at it."""
+"""The cameras that are drawn in the cloud, and the views of the cloud."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from torchjoint.scene import Frame, Scene
 from torchjoint.scene.camera import camera_center
 from torchjoint.scene.subset import evenly_spaced_indices
 
-#: Largest number of cameras that are drawn; a thousand would hide the cloud.
+#: Largest number of cameras that are drawn; more would hide the cloud.
 MOST = 60
 
 
 class Viewpoint(NamedTuple):
-    """Where a camera stands, and how it is turned."""
+    """Position and orientation of a camera."""
 
     position: npt.NDArray[np.float64]  #: [3] metres
     wxyz: npt.NDArray[np.float64]  #: [4] quaternion, camera to world, OpenCV axes
@@ -43,11 +43,11 @@ def start(scene: Scene, up: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.flo
 
 
 class Cameras:
-    """The cameras in the cloud: grey ones to click, evenly spread over the frames, and the one whose image is shown.
+    """The drawn cameras: grey ones, evenly selected from the frames, which can be clicked, and that of the shown image.
 
     Args:
         server: viser.ViserServer.
-        scene: its frames.
+        scene: the scene with the frames.
         size: of a drawn camera, metres.
         on_click: called with the frame's index and the browser's client.
     """
@@ -63,7 +63,7 @@ class Cameras:
 
     def mark(self, index: int) -> None:
         """Marks the camera of the frame whose image is shown."""
-        self._mark = self._add("/camera", index, 1.6 * self._size, (230, 90, 0))  # replaces one of the same name
+        self._mark = self._add("/camera", index, 1.6 * self._size, (230, 90, 0))  # replaces the object of the same name
         self._mark.visible = self._is_visible
 
     def show(self, is_visible: bool) -> None:

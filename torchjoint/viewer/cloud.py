@@ -1,4 +1,4 @@
-"""The cloud in the browser, by level of detail: a sample of it all, and all points of the blocks near the camera."""
+"""The cloud in the browser: a sample of all points, and all points of the blocks near the camera."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from scipy.spatial import cKDTree
 from torchjoint.viewer.model import Bytes
 
 Array = npt.NDArray[np.float32]
-#: Points that are always drawn, points of a block, and points that are drawn at a time, at most.
+#: Largest numbers of points: in the sample, which is always drawn; in a block; drawn at the same time.
 SAMPLE, BLOCK, BUDGET = 400_000, 60_000, 1_600_000
 
 
 def point_spacing(points: Array) -> float:
-    """Distance to the nearest neighbour, metres: three quarters of the points have a smaller one."""
+    """The third quartile of the points' distances to their nearest neighbours, metres."""
     if len(points) < 2:
         return 0.01
     distances = cKDTree(points).query(points[:: max(1, len(points) // 2000)], k=2)[0][:, 1]
@@ -24,7 +24,7 @@ def point_spacing(points: Array) -> float:
 
 
 def blocks_of(points: Array, most: int = BLOCK) -> list[npt.NDArray[np.int64]]:
-    """Cuts a cloud at medians until no block has more than so many points; returns the indices of each block."""
+    """Cuts a cloud at medians until each block has at most `most` points; returns the indices of each block."""
     todo, blocks = [np.arange(len(points))], []
     while todo:
         block = todo.pop()
@@ -39,7 +39,7 @@ def blocks_of(points: Array, most: int = BLOCK) -> list[npt.NDArray[np.int64]]:
 
 
 class CloudView:
-    """Keeps the points on a viser server up to date.
+    """The points on a viser server, and their colours.
 
     Args:
         server: viser.ViserServer.
@@ -61,17 +61,17 @@ class CloudView:
         self._draw()
 
     def recolor(self, colors: Bytes) -> None:
-        """Draws the points in other colours; those of hidden blocks follow when they are shown."""
+        """Changes the colours; those of hidden blocks change when the blocks are shown."""
         self._colors, self._current = colors, set()
         self._draw()
 
     def resize(self, factor: float) -> None:
-        """Draws points at a multiple of their size."""
+        """Sets the drawn size of points, as a multiple of the default."""
         for handle in self._handles.values():
             handle.point_size = factor * self.size
 
     def look_from(self, position: npt.NDArray[np.float64]) -> None:
-        """Shows all points of the blocks nearest to a position, as many as the budget has room for."""
+        """Shows all points of the blocks nearest to a position, up to the largest number of drawn points."""
         order = np.argsort(((self._centers - position) ** 2).sum(1), kind="stable")
         room = max(0, BUDGET - SAMPLE) // BLOCK
         shown = {0, *(int(index) + 1 for index in order[:room])}

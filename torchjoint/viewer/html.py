@@ -1,7 +1,7 @@
-"""The parts of the viewer's panel that viser has no element for: an image and a table that can be clicked.
+"""Elements of the viewer's panel that viser lacks: an image and a table that can be clicked.
 
-A click writes a line, such as ``torchjoint:image 12 80 0``, into a text field that is not shown, of which viser tells
-the server.
+A click writes a line, such as ``torchjoint:image 12 80 0``, into a hidden text field. Viser sends the text to the
+server.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torchjoint.viewer.measures import Row
 from torchjoint.viewer.model import Bytes
 
 PREFIX = "torchjoint:"
-#: Finds the text field, whatever the page looks like, and writes into it as a person would.
+#: JavaScript that finds the text field in any layout and writes into it with the events of a typing user.
 _SEND = (
     "const i=[...document.querySelectorAll('input')].find(e=>e.value.startsWith('" + PREFIX + "'));"
     "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call("
@@ -25,9 +25,9 @@ _SEND = (
     "i.dispatchEvent(new Event('input',{bubbles:true}));"
 )
 HIDE_FIELD = f"<style>.mantine-Flex-root:has(input[value^='{PREFIX}']){{display:none}}</style>"
-#: Style of text that stands where viser puts elements with a margin.
+#: Style of text, with the margin of viser's own elements.
 _TEXT = "font-size:12px;padding:0 8px"
-NOTHING = "Click a segment, in the cloud or in the image; with shift several."
+NOTHING = "Click a segment in the cloud or in the image; hold shift to select several."
 COLUMNS = ("id", "name", "points", "size", "frames")
 
 
@@ -48,8 +48,8 @@ def image_html(image: Bytes, caption: str) -> str:
 
 
 def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[int]) -> str:
-    """The table of segments; a click sends `row KEY SHIFT`, one on a head `sort COLUMN`."""
-    has_frames = any(row.frames is not None for row in rows)  # not without images, and not until they were counted
+    """The table of segments; a click on a row sends `row KEY SHIFT`, on a column's head `sort COLUMN`."""
+    has_frames = any(row.frames is not None for row in rows)  # False without images, and before they were counted
     heads = "".join(
         f'<th style="text-align:left;cursor:pointer" onclick="const line=\'sort {column}\';{_SEND}">'
         f"{column}{' ▾' if column == order else ''}</th>"
@@ -75,12 +75,12 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
 
 
 def note_html(note: str) -> str:
-    """A line about a run whose frames still come."""
+    """A line about a run that is not finished."""
     return f'<div id="tj-note" style="{_TEXT}">{escape(note)}</div>'
 
 
 def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
-    """What is known of the selected segments; `frames`: names and pixels of those that see the first."""
+    """Describes the selected segments; `frames`: name and number of pixels of each frame that sees the first one."""
     if not rows:
         return f'<div id="tj-panel" style="{_TEXT}">{NOTHING}</div>'
     parts = []

@@ -1,4 +1,4 @@
-"""A run in the viewer while its frames come: the labels so far, again and again, at a bounded share of the time."""
+"""Shows a run in the viewer before it is finished: updates the labels so far, in a limited share of the time."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from torchjoint.viewer.parameters import LiveRun
 from torchjoint.viewer.server import import_viser
 from torchjoint.viewer.shown import Shown
 
-#: Share of a run's time that goes into the labels so far, at most, once the page is open and has labels of images.
+#: Largest share of a run's time for the labels so far, after the page has opened and shown the first frames.
 SHARE = 0.1
 
 
 class LiveView:
     """Shows a run in the browser, from before its first frame: ``segmenter(scene, on_frames=LiveView())``.
 
-    It only reads what the segmenter has, so the result and its checkpoint are those of a run that nobody looks at.
+    It does not change the segmenter, so the result and the checkpoint are the same as without it.
 
     Args:
-        on_open: called with the page's address once there is one.
-        share: of the run's time that may go into this.
+        on_open: called with the page's address when the page is ready.
+        share: largest share of the run's time for the view.
         host, port: see :class:`~torchjoint.viewer.app.Viewer`.
 
     Raises:
@@ -51,7 +51,7 @@ class LiveView:
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
-        import_viser()  # now, not when a cloud has been fused for an hour
+        import_viser()  # so that an error comes at once, not after an hour of fusing a cloud
         self.viewer: Viewer | None = None
         self._on_open, self._share, self._address = on_open, share, (host, port)
         self._next, self._labelled = 0.0, 0
@@ -63,7 +63,7 @@ class LiveView:
         if start >= self._next:
             is_first = self.viewer is None
             self._show(segmenter, scene)
-            if not is_first:  # that opened the page, before the first frame
+            if not is_first:  # the first call opens the page before the first frame
                 end = time.monotonic()
                 self._next = end + (end - start) * (1 / self._share - 1)
         if self.viewer is not None:
@@ -71,7 +71,7 @@ class LiveView:
             self.viewer.tell(f"running: {seen} of {count} frames; labels of {self._labelled}")
 
     def finish(self, folder: Path, run: LiveRun) -> Viewer:
-        """Shows the result that was written to a folder, with all that can be done with it."""
+        """Shows the result that was written to a folder, with all controls."""
         result = load_result(folder, edits=False)
         shown = Shown(folder, run)
         if self.viewer is None:
@@ -84,7 +84,7 @@ class LiveView:
 
     def _show(self, segmenter: JointSegmenter, scene: Scene) -> None:
         before = None if self.viewer is None else self.viewer.result.points
-        self._names = self._names or tuple(frame_names(scene.frames))  # once: it may read frames
+        self._names = self._names or tuple(frame_names(scene.frames))  # only once, because it may read frames
         result = Result.of(labels_so_far(segmenter, scene, before, self._names), scene, segmenter.config)
         self._labelled = len(segmenter.state.observations)
         if self.viewer is None:
@@ -98,23 +98,23 @@ class LiveView:
 def labels_so_far(
     segmenter: JointSegmenter, scene: Scene, before: Tensor | None = None, names: tuple[str, ...] = ()
 ) -> Segmentation:
-    """What a segmenter would give if no more frames came; images are labelled when they are looked at.
+    """Computes the result that a segmenter would give without further frames; images are labelled on access.
 
     Args:
-        segmenter: it has seen the first of the scene's frames, or none; it stays as it is.
-        scene: the whole scene; images of the other frames are -1.
-        before: [N] the points' labels of the last time: segments keep their numbers, as far as they are the same.
+        segmenter: has seen the first frames of the scene, or none; is not changed.
+        scene: the whole scene; label images of the other frames are -1.
+        before: [N] the points' labels of the previous call; segments keep their numbers where possible.
         names: of all frames.
 
     Returns:
-        one level only; pixels of image segments without points are -1. Numbers may be left out.
+        a result with one level. Pixels of image segments without points are -1. Labels may have gaps.
     """
     with torch.no_grad(), one_thread_per_operation():
         labels = label_points(segmenter.method, segmenter.cloud, segmenter.state)
         number = torch.arange(int(labels.given.max()) + 1)
         if before is not None:
             number = kept_numbers(labels.given, before)
-    seen, sizes = segmenter.state.observations[:], torch.bincount(labels.of_graph)  # more frames may follow
+    seen, sizes = segmenter.state.observations[:], torch.bincount(labels.of_graph)  # a copy: frames may be added
 
     @lru_cache(maxsize=4)
     def image(index: int) -> Tensor:
@@ -128,11 +128,11 @@ def labels_so_far(
 
 
 def kept_numbers(labels: Tensor, before: Tensor) -> Tensor:
-    """New numbers for segments, such that those that were there before keep theirs.
+    """Numbers segments so that they keep the numbers of the earlier segments that they match.
 
-    Pairs of a segment and an earlier one are gone through by the number of points they share, most first (ties: the
-    lower segment, then the lower earlier one). If both are still free, the segment gets the number of the earlier one.
-    Other segments get the lowest numbers that are left, in their order.
+    Pairs of a segment and an earlier segment are sorted by the number of common points, largest first (ties: the lower
+    segment, then the lower earlier segment). If neither is in a pair yet, the segment gets the number of the earlier
+    segment. The remaining segments get the lowest free numbers, in their order.
 
     Args:
         labels: [N] int64, 0 ... S - 1.

@@ -1,4 +1,4 @@
-"""What the viewer's table says of the segments: points, size, frames that see them."""
+"""Measures segments for the viewer's table: points, size, frames that see them."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Row:
     name: str
     points: int
     size: tuple[float, float, float]  #: metres, of its upright box
-    frames: int | None  #: that see it; None until all frames were read, and without frames
+    frames: int | None  #: number of frames that see it; None before all frames were read, and without frames
 
 
 class Measures:
-    """Measures the segments of a table when they are asked for, and keeps what it measured.
+    """Measures the segments of a table on demand, and caches the measures.
 
     Args:
         parts: pieces of the points and images.
@@ -36,10 +36,10 @@ class Measures:
 
     def __init__(self, parts: Parts, up: npt.NDArray[np.float64]) -> None:
         self._parts, self._up = parts, up
-        self._frames: list[tuple[Table, Table]] | None = None  # per frame: pieces, and the pixels of each
+        self._frames: list[tuple[Table, Table]] | None = None  # per frame: its pieces, and their numbers of pixels
 
     def of_table(self, table: Table) -> None:
-        """Measures the segments of this table, [P], from now on."""
+        """Changes the table: [P] the segment of each piece."""
         self._table = table
         self._rows: dict[int, Row] = {}
         of_point = table[self._parts.of_point]
@@ -49,7 +49,7 @@ class Measures:
         )
 
     def read_frames(self) -> None:
-        """Counts the pixels of each piece in all frames; until then no frame sees anything."""
+        """Counts the pixels of each piece in all frames; before this call, no frame is listed."""
 
         def count(index: int) -> tuple[Table, Table]:
             pieces, pixels = np.unique(self._parts.image(index), return_counts=True)
@@ -68,7 +68,7 @@ class Measures:
         return sorted(found, key=lambda one: (-one[1], one[0]))
 
     def row(self, segment: int, name: str) -> Row:
-        """What is known of a segment."""
+        """Measures one segment."""
         if segment not in self._rows:
             place = int(np.searchsorted(self._firsts, segment))
             start, count = int(self._starts[place]), int(self._counts[place])

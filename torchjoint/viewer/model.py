@@ -1,4 +1,4 @@
-"""What the viewer shows, without a browser: a level, corrections, what is selected, and the colours that follow."""
+"""The state of the viewer, independent of the browser: level, corrections, selection, and the resulting colours."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from torchjoint.viewer.measures import Measures, Row
 
 Bytes = npt.NDArray[np.uint8]
 Mode = Literal["segments", "colours", "confidence", "initial", "truth"]
-#: What is not selected keeps this share of its colour; the rest is the light grey of the background.
+#: Share of its own colour that an unselected segment keeps; the rest is the light grey of the background.
 FADED, PALE = 0.15, 235.0
 
 
 class Model:
-    """The state of the viewer; every change keeps the steps before it, for :meth:`undo`.
+    """The state of the viewer; it keeps the corrections before each change, for :meth:`undo`.
 
     Args:
-        result: as on disk, without corrections.
+        result: the result as on disk, without corrections.
         edits: corrections to start with.
         up: [3] upward direction, unit length.
     """
@@ -45,7 +45,7 @@ class Model:
         self._measures.of_table(self._table)
 
     def of_result(self, result: Result, edits: Edits | None = None) -> Model:
-        """The same view of another result of the scene: what was selected still is, as far as it is the same.
+        """The same view of another result of the scene; the selection is kept as far as its segments are the same.
 
         Args:
             result: the other result.
@@ -64,11 +64,11 @@ class Model:
             model._before = self._before
         return model
 
-    # What is shown
+    # The shown segments
 
     @property
     def table(self) -> Table:
-        """[P] the segment of each piece: the number of its first piece."""
+        """[P] the segment of each piece; the number of a segment is that of its first piece."""
         return self._table
 
     @property
@@ -85,11 +85,11 @@ class Model:
         return tuple(mode for mode in modes if has.get(mode, True))
 
     def key(self, segment: int) -> int:
-        """The id that is shown for a segment."""
+        """The displayed id of a segment."""
         return int(self.parts.keys[segment])
 
     def segment_of_key(self, key: int) -> int | None:
-        """The segment with an id that is shown; None if there is none at this level."""
+        """The segment with a displayed id; None if this level has no such segment."""
         firsts = np.unique(self._table)
         found = firsts[self.parts.keys[firsts] == key]
         return int(found[0]) if len(found) else None
@@ -115,15 +115,15 @@ class Model:
             ValueError: fewer than two are selected.
         """
         if len(self.selected) < 2:
-            raise ValueError("join: select two segments or more, with shift")
+            raise ValueError("join: select two or more segments with shift")
         first, *others = self.selected
         self._add(*(Edit("join", (first, other)) for other in others))
 
     def split(self) -> None:
-        """Splits the selected segment where :func:`place_to_split` says, and selects both parts.
+        """Splits the selected segment at the place that :func:`place_to_split` chooses, and selects both parts.
 
         Raises:
-            ValueError: none or several are selected, or it cannot be split.
+            ValueError: not exactly one segment is selected, or it cannot be split.
         """
         segment = self._the_selected("split")
         sizes = np.bincount(self.parts.of_point, minlength=self.parts.count)
@@ -132,20 +132,20 @@ class Model:
         self.select(tuple(int(part) for part in np.unique(self._table[of_piece])))
 
     def name(self, name: str) -> None:
-        """Names the selected segment; an empty name takes its name away. Names that follow each other are one change.
+        """Names the selected segment; an empty name removes its name. Consecutive names are one change.
 
         Raises:
-            ValueError: none or several are selected.
+            ValueError: not exactly one segment is selected.
         """
         segment = self._the_selected("name")
         step, steps = Edit("name", (segment,), name), self.edits.steps
         if self._before and steps and steps[-1].kind == "name" and steps[-1].pieces == step.pieces:
-            self._edit(replace(self.edits, steps=(*steps[:-1], step)))  # a name that is being typed
+            self._edit(replace(self.edits, steps=(*steps[:-1], step)))  # replaces the name while the user types
         else:
             self._add(step)
 
     def undo(self) -> bool:
-        """Takes the last change back, or the last correction of edits.json; returns False if there is none."""
+        """Undoes the last change, or the last correction of edits.json; returns False if there is nothing to undo."""
         if not self.edits.steps:
             return False
         self._edit(replace(self.edits, steps=self._before.pop() if self._before else self.edits.steps[:-1]))
@@ -153,7 +153,7 @@ class Model:
 
     def _the_selected(self, action: str) -> int:
         if len(self.selected) != 1:
-            raise ValueError(f"{action}: select one segment, got {len(self.selected)}")
+            raise ValueError(f"{action}: expected one selected segment, got {len(self.selected)}")
         return self.selected[0]
 
     def _add(self, *steps: Edit) -> None:
@@ -183,7 +183,7 @@ class Model:
         return np.asarray(colors.numpy() * 255, dtype=np.float64)
 
     def point_colors(self) -> Bytes:
-        """[N, 3] RGB of each point; what is not selected is faded."""
+        """[N, 3] RGB of each point; unselected points are faded."""
         scene = self.result.scene
         if self.mode == "colours" and scene.colors is not None:
             colors = scene.colors.numpy() * 255.0
@@ -197,7 +197,7 @@ class Model:
         return colors.round().astype(np.uint8)
 
     def painted(self, index: int, opacity: float) -> Bytes:
-        """[H, W, 3] a frame with its labels over it; if segments are selected, with these alone, and outlined."""
+        """[H, W, 3] a frame under its labels; if segments are selected, only under these, with their outlines."""
         image = self.result.scene.frames[index].image.permute(1, 2, 0).numpy() * 255.0
         pieces = self.parts.image(index)
         if self.mode == "truth":
@@ -228,7 +228,7 @@ class Model:
     def _confidence_colors(self) -> torch.Tensor:
         hierarchy = self.result.hierarchy
         if hierarchy is None:
-            raise ValueError("confidence: the result has no hierarchy")
+            raise ValueError("confidence: expected a result with a hierarchy, got none")
         from matplotlib import colormaps
 
         granularity = 0.5 if self.edits.granularity is None else self.edits.granularity
@@ -238,7 +238,7 @@ class Model:
     # Measures
 
     def read_frames(self) -> None:
-        """Counts the pixels of each piece in all frames; until then no frame sees anything."""
+        """Counts the pixels of each piece in all frames; before this call, no frame is listed."""
         self._measures.read_frames()
 
     def frames_of(self, segment: int) -> list[tuple[int, int]]:
@@ -246,11 +246,11 @@ class Model:
         return self._measures.frames_of(segment)
 
     def row(self, segment: int) -> Row:
-        """What the table says of a segment."""
+        """The row of a segment in the table."""
         return self._measures.row(segment, self.names().get(segment, ""))
 
     def rows(self, search: str = "", order: str = "points", most: int = 100) -> tuple[list[Row], int]:
-        """Rows of the table: the first of those that fit, and how many fit.
+        """Returns the first rows of the table that match the search, and the number of all that match.
 
         Args:
             search: part of a name, or an id; empty: all segments.

@@ -1,4 +1,4 @@
-"""The panel of the viewer's page: which elements stand in it, from top to bottom. What they do is in app.py."""
+"""The panel of the viewer's page: its elements from top to bottom. Their actions are in app.py."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ class Panel:
     """Elements of viser.
 
     Args:
-        gui: of the server; what it has is taken away.
-        model: what is shown.
-        shown: where it is from.
-        frame: index of the frame to begin with.
+        gui: of the server; its earlier elements are removed.
+        model: the state of the viewer.
+        shown: folder and run of the result.
+        frame: index of the first shown frame.
         cameras: whether cameras are drawn.
     """
 
     def __init__(self, gui: Any, model: Model, shown: Shown, frame: int = 0, cameras: bool = True) -> None:
         gui.reset()
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
-        self.bridge = gui.add_text("events", PREFIX)  # what html.py's elements send
+        self.bridge = gui.add_text("events", PREFIX)  # the messages of the elements of html.py
         gui.add_html(HIDE_FIELD)
         self.note = gui.add_html("", visible=shown.is_running)
         self.mode = gui.add_dropdown("Colour by", model.modes, initial_value=model.mode)
@@ -37,7 +37,7 @@ class Panel:
             )
         self.size = gui.add_slider("Point size", min=0.2, max=4.0, step=0.1, initial_value=1.0)
         if len(model.result.scene.frames):
-            self.cameras = gui.add_checkbox("Cameras", cameras, hint="click one to stand there")
+            self.cameras = gui.add_checkbox("Cameras", cameras, hint="click a camera to see its view")
             self._add_image(gui, len(model.result.scene.frames), frame)
         with gui.add_folder("Selection"):
             self.selection = gui.add_html(panel_html((), ()))
@@ -74,7 +74,7 @@ class Panel:
             "Export",
             ("PLY", "PNG", "COCO"),
             visible=can_save,
-            hint="what is selected, to the folder `selection`: its points, its masks, or its masks as JSON",
+            hint="write the points, masks, or masks as JSON of the selected segments to the folder `selection`",
         )
         self.save = gui.add_button("Save corrections", visible=can_save, hint="to edits.json; the labels stay")
         self.clear = gui.add_button("Clear selection")

@@ -1,4 +1,4 @@
-"""The parameters that can change without seeing the frames again, beside the result of a run in memory."""
+"""Changes parameters of a run in memory that do not need the frames again, and computes its result again."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class LiveRun:
     """A run in memory: computes its result again with other parameters.
 
     Args:
-        segmenter: after :meth:`~torchjoint.JointSegmenter.forward`.
-        scene: what it segmented.
+        segmenter: has finished :meth:`~torchjoint.JointSegmenter.forward`.
+        scene: the segmented scene.
     """
 
     def __init__(self, segmenter: JointSegmenter, scene: Scene) -> None:
@@ -23,16 +23,16 @@ class LiveRun:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Names (stage.parameter) and values of the parameters that can be turned."""
+        """Names (stage.parameter) and values of the parameters that can be changed."""
         names = self._segmenter.method.turned
         config = self._segmenter.config
         return {name: float(getattr(getattr(config, name.split(".")[0]), name.split(".")[1])) for name in names}
 
     def compute(self, values: dict[str, float]) -> Result:
-        """The result with other values.
+        """Computes the result of other values.
 
         Raises:
-            ValueError: a value that is not allowed; the message names the parameter.
+            ValueError: a value is out of range; the message names the parameter.
         """
         config: Config = self._segmenter.config
         for name, value in values.items():

@@ -1,4 +1,4 @@
-"""Which point a click in the cloud means."""
+"""Finds the point of the cloud that the user clicked."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.floating]
-#: Tangent of the angle around the ray in which a point can be hit: about three pixels.
+#: A point can be hit within this angle from the ray (tangent): about three pixels.
 ANGLE = 0.005
 
 
 def pick_point(points: Array, origin: Array, direction: Array, radius: float) -> int | None:
-    """The first point along a ray, or None.
+    """Returns the index of the first point along a ray; None if there is none.
 
     Args:
         points: [N, 3].
         origin, direction: [3] of the ray.
-        radius: distance from the ray within which a point is hit, whatever its depth: half the spacing of the points.
+        radius: a point at most this far from the ray is hit at any depth: half the spacing of the points.
     """
     direction = direction / np.linalg.norm(direction)
     offset = points - origin

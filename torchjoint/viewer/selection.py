@@ -19,11 +19,11 @@ from torchjoint.viewer.model import Model
 
 
 def export_selected(model: Model, folder: Path, kind: str) -> Path:
-    """Writes what is selected into a folder, and returns the file or folder; an earlier one of its name is replaced.
+    """Writes the selected segments into a folder; returns the written file or folder, which replaces an earlier one.
 
-    * PLY: one cloud of the selected points, in their own colours, with the property `label`: the id that is shown;
-    * PNG: a mask for each frame that sees something of it, 255 = selected;
-    * COCO: COCO's JSON of the selected segments in all frames, with the ids that are shown.
+    * PLY: one cloud of the selected points in their own colours; its property `label` is the displayed id;
+    * PNG: a mask for each frame that sees a selected segment, 255 = selected;
+    * COCO: COCO's JSON of the selected segments in all frames, with the displayed ids.
 
     Raises:
         ValueError: nothing is selected.
@@ -50,7 +50,7 @@ def export_selected(model: Model, folder: Path, kind: str) -> Path:
 
 
 def _keys_of_pieces(model: Model) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """[P] the id that is shown for the segment of each piece; -1 = not selected."""
+    """[P] the displayed id of the segment of each piece; -1 = not selected."""
     return np.where(np.isin(model.table, model.selected), model.parts.keys[model.table], -1)
 
 
@@ -61,7 +61,7 @@ def _labels(model: Model, keys: np.ndarray[tuple[int], np.dtype[np.int64]], inde
 
 def _write_masks(folder: Path, images: Sequence[Tensor], names: Sequence[str]) -> Path:
     partial = folder.with_name(f".{folder.name}.partial")
-    for old in (partial, folder):  # masks of frames that no longer see anything
+    for old in (partial, folder):  # also masks of frames that see no selected segment any more
         shutil.rmtree(old, ignore_errors=True)
     partial.mkdir()
     for name, labels in zip(names, images, strict=True):

@@ -13,10 +13,10 @@ from torchjoint.viewer.cameras import start
 
 
 def import_viser() -> Any:
-    """The module.
+    """Returns the module viser.
 
     Raises:
-        ModuleNotFoundError: it is not installed; the message says what to do.
+        ModuleNotFoundError: it is not installed; the message gives the command.
     """
     with needed_for("the viewer", "viser", "torchjoint[viewer]"):
         import viser
@@ -24,15 +24,15 @@ def import_viser() -> Any:
 
 
 def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int) -> tuple[Any, float]:
-    """A server of an empty page whose first view is of a scene.
+    """Starts a server of an empty page whose first view is of a scene.
 
     Args:
-        scene: it will be shown.
+        scene: the scene that will be shown.
         up: [3] upward direction, unit length.
-        host, port: of the page; if the port is taken, the next one is used.
+        host, port: of the page; if the port is in use, the next free one is used.
 
     Returns:
-        a viser.ViserServer, and the distance from which the scene is seen, metres.
+        a viser.ViserServer, and the distance between the viewer and the scene's centre, metres.
 
     Raises:
         ModuleNotFoundError: viser is not installed.

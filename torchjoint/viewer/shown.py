@@ -1,4 +1,4 @@
-"""Where a result in the viewer is from, on which it depends what can be done with it."""
+"""The folder and the run of a shown result; they determine which controls the viewer offers."""
 
 from __future__ import annotations
 
@@ -13,13 +13,12 @@ from torchjoint.viewer.parameters import LiveRun
 
 @dataclass(frozen=True)
 class Shown:
-    """What belongs to a result that is shown.
+    """The folder and the run of a shown result.
 
     Attributes:
-        folder: where corrections are read, saved (edits.json), and selections are exported; None: nowhere, so nothing
-            can be corrected.
-        run: the run that made the result, if it is still in memory: its parameters can then be changed on the page.
-        is_running: the frames are still coming, and segments will change.
+        folder: for corrections (edits.json) and exported selections; None: the result cannot be corrected.
+        run: the run that made the result, if it is still in memory; its parameters can then be changed on the page.
+        is_running: whether the run is not finished, so that segments will change.
     """
 
     folder: Path | None = None
@@ -30,7 +29,7 @@ class Shown:
         """The corrections of the result on disk, at another level if one is given.
 
         Raises:
-            ValueError: edits.json is damaged, or of another result.
+            ValueError: edits.json is damaged, or belongs to another result.
         """
         count = Parts(result).count
         edits = Edits(count) if self.folder is None else read_edits(self.folder, count)

@@ -1,4 +1,4 @@
-"""A labelled cloud, such as `torchjoint superpoints` writes, as a result to look at."""
+"""Reads a labelled cloud, such as `torchjoint superpoints` writes, as a result for the viewer."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def read_labelled_cloud(path: Path) -> Result:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: it is damaged, or has no labels; the message names it.
+        ValueError: the file is damaged, or has no labels; the message names the file.
     """
     cloud = read_cloud_file(path)
     labels = _labels(path)
     if labels is None or len(labels) != len(cloud.points):
-        raise ValueError(f"{path}: has no labels; expected a .ply with the property `label`, or a .npz with `labels`")
+        raise ValueError(f"{path}: expected a .ply with the property `label`, or a .npz with `labels`, got no labels")
     numbered = np.unique(labels, return_inverse=True)[1]
     scene = Scene(cloud.points, colors=cloud.colors if path.suffix == ".npz" else None, name=path.stem)
     return Result.of(Segmentation(torch.from_numpy(numbered.astype(np.int64)), ()), scene)

@@ -1,4 +1,4 @@
-"""The ground truth of a scene beside its result."""
+"""Adds the ground truth of a scene to its result."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from torchjoint.transforms import transfer_labels
 
 
 def with_truth(result: Result, scene: Scene) -> Result:
-    """The result with the truth of its scene, in the order of the result's points and images.
+    """Adds the truth of a scene to a result, in the order of the result's points and images.
 
     Args:
         result: of the scene, or of some of its points and frames.
-        scene: with its truth.
+        scene: the scene with its truth.
 
     Raises:
-        ValueError: it has no truth, or not all frames of the result.
+        ValueError: the scene has no truth, or lacks a frame of the result.
     """
     if scene.truth is None:
-        raise ValueError(f"--truth: {scene.name} has no ground truth")
+        raise ValueError(f"--truth: expected a scene with ground truth, got {scene.name} without")
     points = scene.truth.points
     if points is not None and not (
         len(points) == len(result.points) and torch.equal(scene.points, result.scene.points)

@@ -97,7 +97,7 @@ def runs(half: str, num_scenes: int, num_noises: int, domains: Sequence[str] = t
 
 
 def measure(todo: Sequence[Run], methods: Sequence[str], folder: Path) -> Iterator[tuple[Run, dict[str, Record]]]:
-    """Yields the results of each run, by method; what is in a file of the folder is not computed again."""
+    """Yields the results of each run, by method; runs with a file in the folder are not computed again."""
     prepared: tuple[tuple[str, int], Prepared] | None = None
     for run in tqdm(todo, unit="run"):
         path = folder / run.file

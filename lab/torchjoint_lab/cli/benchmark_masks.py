@@ -20,7 +20,7 @@ def benchmark_masks(
     scenes: int = 4,
     noise_seeds: int = 4,
 ) -> str:
-    """Runs what is missing in the folder, writes table.md there, and returns the table.
+    """Does the runs whose results are missing in the folder, writes table.md there, and returns the table.
 
     Raises:
         ValueError: an unknown method or domain, or a number below 1.
@@ -36,5 +36,5 @@ def benchmark_masks(
     chosen = [name for name in TITLES if not methods or name in methods]
     text = report(list(measure(todo, chosen, folder)), half)
     write_text(out / TABLE, f"{text}\n")
-    print(f"\n{text}\n\nwritten to {out}: {TABLE}; runs/ has the scores of each run, and is read when started again")
+    print(f"\n{text}\n\nwritten to {out}: {TABLE}; runs/ has the scores of each run; the next start reads them")
     return text

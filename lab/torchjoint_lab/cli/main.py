@@ -16,7 +16,7 @@ COMMANDS = {
     "paper-tables": Command("torchjoint_lab.cli.paper_tables:paper_tables", "scores results as the paper's tables do"),
 }
 
-INTERRUPTED = "`benchmark --tuning`, `train-forest` and `train-boundary-model` go on where they were when started again"
+INTERRUPTED = "`benchmark --tuning`, `train-forest` and `train-boundary-model` resume when they are started again"
 
 
 def main() -> None:

@@ -104,10 +104,10 @@ class _Sources:
     def score(self, scene: Scene, path: Path) -> dict[Row, Scores]:
         """Returns the rows of one scene; the baselines' files are checked first, since our method takes long."""
         if scene.truth is None:
-            self.notes.append(f"{scene.name}: has no truth and is left out")
+            self.notes.append(f"{scene.name}: has no ground truth and is left out")
             return {}
         detected = self._detected(scene, path)
-        result = self._folder(self.results, scene.name, "result of `torchjoint segment`; it is segmented anew")
+        result = self._folder(self.results, scene.name, "result of `torchjoint segment`; the scene is segmented again")
         if result is not None:
             ours = read_prediction(result, scene)
             scene = scene.select_frames(ours.of_frames)

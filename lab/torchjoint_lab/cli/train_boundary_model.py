@@ -139,7 +139,7 @@ def _folder(out: Path, sources: Sequence[_Source]) -> Path:
 
 
 def _prepare(folder: Path, sources: Sequence[_Source]) -> Sequence[LabelledEvidence]:
-    """Collects the evidence of all scenes that are not in the folder yet; returns it lazily, one file a scene."""
+    """Collects the evidence of all scenes that are not in the folder yet; returns it lazily, one file per scene."""
     from tqdm import tqdm
 
     from torchjoint_lab.training.boundary_examples import labelled_evidence

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.readers import read_grey_image
+from torchjoint.datasets.files.readers import decode_image
 
 
 def find_boundary_map(folder: Path, name: str) -> Path:
@@ -31,10 +31,10 @@ def read_boundary_map(path: Path) -> Tensor:
     """Reads a grey .png of 8 or 16 bits, or a floating [H, W] .npy in [0, 1]; returns [H, W] float32 in [0, 1].
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     if path.suffix == ".png":
-        return read_grey_image(path)
+        return _read_grey_image(path)
     try:
         values = np.load(path, allow_pickle=False, mmap_mode="r")  # checks the size before memory is allocated
     except FileNotFoundError:
@@ -48,3 +48,12 @@ def read_boundary_map(path: Path) -> Tensor:
     if len(wrong):
         raise ValueError(f"{path}: expected numbers in [0, 1], got {wrong[0]:g} and {len(wrong) - 1} others")
     return torch.from_numpy(values.astype(np.float32))
+
+
+def _read_grey_image(path: Path) -> Tensor:
+    """Reads a grey image of 8 or 16 bits; returns [H, W] float32 in [0, 1]."""
+    image = decode_image(path.read_bytes(), str(path))
+    if image.mode not in ("1", "L", "I;16", "I;16B", "I"):
+        raise ValueError(f"{path}: expected a grey image of 8 or 16 bits, got mode {image.mode}")
+    white = {"1": 1, "L": 255}.get(image.mode, 65535)
+    return torch.from_numpy(np.array(image).astype(np.float32)) / white

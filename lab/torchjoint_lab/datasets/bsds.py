@@ -26,7 +26,7 @@ _ROOTS = (".", "data", "BSDS500/data", "BSR/BSDS500/data")
 class BsdsImage:
     """One image of the data set. Each access of a property reads its file again; nothing is cached.
 
-    Reading raises FileNotFoundError or ValueError, naming the file and its error.
+    Reading raises FileNotFoundError or ValueError; the message names the file and its error.
     """
 
     name: str  #: for example "101085"

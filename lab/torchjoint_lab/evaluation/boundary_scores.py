@@ -6,7 +6,7 @@ Hierarchical Image Segmentation" (PAMI 2011). At each threshold the prediction i
 matched to each annotator's pixels, one to one, within a share of the image's diagonal. A predicted pixel is correct if
 it is matched to a pixel of any annotator; recall counts the pixels of all annotators.
 
-One thing is simpler here: a match has no cost. The largest number of pairs is taken, whatever their distances.
+One thing is simpler here: a match has no cost. The largest number of pairs is chosen; their distances do not matter.
 """
 
 from __future__ import annotations
@@ -169,7 +169,7 @@ def evaluate_boundaries(
         progress: show a progress bar.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file, or the image with an invalid boundary strength.
+        FileNotFoundError, ValueError: the message names the file, or the image with an invalid boundary strength.
     """
     return evaluate_predictions(
         lambda record: detector(record.image[None])[0], records, thresholds, nms=nms, progress=progress

@@ -71,7 +71,7 @@ def evaluate_regions(
         progress: show a progress bar.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error; ValueError also without a record.
+        FileNotFoundError, ValueError: the message names the file and its error; ValueError also without a record.
     """
     if not records:
         raise ValueError("records: expected at least one image, got none")

@@ -25,5 +25,5 @@ def segmenter(preset: str) -> JointSegmenter:
 
 
 def make_regions(config: Config, points: Tensor) -> Regions:
-    """Method regions, whatever the points are; for ``JointSegmenter(config, method=make_regions)``."""
+    """Makes method regions, for any points; used as ``JointSegmenter(config, method=make_regions)``."""
     return Regions(config)

@@ -1,4 +1,4 @@
-"""The fused cloud of a domain's scene: cells average whatever was seen in them, across the borders of things."""
+"""The fused cloud of a domain's scene: cells average all points in them, also across the borders of things."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def thinned(
 
     Args:
         rng: draws which points are left out.
-        seen: what is averaged.
+        seen: the points to average.
         spacing: side of the cells, metres; made smaller for clouds of fewer than 3,000 points, and larger for those
             of more than ``most``.
         most: points.

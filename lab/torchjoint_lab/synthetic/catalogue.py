@@ -32,7 +32,7 @@ _NO_THINGS = (
 )  # fmt: skip
 #: The catalogue's categories whose things somebody could put on a table or in a box.
 _CARRIED = ("bathroom", "bedroom", "kitchen", "lights", "living room", "miscellaneous", "office", "")
-#: Words in the names of what is hollow.
+#: Words in the names of hollow objects.
 _HOLLOW = frozenset(("bowl", "cup", "mug", "glass", "basket", "pan", "bucket", "potty", "basin", "bin", "trashcan"))
 
 

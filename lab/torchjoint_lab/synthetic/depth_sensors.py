@@ -58,7 +58,7 @@ def _noisy(rng: Rng, depth: Array, settings: DomainSettings) -> Array:
 
 
 def _missing(rng: Rng, view: View, focal: float, holes: float) -> Array:
-    """Holes at grazing angles, on what absorbs, in the shadow beside what is nearer, out of range."""
+    """Holes: at grazing angles, on absorbing materials, in the shadow beside nearer surfaces, and out of range."""
     depth = view.depth
     patchy = 1 / (1 + np.exp(-1.7 * blobs(rng, depth.shape, max(depth.shape[0] / 120, 1))))
     grazing = np.clip((0.2 - view.facing) / 0.16, 0, 1)
@@ -85,7 +85,7 @@ def _flying(rng: Rng, depth: Array, labels: Array) -> tuple[Array, Array]:
 
 
 def _fattened(depth: Array, labels: Array, reach: int) -> tuple[Array, Array]:
-    """Block matching lets what is in front grow by ``reach`` pixels, in blotches."""
+    """Block matching enlarges surfaces in front by ``reach`` pixels, in patches."""
     best, source = np.where(depth > 0, depth, np.inf), labels
     for axis in (0, 1):
         for step in (-reach, reach):

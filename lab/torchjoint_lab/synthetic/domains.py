@@ -73,7 +73,7 @@ def make_domain_scene(
         held_out: takes only those kinds of models that False never takes (a fifth of the kinds of things).
 
     Raises:
-        ValueError: naming the argument.
+        ValueError: the message names the argument.
         ModuleNotFoundError: embreex, which casts the rays, is not installed.
     """
     settings = _resolved(domain_settings(domain, seed), num_views, num_points)

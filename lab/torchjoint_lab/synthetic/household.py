@@ -7,7 +7,7 @@ import numpy as np
 from torchjoint.synthetic import materials as paint
 from torchjoint.synthetic.arrays import Rng
 from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part, ball, box, cup, cup_sides, cylinder, lathe, tube
+from torchjoint.synthetic.mesh import Part, ball, box, cup, cup_profiles, cylinder, lathe, tube
 from torchjoint.synthetic.world import Item
 from torchjoint_lab.synthetic.making import Maker, log_uniform, made
 from torchjoint_lab.synthetic.solids import blob, euler, ring, rod, rounded_box, slab, turned
@@ -56,6 +56,14 @@ def tin(rng: Rng, style: Style) -> Item:
     return made(
         "can", [(side, label), (lathe([(r, h), (0.93 * r, h), (0.93 * r, h - 0.004), (0, h - 0.004)]), style.metal())]
     )
+
+
+def cup_sides(
+    radius: float, height: float, wall: float, flare: float = 1.0, rounded: bool = False
+) -> tuple[Part, Part]:
+    """The outside and the inside (with the rim) of a cup, so that they can have different materials."""
+    outer, inner = cup_profiles(radius, height, wall, flare, rounded)
+    return lathe(outer), lathe([outer[-1], *inner])
 
 
 def _lined(

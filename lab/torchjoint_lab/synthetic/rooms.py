@@ -94,7 +94,7 @@ def _named(world: World, names: tuple[str, ...]) -> Array:
 
 
 def _clutter(source: Source, stage: Stage, world: World) -> None:
-    """Things put down on whatever the room has, by contact."""
+    """Things that rest in contact on the surfaces of the room."""
     rng, cell = source.rng, 0.01
     half = np.array(world.room[:2]) / 2 - 0.05
     places = Support(rng, stage, tuple(-half), tuple(half), 0.0, cell=cell)

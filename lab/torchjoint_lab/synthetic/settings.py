@@ -42,7 +42,7 @@ class DomainSettings(NamedTuple):
         printed: probability that a package or cloth has a print.
         difficult: probability that a thing is glossy, black or half transparent to the sensor.
         clutter: scales the number of things.
-        cropped: whether the cloud holds only what is near the things.
+        cropped: whether the cloud holds only the surroundings of the things.
         beams: of the LiDAR; 0 for cameras.
     """
 
@@ -99,7 +99,7 @@ def domain_settings(domain: str, seed: int = 0) -> DomainSettings:
     """What :func:`~torchjoint_lab.synthetic.make_domain_scene` draws for ``domain`` and ``seed``.
 
     Raises:
-        ValueError: naming the argument.
+        ValueError: the message names the argument.
     """
     if domain not in DOMAINS:
         raise ValueError(f"domain: expected one of {', '.join(map(repr, DOMAINS))}, got {domain!r}")

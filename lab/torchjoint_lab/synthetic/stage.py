@@ -1,4 +1,4 @@
-"""A world whose things lie, lean and pile: turned anyhow, and put down by contact with what is there already."""
+"""A world whose things lie, lean and pile up: with any rotation, in contact with earlier things."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ class Heights:
         )
 
     def contact(self, points: Array) -> Array:
-        """[...] how far [..., P, 3] points must be lifted to rest on what is there."""
+        """[...] how far [..., P, 3] points must be lifted to rest on the earlier things."""
         row, column = self.cells(points)
         return np.asarray((self.grid[row, column] - points[..., 2]).max(axis=-1))
 

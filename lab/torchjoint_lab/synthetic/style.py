@@ -1,4 +1,4 @@
-"""The taste of one scene: how much is printed, how alike neighbours are, what is glossy or black to the sensor."""
+"""The style of one scene: frequency of prints, similarity of neighbours, and of glossy or absorbing materials."""
 
 from __future__ import annotations
 

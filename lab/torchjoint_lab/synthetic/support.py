@@ -19,7 +19,7 @@ _AROUND = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.p
 
 
 class Support:
-    """A level rectangle of a stage and what has been put on it.
+    """A level rectangle of a stage, and the things that were put on it.
 
     Args:
         rng: draws places.
@@ -48,7 +48,7 @@ class Support:
         self.headroom = headroom
 
     def fixed(self, item: Item, x: float, y: float, yaw: float = 0.0, rotation: Array | None = None) -> bool:
-        """Puts a thing down exactly there, on whatever is there."""
+        """Puts a thing down exactly there, on the highest surface at this place."""
         body = self._body(item)
         turn = euler(yaw) if rotation is None else rotation
         return self.lay(body, turn, np.array([x, y]) + rotated(body.centre, turn)[:2])
@@ -104,7 +104,7 @@ class Support:
         return np.asarray(places[stop[0] - 1])
 
     def lean(self, item: Item, tilt: float) -> bool:
-        """Leans a thing, tilted by ``tilt`` radians, against whatever stands there."""
+        """Leans a thing, tilted by ``tilt`` radians, against the thing that stands there."""
         body, rng = self._body(item), self._rng
         for _ in range(_TRIES):
             yaw = rng.uniform(-np.pi, np.pi)

@@ -56,7 +56,7 @@ class BoundaryModelOptions:
         variants: how often each scene is merged. All merges of a scene but the first have noise in the probabilities:
             the later rounds have few boundaries to learn from, and meet errors that no training scene has.
         noise: standard deviation of this noise, in log odds.
-        members: number of models whose mean the result is: they differ by their random choices, and so by their errors.
+        members: number of models; the result is their mean. Their random choices, and so their errors, differ.
         seed: of all random choices of the first member; the next seed is that of the second, and so on.
     """
 
@@ -180,7 +180,7 @@ def boundary_examples(evidence: PieceGraph, region: Tensor, instance: Tensor) ->
     weight = purity[a] * purity[b]
     has_majority = known > LEAST_KNOWN * size
     weight = weight * (has_majority[a] & has_majority[b])
-    # Small things count as much as large ones: the score of a segmentation counts them alike, too.
+    # Small things count as much as large ones, as in the scores of segmentations.
     # Large scenes count more than small ones, but less than in proportion to their boundaries.
     weight *= math.sqrt(int((weight > 0).sum())) / max(float(weight.sum()), 1e-9)
     return BoundaryExamples(pairs, values, (majority[a] != majority[b]).numpy(), weight.numpy())

@@ -67,7 +67,7 @@ def train_boundary_model(
 
     Args:
         scenes: at least two, with ``truth.points``; each is needed only once, and not kept.
-        options: equal scenes and options make equal models, whatever the number of threads.
+        options: equal scenes and options make equal models with any number of threads.
         config: parameters of the steps 1-5.
         report: called after each round of each member.
         progress: show progress bars.

@@ -1,6 +1,6 @@
 """Computes the 13 image channels of a structured forest, equal to the channels of OpenCV's detector.
 
-OpenCV runs the forests trained here, too, but gives no access to its features, so this module reimplements them with
+OpenCV can also run the forests trained here, but gives no access to its features, so this module reimplements them with
 OpenCV's own filters; they agree with those of `ops.structured_forest`. P. Dollár and C. L. Zitnick, "Fast Edge
 Detection Using Structured Forests" (PAMI 2015).
 """

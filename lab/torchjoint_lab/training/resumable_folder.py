@@ -1,4 +1,4 @@
-"""The folder in which an interrupted training keeps what is done."""
+"""The folder in which an interrupted training keeps its finished parts."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def train_boundaries(
     Args:
         images: training images.
         out: file for the forest, ``NAME.yml.gz``.
-        options: the same images and options make the same file, whatever the number of workers.
+        options: the same images and options make the same file with any number of workers.
         workers: number of processes; each takes about 6 kB of memory per sample with the default `feature_share`.
 
     Raises:

@@ -16,7 +16,7 @@ class BinaryFile:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: (from every method) the file ends too soon; names the file, the byte offset and the expected data.
+        ValueError: the file ends too soon; every method may raise it. The message names file, byte and expected data.
     """
 
     def __init__(self, path: Path) -> None:
@@ -58,7 +58,7 @@ class BinaryFile:
         return int(count)
 
     def text(self, longest: int = 4096) -> str:
-        """Reads a string that ends with a zero byte; without this byte, at most `longest` bytes long."""
+        """Reads a string that ends with a zero byte; with this byte it has at most `longest` bytes."""
         end = self._data.find(b"\0", self.place, self.place + longest)
         if end < 0:
             raise ValueError(f"{self.path}: expected a string of at most {longest} bytes at byte {self.place}")

@@ -13,13 +13,13 @@ from torch import Tensor
 from torchjoint.datasets.files.readers import read_array, read_mesh
 from torchjoint.runtime.archives import read_archive
 
-#: Numbers in a row of a LiDAR scan that are tried; rows that are looked at, and how few are too few to tell.
+#: Row lengths that are tried for a LiDAR scan; rows that are examined, and the fewest rows that allow a decision.
 COLUMNS, ROWS, LEAST_ROWS = (3, 4, 5, 6, 7), 1 << 16, 100
 
-#: More columns than this, and than rows, are points: the array is transposed.
+#: An array with more columns than this, and more columns than rows, is transposed: its columns are the points.
 MOST_COLUMNS = 16
 
-#: Another number of columns is likelier if the median step between points falls below this share.
+#: Another row length is more plausible if it reduces the median step between points below this share.
 MUCH = 0.25
 
 #: What :func:`read_mesh` reads.
@@ -51,7 +51,7 @@ def read_cloud_file(path: Path, columns: int | None = None) -> CloudFile:
         columns: numbers in a row of a .bin file, if other than above.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -79,16 +79,16 @@ def _read_bin(path: Path, columns: int | None) -> Tensor:
     better = None if columns is not None else likelier_columns(rows)
     if better is not None:
         raise ValueError(
-            f"{path}: is not likely to have rows of {usual} float32: with {better} columns consecutive points are near "
-            f"each other, as a LiDAR sees them; give the number of columns (--columns {better}, or --columns {usual})"
+            f"{path}: expected rows of {usual} float32, but rows of {better} are more plausible: consecutive points "
+            f"are then near each other; give the number of columns (--columns {better}, or --columns {usual})"
         )
     return rows
 
 
 def likelier_columns(rows: Tensor) -> int | None:
-    """Another number of columns with which rows [N, C] of a LiDAR scan make much more sense; None: there is none.
+    """The row length that is much more plausible for a LiDAR scan than that of its rows [N, C]; or None.
 
-    A LiDAR turns, so that consecutive points are near each other. In rows of a wrong length the columns are mixed up.
+    A LiDAR rotates, so consecutive points are near each other. Rows of a wrong length mix up the columns.
     """
     values, steps = rows.flatten(), {}
     for columns in (rows.shape[1], *(count for count in COLUMNS if len(values) % count == 0)):

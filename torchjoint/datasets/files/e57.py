@@ -1,7 +1,7 @@
 """Reads E57 files (ASTM E2807) with pye57 and libE57Format: the points of all scans, in the file's world frame.
 
 Scans are moved by their poses. Points that the scanner marks as invalid are left out. Colours are scaled by the limits
-that the file gives, and are there only if every scan has them. The library checks the checksum of each page.
+in the file; there are none if any scan lacks them. The library verifies the checksum of each page.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def read_e57(path: Path) -> tuple[Tensor, Tensor | None]:
         points [N, 3] float64 metres, colours [N, 3] float32 in [0, 1] or None.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
         ModuleNotFoundError: pye57 is not installed.
     """
     if not path.is_file():
@@ -44,7 +44,7 @@ def read_e57(path: Path) -> tuple[Tensor, Tensor | None]:
         with pye57.E57(str(path)) as file:
             _check_counts(path, [file.get_header(index).point_count for index in range(file.scan_count)])
             scans = [_scan(file, index) for index in range(file.scan_count)]
-    except Exception as error:  # the library has errors of its own, of several kinds
+    except Exception as error:  # the library raises several types of its own
         raise ValueError(f"{path}: not a whole E57 file: {str(error).strip() or type(error).__name__}") from error
     points = torch.from_numpy(np.concatenate([xyz for xyz, _ in scans]))
     colors = [rgb for _, rgb in scans if rgb is not None]
@@ -59,7 +59,7 @@ def _check_counts(path: Path, counts: list[int]) -> None:
 
 
 def _scan(file: Any, index: int) -> tuple[Array, Array | None]:
-    """Points and colours of a scan; without those that are invalid."""
+    """The valid points of a scan, and their colours."""
     data = file.read_scan(index, colors=True, ignore_missing_fields=True)
     xyz = np.stack([np.asarray(data[name], np.float64) for name in _XYZ], axis=1)
     if any(name not in data for name in _RGB):

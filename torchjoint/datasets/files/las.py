@@ -2,8 +2,8 @@
 
 A COPC file is a LAZ file whose points are sorted into an octree; its points are read in the order of the file.
 Coordinates are X, Y, Z x scale + offset, in float64: UTM coordinates have more digits than float32.
-Colours have 16 bits; if none is above 255 they have 8 bits, as many programs write them, and if all are 0 there are
-none.
+Colours have 16 bits. If none is above 255, they are read as 8 bits, because many programs write them so. If all are 0,
+there are none.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from torchjoint.datasets.files.las_header import check_header
 from torchjoint.runtime.extras import needed_for
 
 SUFFIXES = (".las", ".laz")
-#: Points that are read at a time; those of one chunk of LAZ are 50,000.
+#: Points that are read at a time; a chunk of LAZ has 50,000.
 CHUNK = 1_000_000
 
 
@@ -40,7 +40,7 @@ def read_las(path: Path) -> tuple[Tensor, Tensor | None]:
         points [N, 3] float64, colours [N, 3] float32 in [0, 1] or None.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
         ModuleNotFoundError: laspy or lazrs is not installed.
     """
     with open_las(path) as reader:
@@ -54,20 +54,20 @@ def read_las(path: Path) -> tuple[Tensor, Tensor | None]:
 
 
 def white_of(largest: int) -> int | None:
-    """The value of full brightness in a file whose largest colour is `largest`; None: it has no colours."""
+    """The value of full brightness in a file whose largest colour value is `largest`; None: it has no colours."""
     return None if largest == 0 else 255 if largest <= 255 else 65535
 
 
 @contextmanager
 def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
-    """Opens a file after its header was checked; a laspy.LasReader.
+    """Checks the header of a file, then opens the file as a laspy.LasReader.
 
     Args:
         path: of the file.
-        only_places: decompress coordinates and colours only, if the file's point format allows it.
+        only_places: decompress only coordinates and colours, if the file's point format allows it.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
         ModuleNotFoundError: laspy or lazrs is not installed.
     """
     laspy = las_library()
@@ -115,7 +115,7 @@ def las_library() -> Any:
     """The module laspy, with a backend that reads LAZ.
 
     Raises:
-        ModuleNotFoundError: what to install.
+        ModuleNotFoundError: laspy or lazrs is not installed; the message says what to install.
     """
     with needed_for("reading .las and .laz", "laspy and lazrs", "torchjoint[las]"):
         import laspy
@@ -125,7 +125,7 @@ def las_library() -> Any:
 
 @contextmanager
 def _clear_errors(path: Path) -> Iterator[None]:
-    """Errors of laspy and of lazrs (a panic in Rust is no Exception) become a ValueError that names the file."""
+    """Turns errors of laspy and lazrs, also a panic in Rust, into a ValueError that names the file."""
     try:
         yield
     except BaseException as error:

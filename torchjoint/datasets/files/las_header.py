@@ -1,7 +1,7 @@
-"""Checks the header of a LAS or LAZ file before a library reads it: no size in it may be more than the file holds.
+"""Checks the header of a LAS or LAZ file before a library reads it: no size in it may exceed the file.
 
-Format: ASPRS LAS 1.4 R15; for LAZ the table of chunks of laszip. laspy and lazrs trust these sizes, and would allocate
-as much memory as a damaged file asks for.
+laspy and lazrs trust these sizes: they would allocate as much memory as a damaged file declares. Format: ASPRS LAS 1.4
+R15; for LAZ also laszip's table of chunks.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ COMPRESSED = 0x80
 
 
 class LasHeader(NamedTuple):
-    """What the checks need of a header."""
+    """The values of a header that the checks need."""
 
     points_at: int  #: byte of the first point
     num_records: int  #: variable length records, between header and points
@@ -34,7 +34,7 @@ def check_header(path: Path) -> LasHeader:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: no LAS file, or sizes that do not fit the file; the message names the file.
+        ValueError: it is no LAS file, or sizes do not fit the file; the message names the file.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud, .las or .laz")
@@ -80,7 +80,7 @@ def _parse(head: bytes) -> LasHeader:
 
 
 def _check_records(stream: BinaryIO, header: LasHeader, size: int) -> None:
-    """Walks over the records before and behind the points."""
+    """Checks that the records before and after the points lie in the file."""
     if header.points_at > size:
         raise ValueError(f"truncated: the points begin at byte {header.points_at}, got {size} bytes")
     stream.seek(94)
@@ -89,7 +89,7 @@ def _check_records(stream: BinaryIO, header: LasHeader, size: int) -> None:
         stream.seek(place + 20)
         place += RECORD + struct.unpack("<H", stream.read(2))[0]
         if place > header.points_at:
-            raise ValueError(f"a variable length record ends at byte {place}, behind the first point")
+            raise ValueError(f"a variable length record ends at byte {place}, after the first point")
     place = header.extended_at
     if header.num_extended * EXTENDED_RECORD > size - place:
         raise ValueError(f"truncated: {header.num_extended} extended records do not fit behind byte {place}")
@@ -101,10 +101,10 @@ def _check_records(stream: BinaryIO, header: LasHeader, size: int) -> None:
 
 
 def _check_chunks(stream: BinaryIO, header: LasHeader, size: int) -> None:
-    """The number of chunks: each starts with a point that is not compressed."""
+    """Checks the number of chunks: each starts with an uncompressed point, so the file bounds their number."""
     stream.seek(header.points_at)
     (table_at,) = struct.unpack("<q", stream.read(8))
-    if table_at == -1:  # written to a pipe: the place stands at the end
+    if table_at == -1:  # a file that was written to a pipe: the position is at the end
         stream.seek(size - 8)
         (table_at,) = struct.unpack("<q", stream.read(8))
     if not header.points_at < table_at <= size - 8:

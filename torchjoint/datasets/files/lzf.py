@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def decompress(data: bytes, size: int, name: str = "data") -> bytearray:
-    """Decompresses data to `size` bytes; for damaged data, the output exceeds `size` by at most one run of 264 bytes.
+    """Decompresses data to `size` bytes. Damaged data make at most one run of 264 bytes more before the error.
 
     Args:
         data: a sequence of runs. A control byte c below 32 starts a literal run: the next c + 1 bytes are copied

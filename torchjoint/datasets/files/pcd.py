@@ -98,8 +98,8 @@ def read_pcd(path: Path) -> Pcd:
     """Reads a PCD file.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error; sizes in the header are compared with the file's
-            size before memory is allocated.
+        FileNotFoundError, ValueError: the message names the file and its error; sizes in the header are compared
+            with the file's size before memory is allocated.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud, .pcd")

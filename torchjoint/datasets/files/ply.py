@@ -1,6 +1,6 @@
 """Reads PLY files (Greg Turk's Polygon File Format, 1994), ascii and binary of both byte orders; writes binary ones.
 
-Each number of the file is accounted for: what is cut, too long or not a number is an error, wherever it is.
+Every number is checked: a truncated file, extra data, or a word that is not a number is an error in any element.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ class Ply(NamedTuple):
 
 
 def read_ply(path: Path) -> Ply:
-    """Reads the vertices and faces of a PLY file; other elements are checked for their size and left out.
+    """Reads the vertices and faces of a PLY file; of other elements only the size is checked.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error; sizes in the header are compared with the file's
-            size before memory is allocated.
+        FileNotFoundError, ValueError: the message names the file and its error; sizes in the header are compared
+            with the file's size before memory is allocated.
     """
     elements = _read_elements(path)
     try:
@@ -51,10 +51,10 @@ def read_ply(path: Path) -> Ply:
 
 
 def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
-    """An integer property of the vertices, [N]; None if there is none of this name.
+    """Reads an integer property of the vertices, [N]; None if there is no property of this name.
 
     Raises:
-        FileNotFoundError, ValueError: as :func:`read_ply`; or the property is a list, or not of integers.
+        FileNotFoundError, ValueError: as :func:`read_ply`; also if the property is a list, or not of integers.
     """
     vertex = _read_elements(path).get("vertex", Columns.of({}, 0))
     if name not in vertex.kinds:

@@ -1,4 +1,4 @@
-"""The numbers of an ascii PLY file: each word of each line is accounted for."""
+"""Reads the numbers of an ascii PLY file; every word of every line is checked."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from torchjoint.ops.parse_numbers import parse_numbers
 Array = npt.NDArray[Any]
 Bytes = npt.NDArray[np.uint8]
 
-#: Characters of a line that are looked at to count its words.
+#: Characters that are read of an element's first line, to count its words.
 _MAX_LINE = 1 << 16
 #: Rows that are read at a time: their float64 numbers stay in the cache.
 _BLOCK = 1 << 14
 
 
 def read_ascii(path: Path, header: PlyHeader) -> dict[str, Columns]:
-    """The columns of each element.
+    """Reads the columns of each element.
 
     Raises:
-        ValueError: a line too few or too many, a word that is no number, or a number that does not fit its type.
+        ValueError: too few or too many lines, a word that is no number, or a number that does not fit its type.
     """
     body = np.fromfile(path, np.uint8, offset=header.size)
     try:
         elements, place = _read_elements(body, header)
     except ValueError:
-        _check_lines(body, header)  # says more than where the first number was missed
+        _check_lines(body, header)  # a wrong number of lines explains more than the first missing number
         raise
     if body[place:].tobytes().strip():
         _check_lines(body, header)
@@ -42,7 +42,7 @@ def read_ascii(path: Path, header: PlyHeader) -> dict[str, Columns]:
 
 
 def _read_elements(body: Bytes, header: PlyHeader) -> tuple[dict[str, Columns], int]:
-    """The columns of each element, and the position behind them."""
+    """The columns of each element, and the position after them."""
     place = 0
     elements: dict[str, Columns] = {}
     for element in header.elements:
@@ -72,7 +72,7 @@ def _rows(text: Bytes, element: Element) -> tuple[dict[str, Array], int]:
 
 
 def _equal_rows(text: Bytes, element: Element) -> tuple[dict[str, Array], int] | None:
-    """The rows of an element whose lists have one length, such as triangles, as [rows, length]; None: it has others."""
+    """The rows of an element if all its lists have one length, as triangles have, as [rows, length]; else None."""
     words = text[:_MAX_LINE].tobytes().partition(b"\n")[0].split()
     kinds: list[tuple[str, str]] = []
     lengths: dict[str, int] = {}
@@ -101,7 +101,7 @@ def _equal_rows(text: Bytes, element: Element) -> tuple[dict[str, Array], int] |
 
 
 def _columns(text: Bytes, element: Element, kinds: list[tuple[str, str]]) -> tuple[list[Array], int]:
-    """The columns of rows of equal length in their types, and the characters that were read; `kinds`: type, name."""
+    """The columns of rows of equal length, each in its type, and how many characters were read; `kinds`: type, name."""
     numbers, place = torch.from_numpy(text), 0
     try:
         if element.rows * len(kinds) > len(text):  # before memory is allocated

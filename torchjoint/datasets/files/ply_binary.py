@@ -1,4 +1,4 @@
-"""The numbers of a binary PLY file, of both byte orders: each byte is accounted for, and few are copied."""
+"""Reads the numbers of a binary PLY file of either byte order; every byte is checked, and few are copied."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _BLOCK = 1 << 15
 
 
 def read_binary(path: Path, header: PlyHeader) -> dict[str, Columns]:
-    """The columns of each element; those without lists stay in the file until they are asked for.
+    """Reads the columns of each element; those of an element without lists stay in the file until they are used.
 
     Raises:
-        ValueError: the file has too few or too many bytes, or a list of less than no numbers.
+        ValueError: the file has too few or too many bytes, or a list has a negative length.
     """
     size, place = path.stat().st_size, header.size
     has_lists = any(element.lists for element in header.elements)

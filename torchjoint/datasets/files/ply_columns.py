@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 
-#: Some rows, and for each name their values, [n], or [n, length] for lists of one length.
+#: The values of some rows by name of the column: [n], or [n, length] for lists of one length.
 Block = tuple[slice, Any]
 
 
@@ -19,20 +19,20 @@ class Columns(NamedTuple):
 
     rows: int
     kinds: Mapping[str, np.dtype[Any]]  #: of the numbers; object for lists
-    blocks: Callable[[], Iterator[Block]]  #: all rows in turn; each is valid until the next
+    blocks: Callable[[], Iterator[Block]]  #: yields all rows, block by block; a block is valid until the next one
 
     @classmethod
     def of(cls, columns: Mapping[str, Array], rows: int) -> Columns:
-        """Of columns in memory."""
+        """Makes it from columns in memory."""
         kinds = {name: column.dtype if column.ndim == 1 else np.dtype(object) for name, column in columns.items()}
         return cls(rows, kinds, lambda: iter([(slice(0, rows), columns)]))
 
     def has_numbers(self, names: str | tuple[str, ...]) -> bool:
-        """Whether these columns are there, and have one number a row."""
+        """Whether these columns exist and have one number per row."""
         return all(name in self.kinds and self.kinds[name].kind != "O" for name in names)
 
     def stacked(self, wanted: Mapping[str, tuple[tuple[str, ...], npt.DTypeLike, float]]) -> dict[str, Array]:
-        """Several arrays [rows, k] in one pass over the rows.
+        """Makes several arrays [rows, k] in one pass over the rows.
 
         Args:
             wanted: for each array the names of its columns, its type, and a number by which it is divided.

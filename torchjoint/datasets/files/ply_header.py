@@ -44,11 +44,11 @@ class Element(NamedTuple):
 
     @property
     def names(self) -> list[str]:
-        """Of the properties."""
+        """The names of the properties."""
         return [one.name for one in self.properties]
 
     def dtype(self, byte_order: str, lengths: Mapping[str, int] | None = None) -> np.dtype[Any]:
-        """The type of a row; `lengths`: of its lists. A field `#NAME` is the length of list NAME."""
+        """The NumPy type of a row whose lists have these `lengths`; field `#NAME` is the length of list NAME."""
         fields: list[Any] = []
         for one in self.properties:
             if one.length is None:
@@ -72,7 +72,7 @@ def parse_header(data: bytes) -> PlyHeader:
     """Parses the header at the start of a file.
 
     Raises:
-        ValueError: the first line that is wrong.
+        ValueError: a wrong line; the message quotes the first one.
     """
     end = re.search(rb"\nend_header[ \t]*\r?\n", data[:MAX_HEADER])
     if not re.match(rb"ply[ \t]*\r?\n", data) or end is None:
@@ -113,7 +113,7 @@ def _property(words: list[str]) -> Property | None:
 
 
 def list_arrays(columns: Mapping[str, list[Any]], element: Element) -> dict[str, npt.NDArray[Any]]:
-    """An array for each property; lists are objects."""
+    """Makes an array for each property; an array of lists has dtype object."""
     arrays = {}
     for one in element.properties:
         arrays[one.name] = np.empty(len(columns[one.name]), dtype=one.kind if one.length is None else object)

@@ -44,7 +44,7 @@ def read_image_size(path: Path) -> tuple[int, int]:
 
 
 def read_depth(path: Path, unit: float = 0.001) -> Tensor:
-    """Reads a 16-bit depth image in `unit` metres; returns [H, W] float32 metres, 0 = unknown (raw 0 and 65535)."""
+    """Reads a 16-bit depth image, one step = `unit` metres, as [H, W] float32 metres; 0 and 65535 give 0 = unknown."""
     image = _opened(path)
     if image.mode not in ("I;16", "I;16B", "I"):
         raise ValueError(f"{path}: expected a 16-bit grey image, got mode {image.mode}")
@@ -55,15 +55,6 @@ def read_depth(path: Path, unit: float = 0.001) -> Tensor:
 def read_label_image(path: Path) -> Tensor:
     """Reads an 8- or 16-bit label image; returns [H, W] int64."""
     return labels_of(_opened(path), str(path))
-
-
-def read_grey_image(path: Path) -> Tensor:
-    """Reads a grey image of 8 or 16 bits; returns [H, W] float32 in [0, 1]."""
-    image = _opened(path)
-    if image.mode not in ("1", "L", "I;16", "I;16B", "I"):
-        raise ValueError(f"{path}: expected a grey image of 8 or 16 bits, got mode {image.mode}")
-    white = {"1": 1, "L": 255}.get(image.mode, 65535)
-    return torch.from_numpy(np.array(image).astype(np.float32)) / white
 
 
 def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
@@ -87,7 +78,7 @@ def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
         if all are zero).
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     return read_mesh(path)[:3]
 
@@ -133,13 +124,12 @@ def read_array(path: Path) -> Tensor:
 def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     """Returns a hash of file names, sizes and times, to detect changed files.
 
-    For a folder it covers all files in and below the folder, also behind links. For a file it covers the file's folder,
-    and the files with the same stem in sibling folders (KITTI's layout); but for a cloud that stands alone, only the
-    file.
+    That of a folder covers all files in and below it; links are followed. That of a file covers its folder, and files
+    with the same stem in sibling folders (KITTI's layout). That of a cloud with a suffix in `ALONE` covers only itself.
 
     Args:
         path: of a recording.
-        without: files and folders that do not count, such as the result of a run if it is inside the recording.
+        without: files and folders to ignore, such as the result of a run if it is inside the recording.
 
     Raises:
         FileNotFoundError: there is no such file or folder.
@@ -158,7 +148,7 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
 
 
 def _files_below(folder: Path, without: Set[str]) -> Iterator[Path]:
-    """Files in and below a folder, behind links, too; a folder that links to one above it is entered once."""
+    """Files in and below a folder; links are followed, but a link to a folder above is followed only once."""
     entered = set()
     for place, folders, names in os.walk(folder, followlinks=True):
         entered.add(os.path.realpath(place))
@@ -174,21 +164,21 @@ def _opened(path: Path) -> Image.Image:
 
 
 def rgb_of(image: Image.Image, name: str) -> Tensor:
-    """Converts an 8-bit image of any mode to [3, H, W] uint8 RGB; errors give the name."""
+    """Converts an 8-bit image of any mode to [3, H, W] uint8 RGB; errors begin with `name`."""
     if image.mode.startswith(("I", "F")):
         raise ValueError(f"{name}: expected an 8-bit image, got mode {image.mode}")
     return torch.from_numpy(np.array(image.convert("RGB"))).permute(2, 0, 1).contiguous()
 
 
 def labels_of(image: Image.Image, name: str) -> Tensor:
-    """Converts an 8- or 16-bit label image to [H, W] int64; errors give the name."""
+    """Converts an 8- or 16-bit label image to [H, W] int64; errors begin with `name`."""
     if image.mode not in ("L", "P", "I;16", "I;16B", "I"):
         raise ValueError(f"{name}: expected a grey or palette image of labels, got mode {image.mode}")
     return torch.from_numpy(np.array(image).astype(np.int64))
 
 
 def decode_image(data: bytes, name: str, *, header_only: bool = False) -> Image.Image:
-    """Decodes an image file's bytes (or only its header); errors give the name.
+    """Decodes an image file's bytes (or only its header); errors begin with `name`.
 
     Raises:
         ValueError: a damaged image, or an image of more than `MAX_PIXELS`.

@@ -13,24 +13,24 @@ from typing import Any, NamedTuple
 from torchjoint.datasets.files.ros_packing import bound_unpacking
 from torchjoint.runtime.extras import needed_for
 
-#: Of a file, and of the files that a ROS 2 recording's folder lists.
+#: Suffixes of a recording in one file, and of the files that a ROS 2 recording's folder lists.
 SUFFIXES = (".bag", ".mcap", ".db3")
 
 
 class Stamp(NamedTuple):
-    """A message that can be read again."""
+    """Identifies a message, so that it can be read again."""
 
-    time: float  #: seconds, of the message's header: when it was taken, not when it was recorded
-    recorded: int  #: nanoseconds
-    place: int  #: among the topic's messages that were recorded at this time
+    time: float  #: seconds, from the message's header: when the sensor measured, not when it was recorded
+    recorded: int  #: nanoseconds, when it was recorded
+    place: int  #: its index among the topic's messages that were recorded at this time
 
 
 class Bag:
-    """A recording; one thread reads it at a time. Its files stay open: to open them takes longer than to read an image.
+    """A recording; one thread at a time reads it. Its files stay open: opening them takes longer than reading an image.
 
     Raises:
         FileNotFoundError: there is no such path.
-        ValueError: (from every method) a damaged recording; the message names it.
+        ValueError: the recording is damaged; every method may raise it. The message names the recording.
         ModuleNotFoundError: rosbags is not installed.
     """
 
@@ -38,16 +38,16 @@ class Bag:
         self.path = path
         self._lock = Lock()
         self._reader: Any = None
-        self._process = 0  #: that opened the files; a forked process opens its own
+        self._process = 0  #: id of the process that opened the files; a forked process opens its own
         with self._opened() as reader:
-            self.kinds: dict[str, str] = {}  #: topics with messages, and their types
+            self.kinds: dict[str, str] = {}  #: types of the topics that have messages
             for one in sorted(reader.connections, key=lambda one: one.topic):
                 if one.msgcount:
                     self.kinds[one.topic] = one.msgtype
 
     def __del__(self) -> None:
         if getattr(self, "_reader", None) is not None and self._process == os.getpid():
-            with suppress(Exception):  # of a damaged file
+            with suppress(Exception):  # a damaged file may raise anything
                 self._reader.close()
 
     def topics(self, *kinds: str) -> list[str]:
@@ -68,7 +68,7 @@ class Bag:
         raise ValueError(f"{self.path}: expected messages of topic {topic}, got none")
 
     def stamps(self, topic: str) -> list[Stamp]:
-        """The messages of a topic with a header, by time; of equal times the first."""
+        """The messages of a topic that have a header, sorted by time; of equal times only the first."""
         found: dict[float, Stamp] = {}
         before, place = -1, 0
         with self._opened() as reader:
@@ -80,13 +80,13 @@ class Bag:
         return [found[time] for time in sorted(found)]
 
     def read(self, topic: str, stamp: Stamp) -> Any:
-        """One message again."""
+        """Reads one message again."""
         with self._opened() as reader:
             some = reader.messages(_connections(reader, topic), start=stamp.recorded, stop=stamp.recorded + 1)
             for place, (connection, _, data) in enumerate(some):
                 if place == stamp.place:
                     return reader.deserialize(data, connection.msgtype)
-        raise ValueError(f"{self.path}: expected a message of topic {topic} at {stamp.time:.3f} s, which is gone")
+        raise ValueError(f"{self.path}: expected a message of topic {topic} at {stamp.time:.3f} s, found none")
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
@@ -97,14 +97,14 @@ class Bag:
 
 
 def _open(path: Path) -> Any:
-    """An open reader of rosbags, which closes its files when nobody holds it."""
+    """Opens a reader of rosbags; it closes its files when it is garbage-collected."""
     with needed_for("reading ROS recordings", "rosbags", "torchjoint[ros]"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     if not path.exists():
         raise FileNotFoundError(f"{path}: missing; expected a ROS recording")
     bound_unpacking()
-    # Recordings of ROS 2 before Iron do not say what their messages hold.
+    # Recordings of ROS 2 before Iron do not contain the definitions of their messages.
     reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
     reader.open()
     return reader
@@ -112,12 +112,12 @@ def _open(path: Path) -> Any:
 
 @contextmanager
 def _clear_errors(path: Path) -> Iterator[None]:
-    """Whatever a library raises about damaged bytes becomes a ValueError that names the recording."""
+    """Turns any error of a library about damaged bytes into a ValueError that names the recording."""
     try:
         yield
     except (ModuleNotFoundError, FileNotFoundError):
         raise
-    except Exception as error:  # of rosbags, apsw, lz4, zstd, YAML; assertions; MemoryError of sizes that are not there
+    except Exception as error:  # errors of rosbags, apsw, lz4, zstd, YAML; MemoryError if a size is damaged
         if str(error).startswith(f"{path}: "):
             raise
         raise ValueError(f"{path}: not a whole ROS recording: {type(error).__name__}: {error}") from error
@@ -128,9 +128,9 @@ def _connections(reader: Any, topic: str) -> Sequence[Any]:
 
 
 def _header_time(data: bytes, is_ros2: bool) -> float:
-    """Seconds of a message's header, without decoding what may be a large image.
+    """The time in a message's header, seconds; the message, maybe a large image, is not decoded.
 
-    ROS 2 writes four bytes about the encoding, then seconds and nanoseconds; ROS 1 a number, then these.
+    ROS 2 writes four bytes about the encoding, then seconds and nanoseconds. ROS 1 writes a number, then the same two.
     """
     order = "<" if not is_ros2 or data[1] & 1 else ">"
     seconds, nanoseconds = struct.unpack_from(f"{order}{'i' if is_ros2 else 'I'}I", data, 4)

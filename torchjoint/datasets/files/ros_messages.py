@@ -13,14 +13,14 @@ from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.readers import decode_image, rgb_of
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-#: Numbers in a pixel of colour images, and the places of red, green and blue among them.
+#: By encoding of a colour image: numbers per pixel, and the indices of red, green and blue among them.
 _COLORS = {
     "rgb8": (3, (0, 1, 2)), "bgr8": (3, (2, 1, 0)), "rgba8": (4, (0, 1, 2)), "bgra8": (4, (2, 1, 0)),
     "8UC3": (3, (2, 1, 0)), "8UC4": (4, (2, 1, 0)), "mono8": (1, (0, 0, 0)), "8UC1": (1, (0, 0, 0)),
 }  # fmt: skip
-#: Depth images, and metres in a unit.
+#: By encoding of a depth image: type of a pixel, and its unit in metres.
 _DEPTHS = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}
-#: Types of a point's fields, by their number in sensor_msgs/PointField.
+#: NumPy types of a point's fields, by their number in sensor_msgs/PointField.
 _FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 #: compressed_depth_image_transport writes its own header before the PNG.
 _DEPTH_HEADER = 12
@@ -89,7 +89,7 @@ def camera(message: Any, rectified: bool, name: str) -> Camera:
     """The camera of a CameraInfo: K and the distortion, or P of rectified images.
 
     Raises:
-        ValueError: a distortion that is not OpenCV's, numbers that are no camera.
+        ValueError: the distortion model is not one of OpenCV, or the numbers describe no camera.
     """
     K = np.asarray(getattr(message, "k", None) if hasattr(message, "k") else message.K, np.float64).reshape(3, 3)
     P = np.asarray(message.p if hasattr(message, "p") else message.P, np.float64).reshape(3, 4)
@@ -106,10 +106,10 @@ def camera(message: Any, rectified: bool, name: str) -> Camera:
 
 
 def cloud_points(message: Any, name: str) -> tuple[Tensor, Tensor | None]:
-    """Points [N, 3] float64 in the message's frame, without those that are not finite, and colours [N, 3] or None.
+    """The finite points [N, 3] float64 of a PointCloud2, in the message's frame, and their colours [N, 3] or None.
 
     Raises:
-        ValueError: fields or sizes that make no cloud.
+        ValueError: there are no fields x, y, z, or sizes do not fit.
     """
     fields = {field.name: field for field in message.fields}
     count, step = int(message.width) * int(message.height), int(message.point_step)

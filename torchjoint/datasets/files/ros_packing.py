@@ -1,4 +1,4 @@
-"""Packed parts of ROS recordings are unpacked up to a bound: rosbags itself unpacks them whatever they become."""
+"""Limits how much memory the compressed parts of a ROS recording may take; rosbags itself has no limit."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import Any
 
 from torchjoint.runtime import archives
 
-#: Bytes that are unpacked at a time: lz4 allocates them beforehand.
+#: Bytes that are unpacked at a time: lz4 allocates so many in advance.
 STEP = 1 << 24
 
 
 def unpack(make: Callable[[], Any], packed: bytes) -> bytes:
-    """What packed bytes become.
+    """Decompresses bytes.
 
     Args:
-        make: makes an unpacker, such as bz2.BZ2Decompressor; each stream of the bytes gets one of its own.
+        make: makes a decompressor, such as bz2.BZ2Decompressor; each stream in the bytes gets a new one.
         packed: a chunk of a recording, or a message.
 
     Raises:
-        ValueError: the bytes are cut, or become so many that they must have been made for that.
+        ValueError: the bytes are truncated, or their decompressed size exceeds the limit.
     """
     most = archives.RATIO * len(packed) + archives.FREE
     parts, count, left = [], 0, packed
@@ -32,15 +32,15 @@ def unpack(make: Callable[[], Any], packed: bytes) -> bytes:
             parts.append(unpacker.decompress(left, max_length=min(STEP, most + 1 - count)))
             count, left = count + len(parts[-1]), b""
             if count > most:
-                raise ValueError(f"{len(packed)} packed bytes become more than {most}")
+                raise ValueError(f"{len(packed)} packed bytes have more than {most} when they are unpacked")
             if unpacker.needs_input and not unpacker.eof:
-                raise ValueError("packed bytes are cut")
+                raise ValueError("packed bytes are truncated")
         left = unpacker.unused_data or b""
     return b"".join(parts)
 
 
 def bound_unpacking() -> None:
-    """Puts :func:`unpack` in the places of rosbags where it unpacks chunks (ROS 1, MCAP) and messages (ROS 2)."""
+    """Makes rosbags use :func:`unpack` for chunks (ROS 1, MCAP) and messages (ROS 2)."""
     from lz4.frame import LZ4FrameDecompressor
     from rosbags.rosbag1 import reader as ros_1
     from rosbags.rosbag2 import reader as ros_2

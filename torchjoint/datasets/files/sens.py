@@ -101,7 +101,7 @@ class SensFile:
         if not all(0 < h * w <= MAX_PIXELS for h, w in (self.color_size, self.depth_size)):
             raise ValueError(f"{self.path}: impossible image sizes {cw} x {ch}, {dw} x {dh}")
         if not (math.isfinite(shift) and shift > 0):
-            raise ValueError(f"{self.path}: expected a positive number of depth units a metre, got {shift}")
+            raise ValueError(f"{self.path}: expected a positive number of depth units per metre, got {shift}")
 
     def _read(self, start: int, count: int, name: str) -> bytes:
         with self.path.open("rb") as stream:

@@ -28,7 +28,7 @@ def parse_numbers(words: Sequence[str], name: str) -> list[float]:
     """Converts the words of a line to finite numbers.
 
     Raises:
-        ValueError: naming the line and the invalid words.
+        ValueError: the message names the line and the invalid words.
     """
     try:
         values = [float(word) for word in words]
@@ -43,7 +43,7 @@ def parse_integer(word: str, name: str) -> int:
     """Converts a word of a line to an integer of at most 18 digits.
 
     Raises:
-        ValueError: naming the line and the invalid word.
+        ValueError: the message names the line and the invalid word.
     """
     if not (word.isascii() and word.removeprefix("-").isdigit() and len(word) < 19):
         raise ValueError(f"{name}: expected an integer, got {word[:100]!r}")

@@ -12,7 +12,7 @@ def read_vertex_numbers(path: Path, count: int) -> Tensor:
     """Reads the `count` integers of a file; returns [count] int64.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     words = read_text(path).split()
     if len(words) != count:
@@ -30,7 +30,7 @@ def read_vertex_instances(path: Path, count: int) -> Tensor:
         [count] int64: these numbers, -1 = none.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     values = read_vertex_numbers(path, count)
     if count and int(values.min()) < 0:

@@ -6,9 +6,9 @@ depth/NNNNNN.png                   16-bit, in depth_scale millimetres (optional)
 scene_gt.json                      for each image: the objects and their poses, camera from model (optional)
 mask_visib/NNNNNN_MMMMMM.png       pixels of object M in image N, 255 (optional; with scene_gt.json)
 
-Some data sets of BOP have no cam_R_w2c; then a scene can be read if it has one image, which gives the world frame.
-Truth: the objects of two images are one instance if they have the same obj_id, and their places in the world are at
-most `SAME_PLACE` apart. All other pixels are void. The cloud is `cloud.ply`, or fused from depth.
+Some data sets of BOP have no cam_R_w2c. A scene without it can be read only if it has one image. The world frame is
+then that camera's frame. Truth: objects in two images are the same instance if they have the same obj_id and their
+positions in the world are at most `SAME_PLACE` apart. All other pixels are void. The cloud is `cloud.ply`, or fused.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_intrinsics, as_pose
 
 WHAT = "scene_camera.json with rgb/ or gray/ (BOP)"
-#: Largest distance, in metres, between the places of one object in the poses of two images.
+#: Largest distance between the positions of one object according to two images, metres.
 SAME_PLACE = 0.05
 
 

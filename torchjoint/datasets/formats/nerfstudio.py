@@ -93,7 +93,7 @@ def _shot(file: Path, frame: Record) -> _Shot:
             raise FileNotFoundError(f"{needed}: missing; expected an image that {frame.name} gives")
     unit = frame.number("depth_unit_scale_factor") if "depth_unit_scale_factor" in frame else None
     if unit is not None and unit <= 0:
-        raise ValueError(f"{frame.name}: depth_unit_scale_factor: expected metres a unit, got {unit}")
+        raise ValueError(f"{frame.name}: depth_unit_scale_factor: expected the metres per unit, above 0, got {unit}")
     return _Shot(color, _camera(frame, color), _world_to_camera(frame), depth, unit)
 
 

@@ -79,7 +79,7 @@ def _intrinsics(path: Path, points: Tensor, known: Tensor, width: int) -> Tensor
         offset = float((focal * slope + center - pixel).abs().max())
         if not (offset <= LARGEST_OFFSET and focal > 0):
             raise ValueError(
-                f"{path}: expected points on the rays of a pinhole camera's pixels, got one {offset:.3g} px off its own"
+                f"{path}: expected points on the rays of a pinhole camera's pixels, got one {offset:.3g} px off its ray"
             )
         matrix[axis, axis], matrix[axis, 2] = focal, center
     return matrix
@@ -91,6 +91,6 @@ def _instances(path: Path, cloud: Pcd, known: Tensor) -> Tensor | None:
         return None
     values = cloud.fields["label"]
     if values.ndim != 1 or values.dtype.kind not in "iu":
-        raise ValueError(f"{path}: expected one integer a point in the field label, got {values.dtype}")
+        raise ValueError(f"{path}: expected one integer per point in the field label, got {values.dtype}")
     labels = torch.from_numpy(values.astype("int64"))
     return as_labels(torch.where(known & (labels != 0), labels // 10, -1), (len(labels),), f"{path}: label")

@@ -2,7 +2,7 @@
 
 NNNNN.jpg, NNNNN.png, NNNNN.txt    8-bit RGB; depth, 16-bit, millimetres (optional); 4x4 camera-to-world, -inf = lost
 intrinsic.txt                      4x4 (or 3x3), of the images
-depth_intrinsic.txt                4x4 (or 3x3), of the depth images (optional: those of the images, scaled)
+depth_intrinsic.txt                4x4 (or 3x3), of the depth images (optional: else intrinsic.txt, scaled)
 SCAN_vh_clean_2.ply                the cloud, with ScanNet's annotation (optional; here, or in scans/SCAN beside
                                    posed_images/; fused from depth if absent)
 """

@@ -1,17 +1,17 @@
 """Reads a ROS 1 or ROS 2 recording: .bag, .mcap, .db3, or a folder with metadata.yaml; no ROS is needed.
 
-Topics are found by their types; where several would do, `topics` says which:
+Topics are found by their types. If several topics fit a role, `topics` must name one:
 
 color     sensor_msgs/Image or CompressedImage, in colour or grey
-info      sensor_msgs/CameraInfo of the colour camera: the one of its frame, else the only one
+info      sensor_msgs/CameraInfo of the colour camera: with the same frame, or else the only one
 depth     sensor_msgs/Image (16UC1: millimetres, 32FC1: metres) or CompressedImage (16 bits), in the same frame
 points    sensor_msgs/PointCloud2: the cloud, unless there is depth
-odometry  nav_msgs/Odometry, if tf does not move the camera
+odometry  nav_msgs/Odometry; used if the camera does not move according to tf
 
 An image gets the depth nearest in time; the nearest pairs are matched first. Its pose is interpolated between the
 transforms before and after it. Both must be within `time_limit`; images without a pose are left out, and a warning says
 how many. The world is the root of the tree of tf, or the frame of the odometry. Scans are moved to the world with their
-own poses, and thinned to one point in a voxel.
+own poses, and thinned to one point per voxel.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from torchjoint.scene.thinning import voxel_subsample
 
 WHAT = "a ROS recording: .bag, .mcap, .db3, or a folder with metadata.yaml"
 INFO, POINTS = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2"
-#: What can be chosen by `topics`.
+#: The keys of `topics`.
 ROLES = ("color", "info", "depth", "points", "odometry")
 
 
@@ -80,7 +80,7 @@ def load(path: Path, options: Options) -> Scene:
     """Loads the recording; see :func:`torchjoint.load_scene`.
 
     Raises:
-        ValueError: a damaged recording, topics that are missing or ambiguous, no image with a pose.
+        ValueError: the recording is damaged, a topic is missing or ambiguous, or no image has a pose.
         ModuleNotFoundError: rosbags is not installed.
     """
     bag = Bag(path)
@@ -130,7 +130,7 @@ def _only(role: str, found: Sequence[str], chosen: Mapping[str, str], bag: Bag) 
 
 
 def _of_frame(bag: Bag, topics: Sequence[str], frame: str) -> list[str]:
-    """The topics whose first message is of a frame; all of them if none is."""
+    """The topics whose first message has this frame; if no topic has it, all topics."""
     same = [topic for topic in topics if _frame(bag.first(topic)) == frame]
     return same or list(topics)
 
@@ -178,7 +178,7 @@ def _reader(
 
 
 def _merged_scans(bag: Bag, topic: str, poses: Poses, voxel_size: float) -> tuple[Tensor, Tensor | None]:
-    """The points [N, 3] float64 of all scans in the world, one in a voxel, and their colours if every scan has them."""
+    """The points [N, 3] float64 of all scans in the world, one per voxel, and their colours if every scan has them."""
     stamps = bag.stamps(topic)
     at = poses.world_from(_frame(bag.first(topic)), [one.time for one in stamps])
     points, colors, colored, thinned = torch.empty(0, 3, dtype=torch.float64), torch.empty(0, 3), True, 0

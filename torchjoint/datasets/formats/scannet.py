@@ -72,7 +72,7 @@ def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
     cameras = find_cameras(folder, folder / f"{scan}.txt")
     if cameras is None:
         raise FileNotFoundError(
-            f"{folder / 'intrinsic' / 'intrinsic_color.txt'}: missing, and {scan}.txt tells of no cameras; expected one"
+            f"{folder / 'intrinsic' / 'intrinsic_color.txt'}: missing, and {scan}.txt has no calibration"
         )
     return read_frames(folder, cameras)
 

@@ -52,7 +52,7 @@ class Folders(NamedTuple):
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is one scan of this layout, or holds just one; False for a mesh with its own frames."""
+    """Returns whether `path` is one scan of this layout, or holds only one; False for a mesh with its own frames."""
     is_scannet = (path / f"{path.name}.sens").is_file() or (has_frames(path) and not _is_scan(path))
     return not is_scannet and find_folders(path) is not None
 

@@ -92,7 +92,7 @@ def read_frames(path: Path) -> Sequence[Frame]:
         raise ValueError(f"{path}: no image of rgb.txt has a pose in groundtruth.txt within {TOLERANCE} s")
     for file in (file for shot in shots for file in (shot.color, shot.depth) if file is not None):
         if not file.is_file():
-            raise FileNotFoundError(f"{file}: missing; expected an image that the recording's lists name")
+            raise FileNotFoundError(f"{file}: missing; expected the image that rgb.txt or depth.txt lists")
     camera, names = _camera(path), frame_names([str(shot.color) for shot in shots])
     return LazySequence(len(shots), lambda i: _read_frame(shots[i], camera, names[i]), names)
 
@@ -103,7 +103,7 @@ def _read_frame(shot: _Shot, camera: Camera, name: str) -> Frame:
 
 
 def associate(first: Sequence[float], second: Sequence[float], tolerance: float = TOLERANCE) -> list[tuple[int, int]]:
-    """Matches timestamps greedily: the nearest pair first, then the nearest of the rest; each is used once.
+    """Matches timestamps greedily: the nearest pair first, then the nearest of the rest. Each timestamp is used once.
 
     Args:
         first: seconds, ascending.
@@ -129,7 +129,7 @@ def associate(first: Sequence[float], second: Sequence[float], tolerance: float 
 
 
 def _read_files(path: Path) -> list[_File]:
-    """Reads a list of timestamps and paths, sorted by time; of equal times the first line counts."""
+    """Reads a list of timestamps and paths, sorted by time; of lines with equal times the first is used."""
     files: dict[float, _File] = {}
     for name, line in read_lines(path, "lines of a timestamp and a path"):
         words = line.split()
@@ -165,7 +165,7 @@ def _camera(path: Path) -> Camera:
     known = re.search(r"(?<![a-z0-9])(?:freiburg|fr)([123])(?![0-9])", path.absolute().name)
     if known is None:
         warnings.warn(
-            f"{path}: has no camera-intrinsics.txt, and its name is none of the TUM benchmark's (freiburg1, 2, 3): "
+            f"{path}: expected camera-intrinsics.txt, or a name of the TUM benchmark (freiburg1, 2, 3); found neither: "
             "taking fx = fy = 525, cx = 319.5, cy = 239.5",
             stacklevel=2,
         )

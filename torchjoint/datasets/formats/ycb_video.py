@@ -27,7 +27,7 @@ from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_intrinsics, as_pose
 
 WHAT = "NNNNNN-color.jpg (or .png) with NNNNNN-meta.mat (YCB-Video)"
-#: Largest number of elements of a matrix of the file that is read; larger ones, such as vertmap, are not needed.
+#: Matrices with more elements, such as vertmap, are not read: they are not needed.
 MAX_ELEMENTS = 4_000_000
 
 

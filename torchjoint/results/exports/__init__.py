@@ -1,6 +1,6 @@
 """Results in the formats of other tools (output after step 8): one module for each format.
 
-A format is a function ``export(path, result)``, which writes a file or, where `FOLDERS` has its name, a folder.
+A format is a function ``export(path, result)``, which writes a file if `SUFFIXES` has its name, and otherwise a folder.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from torchjoint.results.exports.coco import export_coco
 from torchjoint.results.exports.sam import export_sam
 from torchjoint.results.result import Result
 
-#: What the exports write, by name of the format.
+#: The export functions, by name of the format.
 FORMATS: dict[str, Callable[[Path, Result], None]] = {
     "coco": export_coco,
     "sam": export_sam,

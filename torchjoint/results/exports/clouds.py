@@ -37,7 +37,7 @@ def export_las(path: Path, result: Result) -> None:
     header = laspy.LasHeader(point_format=7 if result.scene.colors is not None else 6, version="1.4")
     header.offsets, header.scales = np.floor(points.min(0)), np.full(3, 1e-4)
     header.add_extra_dim(laspy.ExtraBytesParams("label", np.int32))
-    header.creation_date = None  # equal results are equal bytes
+    header.creation_date = None  # equal results give equal bytes
     cloud = laspy.LasData(header)
     cloud.xyz = points
     cloud["label"] = result.points.numpy().astype(np.int32)
@@ -59,5 +59,5 @@ def export_npz(path: Path, result: Result) -> None:
     arrays |= {
         f"image:{name}": image.numpy().astype(np.int32) for name, image in zip(names, result.images, strict=True)
     }
-    with atomic_write(path) as partial, partial.open("wb") as stream:  # to a path NumPy would add .npz
+    with atomic_write(path) as partial, partial.open("wb") as stream:  # NumPy would add .npz to a path
         np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]

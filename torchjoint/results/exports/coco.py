@@ -1,4 +1,4 @@
-"""COCO's JSON of instances: masks of all images, class-agnostic, with the ids that points and images share."""
+"""COCO's JSON of instances: the masks of all images, without classes; points and images have the same ids."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def export_coco(path: Path, result: Result) -> None:
         ValueError: the result has no images.
     """
     if not len(result.images):
-        raise ValueError("--format coco: the result has no images")
+        raise ValueError("--format coco: expected a result with images, got none")
     count = result.num_point_segments
     of_images = parallel_map(lambda index: list(masks_of(result.images[index])), range(len(result.images)))
     images: list[dict[str, Any]] = []

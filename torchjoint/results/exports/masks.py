@@ -29,7 +29,7 @@ def masks_of(labels: Tensor) -> Iterator[Mask]:
     """
     with needed_for("--format coco or sam", "pycocotools", "torchjoint[export]"):
         from pycocotools import mask as coder
-    ids, place = labels.unique(return_inverse=True)  # few numbers, where ids may be large
+    ids, place = labels.unique(return_inverse=True)  # small numbers: ids may be large
     for index, area, box in image_views(place, len(ids)):
         if int(ids[index]) >= 0:
             encoded = coder.encode(np.asfortranarray((place == index).numpy(), dtype=np.uint8))

@@ -14,15 +14,15 @@ from torchjoint.runtime.threads import on_cpu, parallel_map
 def export_sam(folder: Path, result: Result) -> None:
     """Writes NAME.json for each image; an annotation's `id` is the label, the same in all images and in the cloud.
 
-    Masks, boxes and areas are there; there are no `predicted_iou`, `stability_score` and `point_coords`, as the method
-    has none.
+    An annotation has mask, box and area. It has no `predicted_iou`, `stability_score` and `point_coords`, because the
+    method computes none.
 
     Raises:
         ModuleNotFoundError: pycocotools is not installed.
         ValueError: the result has no images.
     """
     if not len(result.images):
-        raise ValueError("--format sam: the result has no images")
+        raise ValueError("--format sam: expected a result with images, got none")
 
     def write(index: int) -> None:
         name, (height, width) = result.names[index] or f"{index:06d}", result.images[index].shape

@@ -30,7 +30,7 @@ def read_instance_masks(path: Path, num_points: int) -> InstanceMasks:
 
     Raises:
         FileNotFoundError: a file is missing.
-        ValueError: naming the file and its error; also for a path out of the folder, or a path that occurs twice.
+        ValueError: the message names the file and its error; also if a path leaves the folder or occurs twice.
     """
     folder = path.parent.resolve()
     masks: dict[Path, Tensor] = {}

@@ -26,7 +26,7 @@ def read_region_map(path: Path) -> Tensor:
         [H, W] int64: regions 0, 1, ... by ascending value, -1 = none.
 
     Raises:
-        FileNotFoundError, ValueError: naming the file and its error.
+        FileNotFoundError, ValueError: the message names the file and its error.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a map of regions, .mat or .npy")

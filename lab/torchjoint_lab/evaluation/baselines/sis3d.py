@@ -40,7 +40,7 @@ def read_detections(folder: Path) -> Detections:
 
     Raises:
         FileNotFoundError: a file is missing.
-        ValueError: naming the file and its error; also for files that do not fit each other.
+        ValueError: the message names the file and its error; also for files that do not fit each other.
     """
     boxes = read_array(folder / "pred_box.npy").double()
     if boxes.ndim != 2 or boxes.shape[1] < 6 or not (boxes.abs() < 2**31).all():  # NaN is rejected, too
