@@ -86,13 +86,5 @@ def boosted_trees(
 
 
 @torch.library.register_fake("torchjoint::boosted_trees")
-def _fake(
-    values: Tensor,
-    feature: Tensor,
-    threshold: Tensor,
-    missing_left: Tensor,
-    left: Tensor,
-    right: Tensor,
-    leaf_value: Tensor,
-) -> Tensor:
+def _fake(values: Tensor, *_: object) -> Tensor:
     return values.new_empty(values.shape[0], dtype=torch.float64)

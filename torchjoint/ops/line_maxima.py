@@ -50,8 +50,6 @@ def line_maxima(
 
 
 @torch.library.register_fake("torchjoint::line_maxima")
-def _fake(
-    order: Tensor, other_end: Tensor, start: Tensor, point: Tensor, row: Tensor, column: Tensor, image: Tensor
-) -> tuple[Tensor, Tensor]:
+def _fake(order: Tensor, *_: object) -> tuple[Tensor, Tensor]:
     count = torch.library.get_ctx().new_dynamic_size()
     return order.new_empty(count, dtype=torch.int64), order.new_empty(count, dtype=torch.uint8)

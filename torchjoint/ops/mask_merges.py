@@ -99,19 +99,6 @@ def mask_merges(
 
 
 @torch.library.register_fake("torchjoint::mask_merges")
-def _fake(
-    edge_index: Tensor,
-    cost: Tensor,
-    size: Tensor,
-    in_mask: Tensor,
-    in_frame: Tensor,
-    weight: Tensor,
-    frame_of_mask: Tensor,
-    apart_weight: float,
-    prior_weight: float,
-    threshold: float,
-    stays: Tensor,
-    min_size: int,
-) -> tuple[Tensor, Tensor]:
+def _fake(edge_index: Tensor, cost: Tensor, *_: object) -> tuple[Tensor, Tensor]:
     num_merges = torch.library.get_ctx().new_dynamic_size()
     return edge_index.new_empty((2, num_merges)), cost.new_empty((num_merges,), dtype=torch.float64)

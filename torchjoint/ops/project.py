@@ -71,16 +71,7 @@ def project(
 
 
 @torch.library.register_fake("torchjoint::project")
-def _fake(
-    points: Tensor,
-    camera_from_world: Tensor,
-    intrinsics: Tensor,
-    near: float,
-    far: float,
-    height: int,
-    width: int,
-    margin: float = 0.0,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _fake(points: Tensor, *_: object) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     count = torch.library.get_ctx().new_dynamic_size()
     u, v, z = (points.new_empty(count) for _ in range(3))
     return points.new_empty(count, dtype=torch.int64), u, v, z
