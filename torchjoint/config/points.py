@@ -30,3 +30,4 @@ class PointSegmentsConfig(Stage):
         "with the parameters of stage paper; auto: scan if the rings of a turning LiDAR are recognised in the cloud, "
         "else learned", choices=METHODS,
     )  # fmt: skip
+    model: str | None = parameter(None, "learned: file of the trained model, NAME.npz; null: that of the package")
