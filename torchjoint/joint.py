@@ -432,7 +432,7 @@ class JointSegmenter(nn.Module):
         cloud, modules, given = self.cloud, self.image_segmenter, self._given
         assert given is not None  # there is a cloud
         method = self._make_method(config, given)
-        different = [name for name in evidence_differences(self.config, config) if "point_segments." not in name]
+        different = [name for name in evidence_differences(self.config, config) if name != "point_segments.method"]
         if method.name != self.method.name:
             different.append("point_segments.method")
         if different:

@@ -81,7 +81,7 @@ def test_auto_and_what_it_chose_store_the_same(street, room):
 def test_a_model_of_ones_own(room, tmp_path):
     file = tmp_path / "one.npz"
     save_boundary_model(file, BoundaryModel(load_boundary_model().members[:1]))
-    own = AUTO.set([f"point_segments.model={file}"])
+    own = AUTO.set([f"point_segments.method={file}"])
     default, segmenter = reset(AUTO, room.points), reset(own, room.points)
     for one in (default, segmenter):
         one.update(room.frames[:2])
@@ -93,7 +93,7 @@ def test_a_model_of_ones_own(room, tmp_path):
 
 
 def test_a_bad_model_is_told_before_all_frames(room, tmp_path):
-    segmenter = tj.JointSegmenter(AUTO.set([f"point_segments.model={tmp_path / 'no.npz'}"]))
+    segmenter = tj.JointSegmenter(AUTO.set([f"point_segments.method={tmp_path / 'no.npz'}"]))
     with pytest.raises(FileNotFoundError, match=r"no\.npz: missing; expected a model"):
         segmenter.reset(room.points)
 

@@ -44,8 +44,7 @@ class RecordingOptions:
         if self.granularity is None:
             return
         check_granularity(self.granularity, "--granularity")
-        method = config.point_segments.method
-        if method not in ("learned", "auto"):
+        if (method := config.point_segments.method) in ("scan", "paper"):
             raise ValueError(f"--granularity: method {method} has one level only; --preset default has all")
 
     def source(self) -> str:

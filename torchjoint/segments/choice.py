@@ -17,7 +17,7 @@ METHODS: dict[str, type[Method]] = {method.name: method for method in (Learned, 
 
 
 def choose_method(config: Config, points: Tensor) -> Method:
-    """The method that the config names; auto: scan for a scan of a turning LiDAR, else learned.
+    """The method that the config names; auto: scan for a scan of a turning LiDAR, else learned, as for a model's file.
 
     Args:
         config: all parameters.
@@ -26,7 +26,7 @@ def choose_method(config: Config, points: Tensor) -> Method:
     name = config.point_segments.method
     if name == "auto":
         name = "learned" if find_rings(points.float()) is None else "scan"
-    return METHODS[name](config)
+    return METHODS.get(name, Learned)(config)
 
 
 def describe(given: Cloud, graph: PointGraph, method: Method) -> str:

@@ -25,13 +25,15 @@ from torchjoint.views.state import JointState
 
 
 class Learned(Method):
-    """Measures all distances in units of the cloud's own noise and spacing; its one parameter is the model's file."""
+    """Measures all distances in units of the cloud's own noise and spacing: the model's file is the only parameter."""
 
     name = "learned"
 
     def __init__(self, config: Config) -> None:
         super().__init__(config)
-        load_boundary_model(config.point_segments.model)  # reports a bad file here, not after all frames
+        method = config.point_segments.method
+        self._model = method if method.endswith(".npz") else None
+        load_boundary_model(self._model)  # reports a bad file here, not after all frames
 
     def prepare(self, cloud: Cloud, merge_within: float) -> PreparedCloud:
         """As all methods; colours that are all the same count as none."""
@@ -65,7 +67,7 @@ class Learned(Method):
         if graph.scales is None:
             raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
         evidence = build_piece_graph(graph, graph.scales, state)
-        hierarchy = build_hierarchy(evidence, load_boundary_model(self.config.point_segments.model))
+        hierarchy = build_hierarchy(evidence, load_boundary_model(self._model))
         if evidence.masks is None:
             return hierarchy
         return move_to_majority(hierarchy, graph.edge_index, evidence.masks, state.observations)
