@@ -3,7 +3,7 @@
     python lab/studies/members.py WORK [--write]
 
 WORK is the folder of lab/studies/domains.py after `--part left-out`: its models never saw the kind of data in their
-row, so all scenes of this kind serve here, those for training, too. Kinds without evidence in WORK are left out.
+row, so all scenes of this kind serve here, those for training, too. Kinds without models in WORK are left out.
 """
 
 from __future__ import annotations
@@ -62,9 +62,13 @@ def main() -> None:
     report.add_write(parser)
     arguments = parser.parse_args()
     work: Path = arguments.work
-    kinds = {kind: left_out for kind, left_out in KINDS.items() if evidence_paths(work, kind)}
+    kinds = {
+        kind: left_out for kind, left_out in KINDS.items() if evidence_paths(work, kind) and model_paths(work, left_out)
+    }
     if not kinds:
-        parser.error(f"work: {work} has no evidence; first run lab/studies/domains.py {work} --part left-out")
+        parser.error(
+            f"work: {work} has no models with evidence; first run lab/studies/domains.py {work} --part left-out"
+        )
     scores = {kind: np.array(scores_of_kind(work, kind, left_out)) for kind, left_out in kinds.items()}
     scores["all"] = np.concatenate(list(scores.values()))
     comparisons = {
@@ -95,12 +99,17 @@ def scores_of_kind(work: Path, kind: str, left_out: str) -> list[list[tuple[floa
 
 def left_out_models(work: Path, left_out: str) -> BoundaryModel:
     """The mean of the models that never saw a kind of data, of all training seeds in WORK."""
-    paths = sorted(work.glob(f"model-without-{left_out}-*.npz"))
+    paths = model_paths(work, left_out)
     if not paths:
         raise FileNotFoundError(
             f"{work}: no model-without-{left_out}-SEED.npz; domains.py {work} --part left-out trains it"
         )
     return BoundaryModel.mean_of([load_boundary_model(path) for path in paths])
+
+
+def model_paths(work: Path, left_out: str) -> list[Path]:
+    """The files of these models, one for each training seed."""
+    return sorted(work.glob(f"model-without-{left_out}-*.npz"))
 
 
 def evidence_paths(work: Path, kind: str) -> list[Path]:

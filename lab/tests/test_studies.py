@@ -100,6 +100,6 @@ def test_domains_keeps_results_of_other_scenes_apart(study, tmp_path, monkeypatc
 def test_members_need_models(study, tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit):
         run(study("members"), monkeypatch, tmp_path)
-    assert "has no evidence; first run lab/studies/domains.py" in capsys.readouterr().err
+    assert "has no models with evidence; first run lab/studies/domains.py" in capsys.readouterr().err
     with pytest.raises(FileNotFoundError, match=r"no model-without-table-SEED\.npz"):
         study("members").left_out_models(tmp_path, "table")
