@@ -22,7 +22,7 @@ PUBLIC = {
         masks metrics ops superpoints synthetic transforms
     """,
     "torchjoint.config": """
-        DETECTORS METHODS BoundaryConfig Config ContoursConfig ImageGraphConfig ImageSegmentsConfig PaperConfig
+        DETECTORS BoundaryConfig Config ContoursConfig ImageGraphConfig ImageSegmentsConfig PaperConfig
         PointGraphConfig PointSegmentsConfig PropagationConfig RefinementConfig ScanConfig SuperpointsConfig
         VisibilityConfig evidence_config evidence_differences marked_parameters marked_table parameter_table presets
         read_assignment read_preset read_yaml superpoint_presets superpoint_table

@@ -19,12 +19,12 @@ import suite_arguments
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.method import Method, Result
 from torchjoint_lab.benchmark.methods import METHODS, changed, joint
+from torchjoint_lab.benchmark.presets import preset_config
 from torchjoint_lab.benchmark.run import compare
 from torchjoint_lab.benchmark.settings import read_settings
 from torchjoint_lab.benchmark.space import Setting
 from torchjoint_lab.benchmark.suites import Suite
 
-from torchjoint.config import Config
 from torchjoint.evaluation.table import Row, markdown, standard_error, write_csv
 from torchjoint.segments.planes import SmoothRegions
 
@@ -39,9 +39,7 @@ class Switch(NamedTuple):
     off: Setting
     on: Setting | None = None
     changes_points: bool = True
-    constants: Mapping[
-        str, Any
-    ] = {}  #: changed in addition, by their names in the package: "segments.scan.ground.MAX_BUMP"
+    constants: Mapping[str, Any] = {}  #: changed in addition, by name: "torchjoint.segments.scan.ground.MAX_BUMP"
 
 
 IMAGE_LABELS = tuple(
@@ -49,7 +47,7 @@ IMAGE_LABELS = tuple(
         title,
         {f"refinement.{name}": value for name, value in off.items()},
         changes_points=False,
-        constants={f"labels.geodesic.{name}": value for name, value in constants.items()},
+        constants={f"torchjoint.labels.geodesic.{name}": value for name, value in constants.items()},
     )
     for title, off, constants in (
         ("colours and boundaries in label propagation (nearest point)", {"color_weight": 0}, {}),
@@ -75,15 +73,17 @@ REGIONS = (
     Switch(
         "small regions (planes are those of all neighbours)",
         {},
-        constants={"segments.learned.piece_graph.SMOOTH_REGIONS": SmoothRegions(scale=0)},
+        constants={"torchjoint_lab.regions.method.SMOOTH_REGIONS": SmoothRegions(scale=0)},
     ),
     *IMAGE_LABELS,
 )
 SCAN = (
     Switch("growth of the ground over what nothing rises from", {"scan.object_height": 0}),
-    Switch("removal of bumps from the ground", {}, constants={"segments.scan.ground.MAX_BUMP": 1e3}),
+    Switch("removal of bumps from the ground", {}, constants={"torchjoint.segments.scan.ground.MAX_BUMP": 1e3}),
     Switch(
-        "the distance limit for joining small segments", {}, constants={"segments.scan.scan_segments.JOINING_GAP": 1e6}
+        "the distance limit for joining small segments",
+        {},
+        constants={"torchjoint.segments.scan.scan_segments.JOINING_GAP": 1e6},
     ),
     Switch("joining of small segments", {"scan.min_size": 0}),
     Switch("growth of the gap with distance", {"scan.gap_growth": 0}),
@@ -121,8 +121,8 @@ def main() -> None:
 
 def variants(suite: Suite) -> tuple[list[Method], Mapping[str, Setting]]:
     """Returns the full method and its ablations, each with its setting; ablations without any effect are left out."""
-    preset = Config.from_preset(suite.preset)
-    switches = SCAN if preset.point_segments.method == "scan" else REGIONS
+    preset = preset_config(suite.preset)
+    method, switches = ("scan", SCAN) if preset.point_segments.method == "scan" else ("regions", REGIONS)
     found = {(preset, ""): Method("joint", f"full method, preset {suite.preset}", joint)}
     for switch in switches:
         off, on = changed(preset, switch.off), changed(preset, switch.on or {})
@@ -135,14 +135,14 @@ def variants(suite: Suite) -> tuple[list[Method], Mapping[str, Setting]]:
             found[key] = Method(switch.title, f"{word} {switch.title}", run, like=like)
     # The rest sees the scene differently. Only the views of the last config are cached, so the rest comes at the end.
     tuned = read_settings(suite.tuned_as or suite.name).get("edges", {})
-    title = f"without {preset.point_segments.method} (edges, as in the paper, at their best setting)"
+    title = f"without {method} (edges, as in the paper, at their best setting)"
     return [*found.values(), replace(METHODS["edges"], title=title)], {"edges": tuned}
 
 
 def _run(setting: Setting, constants: Mapping[str, Any], case: Case, _: Setting, images: bool) -> Result:
     with ExitStack() as stack:
         for name, value in constants.items():
-            stack.enter_context(mock.patch(f"torchjoint.{name}", value))
+            stack.enter_context(mock.patch(name, value))
         return joint(case, setting, images)
 
 

@@ -52,8 +52,13 @@ def main() -> None:
     parser.add_argument("--part", choices=("boundaries", "regions"), help="only this one")
     parser.add_argument("--thresholds", type=int, default=99)
     parser.add_argument("--settings", type=int, default=15, help="that are tried for each way of segmenting")
+    parser.add_argument("--images", type=int, default=100, help="of val, evenly spread")
+    report.add_write(parser, "the tables in lab/studies/README.md")
     arguments = parser.parse_args()
+    if arguments.images < 2:
+        parser.error(f"--images: expected at least 2, one for each half, got {arguments.images}")
     val = bsds_images(arguments.bsds, "val")
+    val = val[:: max(1, len(val) // arguments.images)][: arguments.images]
     forest = {"detector": "structured_forest", "model": str(arguments.forest)}
     detectors = {
         name: Kept(make_boundary(BoundaryConfig(**options)))
@@ -64,15 +69,13 @@ def main() -> None:
         }.items()
     }
     if arguments.part != "regions":
-        write("boundaries", boundary_table(detectors, val, arguments.thresholds))
+        show("boundaries", boundary_table(detectors, val, arguments.thresholds), arguments.write)
     if arguments.part != "boundaries":
-        write("regions", region_table(detectors, (val[::2], val[1::2]), arguments.settings))
+        show("regions", region_table(detectors, (val[::2], val[1::2]), arguments.settings), arguments.write)
 
 
-def write(part: str, table: str) -> None:
-    text = f"{table}\n\n{report.machine()}."
-    print(text)
-    report.write_part(part, text)
+def show(part: str, table: str, write: bool) -> None:
+    report.show(part, f"{table}\n\n{report.machine()}.", write)
 
 
 def boundary_table(detectors: dict[str, Kept], val: Sequence[BsdsImage], thresholds: int) -> str:

@@ -1,13 +1,15 @@
 """Does the model of boundaries carry over? Leaves each kind of data out of the training, and scores it there.
 
     python lab/studies/domains.py WORK --data ../shared/data [--models FOLDER] [--seeds 5] [--draws 8 --steps 4]
+        [--kinds KIND ...] [--scenes COUNT] [--write]
 
 For each kind of data and each training seed, a model is trained on all other kinds; each, and their mean, is scored on
 scenes of the kind that they never saw, at the threshold of .5. Beside it: the model that saw scenes of all kinds, the
 same without images, the presets, and the common methods without learning, each at the best setting that a search finds
 on other scenes of the very kind that it is scored on. Also: the final images beside the initial ones. WORK keeps what
-is done, so that an interrupted run continues. The tables are written to lab/studies/README.md, the short one also to
-README.md and docs/evaluation.md. Without 3D models, the generated scenes have built-in shapes only.
+is done, so that an interrupted run continues. The tables are printed; --write also puts them into
+lab/studies/README.md, and a short one into README.md and docs/evaluation.md. Without 3D models, the generated scenes
+have built-in shapes only.
 """
 
 from __future__ import annotations
@@ -80,17 +82,21 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5, help="training seeds of each left-out model")
     parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--steps", type=int, default=4)
+    parser.add_argument("--kinds", nargs="+", choices=(*DOMAINS, *REAL), default=(*DOMAINS, *REAL), help="only these")
+    parser.add_argument("--scenes", type=int, metavar="COUNT", help="at most so many of each kind for each purpose")
     parser.add_argument("--part", choices=("all", "left-out", "others", "images", "tables"), default="all")
+    report.add_write(parser, "the tables in lab/studies/README.md, README.md and docs/evaluation.md")
     arguments = parser.parse_args()
     work: Path = arguments.work
-    work.mkdir(parents=True, exist_ok=True)
-    kinds = (*DOMAINS, *REAL)
+    check(parser, arguments)
+    kinds = [kind for kind in (*DOMAINS, *REAL) if kind in arguments.kinds]
+    left_out_kinds = [kind for kind in LEFT_OUT if kind in kinds]
     if arguments.part in ("all", "left-out"):
         prepare(arguments)
         for seed in range(arguments.seeds):
-            for kind in LEFT_OUT:
+            for kind in left_out_kinds:
                 score_left_out(work, kind, str(seed), left_out_model(work, kind, seed, arguments), arguments)
-        for kind in LEFT_OUT:
+        for kind in left_out_kinds:
             members = [left_out_model(work, kind, seed, arguments) for seed in range(arguments.seeds)]
             score_left_out(work, kind, f"mean{len(members)}", BoundaryModel.mean_of(members), arguments)
         score_packaged(work, kinds, arguments)
@@ -100,7 +106,30 @@ def main() -> None:
     if arguments.part in ("all", "images"):
         for kind in kinds:
             score_final_images(work, kind, arguments)
-    write_tables(work, kinds)
+    if (work / "packaged.json").is_file():  # without the scores of --part left-out there is no table
+        show_tables(work, kinds, arguments.write)
+
+
+def check(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """Ends with a message if an argument is wrong, or if WORK has the results of other scenes."""
+    for name, least in (("seeds", 1), ("draws", 1), ("steps", 0), ("scenes", 1)):
+        value = getattr(arguments, name)
+        if value is not None and value < least:
+            parser.error(f"--{name}: expected at least {least}, got {value}")
+    trained = [kind for kind in LEFT_OUT if kind in arguments.kinds]
+    if len(trained) < 3:  # one is left out; folds need two scenes
+        parser.error(f"--kinds: expected at least three that are trained on, got {', '.join(trained) or 'none'}")
+    if "ycb" in arguments.kinds and "desk" not in trained:
+        parser.error("--kinds: ycb is scored by the models without desks; add desk")
+    for kind in set(REAL) & set(arguments.kinds):
+        if not (arguments.data / kind).is_dir():
+            parser.error(f"--data: expected a folder with {kind}/, got {arguments.data}")
+    arguments.work.mkdir(parents=True, exist_ok=True)
+    file, record = arguments.work / "arguments.json", {"kinds": str(sorted(arguments.kinds))}
+    record |= {name: str(getattr(arguments, name)) for name in ("models", "scenes", "draws", "steps")}
+    if file.is_file() and (before := json.loads(file.read_text())) != record:
+        parser.error(f"work: {arguments.work} has results of other arguments: {before}; choose another folder")
+    write_text(file, json.dumps(record))
 
 
 def scenes(kind: str, purpose: str, arguments: argparse.Namespace) -> list[Named]:
@@ -108,6 +137,7 @@ def scenes(kind: str, purpose: str, arguments: argparse.Namespace) -> list[Named
     if kind in DOMAINS:
         seeds = {"training": TRAINING, "tuning": TUNING, "scoring": SCORING}[purpose]
         make = partial(make_scene, kind, models=arguments.models, held_out=purpose == "scoring")
+        seeds = tuple(seeds)[: arguments.scenes]
         return [Named(f"{kind}-{seed}{'-held' * (purpose == 'scoring')}", partial(make, seed)) for seed in seeds]
     found = tj.datasets.list_scenes(arguments.data / kind)
     names = sorted(found, key=lambda name: (len(name), name))
@@ -115,7 +145,7 @@ def scenes(kind: str, purpose: str, arguments: argparse.Namespace) -> list[Named
         chosen = [] if purpose == "training" else names
     else:
         chosen = {"training": names[0::2], "tuning": names[0::2][:6], "scoring": names[1::2]}[purpose]
-    return [Named(f"{kind}-{name}", partial(load_thinned, found[name], kind)) for name in chosen]
+    return [Named(f"{kind}-{name}", partial(load_thinned, found[name], kind)) for name in chosen[: arguments.scenes]]
 
 
 def make_scene(domain: str, seed: int, models: Path | None, held_out: bool) -> Scene:
@@ -147,7 +177,7 @@ def prepare(arguments: argparse.Namespace) -> None:
     """Collects the evidence of all scenes that is not in the folder yet."""
     folder: Path = arguments.work / "evidence"
     folder.mkdir(exist_ok=True)
-    for kind in (*DOMAINS, *REAL):
+    for kind in arguments.kinds:
         for name, load in scenes(kind, "training", arguments):
             if not (folder / f"{name}.pt").is_file():
                 save_evidence(folder / f"{name}.pt", labelled_evidence(load()))
@@ -178,7 +208,7 @@ def judged_scenes(kind: str, arguments: argparse.Namespace) -> list[Judged]:
 
 def score_left_out(work: Path, left_out: str, name: str, model: BoundaryModel, arguments: argparse.Namespace) -> None:
     """Scores a model that was trained without a kind of data on scenes of this kind."""
-    for kind in LEFT_OUT[left_out]:
+    for kind in [kind for kind in LEFT_OUT[left_out] if kind in arguments.kinds]:
         done = work / f"left-out-{kind}-{name}.json"
         if done.is_file():
             continue
@@ -196,7 +226,8 @@ def left_out_model(work: Path, left_out: str, seed: int, arguments: argparse.Nam
     path = work / f"model-without-{left_out}-{seed}.npz"
     if path.is_file():
         return load_boundary_model(path)
-    names = [named.name for kind in LEFT_OUT if kind != left_out for named in scenes(kind, "training", arguments)]
+    kinds = [kind for kind in LEFT_OUT if kind != left_out and kind in arguments.kinds]
+    names = [named.name for kind in kinds for named in scenes(kind, "training", arguments)]
     examples = [training_evidence(work / "evidence" / f"{name}.pt") for name in names]
     model = fit_boundary_model(examples, replace(OPTIONS, seed=seed))
     save_boundary_model(path, model)
@@ -259,8 +290,8 @@ def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> 
     print(kind, {name: np.mean(values, 0).round(3).tolist() for name, values in rows.items()}, flush=True)
 
 
-def write_tables(work: Path, kinds: Sequence[str]) -> None:
-    """Writes the tables of what has been scored so far to lab/studies/README.md and PAGES."""
+def show_tables(work: Path, kinds: Sequence[str], write: bool) -> None:
+    """Prints the tables of what has been scored so far; `write`: also into lab/studies/README.md and PAGES."""
     packaged = json.loads((work / "packaged.json").read_text())
     short = ["kind of data, scenes", "left out", "default", "preset regions", "best simple method"]
     columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "mean of models", "default"]
@@ -285,10 +316,10 @@ def write_tables(work: Path, kinds: Sequence[str]) -> None:
         cells += [_both(others[f"preset_{preset}"][None]) for preset in PRESETS]
         cells += [f"{_both(others[simple][None])} ({simple})", *map(difference, gains)]
         rows.append(cells)
-    report.write_part("domains", report.table(columns, rows))
+    report.show("domains", report.table(columns, rows), write)
     chosen = [columns.index(name) for name in ("preset regions", "best simple method")]
     brief = [[row[0], row[1].rpartition(",")[0], row[4], *(row[place] for place in chosen)] for row in rows]
-    for page in PAGES:
+    for page in PAGES if write else ():
         report.write_part("domains", report.table(short, brief), page)
     rows = []
     for kind in kinds:
@@ -300,7 +331,7 @@ def write_tables(work: Path, kinds: Sequence[str]) -> None:
         cells = [f"{TITLES.get(kind, kind)}, {len(initial)}", *(_both(scores[None]) for scores in (initial, final))]
         rows.append([*cells, difference(final - initial), difference(in_3d[0] - in_3d[1])])
     columns = ["kind of data, scenes", "initial images", "final images", "final - initial"]
-    report.write_part("images or not", report.table([*columns, "3D: with - without images"], rows))
+    report.show("images or not", report.table([*columns, "3D: with - without images"], rows), write)
 
 
 def _both(scores: np.ndarray) -> str:

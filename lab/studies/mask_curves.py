@@ -1,14 +1,15 @@
 """Masks of a network: what each part of the merging contributes, and what views and pose errors do.
 
-`python lab/studies/mask_curves.py WORK [--scenes 3] [--noise-seeds 1]`. Scores are F for objects and parts / mean best
+`python lab/studies/mask_curves.py WORK [--scenes 3] [--noise-seeds 1] [--domains room table shelf]
+[--write]`. Scores are F for objects and parts / mean best
 IoU of the points, means over generated rooms, table-tops and shelves (seeds from 116 on) with masks of one level; in
 parentheses their differences to the scores of the unchanged method, run by run, with standard errors. WORK keeps the
-scores of each run, so that an interrupted command goes on. Writes its part of lab/studies/README.md, and draws
-mask_curves.png.
+scores of each run, so that an interrupted command goes on, and gets mask_curves.png.
 """
 
 import argparse
 import json
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -28,7 +29,7 @@ from torchjoint.segments.learned import agglomeration, mask_merging, mask_pieces
 
 DOMAINS = ("room", "table", "shelf")
 FIRST_SEED = 116
-PLOT = Path(__file__).parent / "mask_curves.png"
+PLOT = "mask_curves.png"
 LEVELS = ("sam-like", "hard")
 NUM_VIEWS = (1, 2, 4, 8, 15, 30, 60)
 POSE_ERRORS = (0.0, 0.5, 1.0, 2.0, 3.0)  # cm
@@ -64,10 +65,12 @@ def main() -> None:
     parser.add_argument("work", type=Path)
     parser.add_argument("--scenes", type=int, default=3)
     parser.add_argument("--noise-seeds", type=int, default=1)
+    parser.add_argument("--domains", nargs="+", choices=DOMAINS, default=DOMAINS)
+    report.add_write(parser, f"the tables in lab/studies/README.md, and lab/studies/{PLOT}")
     arguments = parser.parse_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     scores: dict[str, list[tuple[float, float]]] = {}
-    for domain in DOMAINS:
+    for domain in arguments.domains:
         for seed in range(FIRST_SEED, FIRST_SEED + arguments.scenes):
             made: list[Scene] = []
             for level in LEVELS:
@@ -81,7 +84,10 @@ def main() -> None:
                             write_text(path, json.dumps(known))
                         scores.setdefault(key, []).append(tuple(known[key]))
                     print(path.stem, flush=True)
-    write(scores)
+    report.show("mask curves", tables(scores), arguments.write)
+    plot(scores, arguments.work / PLOT)
+    if arguments.write:
+        shutil.copyfile(arguments.work / PLOT, Path(__file__).parent / PLOT)
 
 
 def jobs(level: str) -> Iterator[tuple[str, Callable[[Scene, int], tuple[float, float]]]]:
@@ -152,22 +158,21 @@ def patched(patches: Sequence[Patch]) -> Iterator[None]:
             setattr(owner, name, value)
 
 
-def write(scores: dict[str, list[tuple[float, float]]]) -> None:
+def tables(scores: dict[str, list[tuple[float, float]]]) -> str:
     def row(name: str) -> list[str]:
         return [name, *(cell(scores[f"{level}|{name}"], scores[f"{level}|all"]) for level in LEVELS)]
 
     count = len(scores[f"{LEVELS[0]}|all"])
     columns = [f"{count} runs", *LEVELS]
-    tables = [
+    found = [
         report.table(columns, [row(name) for name in ABLATION]),
         report.table(columns, [row(f"{views} views") for views in NUM_VIEWS]),
         report.table(columns, [["0 cm", *row("all")[1:]], *(row(f"{error} cm") for error in POSE_ERRORS[1:])]),
     ]
-    report.write_part("mask curves", "\n\n".join(tables))
-    plot(scores)
+    return "\n\n".join(found)
 
 
-def plot(scores: dict[str, list[tuple[float, float]]]) -> None:
+def plot(scores: dict[str, list[tuple[float, float]]], path: Path) -> None:
     """Draws the scores against the number of views and against the errors of the cameras' positions."""
     import matplotlib
 
@@ -191,7 +196,7 @@ def plot(scores: dict[str, list[tuple[float, float]]]) -> None:
     axes[0].minorticks_off()
     axes[0].set_ylabel("score of the points")
     axes[1].legend(fontsize=8)
-    figure.savefig(PLOT, dpi=100)
+    figure.savefig(path, dpi=100)
 
 
 def cell(scores: list[tuple[float, float]], usual: list[tuple[float, float]]) -> str:

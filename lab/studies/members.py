@@ -1,9 +1,9 @@
 """How are the members of a model combined best, and what do images give? On all scenes of each kind that was left out.
 
-    python lab/studies/members.py WORK
+    python lab/studies/members.py WORK [--write]
 
 WORK is the folder of lab/studies/domains.py after `--part left-out`: its models never saw the kind of data in their
-row, so all scenes of this kind serve here, those for training, too. The tables are written to lab/studies/README.md.
+row, so all scenes of this kind serve here, those for training, too. Kinds without models in WORK are left out.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 #: Kinds of data, and the kind whose left-out models never saw them.
 KINDS = {**{kind: kind for kind in DOMAINS}, "mosd": "mosd", "ycb": "desk"}
 NAMES = {"mosd": "real table-tops (mOSD)", "ycb": "real desk (YCB-Video)"}
-SEEDS = range(5)
 WAYS = ("log odds", "probabilities", "log odds, no images", "probabilities, no images")
 
 
@@ -60,8 +59,17 @@ class WithoutImages:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("work", type=Path)
-    work: Path = parser.parse_args().work
-    scores = {kind: np.array(scores_of_kind(work, kind, left_out)) for kind, left_out in KINDS.items()}
+    report.add_write(parser)
+    arguments = parser.parse_args()
+    work: Path = arguments.work
+    kinds = {
+        kind: left_out for kind, left_out in KINDS.items() if evidence_paths(work, kind) and model_paths(work, left_out)
+    }
+    if not kinds:
+        parser.error(
+            f"work: {work} has no models with evidence; first run lab/studies/domains.py {work} --part left-out"
+        )
+    scores = {kind: np.array(scores_of_kind(work, kind, left_out)) for kind, left_out in kinds.items()}
     scores["all"] = np.concatenate(list(scores.values()))
     comparisons = {
         "probabilities - log odds": (1, 0),
@@ -73,25 +81,41 @@ def main() -> None:
         + [difference(of_kind[:, new] - of_kind[:, old]) for new, old in comparisons.values()]
         for kind, of_kind in scores.items()
     ]
-    report.write_part("members", report.table(["kind of data, scenes", "mean of probabilities", *comparisons], rows))
+    columns = ["kind of data, scenes", "mean of probabilities", *comparisons]
+    report.show("members", report.table(columns, rows), arguments.write)
 
 
 def scores_of_kind(work: Path, kind: str, left_out: str) -> list[list[tuple[float, float]]]:
     """For each scene, F and best IoU of each of the WAYS; kept in WORK."""
     done = work / f"members-{kind}.json"
     if not done.is_file():
-        models = [load_boundary_model(work / f"model-without-{left_out}-{seed}.npz") for seed in SEEDS]
-        paths = [path for path in sorted((work / "evidence").glob(f"{kind}-*.pt")) if is_scene(path)]
+        model = left_out_models(work, left_out)
         with one_thread_per_operation():
-            rows = parallel_map(partial(scores_of_scene, model=BoundaryModel.mean_of(models)), paths)
+            rows = parallel_map(partial(scores_of_scene, model=model), evidence_paths(work, kind))
         write_text(done, json.dumps(rows))
         print(kind, len(rows), np.mean(rows, 0).round(3).tolist(), flush=True)
     return json.loads(done.read_text())
 
 
-def is_scene(path: Path) -> bool:
-    """Whether the file is a scene's evidence with images."""
-    return not path.stem.endswith(("-without", "-of-point"))
+def left_out_models(work: Path, left_out: str) -> BoundaryModel:
+    """The mean of the models that never saw a kind of data, of all training seeds in WORK."""
+    paths = model_paths(work, left_out)
+    if not paths:
+        raise FileNotFoundError(
+            f"{work}: no model-without-{left_out}-SEED.npz; domains.py {work} --part left-out trains it"
+        )
+    return BoundaryModel.mean_of([load_boundary_model(path) for path in paths])
+
+
+def model_paths(work: Path, left_out: str) -> list[Path]:
+    """The files of these models, one for each training seed."""
+    return sorted(work.glob(f"model-without-{left_out}-*.npz"))
+
+
+def evidence_paths(work: Path, kind: str) -> list[Path]:
+    """The files with evidence with images, one for each scene of a kind."""
+    paths = sorted((work / "evidence").glob(f"{kind}-*.pt"))
+    return [path for path in paths if not path.stem.endswith(("-without", "-of-point"))]
 
 
 def scores_of_scene(path: Path, model: BoundaryModel) -> list[tuple[float, float]]:

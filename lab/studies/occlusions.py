@@ -1,9 +1,9 @@
 """What does it bring to join surfaces behind occluders? The default with and without this step, on the same evidence.
 
-    python lab/studies/occlusions.py RESULTS.jsonl [--mosd FOLDER] [--seeds FIRST END]
+    python lab/studies/occlusions.py RESULTS.jsonl [--mosd FOLDER] [--seeds FIRST END] [--write]
 
 Generated scenes with one view and with as many as their settings draw, and mOSD's checking half. Lines of RESULTS are
-not computed again. The table is written to lab/studies/README.md.
+not computed again.
 """
 
 from __future__ import annotations
@@ -40,6 +40,8 @@ def main() -> None:
     parser.add_argument("results", type=Path)
     parser.add_argument("--mosd", type=Path, help="folder of mOSD's learn half")
     parser.add_argument("--seeds", type=int, nargs=2, default=(34, 42), help="of the generated scenes")
+    parser.add_argument("--domains", nargs="+", choices=DOMAINS, default=DOMAINS, help="of the generated scenes")
+    report.add_write(parser)
     arguments = parser.parse_args()
     lines = arguments.results.read_text().splitlines() if arguments.results.is_file() else []
     done = {record["scene"]: record for record in map(json.loads, lines)}
@@ -58,7 +60,7 @@ def main() -> None:
         changed = int((values[:, 0] != values[:, 1]).any(1).sum())
         body.append([f"{row}, {len(values)}", *cells, difference(values[:, 1] - values[:, 0]), str(changed)])
     columns = ["scenes", "without", "with", "with - without", "scenes that change"]
-    report.write_part("occlusions", report.table(columns, body))
+    report.show("occlusions", report.table(columns, body), arguments.write)
 
 
 def scenes(arguments: argparse.Namespace) -> Iterator[tuple[str, str, Callable[[], Scene]]]:
@@ -68,7 +70,7 @@ def scenes(arguments: argparse.Namespace) -> Iterator[tuple[str, str, Callable[[
         for name in sorted(found, key=lambda name: (len(name), name))[1::2]:
             yield "real table-tops (mOSD), one view", f"mosd-{name}", partial(load_thinned, found[name], "mosd")
     for text, views in VIEWS.items():
-        for domain in DOMAINS:
+        for domain in arguments.domains:
             for seed in range(*arguments.seeds):
                 yield f"generated, {text}", f"{domain}-{seed}-{text}", partial(make_scene, domain, seed, views)
 
@@ -89,7 +91,7 @@ def scores(scene: Scene) -> list[tuple[float, float]]:
     assert scene.truth is not None
     found = []
     with one_thread_per_operation():
-        evidence = build_piece_graph(cloud.graph, cloud.graph.scales, segmenter.state, segmenter.config)
+        evidence = build_piece_graph(cloud.graph, cloud.graph.scales, segmenter.state)
         for one in (replace(evidence, occlusions=None), evidence):
             labels = build_hierarchy(one, load_boundary_model()).at()
             judged = score(labels if cloud.of_point is None else labels[cloud.of_point], scene.truth.points)

@@ -1,11 +1,11 @@
 """What are colours of the images worth to a cloud without colours? With models that never saw the kind of data.
 
     python lab/studies/point_colors.py WORK RESULTS --data DATA [--models FOLDER] [--seeds FIRST END] [--frames N]
-        [--kinds KIND ...]
+        [--kinds KIND ...] [--write]
 
 WORK is the folder of lab/studies/domains.py after `--part left-out`, DATA holds mosd/ and ycb/. Each scene's scores are
-kept in the folder RESULTS, so several processes can share the work: each takes other kinds or seeds. The table of all
-scenes in RESULTS is written to lab/studies/README.md.
+kept in the folder RESULTS, so several processes can share the work: each takes other kinds or seeds. The table has all
+scenes in RESULTS.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 import report
 import torch
 from domains import DOMAINS, Named, difference, make_scene, scenes
+from members import left_out_models
 from torchjoint_lab.training.boundary_examples import learned_config
 
 import torchjoint as tj
@@ -31,14 +32,12 @@ from torchjoint.scene import Scene
 from torchjoint.segments.learned import piece_graph as evidence_of_points
 from torchjoint.segments.learned.agglomeration import build_hierarchy
 from torchjoint.segments.learned.boundary_model import BoundaryModel
-from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 from torchjoint.segments.learned.image_colors import image_colors
 from torchjoint.segments.learned.piece_graph import build_piece_graph
 
 #: Kinds of data, and the kind whose left-out models never saw them.
 KINDS = {"mosd": "mosd", "ycb": "desk", **{kind: kind for kind in DOMAINS}}
 NAMES = {"mosd": "real table-tops (mOSD)", "ycb": "real desk (YCB-Video)"}
-SEEDS = range(5)
 #: Frames held in memory at a time.
 FRAMES = 4
 
@@ -50,19 +49,20 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="folder with mosd/ and ycb/")
     parser.add_argument("--models", type=Path, help="folder of 3D models for the generated scenes")
     parser.add_argument("--seeds", type=int, nargs=2, default=(120, 136), help="of the generated scenes")
+    parser.add_argument("--scenes", type=int, metavar="COUNT", help="at most so many of each kind of real data")
     parser.add_argument("--frames", type=int, help="only the first ones of each scene")
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
+    report.add_write(parser)
     arguments = parser.parse_args()
     arguments.results.mkdir(parents=True, exist_ok=True)
     for kind in arguments.kinds:
-        paths = [arguments.work / f"model-without-{KINDS[kind]}-{seed}.npz" for seed in SEEDS]
-        model = BoundaryModel.mean_of([load_boundary_model(path) for path in paths])
+        model = left_out_models(arguments.work, KINDS[kind])
         for name, load in scenes_of(kind, arguments):
             done = arguments.results / f"{name}.json"
             if not done.is_file():
                 write_text(done, json.dumps(scores(load(), model, arguments.frames)))
                 print(name, json.loads(done.read_text()), flush=True)
-    write_table(arguments.results)
+    report.show("point colours", table(arguments.results), arguments.write)
 
 
 def scenes_of(kind: str, arguments: argparse.Namespace) -> Iterator[Named]:
@@ -88,7 +88,7 @@ def scores(scene: Scene, model: BoundaryModel, num_frames: int | None) -> list[t
     found = []
     for given in (None, image_colors(graph.num_points, state.observations), graph.colors):
         with one_thread_per_operation(), patch.object(evidence_of_points, "image_colors", return_value=None):
-            evidence = build_piece_graph(graph._replace(colors=given), graph.scales, state, segmenter.config)
+            evidence = build_piece_graph(graph._replace(colors=given), graph.scales, state)
             labels = build_hierarchy(evidence, model).at()
         of_point = segmenter.cloud.of_point
         judged = score(labels if of_point is None else labels[of_point], scene.truth.points)
@@ -96,7 +96,8 @@ def scores(scene: Scene, model: BoundaryModel, num_frames: int | None) -> list[t
     return found
 
 
-def write_table(results: Path) -> None:
+def table(results: Path) -> str:
+    """The scores of all scenes in the folder."""
     of_kind: dict[str, list[list[tuple[float, float]]]] = {kind: [] for kind in KINDS}
     for path in sorted(results.glob("*.json")):
         of_kind[path.stem.split("-")[0]].append(json.loads(path.read_text()))
@@ -107,7 +108,7 @@ def write_table(results: Path) -> None:
         cells = [" / ".join(f"{value:.3f}" for value in mean) for mean in found.mean(0)]
         rows.append([f"{NAMES.get(kind, kind)}, {len(found)}", *cells, difference(found[:, 1] - found[:, 0])])
     columns = ["scenes", "no colours", "the images' colours", "the cloud's own", "the images' - none"]
-    report.write_part("point colours", report.table(columns, rows))
+    return report.table(columns, rows)
 
 
 if __name__ == "__main__":

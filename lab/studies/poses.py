@@ -66,9 +66,10 @@ def warned(segmenter: tj.JointSegmenter, scene: Scene) -> bool:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=6)
+    parser.add_argument("--domains", nargs="+", choices=DOMAINS, default=list(DOMAINS))
     arguments = parser.parse_args()
     seen, all_cases = Counter[tuple[str, str]](), Counter[tuple[str, str]]()
-    for domain in DOMAINS:
+    for domain in arguments.domains:
         for seed in range(arguments.seeds):
             scene = make_domain_scene(domain, seed).scene
             segmenter = tj.JointSegmenter()

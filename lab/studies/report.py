@@ -1,5 +1,6 @@
-"""Writes the tables of lab/studies/README.md: each study rewrites its own part, between two marks."""
+"""The tables of the studies: each prints its own, and rewrites its part of lab/studies/README.md when told to."""
 
+import argparse
 import platform
 import re
 from pathlib import Path
@@ -7,6 +8,18 @@ from pathlib import Path
 import torch
 
 README = Path(__file__).parent / "README.md"
+
+
+def add_write(parser: argparse.ArgumentParser, what: str = "the table in lab/studies/README.md") -> None:
+    """Adds the argument --write: a small run, only to try a study out, must not replace what was measured."""
+    parser.add_argument("--write", action="store_true", help=f"also replace {what}")
+
+
+def show(name: str, text: str, write: bool) -> None:
+    """Prints a part of lab/studies/README.md, and replaces it there if `write`."""
+    print(text)
+    if write:
+        write_part(name, text)
 
 
 def check_part(name: str, page: Path = README) -> None:

@@ -1,6 +1,7 @@
 """Parameter sensitivity: `python lab/studies/sensitivity.py SUITE [--data FOLDER] [--scenes COUNT]`.
 
-Varies one parameter at a time around the suite's preset, on the suite's tuning half. Draws sensitivity-SUITE.png here.
+Varies one parameter at a time around the suite's preset, on the suite's tuning half. Draws sensitivity-SUITE.png into
+the current folder, with --write into lab/studies/.
 """
 
 import argparse
@@ -9,19 +10,19 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any, NamedTuple
 
+import report
 import suite_arguments
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.methods import METHODS, changed
+from torchjoint_lab.benchmark.presets import preset_config
 from torchjoint_lab.benchmark.search import run_scores
 from torchjoint_lab.benchmark.suites import Suite, load_all
 from tqdm import tqdm
 
 from torchjoint.config import Config, evidence_config
 from torchjoint.evaluation.scores import Scores
-
-HERE = Path(__file__).parent
 
 IMAGE_LABELS = {
     "refinement.color_weight": (0, 25, 50, 100, 200, 400),
@@ -62,24 +63,34 @@ class Panel(NamedTuple):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     suite_arguments.add(parser)
+    names = [*REGIONS, *SCAN, *IMAGE_LABELS]
+    parser.add_argument("--parameters", nargs="+", choices=names, default=names, help="only these")
+    report.add_write(parser, "the picture in lab/studies/")
     arguments = parser.parse_args()
     suite = suite_arguments.suite_of(arguments)
-    found = panels(suite, arguments.data)
+    found = panels(suite, arguments.data, arguments.parameters)
+    if not found:
+        parser.error(f"--parameters: suite {suite.name} has no scores for any of {', '.join(arguments.parameters)}")
     for panel in found:
         pairs = zip(panel.values, panel.means, strict=True)
         print(
             f"{panel.name} = {panel.preset}, {panel.space} F / best IoU:",
             ", ".join(f"{text(value)}: {mean.f:.3f} / {mean.best_iou:.3f}" for value, mean in pairs),
         )
-    draw(found, suite).savefig(HERE / f"sensitivity-{suite.name}.png", dpi=75)
+    folder = Path(__file__).parent if arguments.write else Path()
+    draw(found, suite).savefig(folder / f"sensitivity-{suite.name}.png", dpi=75)
 
 
-def panels(suite: Suite, data: Path | None) -> list[Panel]:
+def panels(suite: Suite, data: Path | None, parameters: Sequence[str]) -> list[Panel]:
     """Runs every parameter's values on all scenes; leaves out image parameters if no image has ground truth."""
-    preset = Config.from_preset(suite.preset)
+    preset = preset_config(suite.preset)
     ranges = SCAN if preset.point_segments.method == "scan" else REGIONS
     spaces = dict.fromkeys(ranges, "3D") | dict.fromkeys(IMAGE_LABELS, "2D")
-    values = {name: with_preset(of_name, value_in(preset, name)) for name, of_name in (ranges | IMAGE_LABELS).items()}
+    values = {
+        name: with_preset(of_name, value_in(preset, name))
+        for name, of_name in (ranges | IMAGE_LABELS).items()
+        if name in parameters
+    }
     runs = [(name, value, spaces[name]) for name, of_name in values.items() for value in of_name]
     scores: dict[tuple[str, Any], list[Scores]] = {}
     scenes = suite.scenes("tuning", data)

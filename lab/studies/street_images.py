@@ -102,7 +102,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, required=True, help="folder with kitti/")
     arguments = parser.parse_args()
-    config = Config.from_preset("lidar")
+    config = Config.from_preset("scan")
     for name, scans in (("KITTI", kitti(arguments.data)), ("generated streets", generated())):
         found = [differences(sweep, frame, config) for sweep, frame in scans]
         print(f"\n| {len(found)} scans, {name} | F | best IoU |\n|---|---:|---:|")

@@ -23,12 +23,12 @@ from torch import Tensor
 from torchjoint_lab.benchmark import spaces
 from torchjoint_lab.benchmark.planes import planes_and_clusters
 from torchjoint_lab.benchmark.space import draw
+from torchjoint_lab.regions import segmenter
 from torchjoint_lab.synthetic import make_domain_scene
 
 from torchjoint.config import Config, ScanConfig
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.evaluation.table import standard_error
-from torchjoint.joint import JointSegmenter
 from torchjoint.metrics.objects_and_parts import objects_and_parts_of
 from torchjoint.metrics.overlaps import Overlaps
 from torchjoint.scene import Scene
@@ -151,9 +151,9 @@ def best_simple(sweeps: list[Sweep], count: int) -> tuple[list[Score], dict[str,
 
 def preset_regions(points: Tensor) -> Tensor:
     """Labels [N] of preset `regions`, without images."""
-    segmenter = JointSegmenter(Config.from_preset("regions"))
-    segmenter.reset(points)
-    return segmenter.compute(images=False).points
+    regions = segmenter("regions")
+    regions.reset(points)
+    return regions.compute(images=False).points
 
 
 def show(name: str, scores: list[Score], scan: list[Score] | None = None) -> None:
@@ -180,7 +180,7 @@ def main() -> None:
     parser.add_argument("--regions", action="store_true", help="preset regions")
     parser.add_argument("--each", action="store_true", help="a row for every scan")
     arguments = parser.parse_args()
-    config: ScanConfig = Config.from_preset("lidar").set(arguments.set).scan
+    config: ScanConfig = Config.from_preset("scan").set(arguments.set).scan
     loaders: dict[str, Callable[[], Iterator[Sweep]]] = {
         "kitti": lambda: kitti(arguments.data),
         "semantickitti": lambda: semantickitti(arguments.data),

@@ -19,6 +19,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("bsds", type=Path)
     parser.add_argument("--images", type=int, default=100, help="of val, evenly spread")
+    report.add_write(parser)
     arguments = parser.parse_args()
     val = bsds_images(arguments.bsds, "val")
     val = val[:: max(1, len(val) // arguments.images)]
@@ -27,8 +28,7 @@ def main() -> None:
         score = evaluate_boundaries(StructuredForestBoundary(stride=stride), val, THRESHOLDS, progress=True)
         rows.append([str(stride), *(f"{value:.4f}" for value in (score.ods, score.ois, score.ap))])
     text = f"{report.table(['stride', 'ODS', 'OIS', 'AP'], rows)}\n\n{len(val)} images of val."
-    print(text)
-    report.write_part("strides", text)
+    report.show("strides", text, arguments.write)
 
 
 if __name__ == "__main__":

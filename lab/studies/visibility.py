@@ -6,6 +6,7 @@ sub-pixel positions. False-hidden: share of the truly visible points that a meth
 the truly hidden points that a method calls visible.
 """
 
+import argparse
 import time
 from unittest import mock
 
@@ -18,7 +19,6 @@ from torchjoint.config import VisibilityConfig
 from torchjoint.views import visibility
 from torchjoint.views.projection import project
 
-SEEDS = range(3)
 #: By name: the config, and the factor on the radius of hidden point removal's sphere.
 METHODS = {
     f"z-buffer, footprint {footprint:g}": (VisibilityConfig(footprint=footprint), visibility.RADIUS_FACTOR)
@@ -30,10 +30,14 @@ METHODS = {
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=3, help="number of scenes")
+    report.add_write(parser)
+    arguments = parser.parse_args()
     counts = {name: torch.zeros(4) for name in METHODS}
     seconds = dict.fromkeys(METHODS, 0.0)
     num_frames = 0
-    for seed in SEEDS:
+    for seed in range(arguments.seeds):
         noisy = tj.synthetic.make_scene(seed, "medium")
         clean = tj.synthetic.make_scene(seed, "medium", depth_noise=0, depth_holes=0, pose_error=0)
         spacing = nearest_neighbors(noisy.scene.points, 16).spacing
@@ -62,8 +66,7 @@ def main() -> None:
         for name, c in counts.items()
     ]
     text = report.table(["method", "false-hidden", "false-visible", "ms a frame"], rows) + f"\n\n{report.machine()}."
-    print(text)
-    report.write_part("visibility", text)
+    report.show("visibility", text, arguments.write)
 
 
 def _near_depth_edge(depth: torch.Tensor, reach: int = 2) -> torch.Tensor:

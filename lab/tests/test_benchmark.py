@@ -457,4 +457,6 @@ class TestSuites:
             run_lab("benchmark", "synthetic", *out, "--tuning", 0, 0)
         with pytest.raises(SystemExit, match=r"--page: .*nope\.md has no part"):
             run_lab("benchmark", "synthetic", *out, "--page", "nope.md")
+        with pytest.raises(SystemExit, match="--scenes: only suite masks has it, got suite table"):
+            run_lab("benchmark", "table", *out, "--scenes", 1)
         assert list(tmp_path.iterdir()) == []

@@ -52,6 +52,8 @@ def test_from_images_to_scores(bsds, tmp_path, run_lab, capsys):
         (["BSDS", "--splits", "train", "-o", "no/a.yml.gz"], "-o: no is no folder"),
         (["BSDS", "--splits", "train", "-o", "a.npz"], r"expected a name that ends in \.yml\.gz, got a\.npz"),
         (["BSDS", "--splits", "train", "--trees", "0"], "trees: expected a whole number >= 1, got 0"),
+        (["BSDS", "--splits", "train", "--workers", "0"], "workers: expected a whole number >= 1, got 0"),
+        (["BSDS", "--splits", "train", "--min-child", "0"], "min_child: expected a whole number >= 1, got 0"),
         (["BSDS", "--splits", "train", "--samples", "10"], "samples: expected a whole number >= 1000, got 10"),
     ],
 )

@@ -59,7 +59,7 @@ def test_the_default_reads_few_parameters():
         ({"visibility": {"method": "magic"}}, r"visibility\.method: expected one of zbuffer, hidden.*, got 'magic'"),
         (
             {"point_segments": {"method": "magic"}},
-            r"point_segments\.method: expected one of auto, learned, scan, paper, got",
+            r"point_segments\.method: expected one of auto, learned, scan, paper, NAME\.npz, got",
         ),
         ({"paper": {"split_min_edges": 0}}, r"paper\.split_min_edges: expected >= 1, got 0"),
         ({"visibility": {"depth_tolerance": 0}}, r"visibility\.depth_tolerance: expected > 0, got 0"),

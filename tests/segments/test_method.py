@@ -9,6 +9,8 @@ from lidar_scans import HEIGHT, scan
 
 import torchjoint as tj
 from torchjoint.segments.choice import choose_method
+from torchjoint.segments.learned.boundary_model import BoundaryModel
+from torchjoint.segments.learned.boundary_model_file import load_boundary_model, save_boundary_model
 from torchjoint.segments.scan.scan_segments import segment_scan
 
 AUTO = tj.Config().set(["point_segments.method=auto", "boundary.detector=gradient"])
@@ -74,6 +76,26 @@ def test_auto_and_what_it_chose_store_the_same(street, room):
             assert torch.equal(copy.with_config(AUTO).compute().points, seen.compute().points)
         with pytest.raises(ValueError, match=r"stored evidence depends on point_segments\.method"):
             reset(AUTO, cloud).with_config(AUTO.set([f"point_segments.method={other}"]))
+
+
+def test_a_model_of_ones_own(room, tmp_path):
+    file = tmp_path / "one.npz"
+    save_boundary_model(file, BoundaryModel(load_boundary_model().members[:1]))
+    own = AUTO.set([f"point_segments.method={file}"])
+    default, segmenter = reset(AUTO, room.points), reset(own, room.points)
+    for one in (default, segmenter):
+        one.update(room.frames[:2])
+    found = segmenter.compute(images=False)
+    assert not torch.equal(found.hierarchy.heights, default.compute(images=False).hierarchy.heights)
+    tried = default.with_config(own).compute(images=False)  # frames are not seen again
+    assert torch.equal(tried.points, found.points)
+    assert torch.equal(tried.hierarchy.heights, found.hierarchy.heights)
+
+
+def test_a_bad_model_is_told_before_all_frames(room, tmp_path):
+    segmenter = tj.JointSegmenter(AUTO.set([f"point_segments.method={tmp_path / 'no.npz'}"]))
+    with pytest.raises(FileNotFoundError, match=r"no\.npz: missing; expected a model"):
+        segmenter.reset(room.points)
 
 
 def test_parameters_of_the_scan_can_be_tried_out(street):

@@ -9,7 +9,7 @@ from torchjoint.config.config import Config
 from torchjoint.config.images import DETECTORS, BoundaryConfig, ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.config.labels import RefinementConfig
 from torchjoint.config.paper import PaperConfig
-from torchjoint.config.points import METHODS, PointGraphConfig, PointSegmentsConfig
+from torchjoint.config.points import PointGraphConfig, PointSegmentsConfig
 from torchjoint.config.presets import presets, read_assignment, read_preset, read_yaml
 from torchjoint.config.scan import ScanConfig
 from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
@@ -18,7 +18,6 @@ from torchjoint.config.views import PropagationConfig, VisibilityConfig
 
 __all__ = [
     "DETECTORS",
-    "METHODS",
     "BoundaryConfig",
     "Config",
     "ContoursConfig",

@@ -33,7 +33,7 @@ def parameter(
         low, high: smallest and largest allowed value.
         above: values must be greater than this.
         sensible: the range in which most users will find their value.
-        choices: the allowed texts; empty: any text.
+        choices: the allowed texts; "NAME.npz": each text with this end; empty: any text.
         too_low, too_high: what a result looks like if the value is too low or too high. Only the few parameters that
             users change have these texts; the documents show them in a separate table.
     """
@@ -128,6 +128,7 @@ def _check_text(name: str, value: Any, declared: Mapping[str, Any]) -> str:
     if not isinstance(value, str):
         raise TypeError(f"{name}: expected a text, got {value!r}")
     choices = declared["choices"]
-    if choices and value not in choices:
+    files = tuple(choice.removeprefix("NAME") for choice in choices if choice.startswith("NAME."))  # any file's name
+    if choices and value not in choices and not value.endswith(files):
         raise ValueError(f"{name}: expected one of {', '.join(choices)}, got {value!r}")
     return value

@@ -6,9 +6,6 @@ from dataclasses import dataclass
 
 from torchjoint.config.parameter import Stage, parameter
 
-#: The ways of step 6; `auto` chooses between `learned` and `scan`.
-METHODS = ("auto", "learned", "scan", "paper")
-
 
 @dataclass(frozen=True)
 class PointGraphConfig(Stage):
@@ -28,5 +25,6 @@ class PointSegmentsConfig(Stage):
         "auto", "learned: regions merge where a trained model says that they belong to one object; scan: ground and "
         "objects of one LiDAR scan (z up, sensor at the origin), without evidence from images; paper: as in the paper, "
         "with the parameters of stage paper; auto: scan if the rings of a turning LiDAR are recognised in the cloud, "
-        "else learned", choices=METHODS,
+        "else learned; NAME.npz: learned, with this model of torchjoint-lab train-boundary-model",
+        choices=("auto", "learned", "scan", "paper", "NAME.npz"),
     )  # fmt: skip

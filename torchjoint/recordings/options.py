@@ -44,8 +44,7 @@ class RecordingOptions:
         if self.granularity is None:
             return
         check_granularity(self.granularity, "--granularity")
-        method = config.point_segments.method
-        if method not in ("learned", "auto"):
+        if (method := config.point_segments.method) in ("scan", "paper"):
             raise ValueError(f"--granularity: expected a method with levels, as in --preset default, got {method}")
 
     def source(self) -> str:

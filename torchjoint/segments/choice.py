@@ -19,6 +19,8 @@ METHODS: dict[str, type[Method]] = {method.name: method for method in (Learned, 
 def choose_method(config: Config, points: Tensor) -> Method:
     """Makes the method that the config names. "auto" is scan for a scan of a turning LiDAR, else learned.
 
+    A model's file is method learned with this model.
+
     Args:
         config: all parameters.
         points: [N, 3] metres; for method scan: z up, the sensor at the origin.
@@ -26,7 +28,7 @@ def choose_method(config: Config, points: Tensor) -> Method:
     name = config.point_segments.method
     if name == "auto":
         name = "learned" if find_rings(points.float()) is None else "scan"
-    return METHODS[name](config)
+    return METHODS.get(name, Learned)(config)
 
 
 def describe(given: Cloud, graph: PointGraph, method: Method) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -41,9 +41,9 @@ def benchmark(
     half: Literal["checking", "tuning"] = "checking",
     page: Path | None = None,
     overwrite: bool = False,
-    scenes: int = 4,
-    noise_seeds: int = 4,
-    domains: tuple[str, ...] = ("room", "table", "shelf"),
+    scenes: int | None = None,
+    noise_seeds: int | None = None,
+    domains: tuple[str, ...] = (),
 ) -> None:
     """Compares the joint method with its ablations and with common alternatives on labelled scenes.
 
@@ -63,13 +63,18 @@ def benchmark(
         page: Markdown file; its part between the marks `<!-- benchmark SUITE -->` and `<!-- end benchmark SUITE -->`
             is replaced by the table of all methods.
         overwrite: replace files in OUT.
-        scenes: masks: number of scenes of each domain.
-        noise_seeds: masks: number of times that masks are made for each scene and level.
-        domains: masks: kinds of scenes.
+        scenes: only masks: number of scenes of each domain; default: 4.
+        noise_seeds: only masks: number of times that masks are made for each scene and level; default: 4.
+        domains: only masks: kinds of scenes; default: room table shelf.
     """
     if suite == "masks":
-        _benchmark_masks(out, methods, half, page, scenes, noise_seeds, domains, (data, settings, tuning))
+        sizes = {"scenes": scenes, "noise_seeds": noise_seeds, "domains": domains or None}
+        given = {name: value for name, value in sizes.items() if value is not None}
+        _benchmark_masks(out, methods, half, page, given, (data, settings, tuning))
         return
+    for name, value in (("--scenes", scenes), ("--noise-seeds", noise_seeds), ("--domains", domains or None)):
+        if value is not None:
+            raise ValueError(f"{name}: only suite masks has it, got suite {suite}")
     kind, chosen = SUITES[suite], _chosen(methods)
     out = out or Path(f"benchmark-{suite}")
     # Errors in the arguments, and missing packages, must be reported before hours of work.
@@ -116,16 +121,14 @@ def _benchmark_masks(
     methods: tuple[str, ...],
     half: Literal["checking", "tuning"],
     page: Path | None,
-    scenes: int,
-    noise_seeds: int,
-    domains: tuple[str, ...],
+    sizes: Mapping[str, Any],
     others: tuple[object, object, object],
 ) -> None:
     for name, value in zip(("--data", "--settings", "--tuning"), others, strict=True):
         if value is not None:
             raise ValueError(f"{name}: suite masks has none")
     _check_page(page, "masks", not methods and half == "checking")
-    text = benchmark_masks(out or Path("benchmark-masks"), half, methods, domains, scenes, noise_seeds)
+    text = benchmark_masks(out or Path("benchmark-masks"), half, methods, **sizes)
     if page is not None:
         _fill(page, "benchmark masks", text)
 

@@ -86,6 +86,8 @@ def train_boundaries(
     """
     if not images:
         raise ValueError("images: expected at least one, got none")
+    if workers < 1:
+        raise ValueError(f"workers: expected a whole number >= 1, got {workers}")
     if not out.name.endswith(".yml.gz"):
         raise ValueError(f"out: expected a name that ends in .yml.gz, got {out}")
     folder = _tree_folder(out, images, options)

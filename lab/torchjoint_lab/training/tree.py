@@ -42,6 +42,11 @@ class TreeOptions:
     pairs: int = 256
     node_samples: int = 10_000
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not isinstance(value, int) or value < 1:
+                raise ValueError(f"{name}: expected a whole number >= 1, got {value!r}")
+
 
 class Tree(NamedTuple):
     """A tree of N nodes; L of them are leaves."""

@@ -154,7 +154,7 @@ class TestRounds:
 class TestMethod:
     @pytest.fixture(autouse=True)
     def _model(self, monkeypatch):
-        monkeypatch.setattr("torchjoint.segments.learned.method.load_boundary_model", lambda: ByCrease(0.1, 0.2, 0.3))
+        monkeypatch.setattr("torchjoint.segments.learned.method.load_boundary_model", lambda _: ByCrease(0.1, 0.2, 0.3))
 
     def test_is_the_rounds(self, segmenter, evidence):
         expected = build_hierarchy(evidence, ByCrease(0.1, 0.2, 0.3)).at()

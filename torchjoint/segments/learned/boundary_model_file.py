@@ -53,7 +53,7 @@ def save_boundary_model(path: Path, model: BoundaryModel) -> None:
             archive.writestr(entry, content.getvalue(), compresslevel=9)
 
 
-def load_boundary_model(path: Path | None = None) -> BoundaryModel:
+def load_boundary_model(path: str | Path | None = None) -> BoundaryModel:
     """Reads and checks a model.
 
     The file may come from anyone: reading it runs no code, and its arrays may take at most LARGEST bytes.
@@ -68,6 +68,7 @@ def load_boundary_model(path: Path | None = None) -> BoundaryModel:
     """
     if path is None:
         return _packaged_model()
+    path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a model of `torchjoint-lab train-boundary-model`, NAME.npz")
     try:
@@ -78,13 +79,7 @@ def load_boundary_model(path: Path | None = None) -> BoundaryModel:
 
 @lru_cache(maxsize=1)
 def _packaged_model() -> BoundaryModel:
-    place = files("torchjoint.models") / PACKAGED
-    if not place.is_file():
-        raise FileNotFoundError(
-            f"torchjoint/models/{PACKAGED}: this installation has no trained model; train one with "
-            "`torchjoint-lab train-boundary-model`"
-        )
-    with as_file(place) as path:
+    with as_file(files("torchjoint.models") / PACKAGED) as path:
         return load_boundary_model(path)
 
 

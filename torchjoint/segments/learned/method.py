@@ -9,6 +9,7 @@ from torch import Tensor
 from torchjoint.cloud.graph import PointGraph, build_point_graph
 from torchjoint.cloud.prepared import PreparedCloud
 from torchjoint.cloud.working_cloud import working_cloud
+from torchjoint.config import Config
 from torchjoint.images.segmenter import ImageSegments
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.scene import Cloud, Frame, Hierarchy
@@ -24,9 +25,15 @@ from torchjoint.views.state import JointState
 
 
 class Learned(Method):
-    """Method learned. It measures distances in units of the cloud's noise and spacing, so it needs no parameters."""
+    """Method learned. It measures distances in units of the cloud's noise and spacing; only its model can be replaced."""
 
     name = "learned"
+
+    def __init__(self, config: Config) -> None:
+        super().__init__(config)
+        method = config.point_segments.method
+        self._model = method if method.endswith(".npz") else None
+        load_boundary_model(self._model)  # reports a bad file here, not after all frames
 
     def prepare(self, cloud: Cloud, merge_within: float) -> PreparedCloud:
         """As in the base class; but colours that are all equal count as no colours."""
@@ -60,7 +67,7 @@ class Learned(Method):
         if graph.scales is None:
             raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
         evidence = build_piece_graph(graph, graph.scales, state)
-        hierarchy = build_hierarchy(evidence, load_boundary_model())
+        hierarchy = build_hierarchy(evidence, load_boundary_model(self._model))
         if evidence.masks is None:
             return hierarchy
         return move_to_majority(hierarchy, graph.edge_index, evidence.masks, state.observations)

@@ -1,0 +1,105 @@
+"""The studies of lab/studies/: they start, and what they change by name is there. Their runs take minutes to hours."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+from torchjoint_lab.benchmark.suites import SUITES
+
+STUDIES = Path(__file__).parents[1] / "studies"
+HELPERS = ("report", "suite_arguments")
+#: Draws pictures of the documents; has no arguments, so each start is a run.
+WITHOUT_ARGUMENTS = ("pictures",)
+
+
+@pytest.fixture
+def study(monkeypatch):
+    """Imports a study: `study("domains")`."""
+    monkeypatch.syspath_prepend(STUDIES)
+    return import_module
+
+
+def run(module, monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", [module.__name__, *map(str, arguments)])
+    module.main()
+
+
+@pytest.mark.parametrize("name", sorted({path.stem for path in STUDIES.glob("*.py")} - {*HELPERS, *WITHOUT_ARGUMENTS}))
+def test_a_study_starts(name, study, monkeypatch, capsys):
+    module = study(name)
+    with pytest.raises(SystemExit) as ended:
+        run(module, monkeypatch, "--help")
+    assert ended.value.code == 0
+    assert "usage: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("suite", ["synthetic", "mosd", "kitti"])
+def test_what_an_ablation_switches_off_is_there(suite, study):
+    ablation = study("ablation")
+    methods, _ = ablation.variants(SUITES[suite])
+    assert (
+        methods[-1].title
+        == f"without {'scan' if suite == 'kitti' else 'regions'} (edges, as in the paper, at their best setting)"
+    )
+    assert len(methods) > 8
+    for switch in (*ablation.REGIONS, *ablation.SCAN):
+        for name, value in switch.constants.items():
+            with patch(name, value):  # raises where there is no such constant
+                pass
+
+
+def test_each_parameter_of_the_sensitivity_is_one_of_the_preset(study):
+    sensitivity = study("sensitivity")
+    for suite, ranges in (("mosd", sensitivity.REGIONS), ("kitti", sensitivity.SCAN)):
+        preset = sensitivity.preset_config(SUITES[suite].preset)
+        for name in (*ranges, *sensitivity.IMAGE_LABELS):
+            sensitivity.value_in(preset, name)
+
+
+def test_a_table_replaces_that_of_the_page_only_when_told(study, tmp_path, monkeypatch, capsys):
+    report, page = study("report"), tmp_path / "README.md"
+    page.write_text("<!-- strides -->\nmeasured\n<!-- end strides -->\n")
+    monkeypatch.setattr(report.write_part, "__defaults__", (page,))
+    report.show("strides", "tried", write=False)
+    assert "measured" in page.read_text()
+    report.show("strides", "new", write=True)
+    assert page.read_text() == "<!-- strides -->\nnew\n<!-- end strides -->\n"
+    assert capsys.readouterr().out == "tried\nnew\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--seeds", 0], "--seeds: expected at least 1, got 0"),
+        (["--scenes", 0], "--scenes: expected at least 1, got 0"),
+        (["--kinds", "table", "shelf"], "--kinds: expected at least three that are trained on, got table, shelf"),
+        (["--kinds", "table", "shelf", "mosd", "ycb"], "--kinds: ycb is scored by the models without desks; add desk"),
+        ([], "--data: expected a folder with "),
+    ],
+)
+def test_domains_says_what_is_wrong(study, tmp_path, monkeypatch, capsys, arguments, message):
+    with pytest.raises(SystemExit):
+        run(study("domains"), monkeypatch, tmp_path / "work", "--data", tmp_path, *arguments)
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "work").exists()
+
+
+def test_domains_keeps_results_of_other_scenes_apart(study, tmp_path, monkeypatch, capsys):
+    arguments = [tmp_path, "--data", tmp_path, "--part", "tables", "--kinds", "table", "shelf", "desk", "--scenes"]
+    run(study("domains"), monkeypatch, *arguments, 1)
+    run(study("domains"), monkeypatch, *arguments, 1)
+    with pytest.raises(SystemExit):
+        run(study("domains"), monkeypatch, *arguments, 2)
+    assert "has results of other arguments" in capsys.readouterr().err
+
+
+def test_members_need_models(study, tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit):
+        run(study("members"), monkeypatch, tmp_path)
+    assert "has no models with evidence; first run lab/studies/domains.py" in capsys.readouterr().err
+    with pytest.raises(FileNotFoundError, match=r"no model-without-table-SEED\.npz"):
+        study("members").left_out_models(tmp_path, "table")
