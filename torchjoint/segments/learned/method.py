@@ -25,7 +25,7 @@ from torchjoint.views.state import JointState
 
 
 class Learned(Method):
-    """Method learned. It measures distances in units of the cloud's noise and spacing; only its model can be replaced."""
+    """Method learned. It measures distances in units of the cloud's noise and spacing; its model can be replaced."""
 
     name = "learned"
 
