@@ -89,7 +89,7 @@ def scores(scene: Scene) -> list[tuple[float, float]]:
     assert scene.truth is not None
     found = []
     with one_thread_per_operation():
-        evidence = build_piece_graph(cloud.graph, cloud.graph.scales, segmenter.state, segmenter.config)
+        evidence = build_piece_graph(cloud.graph, cloud.graph.scales, segmenter.state)
         for one in (replace(evidence, occlusions=None), evidence):
             labels = build_hierarchy(one, load_boundary_model()).at()
             judged = score(labels if cloud.of_point is None else labels[cloud.of_point], scene.truth.points)

@@ -88,7 +88,7 @@ def scores(scene: Scene, model: BoundaryModel, num_frames: int | None) -> list[t
     found = []
     for given in (None, image_colors(graph.num_points, state.observations), graph.colors):
         with one_thread_per_operation(), patch.object(evidence_of_points, "image_colors", return_value=None):
-            evidence = build_piece_graph(graph._replace(colors=given), graph.scales, state, segmenter.config)
+            evidence = build_piece_graph(graph._replace(colors=given), graph.scales, state)
             labels = build_hierarchy(evidence, model).at()
         of_point = segmenter.cloud.of_point
         judged = score(labels if of_point is None else labels[of_point], scene.truth.points)

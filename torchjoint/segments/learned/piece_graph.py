@@ -1,4 +1,4 @@
-"""Step 6, method learned: the evidence from which a model judges boundaries between regions, computed once per cloud.
+"""Step 6, method learned: the pieces of a cloud, and what a model judges boundaries by, measured once per cloud.
 
 The points are first grouped into small pieces, which are never split again. Only edges between two pieces can be part
 of a boundary, so only these are measured.
