@@ -4,8 +4,10 @@ PYTHON = $(VENV)/bin/python
 SOURCES = torchjoint/csrc/*.cpp torchjoint/csrc/*.h
 export PIP_CONSTRAINT ?= $(CURDIR)/constraints.txt
 export PIP_BUILD_CONSTRAINT ?= $(CURDIR)/constraints.txt
+# Processes share the processors here: a thread that waits for its neighbours sleeps, and does not spin.
+export OMP_WAIT_POLICY ?= passive
 
-.PHONY: ci coverage docs figures format fuzz install kills layers lint notebooks sanitize slow test types wheels
+.PHONY: ci coverage docs figures format fuzz install kills layers lint notebooks races sanitize slow test types wheels
 
 install: # as README's test command does
 	python3 -m venv $(VENV)
@@ -14,8 +16,8 @@ install: # as README's test command does
 test:
 	$(PYTHON) -m pytest -n 2
 
-slow: # the sweeps, which `test` leaves out
-	$(PYTHON) -m pytest -n 2 -m slow
+slow: # the sweeps, which `test` leaves out; a worker takes files as a whole, as far as it can, and makes fixtures once
+	$(PYTHON) -m pytest -n 2 --dist worksteal -m slow
 
 coverage: # which lines the tests run
 	$(PYTHON) -m pytest -n 2 --cov --cov-report=term:skip-covered --cov-report=html:build/coverage
@@ -45,8 +47,10 @@ kills: # runs that are killed end with the same files
 fuzz: # random inputs and damaged files crash nothing
 	$(PYTHON) benchmarks/fuzz.py --operators 20000 --files 2000
 
-sanitize: # the operators under the address, undefined-behaviour and thread sanitizers
+sanitize: # the operators under the address and the undefined-behaviour sanitizer
 	.ci/sanitize $(PYTHON)
+
+races: # the operators, called from several threads, under the thread sanitizer
 	.ci/sanitize $(PYTHON) thread
 
 wheels: # the wheel, in an environment with what it brings and no compiler

@@ -1,7 +1,7 @@
-"""The joint segmentation of a point cloud and its images, steps 1-8: Algorithm 1 of the paper in reading order.
+"""The joint segmentation of a point cloud and its images: Algorithm 1 of the paper.
 
 M. Abello, J. Mangelson, M. Kaess, "A Graph-Based Method for Joint Instance Segmentation of Point Clouds and Image
-Sequences", ICRA 2021.
+Sequences", ICRA 2021. Its steps: ``reset`` (3), ``add`` (1, 2, 4, 5) and ``compute`` (6-8); the rest serves them.
 """
 
 from __future__ import annotations

@@ -101,20 +101,16 @@ def test_generated_streets(seed):
     assert find_rings(noisy(points, 0.01)) is not None
 
 
-@pytest.mark.parametrize(
-    "domain",
-    ["room", *(pytest.param(name, marks=pytest.mark.slow) for name in DOMAINS if name not in ("street", "room"))],
-)
-def test_other_generated_scenes_are_none(domain):
+def test_a_generated_room_is_none():
     pytest.importorskip("open3d")
-    assert find_rings(make_domain_scene(domain, 0, num_views=2).scene.points) is None
+    assert find_rings(make_domain_scene("room", 0, num_views=2).scene.points) is None
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("domain", DOMAINS)
 def test_all_generated_scenes(domain):
     pytest.importorskip("open3d")
-    for seed in range(1, 6):
+    for seed in range(5):
         points = make_domain_scene(domain, seed, num_views=2).scene.points
         assert (find_rings(points) is not None) == (domain == "street"), seed
 

@@ -48,36 +48,36 @@ def crossing_edges(pairs: Tensor, of_edge: Tensor, probability: Tensor) -> tuple
     return pairs[:, crossing], probability.float()[crossing]
 
 
-def build_hierarchy(evidence: PieceGraph, model: BoundaryModel) -> Hierarchy:
+def build_hierarchy(pieces: PieceGraph, model: BoundaryModel) -> Hierarchy:
     """Merges pieces in the model's steps, and then further, until all regions that touch have merged.
 
     The default level of the hierarchy is the state after the model's last step. A cut at the threshold of a step gives
     the state after this step.
 
     Args:
-        evidence: the pieces and the evidence about their boundaries.
+        pieces: the pieces and what is known about their boundaries.
         model: gives the probability that two regions belong to different objects.
     """
     steps = merging_steps(model.thresholds)
     (last, _), default = steps[-1], max(model.thresholds)
-    linkage = MaskLinkage.of(evidence.masks, evidence.statistics.size)
+    linkage = MaskLinkage.of(pieces.masks, pieces.statistics.size)
     if linkage is not None:  # a first merging, which shows how far the masks contradict each other
-        region = _merge_in_steps(evidence, model, steps, linkage, evidence.piece, _Merges(evidence))
-        linkage = linkage.calibrated(evidence.regions_of_pieces(region))
-    merges = _Merges(evidence)
-    region = _merge_in_steps(evidence, model, steps, linkage, evidence.piece, merges)
+        region = _merge_in_steps(pieces, model, steps, linkage, pieces.piece, _Merges(pieces))
+        linkage = linkage.calibrated(pieces.regions_of_pieces(region))
+    merges = _Merges(pieces)
+    region = _merge_in_steps(pieces, model, steps, linkage, pieces.piece, merges)
     if linkage is not None:
-        region = _merge_in_steps(evidence, model, [(last, default)], linkage, region, merges, far=True)
-        region = _merge_in_steps(evidence, model, [(last, default)], linkage, region, merges, only_crumbs=True)
-    elif evidence.occlusions is not None:
-        region = _join_behind_occluders(evidence, evidence.occlusions, region, merges, default)
+        region = _merge_in_steps(pieces, model, [(last, default)], linkage, region, merges, far=True)
+        region = _merge_in_steps(pieces, model, [(last, default)], linkage, region, merges, only_crumbs=True)
+    elif pieces.occlusions is not None:
+        region = _join_behind_occluders(pieces, pieces.occlusions, region, merges, default)
     coarser = [(last, threshold) for threshold in COARSER if threshold > default]
-    _merge_in_steps(evidence, model, coarser, linkage, region, merges)
-    return merges.hierarchy(evidence.piece, default)
+    _merge_in_steps(pieces, model, coarser, linkage, region, merges)
+    return merges.hierarchy(pieces.piece, default)
 
 
 def _merge_in_steps(
-    evidence: PieceGraph,
+    pieces: PieceGraph,
     model: BoundaryModel,
     steps: Sequence[tuple[int, float]],
     linkage: MaskLinkage | None,
@@ -91,13 +91,13 @@ def _merge_in_steps(
     With `far`, regions in one mask may merge even if they do not touch. With `only_crumbs`, only small regions merge.
     """
     for index, threshold in steps:
-        evidence = evidence.between(region)
-        pairs, values, of_edge = boundary_features(evidence, region)
+        pieces = pieces.between(region)
+        pairs, values, of_edge = boundary_features(pieces, region)
         if pairs.shape[1] == 0 and not far:
             break
         ends, cost = crossing_edges(pairs, of_edge, model.probability(index, values))
         num_regions = int(region.max()) + 1
-        of_piece = evidence.regions_of_pieces(region)
+        of_piece = pieces.regions_of_pieces(region)
         if linkage is not None and far:
             ends, cost = _with_far_pairs(ends, cost, pairs, linkage.far_pairs(of_piece), num_regions)
         if linkage is None:
@@ -112,15 +112,15 @@ def _merge_in_steps(
 
 
 def _join_behind_occluders(
-    evidence: PieceGraph, occlusions: Occlusions, region: Tensor, merges: _Merges, threshold: float
+    pieces: PieceGraph, occlusions: Occlusions, region: Tensor, merges: _Merges, threshold: float
 ) -> Tensor:
     """Merges regions [N] that are one surface behind an occluder, and returns the new regions [N].
 
     The merges have the height of the threshold, so all finer levels keep the regions apart.
     """
-    of_piece = evidence.regions_of_pieces(region)
+    of_piece = pieces.regions_of_pieces(region)
     num_regions = int(region.max()) + 1
-    pairs, against = continued_surfaces(occlusions, evidence.statistics, evidence.pairs, of_piece)
+    pairs, against = continued_surfaces(occlusions, pieces.statistics, pieces.pairs, of_piece)
     joined, height = ops.region_dendrogram(pairs, against, num_regions, threshold)
     merges.add(of_piece, joined, torch.full_like(height, threshold), threshold)
     return ops.connected_components(joined, num_regions)[region]
@@ -138,8 +138,8 @@ def _with_far_pairs(
 class _Merges:
     """The merges of all rounds. A merge is never lower than the merges inside it."""
 
-    def __init__(self, evidence: PieceGraph) -> None:
-        num_pieces = len(evidence.statistics.size)
+    def __init__(self, pieces: PieceGraph) -> None:
+        num_pieces = len(pieces.statistics.size)
         self._pairs: list[Tensor] = []
         self._heights: list[float] = []
         self._top = [0.0] * num_pieces  # at the lowest piece of each region: the height of its last merge

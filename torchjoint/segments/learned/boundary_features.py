@@ -131,19 +131,19 @@ class _Boundaries(NamedTuple):
         return sum_by(self.of_edge, values[self.edges].double(), self.pairs.shape[1]) / self.num_edges
 
 
-def boundary_features(evidence: PieceGraph, region: Tensor) -> BoundaryFeatures:
+def boundary_features(pieces: PieceGraph, region: Tensor) -> BoundaryFeatures:
     """The features of each boundary between two regions.
 
     Args:
-        evidence: the evidence of the cloud.
+        pieces: the pieces, and the edges between them.
         region: [N] int64, 0 ... R - 1, region of each point; each region is a union of pieces.
     """
-    boundaries = _find_boundaries(evidence, region)
-    statistics = pooled(evidence.statistics, boundaries.of_piece, boundaries.num_regions)
+    boundaries = _find_boundaries(pieces, region)
+    statistics = pooled(pieces.statistics, boundaries.of_piece, boundaries.num_regions)
     a, b = boundaries.pairs
     a_is_small = statistics.size[a] <= statistics.size[b]
     small, large = torch.where(a_is_small, a, b), torch.where(a_is_small, b, a)
-    edges, images = evidence.edges, evidence.images
+    edges, images = pieces.edges, pieces.images
     measures = [edges.crease, edges.bend, edges.wide_bend, edges.offset, edges.larger_offset, edges.gap]
     optional = [edges.color_step, edges.disagreement, edges.contour]
     missing = boundaries.num_edges.new_full((len(a), 1), torch.nan)
@@ -160,7 +160,7 @@ def boundary_features(evidence: PieceGraph, region: Tensor) -> BoundaryFeatures:
         _shapes(statistics, small, large),
         _colors(statistics, boundaries.pairs, small, large),
         color_step,
-        color_step[:, 2:3] / (evidence.typical_color_step or 1),
+        color_step[:, 2:3] / (pieces.typical_color_step or 1),
         disagreement,
         contour,
     ]
@@ -177,16 +177,16 @@ def boundary_features(evidence: PieceGraph, region: Tensor) -> BoundaryFeatures:
     return BoundaryFeatures(boundaries.pairs, values, boundaries.of_any_edge)
 
 
-def _find_boundaries(evidence: PieceGraph, region: Tensor) -> _Boundaries:
-    of_piece = evidence.regions_of_pieces(region)
+def _find_boundaries(pieces: PieceGraph, region: Tensor) -> _Boundaries:
+    of_piece = pieces.regions_of_pieces(region)
     num_regions = int(region.max()) + 1
-    first, second = of_piece[evidence.pairs]
+    first, second = of_piece[pieces.pairs]
     across = first != second
     key = torch.minimum(first, second) * num_regions + torch.maximum(first, second)
     key, of_crossing = torch.unique(key[across], return_inverse=True)
     of_pair = torch.full((len(first),), -1, dtype=torch.int64)
     of_pair[across] = of_crossing
-    of_any_edge = of_pair[evidence.edges.pair]
+    of_any_edge = of_pair[pieces.edges.pair]
     edges = torch.nonzero(of_any_edge >= 0).squeeze(1)
     of_edge = of_any_edge[edges]
     num_edges = torch.bincount(of_edge, minlength=len(key)).double()

@@ -66,11 +66,11 @@ class Learned(Method):
         """
         if graph.scales is None:
             raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
-        evidence = build_piece_graph(graph, graph.scales, state)
-        hierarchy = build_hierarchy(evidence, load_boundary_model(self._model))
-        if evidence.masks is None:
+        pieces = build_piece_graph(graph, graph.scales, state)
+        hierarchy = build_hierarchy(pieces, load_boundary_model(self._model))
+        if pieces.masks is None:
             return hierarchy
-        return move_to_majority(hierarchy, graph.edge_index, evidence.masks, state.observations)
+        return move_to_majority(hierarchy, graph.edge_index, pieces.masks, state.observations)
 
     def measured(self, graph: PointGraph) -> str:
         """Spacing and noise of the points, and where the normals come from."""

@@ -1,4 +1,4 @@
-"""Step 6, method learned: the evidence for the model of boundaries between regions, computed once per cloud.
+"""Step 6, method learned: the pieces of a cloud, and what a model judges boundaries by, measured once.
 
 The points are first grouped into small pieces, which are never split again. Only edges between two pieces can be part
 of a boundary, so only these are measured.
@@ -89,7 +89,7 @@ class BoundaryEdges(NamedTuple):
 
 @dataclass(frozen=True)
 class PieceGraph:
-    """The evidence about a cloud, its pieces and the edges between them.
+    """What is known about a cloud, its pieces and the edges between them.
 
     Attributes:
         piece: [N] int64, piece of each point, 0 ... P - 1, numbered by first appearance.
