@@ -105,7 +105,7 @@ class TestSameLabels:
         scene = synthetic.scene
         segmenter = tj.JointSegmenter(CONFIG, memory=0, spill=tmp_path / "gone")
         segmenter.reset(scene.points, scene.colors)
-        with pytest.raises(OSError, match="memory: what is beyond it goes to a temporary file"):
+        with pytest.raises(OSError, match="memory: data beyond this limit go to a temporary file"):
             segmenter.update(scene.frames)
         assert int(segmenter.state.views.sum()) == len(segmenter.state.observations) == 0
         (tmp_path / "gone").mkdir()

@@ -96,7 +96,7 @@ def test_a_full_disk_adds_nothing(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(spill.os, "pwrite", full)
-    with pytest.raises(OSError, match="memory: what is beyond it goes to a temporary file, which cannot be written"):
+    with pytest.raises(OSError, match="memory: data beyond this limit go to a temporary file, which cannot be written"):
         kept.extend(ALL[2:])
     monkeypatch.undo()
     assert len(kept) == 2
