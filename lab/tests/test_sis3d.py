@@ -6,25 +6,21 @@ import numpy as np
 import pytest
 import torch
 from scannet_files import (
-    VOXEL,
-    boxes_of,
-    scene_voxels,
     shots_of,
-    world_to_grid,
     write_exported,
     write_image_truth,
     write_info,
     write_mesh,
     write_point_truth,
     write_sens,
-    write_volume,
 )
+from sis3d_files import VOXEL, boxes_of, scene_voxels, world_to_grid, write_volume
+from torchjoint_lab.datasets import sis3d
+from torchjoint_lab.datasets.sis3d_volume import read_volume
+from torchjoint_lab.datasets.voxels import label_voxels, read_world_to_scene, voxels_of
 
 import torchjoint as tj
-from torchjoint.datasets.files.sis3d_volume import read_volume
-from torchjoint.datasets.formats import sis3d
 from torchjoint.datasets.scannet_cameras import NOMINAL
-from torchjoint.datasets.voxels import label_voxels, read_world_to_scene, voxels_of
 
 SCAN = "scene0144_00"
 
