@@ -8,8 +8,8 @@ scans/SCAN/SCAN_vh_clean_2.ply         the cloud (fused from depth if absent)
 scans/SCAN/SCAN.txt                    the calibrations (optional; default: the one that 3D-SIS uses for all scans)
 
 Ground truth comes from the first of these that exists: ScanNet's own annotation in scans/SCAN/; gt_insts/SCAN.txt; the
-objects of scenes/SCAN__0__.scene, where a point gets the object whose surface contains the point's voxel. `load`
-takes the folder images_square/SCAN or scans/SCAN, or their parent folder if it holds just one scan.
+objects of scenes/SCAN__0__.scene, where a point gets the object whose surface contains the point's voxel. `load` takes
+the folder images_square/SCAN or scans/SCAN, or their parent folder if it holds just one scan.
 """
 
 from __future__ import annotations
