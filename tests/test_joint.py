@@ -9,11 +9,12 @@ from torch import nn
 from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
+from torchjoint.cloud.local import LocalFrame
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.results.checkpoint import Checkpoint, run_key
 from torchjoint.segments.scan.scan_segments import segment_scan
-from torchjoint.views.pose_check import NUM_FRAMES, PoseWarning, check_poses
+from torchjoint.views.pose_check import NUM_FRAMES, PoseCheck, PoseWarning
 
 CONFIG = tj.Config().set(["paper.min_size=20", "image_segments.min_size=20"])
 REGIONS = CONFIG.set(["point_segments.method=paper"])
@@ -479,7 +480,9 @@ class TestPoseCheck:
             frames[place] = dataclasses.replace(frames[place], depth=torch.full_like(frames[place].depth, 0.1))
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
-                check_poses(dataclasses.replace(synthetic.scene, frames=frames), spacing, CONFIG.visibility)
+                check = PoseCheck(synthetic.scene.cloud, spacing, CONFIG.visibility, LocalFrame.of_world())
+                check.look_at(frames)
+                check.warn()
             assert any("the depth images and the cloud disagree" in str(one.message) for one in caught) == warns
 
     @pytest.mark.parametrize(
@@ -570,7 +573,7 @@ class Counting(list):
 
 @pytest.fixture(scope="module")
 def many_frames(synthetic):
-    """More than check_poses looks at."""
+    """More than the check of the poses looks at."""
     frames = synthetic.scene.frames
     return [dataclasses.replace(frames[i % len(frames)], name=f"frame-{i:06d}") for i in range(NUM_FRAMES + 5)]
 
@@ -578,7 +581,7 @@ def many_frames(synthetic):
 @pytest.mark.parametrize("method", ["learned", "scan"])
 @pytest.mark.parametrize("count", [2, NUM_FRAMES + 5])
 def test_each_frame_is_decoded_once(synthetic, many_frames, method, count):
-    """Those that check_poses looked at are kept until their turn."""
+    """Those that the check of the poses looked at are kept until their turn."""
     frames = Counting(many_frames[:count])
     segmenter = tj.JointSegmenter(CONFIG.set([f"point_segments.method={method}", "boundary.detector=gradient"]))
     result = segmenter(dataclasses.replace(synthetic.scene, frames=frames), batch_size=4)

@@ -19,12 +19,13 @@ from torch import Tensor
 from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
+from torchjoint.cloud.local import LocalFrame
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.render import render_cloud
 from torchjoint.segments.scan.scan_segments import segment_scan
-from torchjoint.views.pose_check import PoseWarning, check_poses
+from torchjoint.views.pose_check import PoseCheck, PoseWarning, frames_to_check
 from torchjoint.views.projection import project
 from torchjoint.views.visibility import Visible, visible_points
 
@@ -76,7 +77,9 @@ def message(scene: tj.Scene) -> str:
     spacing = nearest_neighbors(scene.points, 4).spacing
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        check_poses(scene, spacing, VisibilityConfig())
+        check = PoseCheck(scene.cloud, spacing, VisibilityConfig(), LocalFrame.of_world(), scene.name)
+        check.look_at(frames_to_check(scene).values())
+        check.warn()
     said = [str(warning.message) for warning in caught if issubclass(warning.category, PoseWarning)]
     return "; ".join(text.partition(": ")[2] for text in said)
 

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import torch
 from damage import CLEAR, damages
-from scannet_files import VOXEL, boxes_of, world_to_grid, write_detections
 from scipy.io import savemat
+from sis3d_files import VOXEL, boxes_of, world_to_grid, write_detections
+from torchjoint_lab.datasets.vertex_numbers import read_vertex_instances
+from torchjoint_lab.datasets.voxels import read_world_to_scene
 from torchjoint_lab.evaluation.baselines.pickled_arrays import read_pickled_arrays
 from torchjoint_lab.evaluation.baselines.scannet_benchmark import read_instance_masks
 from torchjoint_lab.evaluation.baselines.scenecut import find_region_map, read_region_map
 from torchjoint_lab.evaluation.baselines.sis3d import detection_labels, read_detections
 
 from torchjoint.datasets.files.mat_files import read_matrices
-from torchjoint.datasets.files.vertex_numbers import read_vertex_instances
-from torchjoint.datasets.voxels import read_world_to_scene
 
 #: Voxels of the scene are metres divided by VOXEL.
 TO_VOXELS = torch.diag(torch.tensor([1 / VOXEL, 1 / VOXEL, 1 / VOXEL, 1], dtype=torch.float64))

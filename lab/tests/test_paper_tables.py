@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 import torch
 from scannet_files import (
-    boxes_of,
     shots_of,
-    world_to_grid,
-    write_detections,
     write_exported,
     write_image_truth,
     write_intrinsics,
@@ -20,6 +17,7 @@ from scannet_files import (
     write_sens,
 )
 from scipy.io import savemat
+from sis3d_files import boxes_of, world_to_grid, write_detections
 from torchjoint_lab.evaluation.paper_tables import ROWS, Row, Scores, comparable, paper_table, score_points
 
 import torchjoint as tj

@@ -8,6 +8,7 @@ import torch
 
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.results.exports.coco import export_coco
 
 
 def load(name, tmp_path):
@@ -86,4 +87,4 @@ class TestCloudAlone:
         assert result.num_point_segments > 1
         assert len(result.images) == len(result.scene.frames) == 0
         with pytest.raises(ValueError, match="expected a result with images, got none"):
-            tj.results.exports.coco.export_coco(tmp_path / "x.json", result)
+            export_coco(tmp_path / "x.json", result)

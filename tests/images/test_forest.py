@@ -25,6 +25,7 @@ from torchjoint_lab.training.features import (
     similarity_values,
     sites,
 )
+from torchjoint_lab.training.forest_file import write_forest
 from torchjoint_lab.training.patches import (
     FeatureCodes,
     Samples,
@@ -35,7 +36,7 @@ from torchjoint_lab.training.patches import (
 from torchjoint_lab.training.tree import grow_tree
 
 from torchjoint.images import forest as forest_file
-from torchjoint.images.forest import NUM_FEATURES, Forest, read_forest, write_forest
+from torchjoint.images.forest import NUM_FEATURES, Forest, read_forest
 from torchjoint.images.structured_forest import padded
 
 SMALL = TrainingOptions(
@@ -369,7 +370,7 @@ def test_lists_that_are_nested_too_deeply(tmp_path):
     file = tmp_path / "forest.yml"
     entries = "".join(f"{name}:\n   - {'[' * 100_000}\n" for name in ("childs", "featureIds", "thresholds"))
     rest = "edgeBoundaries:\n   - [ 0 ]\nedgeBins:\n   - [ 0 ]\n"
-    options = "".join(f"   {name}: {value}\n" for name, value in forest_file._OPTIONS.items())
+    options = "".join(f"   {name}: {value}\n" for name, value in forest_file.OPTIONS.items())
     file.write_text(f"%YAML:1.0\n---\noptions:\n{options}{entries}{rest}")
     with pytest.raises(ValueError, match=r"forest\.yml: not a structured forest"):
         read_forest(file)

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from reference.structured_forest import structured_forest_reference
 from torch import Tensor
 from torchjoint_lab.datasets.bsds import bsds_images
+from torchjoint_lab.training.forest_file import write_forest
 
-from torchjoint.images.forest import Forest, read_forest, write_forest
+from torchjoint.images.forest import Forest, read_forest
 from torchjoint.ops.structured_forest import structured_forest
 
 MODEL = Path(str(files("torchjoint.models"))) / "bsds500.yml.gz"

@@ -15,7 +15,7 @@ from torchjoint.cloud.local import LocalFrame
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
 from torchjoint.views.edge_alignment import combined
-from torchjoint.views.pose_check import CHANCE, PoseCheck, PoseWarning, check_poses
+from torchjoint.views.pose_check import CHANCE, PoseCheck, PoseWarning, frames_to_check
 
 CONFIG = VisibilityConfig()
 SIZE = (240, 400)
@@ -31,16 +31,21 @@ def spacing_of(scene):
     return spacing_of_points(scene.points)
 
 
+def check_of(scene, frames):
+    check = PoseCheck(scene.cloud, spacing_of(scene), CONFIG, LocalFrame.of_world(), scene.name)
+    check.look_at(frames)
+    return check
+
+
 def alignment(scene, frames=None):
-    check = PoseCheck(scene, spacing_of(scene), CONFIG, LocalFrame.of_world())
-    check.look_at(frames or scene.frames)
+    check = check_of(scene, frames or scene.frames)
     return combined([look.edges for look in check._looks if look.edges is not None])
 
 
 def messages(scene):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        check_poses(scene, spacing_of(scene), CONFIG)
+        check_of(scene, frames_to_check(scene).values()).warn()
     assert all(issubclass(one.category, PoseWarning) for one in caught)
     return [str(one.message) for one in caught]
 

@@ -52,14 +52,6 @@ class Cameras(NamedTuple):
     depth: Calibration
 
 
-_NOMINAL = Calibration(
-    torch.tensor([[577.870605, 0, 319.5], [0, 577.870605, 239.5], [0, 0, 1]], dtype=torch.float64), (DEPTH_SIZE,)
-)
-
-#: The calibration that 3D-SIS uses for every scan: the calibration of the most common sensor.
-NOMINAL = Cameras(_NOMINAL, _NOMINAL)
-
-
 def find_cameras(folder: Path, info: Path) -> Cameras | None:
     """Finds the cameras of a folder of exported frames; None if no file has a calibration.
 

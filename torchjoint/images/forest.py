@@ -6,14 +6,11 @@ import gzip
 import json
 import re
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-
-from torchjoint.runtime.files import atomic_write
 
 #: Largest size of a forest's decompressed file, bytes; the forest of the package has 26 MB.
 MAX_TEXT = 1 << 27
@@ -23,7 +20,7 @@ LABEL_SIZE = 16
 NUM_FEATURES = 7228
 
 #: The options in a forest's file. They determine the features that OpenCV computes.
-_OPTIONS = {
+OPTIONS = {
     "numberOfTrees": 8,
     "numberOfTreesToEvaluate": 4,
     "selfsimilarityGridSize": 5,
@@ -37,7 +34,8 @@ _OPTIONS = {
     "ssFeatureSmoothingRadius": 8,
     "gradientNormalizationRadius": 4,
 }
-_LISTS = ("childs", "featureIds", "thresholds", "edgeBoundaries", "edgeBins")
+#: The lists of numbers in a forest's file, in this order.
+LISTS = ("childs", "featureIds", "thresholds", "edgeBoundaries", "edgeBins")
 
 
 @dataclass(frozen=True)
@@ -83,39 +81,12 @@ class Forest:
             raise ValueError(f"boundary_counts: expected counts of {len(self.boundary_pixels)} pixels in all")
 
 
-def write_forest(path: Path, forest: Forest) -> None:
-    """Writes a file (``.yml.gz``) for ``cv2.ximgproc.createStructuredEdgeDetection``, atomically."""
-    options = _OPTIONS | {
-        "numberOfTrees": len(forest.children),
-        "numberOfTreesToEvaluate": forest.trees_per_site,
-    }
-    ends = np.cumsum(forest.boundary_counts.ravel(), dtype=np.int64)
-    values: tuple[np.ndarray, ...] = (
-        forest.children.ravel(),
-        forest.features.ravel(),
-        forest.thresholds.ravel(),
-        np.concatenate([[0], ends]),
-        forest.boundary_pixels,
-    )
-    # No time in the gzip header: the same forest gives the same file.
-    with (
-        atomic_write(path) as partial,
-        partial.open("wb") as raw,
-        gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0) as file,
-    ):
-        file.write(b"%YAML:1.0\n---\noptions:\n")
-        file.writelines(f"   {name}: {value}\n".encode() for name, value in options.items())
-        for name, array in zip(_LISTS, values, strict=True):
-            file.write(f"{name}:\n".encode())
-            file.writelines(_rows(array))
-
-
 def read_forest(path: Path) -> Forest:
     """Reads and checks a forest's file.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is incomplete, is no structured forest, or has other options than `_OPTIONS`.
+        ValueError: the file is incomplete, is no structured forest, or has other options than `OPTIONS`.
     """
     text = _read_text(path)
     try:
@@ -140,29 +111,21 @@ def _read_text(path: Path) -> bytes:
     return text
 
 
-def _rows(values: NDArray[np.generic], length: int = 1000) -> Iterator[bytes]:
-    """YAML flow lists. They are few and long, because OpenCV reads many short lists more slowly."""
-    for start in range(0, len(values), length):
-        part = values[start : start + length].tolist()
-        numbers = (f"{value:.9g}" for value in part) if values.dtype.kind == "f" else map(str, part)
-        yield f"   - [ {', '.join(numbers)} ]\n".encode()
-
-
 def _parse(text: bytes) -> Forest:
     if not text.startswith(b"%YAML"):
         raise ValueError("expected %YAML:1.0 at its beginning")
-    places = [text.find(b"\n%s:" % name.encode()) for name in ("options", *_LISTS)]
+    places = [text.find(b"\n%s:" % name.encode()) for name in ("options", *LISTS)]
     if min(places) < 0 or places != sorted(places):
-        raise ValueError(f"expected the entries options, {', '.join(_LISTS)}, in this order")
+        raise ValueError(f"expected the entries options, {', '.join(LISTS)}, in this order")
     ends = [*places[1:], len(text)]
     options = dict(re.findall(rb"(\w+):\s*(\d+)\s*$", text[places[0] : ends[0]], re.MULTILINE))
-    for name, expected in _OPTIONS.items():
+    for name, expected in OPTIONS.items():
         value = options.get(name.encode())
         if value is None or (not name.startswith("numberOfTrees") and int(value) != expected):
             raise ValueError(f"options.{name}: expected {expected}, got {'nothing' if value is None else int(value)}")
     children, features, thresholds, boundaries, pixels = (
         _numbers(name, text[start + len(name) + 2 : end])
-        for name, start, end in zip(_LISTS, places[1:], ends[1:], strict=True)
+        for name, start, end in zip(LISTS, places[1:], ends[1:], strict=True)
     )
     trees = int(options[b"numberOfTrees"])
     if trees == 0 or len(children) % trees or not len(children) == len(features) == len(thresholds):

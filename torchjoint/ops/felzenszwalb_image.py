@@ -78,5 +78,5 @@ def felzenszwalb_image(
 
 @torch.library.register_fake("torchjoint::felzenszwalb_image")
 def _fake(images: Tensor, *_: object) -> Tensor:
-    batch, _, height, width = images.shape
+    batch, _channels, height, width = images.shape
     return images.new_empty((batch, height, width), dtype=torch.int64)

@@ -145,25 +145,6 @@ class PoseCheck:
         return _Look(given, inverted, _off_center(frame), edges)
 
 
-def check_poses(scene: Scene, spacing: Tensor, config: VisibilityConfig) -> Agreement | None:
-    """Compares :func:`frames_to_check` with the cloud, and warns if the poses or intrinsics look wrong.
-
-    Args:
-        scene: points and frames.
-        spacing: [N] metres, spacing of the points.
-        config: parameters of the visibility.
-
-    Returns:
-        the agreement at the given poses; None for a scene without frames.
-
-    Warns:
-        PoseWarning: one for each problem found.
-    """
-    check = PoseCheck(scene.cloud, spacing, config, LocalFrame.of_world(), scene.name)
-    check.look_at(frames_to_check(scene).values())
-    return check.warn()
-
-
 def frames_to_check(scene: Scene) -> dict[int, Frame]:
     """At most NUM_FRAMES frames of a scene, evenly spread, by index."""
     return {index: scene.frames[index] for index in evenly_spaced_indices(len(scene.frames), NUM_FRAMES)}

@@ -11,10 +11,10 @@ from pathlib import Path
 import torch
 
 from torchjoint.config import Config
-from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.scene import Scene
 from torchjoint.scene.thinning import voxel_subsample
 from torchjoint.views.projection import in_any_view
+from torchjoint_lab.datasets.scenes import list_scenes, load_scene
 from torchjoint_lab.synthetic import DOMAINS, make_domain_scene, make_scene
 
 #: Metres between points of a single depth image after thinning.

@@ -13,10 +13,7 @@ import tyro
 from torch import Tensor
 
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out, check_output
-from torchjoint.datasets import list_scenes, load_scene
-from torchjoint.datasets.formats.sis3d import GRID, find_folders
 from torchjoint.datasets.resampling import resize_labels
-from torchjoint.datasets.voxels import read_world_to_scene
 from torchjoint.evaluation.predictions import Prediction, read_prediction
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter
@@ -27,6 +24,9 @@ from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene, Truth
 from torchjoint_lab.cli.arguments import check_max_frames
+from torchjoint_lab.datasets.scenes import list_scenes, load_scene
+from torchjoint_lab.datasets.sis3d import GRID, find_folders
+from torchjoint_lab.datasets.voxels import read_world_to_scene
 from torchjoint_lab.evaluation.baselines.scenecut import find_region_map, read_region_map
 from torchjoint_lab.evaluation.baselines.sis3d import detection_labels, read_detections
 from torchjoint_lab.evaluation.paper_tables import (

@@ -86,8 +86,8 @@ def train_boundary_model(
 
 
 def _own(paths: Sequence[Path], thin: float | None, max_frames: int | None) -> list[_Source]:
-    from torchjoint.datasets import list_scenes, load_scene
     from torchjoint.scene.thinning import voxel_subsample
+    from torchjoint_lab.datasets.scenes import list_scenes, load_scene
 
     def load(path: Path) -> Scene:
         scene = load_scene(path)

@@ -1,1 +1,1 @@
-"""Readers of data sets for training and evaluating boundaries of images."""
+"""Readers of data for research: BSDS500, boundary maps, 3D-SIS' example scenes, labels of ScanNet's benchmark."""

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from torchjoint.images.forest import LABEL_SIZE, NUM_FEATURES, Forest, read_forest, write_forest
+from torchjoint.images.forest import LABEL_SIZE, NUM_FEATURES, Forest, read_forest
 from torchjoint.runtime.files import atomic_write
 from torchjoint_lab.datasets.bsds import BsdsImage
+from torchjoint_lab.training.forest_file import write_forest
 from torchjoint_lab.training.patches import FeatureCodes, draw_samples, segmentation_lines
 from torchjoint_lab.training.resumable_folder import resumable_folder
 from torchjoint_lab.training.tree import TreeOptions, grow_tree

@@ -28,7 +28,6 @@ from torchjoint.datasets.formats import (
     posed_images,
     ros,
     scannet,
-    sis3d,
     tum,
     ycb_video,
 )
@@ -51,7 +50,6 @@ class Format(Protocol):
 #: Formats by name, in the order in which they are tried.
 FORMATS: dict[str, Format] = {
     "folder": cast(Format, folder),
-    "sis3d": cast(Format, sis3d),
     "scannet": cast(Format, scannet),
     "tum": cast(Format, tum),
     "nerfstudio": cast(Format, nerfstudio),

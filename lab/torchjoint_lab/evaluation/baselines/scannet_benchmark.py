@@ -11,8 +11,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.vertex_numbers import read_text, read_vertex_numbers
 from torchjoint.datasets.paths import path_inside
+from torchjoint_lab.datasets.vertex_numbers import read_text, read_vertex_numbers
 
 
 class InstanceMasks(NamedTuple):

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_array
-from torchjoint.datasets.voxels import label_voxels, voxels_of
+from torchjoint_lab.datasets.voxels import label_voxels, voxels_of
 from torchjoint_lab.evaluation.baselines.pickled_arrays import read_pickled_arrays
 
 
@@ -64,7 +64,7 @@ def detection_labels(detections: Detections, points: Tensor, world_to_scene: Ten
     Args:
         detections: K detections.
         points: [N, 3] metres, world frame.
-        world_to_scene: [4, 4], see :func:`torchjoint.datasets.voxels.read_world_to_scene`.
+        world_to_scene: [4, 4], see :func:`torchjoint_lab.datasets.voxels.read_world_to_scene`.
 
     Returns:
         [N] int64: of several detections the most confident one, then the first; -1 where nothing was detected, that is

@@ -1,7 +1,8 @@
 """A scene of 3D-SIS' examples: two resized frames, a mesh, a volume with two objects, and the way to its voxels."""
 
 import numpy as np
-from scannet_files import boxes_of, random_shots, world_to_grid, write_exported, write_mesh, write_volume
+from scannet_files import random_shots, write_exported, write_mesh
+from sis3d_files import boxes_of, world_to_grid, write_volume
 
 SCAN = "scene0144_00"
 

@@ -4,27 +4,26 @@ import struct
 
 import numpy as np
 import pytest
+import samples
+import sis3d_sample
 import torch
+from damage import CLEAR, damages
 from scannet_files import (
-    VOXEL,
-    boxes_of,
-    scene_voxels,
     shots_of,
-    world_to_grid,
     write_exported,
     write_image_truth,
     write_info,
     write_mesh,
     write_point_truth,
     write_sens,
-    write_volume,
 )
+from sis3d_files import VOXEL, boxes_of, scene_voxels, world_to_grid, write_volume
+from torchjoint_lab.datasets import sis3d
+from torchjoint_lab.datasets.scenes import list_scenes, load_scene
+from torchjoint_lab.datasets.sis3d_volume import read_volume
+from torchjoint_lab.datasets.voxels import label_voxels, read_world_to_scene, voxels_of
 
 import torchjoint as tj
-from torchjoint.datasets.files.sis3d_volume import read_volume
-from torchjoint.datasets.formats import sis3d
-from torchjoint.datasets.scannet_cameras import NOMINAL
-from torchjoint.datasets.voxels import label_voxels, read_world_to_scene, voxels_of
 
 SCAN = "scene0144_00"
 
@@ -60,7 +59,7 @@ def write_example(root, synthetic):
 
 @pytest.mark.parametrize("path", [f"images_square/{SCAN}", f"scans/{SCAN}", "."])
 def test_a_scene_by_any_of_its_paths(root, synthetic, path):
-    scene = tj.load_scene(root / path)
+    scene = load_scene(root / path)
     assert scene.name == SCAN
     torch.testing.assert_close(scene.points, synthetic.scene.points)
     assert [frame.name for frame in scene.frames] == ["0", "20"]
@@ -76,7 +75,7 @@ def test_a_scan_with_frames_of_its_own_is_scannet_s(root, synthetic):
     intrinsics = synthetic.scene.frames[0].intrinsics
     write_sens(mesh / f"{SCAN}.sens", shots_of(synthetic.scene), intrinsics, intrinsics)
     assert not sis3d.recognizes(mesh)
-    assert [frame.name for frame in tj.load_scene(mesh).frames] == ["0", "1"]
+    assert [frame.name for frame in load_scene(mesh).frames] == ["0", "1"]
     assert sis3d.find_folders(mesh).images == root / "images_square" / SCAN  # whose voxels these still are
 
 
@@ -86,14 +85,36 @@ def test_several_scenes_are_listed(root):
     (other / "pose").mkdir()
     (other / "world2grid.txt").write_text("")
     (root / "images_square" / "notes").mkdir()
-    assert list(tj.datasets.list_scenes(root)) == [SCAN, "scene0378_00"]
-    with pytest.raises(ValueError, match="is a data set; choose one of its scenes, such as"):
-        tj.load_scene(root)
+    assert list(list_scenes(root)) == [SCAN, "scene0378_00"]
+    assert list(list_scenes(root / "images_square")) == [SCAN, "scene0378_00"]
+
+
+def test_a_folder_with_scans_of_both_kinds(root, synthetic):
+    own = root / "scans" / "scene0011_00"
+    own.mkdir()
+    intrinsics = synthetic.scene.frames[0].intrinsics
+    write_sens(own / "scene0011_00.sens", shots_of(synthetic.scene), intrinsics, intrinsics)
+    found = list_scenes(root / "scans")
+    assert list(found) == ["scene0011_00", SCAN]
+    assert [[frame.name for frame in load_scene(path).frames] for path in found.values()] == [["0", "1"], ["0", "20"]]
+
+
+def test_what_the_package_reads_is_read_by_the_lab(tmp_path):
+    path = samples.write("tum", tmp_path / "tum")
+    assert list_scenes(path) == tj.datasets.list_scenes(path)
+    assert torch.equal(load_scene(path, progress=False).points, tj.load_scene(path, progress=False).points)
+
+
+def test_a_folder_without_scenes(tmp_path):
+    with pytest.raises(ValueError, match="is of no known format"):
+        list_scenes(tmp_path)
+    with pytest.raises(FileNotFoundError, match="does not exist"):
+        list_scenes(tmp_path / "nowhere")
 
 
 def test_the_truth_by_voxels(root, synthetic):
     """A point is the object that its voxel is of; where voxels have points of several objects, the first box's."""
-    truth = tj.load_scene(root).truth.points.numpy()
+    truth = load_scene(root).truth.points.numpy()
     labels, voxels = synthetic.point_labels.numpy(), scene_voxels(synthetic.scene.points)
     objects = np.argsort(-np.bincount(labels))[:5]
     in_voxel = {tuple(voxel): set() for voxel in voxels}
@@ -110,39 +131,39 @@ def test_the_mesh_s_own_annotation_comes_first(root, synthetic):
     (root / "gt_insts").mkdir()
     numbers = [0 if label == 0 else 5000 + label for label in synthetic.point_labels.tolist()]
     (root / "gt_insts" / f"{SCAN}.txt").write_text("\n".join(map(str, numbers)) + "\n")
-    truth = tj.load_scene(root).truth.points
+    truth = load_scene(root).truth.points
     assert torch.equal(truth, torch.tensor([number or -1 for number in numbers]))
     write_point_truth(root / "scans" / SCAN, SCAN, synthetic.point_labels)
-    assert torch.equal(tj.load_scene(root).truth.points, synthetic.point_labels)
+    assert torch.equal(load_scene(root).truth.points, synthetic.point_labels)
     (root / "gt_insts" / f"{SCAN}.txt").write_text("1\n2\n")
     (root / "scans" / SCAN / f"{SCAN}.aggregation.json").unlink()
     with pytest.raises(
         ValueError, match=r"gt_insts/scene0144_00\.txt: expected 6000 numbers, one for each vertex, got 2"
     ):
-        tj.load_scene(root)
+        load_scene(root)
 
 
 def test_pixels_have_a_truth_where_scannet_s_is_beside_them(root, synthetic):
     write_image_truth(root / "scans" / SCAN, synthetic.image_labels, step=20)
-    images = tj.load_scene(root).truth.images
+    images = load_scene(root).truth.images
     assert torch.equal(images[1], synthetic.image_labels[1])
 
 
 def test_without_volume_and_annotation_there_is_no_truth(root):
     (root / "scenes" / f"{SCAN}__0__.scene").unlink()
-    assert tj.load_scene(root).truth is None
+    assert load_scene(root).truth is None
 
 
 def test_the_camera_that_3d_sis_takes():
     """Its configuration for images of 41 x 32: 37.01983, 38.52470, 20, 15.5."""
-    intrinsics = NOMINAL.depth.scaled_to((32, 41))
+    intrinsics = sis3d.NOMINAL.depth.scaled_to((32, 41))
     expected = torch.tensor([[37.01983, 0, 20], [0, 38.52470, 15.5], [0, 0, 1]]).double()
     torch.testing.assert_close(intrinsics, expected, atol=1e-5, rtol=0)
 
 
 def test_without_calibration_the_nominal_camera_is_taken(root):
     (root / "scans" / SCAN / f"{SCAN}.txt").unlink()
-    intrinsics = tj.load_scene(root).frames[0].intrinsics
+    intrinsics = load_scene(root).frames[0].intrinsics
     assert intrinsics.tolist() == [[577.870605 / 4, 0, 79.5], [0, 577.870605 / 4, 59.5], [0, 0, 1]]
 
 
@@ -237,3 +258,38 @@ class TestVolume:
     def test_no_such_file(self, tmp_path):
         with pytest.raises(FileNotFoundError, match=r"b\.chunk: missing"):
             read_volume(tmp_path / "b.chunk")
+
+
+class TestDamagedFiles:
+    """Only clear errors come out."""
+
+    @pytest.fixture
+    def path(self, tmp_path):
+        return sis3d_sample.write(tmp_path)
+
+    def read(self, path):
+        """Everything that a scene has; None after a clear error."""
+        try:
+            scene = load_scene(path)
+            shapes = [frame.image.shape for frame in scene.frames]
+            return shapes, None if scene.truth is None else scene.truth.points
+        except CLEAR as error:
+            message = str(error)
+        assert len(message) > 10, message
+        return None
+
+    def test_bytes_are_cut_and_flipped(self, tmp_path, path):
+        shapes, truth = self.read(path)
+        assert shapes == [(3, 12, 16)] * 2
+        assert truth.unique().tolist() == [-1, 0, 1]
+        for _ in damages(tmp_path, 8):
+            self.read(path)
+        assert torch.equal(self.read(path)[1], truth)
+
+    def test_files_are_missing(self, tmp_path, path):
+        for file in sorted(file for file in tmp_path.rglob("*") if file.is_file()):
+            whole = file.read_bytes()
+            file.unlink()
+            self.read(path)
+            file.write_bytes(whole)
+        assert self.read(path) is not None

@@ -8,8 +8,8 @@ scans/SCAN/SCAN_vh_clean_2.ply         the cloud (fused from depth if absent)
 scans/SCAN/SCAN.txt                    the calibrations (optional; default: the one that 3D-SIS uses for all scans)
 
 Ground truth comes from the first of these that exists: ScanNet's own annotation in scans/SCAN/; gt_insts/SCAN.txt; the
-objects of scenes/SCAN__0__.scene, where a point gets the object whose surface contains the point's voxel. `load_scene`
-takes the folder images_square/SCAN or scans/SCAN, or their parent folder if it holds just one scan.
+objects of scenes/SCAN__0__.scene, where a point gets the object whose surface contains the point's voxel. `load` takes
+the folder images_square/SCAN or scans/SCAN, or their parent folder if it holds just one scan.
 """
 
 from __future__ import annotations
@@ -19,17 +19,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.sis3d_volume import read_volume
-from torchjoint.datasets.files.vertex_numbers import read_vertex_instances
 from torchjoint.datasets.formats.exported_frames import has_frames, read_frames
 from torchjoint.datasets.formats.scannet import CLOUD
 from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames
-from torchjoint.datasets.scannet_cameras import NOMINAL, find_cameras
+from torchjoint.datasets.scannet_cameras import DEPTH_SIZE, Calibration, Cameras, find_cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
-from torchjoint.datasets.voxels import label_voxels, read_world_to_scene, voxels_of
 from torchjoint.scene import Scene, Truth
+from torchjoint_lab.datasets.sis3d_volume import read_volume
+from torchjoint_lab.datasets.vertex_numbers import read_vertex_instances
+from torchjoint_lab.datasets.voxels import label_voxels, read_world_to_scene, voxels_of
+
+_NOMINAL = Calibration(
+    torch.tensor([[577.870605, 0, 319.5], [0, 577.870605, 239.5], [0, 0, 1]], dtype=torch.float64), (DEPTH_SIZE,)
+)
+
+#: The calibration that 3D-SIS uses for every scan: the calibration of the most common sensor.
+NOMINAL = Cameras(_NOMINAL, _NOMINAL)
 
 WHAT = "images_square/SCAN with color/, pose/ and world2grid.txt, or scans/SCAN beside it (3D-SIS)"
 
@@ -58,7 +66,7 @@ def recognizes(path: Path) -> bool:
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads a scan; see :func:`torchjoint.load_scene`."""
+    """Loads a scan; see :func:`torchjoint_lab.datasets.scenes.load_scene`."""
     folders = find_folders(path)
     if folders is None:
         raise ValueError(f"{path}: expected {WHAT}")
