@@ -46,9 +46,9 @@ from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
 from torchjoint.scene.thinning import voxel_subsample
-from torchjoint.segments.learned.agglomeration import build_hierarchy
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.segments.learned.consensus import build_consensus
 
 DOMAINS = ("table", "shelf", "bin", "desk", "kitchen", "room", "workshop")
 #: Seeds of the generated scenes for training, for tuning the other methods (a part of these), and for scoring. The
@@ -168,7 +168,7 @@ class Judged(NamedTuple):
     def scores(self, model: BoundaryModel, images: bool) -> tuple[float, float]:
         """F for objects and parts, and mean best IoU."""
         with one_thread_per_operation():
-            labels = build_hierarchy((self.with_images if images else self.without).evidence, model).at()
+            labels = build_consensus((self.with_images if images else self.without).evidence, model).at()
         judged = score(labels if self.of_point is None else labels[self.of_point], self.truth)
         return judged.f, judged.best_iou
 

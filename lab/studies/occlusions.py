@@ -26,8 +26,8 @@ import torchjoint as tj
 from torchjoint.evaluation.scores import score
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
-from torchjoint.segments.learned.agglomeration import build_hierarchy
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.segments.learned.consensus import build_consensus
 from torchjoint.segments.learned.piece_graph import build_piece_graph
 
 #: Frames held in memory at a time.
@@ -93,7 +93,7 @@ def scores(scene: Scene) -> list[tuple[float, float]]:
     with one_thread_per_operation():
         evidence = build_piece_graph(cloud.graph, cloud.graph.scales, segmenter.state)
         for one in (replace(evidence, occlusions=None), evidence):
-            labels = build_hierarchy(one, load_boundary_model()).at()
+            labels = build_consensus(one, load_boundary_model()).at()
             judged = score(labels if cloud.of_point is None else labels[cloud.of_point], scene.truth.points)
             found.append((judged.f, judged.best_iou))
     return found

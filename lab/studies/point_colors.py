@@ -30,8 +30,8 @@ from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
 from torchjoint.segments.learned import piece_graph as evidence_of_points
-from torchjoint.segments.learned.agglomeration import build_hierarchy
 from torchjoint.segments.learned.boundary_model import BoundaryModel
+from torchjoint.segments.learned.consensus import build_consensus
 from torchjoint.segments.learned.image_colors import image_colors
 from torchjoint.segments.learned.piece_graph import build_piece_graph
 
@@ -89,7 +89,7 @@ def scores(scene: Scene, model: BoundaryModel, num_frames: int | None) -> list[t
     for given in (None, image_colors(graph.num_points, state.observations), graph.colors):
         with one_thread_per_operation(), patch.object(evidence_of_points, "image_colors", return_value=None):
             evidence = build_piece_graph(graph._replace(colors=given), graph.scales, state)
-            labels = build_hierarchy(evidence, model).at()
+            labels = build_consensus(evidence, model).at()
         of_point = segmenter.cloud.of_point
         judged = score(labels if of_point is None else labels[of_point], scene.truth.points)
         found.append((judged.f, judged.best_iou))

@@ -14,6 +14,7 @@ from torchjoint.segments.learned.agglomeration import (
 )
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.segments.learned.consensus import build_consensus
 from torchjoint.segments.learned.method import Learned
 from torchjoint.segments.learned.piece_graph import build_piece_graph
 from torchjoint.views.state import JointState
@@ -26,6 +27,7 @@ class ByCrease:
 
     def __init__(self, *thresholds):
         self.thresholds = thresholds
+        self.members = (self,)
         self.asked = []
 
     def probability(self, number, values):
@@ -156,8 +158,8 @@ class TestMethod:
     def _model(self, monkeypatch):
         monkeypatch.setattr("torchjoint.segments.learned.method.load_boundary_model", lambda _: ByCrease(0.1, 0.2, 0.3))
 
-    def test_is_the_rounds(self, segmenter, evidence):
-        expected = build_hierarchy(evidence, ByCrease(0.1, 0.2, 0.3)).at()
+    def test_is_the_consensus(self, segmenter, evidence):
+        expected = build_consensus(evidence, ByCrease(0.1, 0.2, 0.3)).at()
         result = segmenter.compute()
         assert torch.equal(result.points, expected)
         assert expected.max() > 3

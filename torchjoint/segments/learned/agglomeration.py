@@ -6,7 +6,8 @@ merge only regions that almost certainly belong together. All merges form a tree
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -14,7 +15,6 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.scene import Hierarchy
 from torchjoint.segments.learned.boundary_features import boundary_features
-from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.mask_merging import MaskLinkage
 from torchjoint.segments.learned.occluded_surfaces import Occlusions, continued_surfaces
 from torchjoint.segments.learned.piece_graph import PieceGraph
@@ -24,6 +24,22 @@ from torchjoint.segments.learned.piece_graph import PieceGraph
 COARSER = (0.65, 0.8, 0.9, 1.0)
 #: The heights of a round's merges are larger than the previous threshold by at least this number.
 HEIGHT_STEP = 2.0**-20
+
+
+#: Says how probable it is that two regions belong to different objects, [B] float64: of the number of the round, the
+#: features of the boundaries [B, F], and a piece of one of the two regions of each boundary, [B] int64.
+Judge = Callable[[int, Tensor, Tensor], Tensor]
+
+
+class Model(Protocol):
+    """What :class:`BoundaryModel` knows."""
+
+    @property
+    def thresholds(self) -> Sequence[float]:
+        """One number for each round; the round merges regions up to this probability."""
+
+    def probability(self, number: int, values: Tensor) -> Tensor:
+        """The probability [B] float64 that regions belong to different objects: of a round, and features [B, F]."""
 
 
 def merging_steps(thresholds: Sequence[float]) -> list[tuple[int, float]]:
@@ -48,7 +64,7 @@ def crossing_edges(pairs: Tensor, of_edge: Tensor, probability: Tensor) -> tuple
     return pairs[:, crossing], probability.float()[crossing]
 
 
-def build_hierarchy(pieces: PieceGraph, model: BoundaryModel) -> Hierarchy:
+def build_hierarchy(pieces: PieceGraph, model: Model) -> Hierarchy:
     """Merges pieces in the model's steps, and then further, until all regions that touch have merged.
 
     The default level of the hierarchy is the state after the model's last step. A cut at the threshold of a step gives
@@ -58,31 +74,36 @@ def build_hierarchy(pieces: PieceGraph, model: BoundaryModel) -> Hierarchy:
         pieces: the pieces and what is known about their boundaries.
         model: gives the probability that two regions belong to different objects.
     """
-    steps = merging_steps(model.thresholds)
-    (last, _), default = steps[-1], max(model.thresholds)
+    return merge_pieces(pieces, model.thresholds, lambda number, values, _: model.probability(number, values))
+
+
+def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, begun: bool = False) -> Hierarchy:
+    """As :func:`build_hierarchy`, with any judge. If it has `begun`, the pieces are the state after the first step."""
+    steps = merging_steps(thresholds)
+    (last, _), default = steps[-1], max(thresholds)
+    coarser = [(last, threshold) for threshold in COARSER if threshold > default]
+    merges, region = Merges(len(pieces.statistics.size)), pieces.piece
     linkage = MaskLinkage.of(pieces.masks, pieces.statistics.size)
     if linkage is not None:  # a first merging, which shows how far the masks contradict each other
-        region = _merge_in_steps(pieces, model, steps, linkage, pieces.piece, _Merges(pieces))
-        linkage = linkage.calibrated(pieces.regions_of_pieces(region))
-    merges = _Merges(pieces)
-    region = _merge_in_steps(pieces, model, steps, linkage, pieces.piece, merges)
+        by_masks = _merge_in_steps(pieces, judge, steps, linkage, region, Merges(len(pieces.statistics.size)))
+        linkage = linkage.calibrated(pieces.regions_of_pieces(by_masks))
+    region = _merge_in_steps(pieces, judge, steps[begun:], linkage, region, merges)
     if linkage is not None:
-        region = _merge_in_steps(pieces, model, [(last, default)], linkage, region, merges, far=True)
-        region = _merge_in_steps(pieces, model, [(last, default)], linkage, region, merges, only_crumbs=True)
+        region = _merge_in_steps(pieces, judge, [(last, default)], linkage, region, merges, far=True)
+        region = _merge_in_steps(pieces, judge, [(last, default)], linkage, region, merges, only_crumbs=True)
     elif pieces.occlusions is not None:
         region = _join_behind_occluders(pieces, pieces.occlusions, region, merges, default)
-    coarser = [(last, threshold) for threshold in COARSER if threshold > default]
-    _merge_in_steps(pieces, model, coarser, linkage, region, merges)
+    _merge_in_steps(pieces, judge, coarser, linkage, region, merges)
     return merges.hierarchy(pieces.piece, default)
 
 
 def _merge_in_steps(
     pieces: PieceGraph,
-    model: BoundaryModel,
+    judge: Judge,
     steps: Sequence[tuple[int, float]],
     linkage: MaskLinkage | None,
     region: Tensor,
-    merges: _Merges,
+    merges: Merges,
     only_crumbs: bool = False,
     far: bool = False,
 ) -> Tensor:
@@ -95,9 +116,9 @@ def _merge_in_steps(
         pairs, values, of_edge = boundary_features(pieces, region)
         if pairs.shape[1] == 0 and not far:
             break
-        ends, cost = crossing_edges(pairs, of_edge, model.probability(index, values))
         num_regions = int(region.max()) + 1
         of_piece = pieces.regions_of_pieces(region)
+        ends, cost = crossing_edges(pairs, of_edge, judge(index, values, _first_pieces(of_piece)[pairs[0]]))
         if linkage is not None and far:
             ends, cost = _with_far_pairs(ends, cost, pairs, linkage.far_pairs(of_piece), num_regions)
         if linkage is None:
@@ -112,7 +133,7 @@ def _merge_in_steps(
 
 
 def _join_behind_occluders(
-    pieces: PieceGraph, occlusions: Occlusions, region: Tensor, merges: _Merges, threshold: float
+    pieces: PieceGraph, occlusions: Occlusions, region: Tensor, merges: Merges, threshold: float
 ) -> Tensor:
     """Merges regions [N] that are one surface behind an occluder, and returns the new regions [N].
 
@@ -135,11 +156,16 @@ def _with_far_pairs(
     return torch.cat([ends, far], 1), torch.cat([cost, torch.ones(far.shape[1], dtype=torch.float32)])
 
 
-class _Merges:
+def _first_pieces(of_piece: Tensor) -> Tensor:
+    """The lowest piece of each region: [P] int64, of which the first R count; `of_piece` [P] int64 is the region."""
+    num_pieces = len(of_piece)
+    return torch.full((num_pieces,), num_pieces).scatter_reduce_(0, of_piece, torch.arange(num_pieces), "amin")
+
+
+class Merges:
     """The merges of all rounds. A merge is never lower than the merges inside it."""
 
-    def __init__(self, pieces: PieceGraph) -> None:
-        num_pieces = len(pieces.statistics.size)
+    def __init__(self, num_pieces: int) -> None:
         self._pairs: list[Tensor] = []
         self._heights: list[float] = []
         self._top = [0.0] * num_pieces  # at the lowest piece of each region: the height of its last merge
@@ -159,11 +185,7 @@ class _Merges:
         """
         if threshold > self._ceiling:
             self._below, self._ceiling = self._ceiling, threshold
-        num_pieces = len(of_piece)
-        first_piece = torch.full((num_pieces,), num_pieces).scatter_reduce_(
-            0, of_piece, torch.arange(num_pieces), "amin"
-        )
-        pieces = first_piece[joined]
+        pieces = _first_pieces(of_piece)[joined]
         self._pairs.append(pieces.t())
         heights = mean.clamp(min=self._below + HEIGHT_STEP).clamp(max=self._ceiling)
         for a, b, height in zip(*pieces.tolist(), heights.tolist(), strict=True):

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime.threads import parallel_map
+from torchjoint.segments.learned.summaries import sum_by
 from torchjoint.views.observation import Observation
 
 
@@ -27,6 +28,21 @@ class ImageCounts(NamedTuple):
     segment_size: Tensor  #: [L] int64, visible points in the segment
     frame_of_segment: Tensor  #: [L] int64, ascending
     num_frames: int
+
+    def grouped(self, of_piece: Tensor) -> ImageCounts:
+        """The counts of groups of pieces; `of_piece` [P] int64 is the group of each piece."""
+        num_groups = int(of_piece.max()) + 1
+        key, row = torch.unique(self.segment.long() * num_groups + of_piece[self.piece.long()], return_inverse=True)
+        num_points = sum_by(row, self.num_points, len(key))
+        return self._replace(piece=(key % num_groups).int(), segment=(key // num_groups).int(), num_points=num_points)
+
+    @classmethod
+    def union(cls, counts: Sequence[ImageCounts], starts: Sequence[int]) -> ImageCounts:
+        """Counts of the same images as one; the pieces of number k are numbered from `starts[k]` on."""
+        piece = torch.cat([one.piece + start for one, start in zip(counts, starts, strict=False)])
+        segment, order = torch.cat([one.segment for one in counts]).sort(stable=True)
+        num_points = torch.cat([one.num_points for one in counts])
+        return counts[0]._replace(piece=piece[order], segment=segment, num_points=num_points[order])
 
 
 def segments_of_pieces(piece: Tensor, observations: Sequence[Observation]) -> ImageCounts:

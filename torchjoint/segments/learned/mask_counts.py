@@ -31,7 +31,7 @@ class MaskCounts(NamedTuple):
     def of_regions(self, of_piece: Tensor) -> tuple[Tensor, Tensor]:
         """`in_mask` and `in_frame` of regions instead of pieces; `of_piece` is the region of each piece, [P] int64."""
         (piece, mask, in_mask), (seen_piece, frame, in_frame) = self.in_mask, self.in_frame
-        return _added(of_piece[piece], mask, in_mask), _added(of_piece[seen_piece], frame, in_frame)
+        return counted(of_piece[piece], mask, in_mask), counted(of_piece[seen_piece], frame, in_frame)
 
 
 def masks_of_pieces(
@@ -85,10 +85,10 @@ def _count(
     # Each atom counts for all masks in which it lies.
     atoms, mask = masks.pairs[:, torch.argsort(masks.pairs[0], stable=True)]
     row, member = members_of_groups(torch.bincount(atoms, minlength=masks.num_atoms), key % masks.num_atoms)
-    return _added(key[row] // masks.num_atoms, mask[member], count[row]), in_frame, masks.scores, frame
+    return counted(key[row] // masks.num_atoms, mask[member], count[row]), in_frame, masks.scores, frame
 
 
-def _added(region: Tensor, key: Tensor, count: Tensor) -> Tensor:
+def counted(region: Tensor, key: Tensor, count: Tensor) -> Tensor:
     """Sorted rows [3, K] of (region, key, count); counts with equal region and key are added."""
     num_keys = int(key.max()) + 1 if key.numel() else 1
     pair, inverse = torch.unique(region * num_keys + key, return_inverse=True)

@@ -13,8 +13,8 @@ from torchjoint.config import Config
 from torchjoint.images.segmenter import ImageSegments
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.scene import Cloud, Frame, Hierarchy
-from torchjoint.segments.learned.agglomeration import build_hierarchy
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.segments.learned.consensus import build_consensus
 from torchjoint.segments.learned.mask_majority import move_to_majority
 from torchjoint.segments.learned.occluded_surfaces import lines_across
 from torchjoint.segments.learned.piece_graph import build_piece_graph
@@ -67,7 +67,7 @@ class Learned(Method):
         if graph.scales is None:
             raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
         pieces = build_piece_graph(graph, graph.scales, state)
-        hierarchy = build_hierarchy(pieces, load_boundary_model(self._model))
+        hierarchy = build_consensus(pieces, load_boundary_model(self._model))
         if pieces.masks is None:
             return hierarchy
         return move_to_majority(hierarchy, graph.edge_index, pieces.masks, state.observations)

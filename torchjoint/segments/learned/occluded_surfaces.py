@@ -57,6 +57,20 @@ class Occlusions(NamedTuple):
     may_continue: Tensor  #: [K] bool: both lie in one plane, and the frames do not see free space between them
     between: Tensor  #: [len(PLACES), K] int64, the piece at each place; -1 = none, or not in one plane
 
+    def grouped(self, of_piece: Tensor) -> Occlusions:
+        """The same for groups of pieces; `of_piece` [P] int64 is the group of each piece. Pairs may occur twice."""
+        between = torch.where(self.between >= 0, of_piece[self.between], -1)
+        return self._replace(pairs=of_piece[self.pairs], between=between)
+
+    @classmethod
+    def union(cls, occlusions: Sequence[Occlusions], starts: Sequence[int]) -> Occlusions:
+        """Occlusions of several graphs as one; the pieces of number k are numbered from `starts[k]` on."""
+        moved = [
+            one._replace(pairs=one.pairs + start, between=torch.where(one.between >= 0, one.between + start, -1))
+            for one, start in zip(occlusions, starts, strict=False)
+        ]
+        return cls(*(torch.cat(values, -1) for values in zip(*moved, strict=True)))
+
 
 class _CoarseZBuffer(NamedTuple):
     """The nearest visible points of a frame, in cells of some pixels."""

@@ -7,7 +7,9 @@ of a boundary, so only these are measured.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import torch
@@ -26,7 +28,13 @@ from torchjoint.segments.learned.image_counts import ImageCounts, segments_of_pi
 from torchjoint.segments.learned.mask_counts import MaskCounts, masks_of_pieces
 from torchjoint.segments.learned.mask_pieces import cut_by_masks
 from torchjoint.segments.learned.occluded_surfaces import Occlusions, find_occlusions
-from torchjoint.segments.learned.region_statistics import InnerEdges, RegionStatistics, Surface, statistics_of_points
+from torchjoint.segments.learned.region_statistics import (
+    InnerEdges,
+    RegionStatistics,
+    Surface,
+    pooled,
+    statistics_of_points,
+)
 from torchjoint.segments.learned.summaries import Measure
 from torchjoint.segments.merging import merge
 from torchjoint.segments.planes import SMOOTH_REGIONS, Planes, one_sided_planes, small_regions
@@ -124,6 +132,61 @@ class PieceGraph:
         if 2 * len(across) > len(self.edges.pair):
             return self
         return replace(self, edges=self.edges.only(across))
+
+    def grouped(self, of_piece: Tensor) -> PieceGraph:
+        """The same with groups of pieces as pieces, each of which is its only point; without masks.
+
+        Args:
+            of_piece: [P] int64, group of each piece, 0 ... G - 1, numbered by first appearance.
+        """
+        num_groups = int(of_piece.max()) + 1
+        first, second = of_piece[self.pairs]
+        apart = first != second
+        key = torch.minimum(first, second) * num_groups + torch.maximum(first, second)
+        pair = torch.full_like(key, -1)
+        key, pair[apart] = torch.unique(key[apart], return_inverse=True)
+        kept = torch.nonzero(apart[self.edges.pair]).squeeze(1)
+        edges = self.edges.only(kept)
+        return PieceGraph(
+            torch.arange(num_groups),
+            torch.stack([key // num_groups, key % num_groups]),
+            edges._replace(pair=pair[edges.pair]),
+            pooled(self.statistics, of_piece, num_groups),
+            self.typical_color_step,
+            None if self.images is None else self.images.grouped(of_piece),
+            occlusions=None if self.occlusions is None else self.occlusions.grouped(of_piece),
+        )
+
+
+def disjoint_union(graphs: Sequence[PieceGraph]) -> PieceGraph:
+    """Makes one graph of several grouped graphs of one cloud, so that all their boundaries are judged together.
+
+    The pieces of each graph follow those of the graph before it.
+    """
+    counts = [len(graph.statistics.size) for graph in graphs]
+    starts = list(accumulate(counts, initial=0))
+    pairs_before = list(accumulate((graph.pairs.shape[1] for graph in graphs), initial=0))
+    moved = [
+        graph.edges._replace(pair=graph.edges.pair + start) for graph, start in zip(graphs, pairs_before, strict=False)
+    ]
+    images = [graph.images for graph in graphs if graph.images is not None]
+    occlusions = [graph.occlusions for graph in graphs if graph.occlusions is not None]
+    return PieceGraph(
+        torch.arange(starts[-1]),
+        torch.cat([graph.pairs + start for graph, start in zip(graphs, starts, strict=False)], 1),
+        BoundaryEdges(*parallel_map(_joined, zip(*moved, strict=True))),
+        RegionStatistics(*map(_joined, zip(*(graph.statistics for graph in graphs), strict=True))),
+        graphs[0].typical_color_step,
+        ImageCounts.union(images, starts) if images else None,
+        occlusions=Occlusions.union(occlusions, starts) if occlusions else None,
+    )
+
+
+def _joined(values: Sequence[Any]) -> Any:
+    """The values of several graphs, one after the other; None if they have none."""
+    if isinstance(values[0], Measure):
+        return Measure.of(torch.cat([measure.values for measure in values]))
+    return None if values[0] is None else torch.cat(list(values))
 
 
 def build_piece_graph(graph: PointGraph, scales: Scales, state: JointState) -> PieceGraph:

@@ -1,0 +1,172 @@
+"""Step 6, method learned: the vote of several segmentations, by hand and against a slow twin; the model's members."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torchjoint_lab.synthetic import make_domain_scene
+
+import torchjoint as tj
+from torchjoint import ops
+from torchjoint.segments.learned.agglomeration import build_hierarchy
+from torchjoint.segments.learned.boundary_model import BoundaryModel
+from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.segments.learned.consensus import NOISE, Panel, build_consensus, segments_of_judges, vote
+from torchjoint.segments.learned.piece_graph import build_piece_graph
+
+
+def tensors(*rows):
+    return [torch.tensor(row) for row in rows]
+
+
+def consensus_by_hand(segments, size):
+    """The groups of pieces by average linkage of the share of segmentations that have two points together."""
+    groups = [[piece] for piece in range(len(size))]
+
+    def share(one, other):
+        together = [sum(int(size[a] * size[b]) for a in one for b in other if of[a] == of[b]) for of in segments]
+        return sum(together) / (len(segments) * int(size[one].sum()) * int(size[other].sum()))
+
+    while len(groups) > 1:
+        most, a, b = max(
+            (share(one, other), -a, -b) for a, one in enumerate(groups) for b, other in enumerate(groups) if a < b
+        )
+        if most < 0.5:
+            break
+        groups[-a] = sorted(groups[-a] + groups[-b])
+        del groups[-b]
+    return groups
+
+
+class TestVote:
+    def test_the_majority_wins(self):
+        segments = tensors([0, 0, 1], [0, 0, 0], [0, 1, 1])
+        joined, against = vote(segments, torch.arange(3), torch.tensor([1, 1, 1]))
+        # 0 and 1 are together twice, 1 and 2 twice: the first pair wins; then 2 is with 0 once, and with 1 twice.
+        assert joined.tolist() == [[0, 0], [1, 2]]
+        assert against.tolist() == pytest.approx([1 / 3, 1 / 2])
+
+    def test_points_count_not_pieces(self):
+        segments = tensors([0, 0, 1], [0, 0, 0], [0, 1, 1])
+        joined, against = vote(segments, torch.arange(3), torch.tensor([4, 1, 1]))
+        assert joined.tolist() == [[0], [1]]  # 2 is with 0 once of three times, and 0 has most of the points
+        assert against.tolist() == pytest.approx([1 / 3])
+
+    def test_only_what_touches(self):
+        segments = tensors([0, 1, 0], [0, 1, 0])
+        size = torch.ones(3, dtype=torch.int64)
+        assert vote(segments, torch.arange(3), size)[0].tolist() == [[0], [2]]
+        touching = torch.tensor([[0, 1], [1, 2]])
+        assert vote(segments, torch.arange(3), size, touching)[0].shape == (2, 0)
+
+    def test_regions_instead_of_pieces(self):
+        segments = tensors([0, 1, 1, 2], [0, 0, 0, 1])
+        joined, against = vote(segments, torch.tensor([0, 1, 1, 2]), torch.ones(4, dtype=torch.int64))
+        assert joined.tolist() == [[0], [1]]
+        assert against.tolist() == pytest.approx([0.5])
+
+    @given(st.data())
+    def test_is_average_linkage(self, data):
+        pieces = data.draw(st.integers(1, 7))
+        label = st.lists(st.integers(0, 3), min_size=pieces, max_size=pieces)
+        segments = [torch.unique(torch.tensor(data.draw(label)), return_inverse=True)[1] for _ in range(3)]
+        # Powers of two that differ: no two shares are equal but by construction.
+        size = torch.tensor(data.draw(st.permutations([2**k for k in range(pieces)])))
+        joined, _ = vote(segments, torch.arange(pieces), size)
+        group = ops.connected_components(joined, pieces).tolist()
+        expected = consensus_by_hand(segments, size)
+        found = [[piece for piece in range(pieces) if group[piece] == of] for of in range(max(group) + 1)]
+        assert sorted(found) == sorted(expected)
+
+
+class TestPanel:
+    def test_who_says_what(self):
+        panel = Panel(BoundaryModel(tuple(Always(p) for p in (0.2, 0.4, 0.9))))
+        judge = torch.tensor([0, 1, 2, 6, 7, 8])
+        found = panel.probabilities(0, torch.zeros(6, 1), judge)
+        assert found.tolist() == pytest.approx([0.2, 0.4, 0.9, 0.65, 0.55, 0.3])
+        assert panel.first_probabilities(torch.zeros(2, 1))[[0, 1, 2, 6, 7, 8], 1].tolist() == pytest.approx(found)
+
+    def test_the_only_member_judges_alone(self):
+        panel = Panel(BoundaryModel((Always(0.3),)))
+        assert panel.probabilities(0, torch.zeros(2, 1), torch.tensor([0, 2])).tolist() == pytest.approx([0.3, 0.3])
+
+    def test_noise_is_repeatable_and_limited(self):
+        model = BoundaryModel((Always(0.5), Always(0.5)))
+        judge = torch.arange(6).repeat(1000)
+        one, same = (Panel(model).probabilities(0, torch.zeros(6000, 1), judge) for _ in range(2))
+        assert torch.equal(one, same)
+        is_unsure = (judge == 2) | (judge == 3)
+        assert (one[~is_unsure] == 0.5).all()
+        odds = torch.logit(one[is_unsure])
+        assert odds.std() == pytest.approx(NOISE, rel=0.05)
+        assert odds.abs().max() < NOISE * 3**0.5
+
+
+class Always:
+    """A member of a model that has one answer to all questions."""
+
+    thresholds = (0.5,)
+    feature_names = ("any",)
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def probability(self, number, values):
+        return torch.full((len(values),), self.answer, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def evidence():
+    scene = make_domain_scene("table", 11, num_views=2).scene
+    segmenter = tj.JointSegmenter()
+    segmenter.reset(scene.points, scene.colors)
+    segmenter.update(scene.frames)
+    graph = segmenter.cloud.graph
+    return build_piece_graph(graph, graph.scales, segmenter.state)
+
+
+class Silent(Panel):
+    """The panel without noise."""
+
+    def _disturbed(self, probability, is_unsure):
+        return probability
+
+
+class TestConsensus:
+    def test_trees_are_those_of_each_judge_by_itself(self, evidence):
+        model = load_boundary_model()
+        levels, segments = segments_of_judges(evidence, Silent(model), model.thresholds)
+        assert levels == [0.075, 0.15, 0.2, 0.25, 0.3, 0.35, 0.425, 0.5, 0.65, 0.8, 0.9, 1.0]
+        for judge, members in ((1, [1]), (6, [1]), (14, [0, 1, 2, 3])):
+            alone = build_hierarchy(evidence, BoundaryModel(tuple(model.members[member] for member in members)))
+            for level, of_judges in zip(levels, segments, strict=True):
+                assert torch.equal(of_judges[judge], alone.segments_of_pieces(level))
+
+    def test_the_default_level_has_together_what_most_trees_have(self, evidence):
+        model = load_boundary_model()
+        levels, segments = segments_of_judges(evidence, Panel(model), model.thresholds)
+        of_piece = build_consensus(evidence, model).segments_of_pieces(0.5)
+        a, b = evidence.pairs
+        trees = torch.stack(segments[levels.index(0.5)])
+        share = (trees[:, a] == trees[:, b]).double().mean(0)
+        together = of_piece[a] == of_piece[b]
+        assert together[share == 1].all()
+        assert share[together].mean() > 0.95
+        assert share[~together].mean() < 0.5
+
+    def test_levels_are_nested_and_end_in_pieces(self, evidence):
+        hierarchy = build_consensus(evidence, load_boundary_model())
+        assert torch.equal(hierarchy.at(1), evidence.piece)
+        counts = [int(hierarchy.at(granularity).max()) + 1 for granularity in (0, 0.3, 0.5, 0.7, 0.9, 1)]
+        assert counts == sorted(counts)
+        assert len(set(counts)) > 4
+
+    def test_threads_do_not_matter(self, evidence, set_threads):
+        model = load_boundary_model()
+        expected = build_consensus(evidence, model)
+        for threads in (1, 3):
+            set_threads(threads)
+            again = build_consensus(evidence, model)
+            assert torch.equal(again.merges, expected.merges)
+            assert torch.equal(again.heights, expected.heights)

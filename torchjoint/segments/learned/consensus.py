@@ -1,0 +1,205 @@
+"""Step 6, method learned: the consensus of several trees of merges.
+
+Merging is greedy: one boundary that is judged a hair higher changes all that merges later, so that points moved by a
+tenth of a millimetre may give other objects. Several judges, each of which merges by itself, rarely make the same
+accidental merge. Two pieces are kept together where most of their trees have them together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.ops.mask_merges import WEIGHT_UNIT, mask_merges
+from torchjoint.runtime.sorted_groups import members_of_groups
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.scene import Hierarchy
+from torchjoint.segments.learned.agglomeration import (
+    COARSER,
+    Merges,
+    build_hierarchy,
+    crossing_edges,
+    merge_pieces,
+    merging_steps,
+)
+from torchjoint.segments.learned.boundary_features import boundary_features
+from torchjoint.segments.learned.boundary_model import BoundaryModel
+from torchjoint.segments.learned.mask_counts import counted
+from torchjoint.segments.learned.piece_graph import PieceGraph, disjoint_union
+from torchjoint.segments.learned.summaries import sum_by
+
+#: Standard deviation of the noise of a disturbed judge, in log odds.
+NOISE = 0.4
+#: Two regions merge if at most this share of the trees has them apart.
+MAJORITY = 0.5
+#: The operator wants a prior; this much of it changes nothing.
+NO_PRIOR = 1e-9
+
+
+class Panel:
+    """T judges: each member of a model; each member, with noise; and the mean of all members but one, of each.
+
+    Args:
+        model: M members, T = 3 M.
+    """
+
+    def __init__(self, model: BoundaryModel) -> None:
+        self._members = model.members
+        own = torch.eye(len(self._members), dtype=torch.float64)
+        others = 1 - own if len(self._members) > 1 else own
+        self.weights = torch.cat([own, own, others / others.sum(1, keepdim=True)])  # [T, M]
+        self._is_unsure = torch.arange(len(self.weights)) // len(self._members) == 1
+        self._random = torch.Generator().manual_seed(0)
+
+    def probabilities(self, number: int, values: Tensor, judge: Tensor) -> Tensor:
+        """The probability that two regions belong to different objects, [B] float64.
+
+        Args:
+            number: of the round.
+            values: [B, F] float32, features of the boundaries.
+            judge: [B] int64, who is asked.
+        """
+        probability = torch.zeros(len(values), dtype=torch.float64)
+        for member, weight in zip(self._members, self.weights.T[:, judge], strict=True):
+            rows = torch.nonzero(weight).squeeze(1)
+            probability[rows] += weight[rows] * member.probability(number, values[rows])
+        return self._disturbed(probability, self._is_unsure[judge])
+
+    def first_probabilities(self, values: Tensor) -> Tensor:
+        """The probabilities [T, B] of all judges in the first round, of boundaries [B, F] that all of them see."""
+        members = parallel_map(lambda member: member.probability(0, values), self._members)
+        probability = self.weights @ torch.stack(members)
+        return self._disturbed(probability, self._is_unsure[:, None].expand_as(probability))
+
+    def _disturbed(self, probability: Tensor, is_unsure: Tensor) -> Tensor:
+        # Uniform noise: the bits of normal deviates differ between processors.
+        noise = 2 * torch.rand(int(is_unsure.sum()), generator=self._random, dtype=torch.float64) - 1
+        log_odds = torch.logit(probability[is_unsure], eps=1e-6) + NOISE * 3**0.5 * noise
+        return probability.masked_scatter(is_unsure, torch.sigmoid(log_odds))
+
+
+def build_consensus(pieces: PieceGraph, model: BoundaryModel) -> Hierarchy:
+    """The consensus of the trees of many judges: :class:`Panel`.
+
+    With masks, which say much more than a judge, there is one tree, of the model.
+
+    Args:
+        pieces: the pieces and what is known about their boundaries.
+        model: the judges are made of its members.
+
+    Returns:
+        all levels. The cut at a threshold of the merging has those pieces together that most trees have together at
+        this threshold. Between two thresholds, heights ascend with the share of the trees that are against a merge.
+    """
+    if pieces.masks is not None:
+        return build_hierarchy(pieces, model)
+    size = pieces.statistics.size.long()
+    levels, segments = segments_of_judges(pieces, Panel(model), model.thresholds)
+    merges, below, default = Merges(len(size)), 0.0, max(model.thresholds)
+    of_piece = torch.arange(len(size))
+    for level, of_judges in zip(levels, segments, strict=True):
+        joined, against = vote(of_judges, of_piece, size, pieces.pairs)
+        merges.add(of_piece, joined, below + (level - below) * against / MAJORITY, level)
+        of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
+        if level == default:  # what does not touch, but is together for the majority; all finer levels keep it apart
+            joined, against = vote(of_judges, of_piece, size)
+            merges.add(of_piece, joined, torch.full_like(against, level), level)
+            of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
+        below = level
+    return merges.hierarchy(pieces.piece, default)
+
+
+def segments_of_judges(
+    pieces: PieceGraph, panel: Panel, thresholds: Sequence[float]
+) -> tuple[list[float], list[list[Tensor]]]:
+    """The thresholds of the L levels of the merging; and for each level the segments [P] of each judge's tree."""
+    num_pieces = len(pieces.statistics.size)
+    pairs, values, of_edge = boundary_features(pieces, pieces.piece)
+    levels = sorted({threshold for _, threshold in merging_steps(thresholds)})
+
+    def first_regions(probability: Tensor) -> Tensor:
+        ends, cost = crossing_edges(pairs, of_edge, probability)
+        joined, _ = ops.region_dendrogram(ends, cost, num_pieces, levels[0])
+        return ops.connected_components(joined, num_pieces)
+
+    regions = parallel_map(first_regions, panel.first_probabilities(values))
+    # The first step merges nearly everything, and nearly the same for all judges. What is left is small, so that all
+    # judges' graphs together fit in one. First without what no judge needs any more: the edges inside cells, which are
+    # the pieces that all judges have together.
+    cell = _together(regions)
+    cells = pieces.grouped(cell)
+    of_cells = [torch.empty_like(cells.piece).index_put_((cell,), region) for region in regions]
+    graphs = parallel_map(cells.grouped, of_cells)
+    judge = torch.arange(len(graphs)).repeat_interleave(torch.tensor([len(graph.piece) for graph in graphs]))
+    forest = merge_pieces(
+        disjoint_union(graphs),
+        thresholds,
+        lambda number, values, piece: panel.probabilities(number, values, judge[piece]),
+        begun=True,
+    )
+    levels += [threshold for threshold in COARSER if threshold > levels[-1]]
+    segments = [regions]
+    for level in levels[1:]:
+        of_judges = forest.segments_of_pieces(level).split([len(graph.piece) for graph in graphs])
+        segments.append([(one - one[0])[region] for one, region in zip(of_judges, regions, strict=True)])
+    return levels, segments
+
+
+def _together(segments: Sequence[Tensor]) -> Tensor:
+    """The cell of each piece: pieces that all segmentations [P] have together; numbered by first appearance."""
+    cell = segments[0]
+    for other in segments[1:]:
+        _, cell = torch.unique(cell * (int(other.max()) + 1) + other, return_inverse=True)
+    first = torch.full_like(cell, len(cell)).scatter_reduce_(0, cell, torch.arange(len(cell)), "amin")[cell]
+    return torch.unique(first, return_inverse=True)[1]
+
+
+def vote(
+    segments: Sequence[Tensor], of_piece: Tensor, size: Tensor, touching: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """Repeatedly merges the two regions that most segmentations have together, while these are the majority.
+
+    The share of two regions is the mean over all pairs of points, one of each region.
+
+    Args:
+        segments: K segmentations, each [P] int64, 0, 1, ...
+        of_piece: [P] int64, region of each piece, 0 ... R - 1.
+        size: [P] int64, points of each piece.
+        touching: [2, Q] int64, pairs of pieces; regions merge if they have such a pair. None: any regions may merge.
+
+    Returns:
+        [2, M] int64, for each merge the lowest regions of the two groups; [M] float64, the share that has them apart.
+    """
+    num_regions, num_segments = int(of_piece.max()) + 1, [int(one.max()) + 1 for one in segments]
+    # As if each segmentation were a frame that sees all points, and its segments were masks.
+    first = [sum(num_segments[:place]) for place in range(len(segments))]
+    in_mask = torch.cat([counted(of_piece, one + start, size) for one, start in zip(segments, first, strict=True)], 1)
+    everything = torch.zeros_like(of_piece)
+    in_frame = torch.cat([counted(of_piece, everything + frame, size) for frame in range(len(segments))], 1)
+    ends = of_piece[touching] if touching is not None else _in_one_segment(in_mask)
+    frame_of_mask = torch.arange(len(segments)).repeat_interleave(torch.tensor(num_segments))
+    return mask_merges(
+        ends,
+        torch.zeros(ends.shape[1], dtype=torch.float32),
+        sum_by(of_piece, size, num_regions),
+        in_mask,
+        in_frame,
+        torch.full_like(frame_of_mask, WEIGHT_UNIT),
+        frame_of_mask,
+        apart_weight=1.0,
+        prior_weight=NO_PRIOR,
+        threshold=MAJORITY,
+    )
+
+
+def _in_one_segment(in_mask: Tensor) -> Tensor:
+    """The pairs of regions [2, B] that a segmentation has together, of rows (region, segment, points) [3, I]."""
+    region, segment = in_mask[:2, torch.argsort(in_mask[1], stable=True)]
+    first, second = members_of_groups(torch.bincount(segment), segment)
+    one, other = region[first], region[second]
+    num_regions = int(region.max()) + 1
+    key = torch.unique((one * num_regions + other)[one < other])
+    return torch.stack([key // num_regions, key % num_regions])
