@@ -288,7 +288,7 @@ class JointSegmenter(nn.Module):
             self._tell_unused(frames[0])
         with one_thread_per_operation():
             for _, same_size in groupby(frames, key=lambda frame: frame.size):
-                batch = list(same_size)
+                batch = parallel_map(method.developed, list(same_size))
                 segments = self.image_segmenter(batch, self.stopwatch)
                 seen = parallel_map(
                     lambda item: method.observe(*item, cloud, self.stopwatch), zip(batch, segments, strict=True)

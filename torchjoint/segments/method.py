@@ -56,6 +56,10 @@ class Method(ABC):
         graph, of_local = self.build_graph(local)
         return PreparedCloud(graph, frame, of_local).of_given(of_point)
 
+    def developed(self, frame: Frame) -> Frame:
+        """The frame as steps 1 to 8 see it. By default it is the given frame."""
+        return frame
+
     def observe(
         self, frame: Frame, segments: ImageSegments, cloud: PreparedCloud, stopwatch: Stopwatch
     ) -> FrameEvidence:

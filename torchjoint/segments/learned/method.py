@@ -10,6 +10,7 @@ from torchjoint.cloud.graph import PointGraph, build_point_graph
 from torchjoint.cloud.prepared import PreparedCloud
 from torchjoint.cloud.working_cloud import working_cloud
 from torchjoint.config import Config
+from torchjoint.images.exposure import brightened
 from torchjoint.images.segmenter import ImageSegments
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.scene import Cloud, Frame, Hierarchy
@@ -43,6 +44,10 @@ class Learned(Method):
         """Measures the scales, thins a cloud that is much denser than its noise, and builds the graph."""
         working, scales, of_point = working_cloud(cloud)
         return build_point_graph(working, self.config.point_graph.neighbors, scales), of_point
+
+    def developed(self, frame: Frame) -> Frame:
+        """Brightened, if it is dark."""
+        return replace(frame, image=brightened(frame.image))
 
     def observe(
         self, frame: Frame, segments: ImageSegments, cloud: PreparedCloud, stopwatch: Stopwatch

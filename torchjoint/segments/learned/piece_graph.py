@@ -21,6 +21,7 @@ from torchjoint.cloud.graph import PointGraph
 from torchjoint.cloud.normals import angle_between, is_convex
 from torchjoint.cloud.orientation import orient_normals
 from torchjoint.cloud.scales import Scales
+from torchjoint.images.exposure import brightened
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.segments.costs import combined_costs, crease_costs
 from torchjoint.segments.learned.image_colors import image_colors
@@ -206,7 +207,7 @@ def build_piece_graph(graph: PointGraph, scales: Scales, state: JointState) -> P
     observations = seen.without_masks()
     r = disagreement(state.views, state.overlap_sum, OVERLAP_THRESHOLD) if seen else None
     colors = image_colors(graph.num_points, seen) if graph.colors is None else graph.colors
-    lab = None if colors is None else _to_lab(colors)
+    lab = None if colors is None else _to_lab(brightened(colors))
     color_step = median = None
     if lab is not None:
         color_step = _color_steps(lab, graph.edge_index)
