@@ -1,1 +1,1 @@
-"""Readers of data sets for training and evaluating boundaries of images."""
+"""Readers of data sets for research: of boundaries of images, and of a labelled LiDAR sweep."""
