@@ -132,10 +132,10 @@ def _recolor(scene: Scene, generator: Generator, change: Change, points_too: boo
         return replace(frame, image=change(frame.image.movedim(0, -1), own).movedim(-1, 0).contiguous())
 
     colors = scene.colors if scene.colors is None or not points_too else change(scene.colors, generator)
-    return _with_frames(replace(scene, colors=colors), of_frame, generator)
+    return _with_frames(replace(scene, colors=colors), generator, of_frame)
 
 
-def _with_frames(scene: Scene, change: Callable[[Frame, Generator], Frame], generator: Generator) -> Disturbed:
+def _with_frames(scene: Scene, generator: Generator, change: Callable[[Frame, Generator], Frame]) -> Disturbed:
     """Changes each frame when it is read, so that no more images are in memory than without a change."""
     frames = scene.frames
     seeds = torch.randint(1 << 62, (len(frames),), generator=generator).tolist()

@@ -191,9 +191,10 @@ def report(results: Mapping[Run, Record]) -> str:
     runs, scenes = (len({getattr(run, name) for run in results}) for name in ("number", "scene"))
     return (
         f"{scenes} scenes, {runs} runs each, whose points moved by {NOISE * 1000:g} mm. F / best IoU against the "
-        "truth, covering with the first clean run; ± is the deviation of single runs. The last columns are over the kinds "
-        "that have what is disturbed; differences to the clean runs of the same kinds have their standard errors, bold "
-        "where they are more than twice that.\n\n" + markdown(["disturbance", *kinds, "mean", "mean - clean"], rows)
+        "truth, covering with the first clean run; ± is the deviation of single runs. The last columns are over "
+        "the kinds that have what is disturbed; differences to the clean runs of the same kinds have their "
+        "standard errors, bold where they are more than twice that.\n\n"
+        + markdown(["disturbance", *kinds, "mean", "mean - clean"], rows)
     )
 
 
