@@ -181,7 +181,8 @@ def _pose(frame: Frame, generator: Generator, shift: float, degrees: float) -> F
     """The camera at another place, `shift` metres away in any direction, and turned by `degrees` about any axis."""
     away, axis = torch.nn.functional.normalize(torch.randn((2, 3), generator=generator, dtype=torch.float64))
     error = torch.eye(4, dtype=torch.float64)
-    error[:3, :3] = torch.linalg.matrix_exp(torch.linalg.cross(torch.eye(3).double(), axis) * math.radians(degrees))
+    turn = torch.linalg.cross(torch.eye(3, dtype=torch.float64), axis.expand(3, 3))
+    error[:3, :3] = torch.linalg.matrix_exp(turn * math.radians(degrees))
     error[:3, 3] = shift * away
     return replace(frame, world_to_camera=error @ frame.world_to_camera)
 
