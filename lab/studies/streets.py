@@ -23,6 +23,7 @@ from torch import Tensor
 from torchjoint_lab.benchmark import spaces
 from torchjoint_lab.benchmark.planes import planes_and_clusters
 from torchjoint_lab.benchmark.space import draw
+from torchjoint_lab.datasets.semantickitti import read_sweep
 from torchjoint_lab.regions import segmenter
 from torchjoint_lab.synthetic import make_domain_scene
 
@@ -34,11 +35,6 @@ from torchjoint.metrics.overlaps import Overlaps
 from torchjoint.scene import Scene
 from torchjoint.segments.scan.scan_segments import segment_scan
 from torchjoint.views.projection import in_any_view
-
-#: Classes of SemanticKITTI.
-THINGS = (10, 11, 13, 15, 16, 18, 20, 30, 31, 32, *range(252, 260))
-GROUND = (40, 44, 48, 49, 60, 72)
-VOID = (0, 1)
 
 #: Seeds of generated streets on which settings may be chosen, and of those that check them.
 SEEDS = {"develop": range(10), "check": range(10, 20)}
@@ -75,12 +71,8 @@ def kitti(data: Path) -> Iterator[Sweep]:
 def semantickitti(data: Path) -> Iterator[Sweep]:
     """Every vehicle and person an instance, all ground one."""
     for path in sorted((data / "semantickitti").glob("*.bin")):
-        points = torch.from_numpy(np.fromfile(path, dtype=np.float32).reshape(-1, 4)[:, :3].copy())
-        label = torch.from_numpy(np.fromfile(path.with_suffix(".label"), dtype=np.uint32).astype(np.int64))
-        kind = label & 0xFFFF
-        instance = torch.where(torch.isin(kind, torch.tensor(THINGS)), label, -1)
-        instance = torch.where(torch.isin(kind, torch.tensor(GROUND)), 0, instance)
-        yield Sweep(path.stem, points, instance, (instance < 0) & ~torch.isin(kind, torch.tensor(VOID)), 0)
+        sweep = read_sweep(path)
+        yield Sweep(path.stem, sweep.points, sweep.instance, (sweep.instance < 0) & ~sweep.void, 0)
 
 
 def streets(half: str) -> Iterator[Sweep]:

@@ -6,6 +6,9 @@ from torchjoint.cli.commands import Command, run
 
 COMMANDS = {
     "benchmark": Command("torchjoint_lab.cli.benchmark:benchmark", "compares methods on labelled scenes"),
+    "robustness": Command(
+        "torchjoint_lab.cli.robustness:robustness", "measures how much results change with noise, light and poses"
+    ),
     "train-forest": Command("torchjoint_lab.cli.train_forest:train_forest", "trains the boundary detector of images"),
     "train-boundary-model": Command(
         "torchjoint_lab.cli.train_boundary_model:train_boundary_model", "trains the model of step 6, method learned"
@@ -16,7 +19,9 @@ COMMANDS = {
     "paper-tables": Command("torchjoint_lab.cli.paper_tables:paper_tables", "scores results as the paper's tables do"),
 }
 
-INTERRUPTED = "`benchmark --tuning`, `train-forest` and `train-boundary-model` resume when they are started again"
+INTERRUPTED = (
+    "`benchmark --tuning`, `robustness`, `train-forest` and `train-boundary-model` resume when they are started again"
+)
 
 
 def main() -> None:

@@ -1,1 +1,1 @@
-"""Readers of data for research: BSDS500, boundary maps, 3D-SIS' example scenes, labels of ScanNet's benchmark."""
+"""Readers of data for research: BSDS500, boundary maps, 3D-SIS' example scenes, a labelled LiDAR sweep."""
