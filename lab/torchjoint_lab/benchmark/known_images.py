@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from torchjoint.config import Config
+from torchjoint.images.exposure import brightened
 from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import one_thread_per_operation
@@ -22,20 +24,20 @@ class KnownImages(ImageSegmenter):
 
     Args:
         config: parameters of the image stages.
-        frames: all of one size. Frames are recognised by object identity: later calls must pass the same objects.
+        frames: all of one size. Frames are recognised by the identity of their poses: later calls must pass the same poses.
         bounded: source of the boundaries of these frames; must use the same detector and contours.
     """
 
     def __init__(self, config: Config, frames: Sequence[Frame], bounded: KnownImages | None = None) -> None:
         super().__init__(config, None if bounded is None else bounded.boundary)
-        self._frames = frames  # the reference is kept, so that no other object can get the id of one of these frames
+        self._frames = frames  # the reference is kept, so that no other object can get the id of one of these poses
         self._known: dict[int, ImageSegments] = {}
         self._bounded = bounded
         with one_thread_per_operation():
             for start in range(0, len(frames), BATCH):
-                batch = frames[start : start + BATCH]
+                batch = [replace(one, image=brightened(one.image)) for one in frames[start : start + BATCH]]
                 self._known |= {
-                    id(frame): segments
+                    id(frame.world_to_camera): segments
                     for frame, segments in zip(batch, super().forward(batch, Stopwatch()), strict=True)
                 }
 
@@ -43,8 +45,8 @@ class KnownImages(ImageSegmenter):
         """Returns the boundaries [B, H, W] of some of the frames, those that are known already without detecting."""
         if self._bounded is None:
             return super().detect(frames, stopwatch)
-        return torch.stack([self._bounded._known[id(frame)].boundary for frame in frames])
+        return torch.stack([self._bounded._known[id(frame.world_to_camera)].boundary for frame in frames])
 
     def forward(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> list[ImageSegments]:
         """Returns the cached boundaries and initial segments of these frames."""
-        return [self._known[id(frame)] for frame in frames]
+        return [self._known[id(frame.world_to_camera)] for frame in frames]

@@ -47,7 +47,8 @@ class Learned(Method):
 
     def developed(self, frame: Frame) -> Frame:
         """Brightened, if it is dark."""
-        return replace(frame, image=brightened(frame.image))
+        image = brightened(frame.image)
+        return frame if image is frame.image else replace(frame, image=image)
 
     def observe(
         self, frame: Frame, segments: ImageSegments, cloud: PreparedCloud, stopwatch: Stopwatch
