@@ -24,20 +24,19 @@ class KnownImages(ImageSegmenter):
 
     Args:
         config: parameters of the image stages.
-        frames: all of one size. Frames are recognised by the identity of their poses: later calls must pass the same poses.
+        frames: all of one size. They are recognised by their names and poses.
         bounded: source of the boundaries of these frames; must use the same detector and contours.
     """
 
     def __init__(self, config: Config, frames: Sequence[Frame], bounded: KnownImages | None = None) -> None:
         super().__init__(config, None if bounded is None else bounded.boundary)
-        self._frames = frames  # the reference is kept, so that no other object can get the id of one of these poses
-        self._known: dict[int, ImageSegments] = {}
+        self._known: dict[tuple[str, bytes], ImageSegments] = {}
         self._bounded = bounded
         with one_thread_per_operation():
             for start in range(0, len(frames), BATCH):
                 batch = [replace(one, image=brightened(one.image)) for one in frames[start : start + BATCH]]
                 self._known |= {
-                    id(frame.world_to_camera): segments
+                    _key(frame): segments
                     for frame, segments in zip(batch, super().forward(batch, Stopwatch()), strict=True)
                 }
 
@@ -45,8 +44,12 @@ class KnownImages(ImageSegmenter):
         """Returns the boundaries [B, H, W] of some of the frames, those that are known already without detecting."""
         if self._bounded is None:
             return super().detect(frames, stopwatch)
-        return torch.stack([self._bounded._known[id(frame.world_to_camera)].boundary for frame in frames])
+        return torch.stack([self._bounded._known[_key(frame)].boundary for frame in frames])
 
     def forward(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> list[ImageSegments]:
         """Returns the cached boundaries and initial segments of these frames."""
-        return [self._known[id(frame.world_to_camera)] for frame in frames]
+        return [self._known[_key(frame)] for frame in frames]
+
+
+def _key(frame: Frame) -> tuple[str, bytes]:
+    return frame.name, frame.world_to_camera.numpy().tobytes()
