@@ -70,7 +70,7 @@ def test_a_full_disk(engine, scans, deaths, expected, tmp_path):
     try:
         out = disk / "out"
         with warnings.catch_warnings():  # whether there is room for the tables depends on what was written last
-            warnings.filterwarnings("ignore", ".*not up to date: the disk is full")
+            warnings.filterwarnings("ignore", ".*could not be written: the disk is full")
             first = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS)
         assert first.failures
         assert all("the disk is full" in reason for reason in first.failures.values())

@@ -205,7 +205,7 @@ def test_split_name_undo_and_the_cameras(viewer, page):
     page.get_by_role("button", name="Clear selection").click()
     wait(lambda: "Click a segment" in panel(page))
     name.fill("nobody")
-    wait(lambda: "select one segment, got 0" in page.inner_text("body"))
+    wait(lambda: "expected one selected segment, got 0" in page.inner_text("body"))
     wait(lambda: name.input_value() == "")
     before = pixels(page)
     page.get_by_role("checkbox", name="Cameras").uncheck()
