@@ -28,7 +28,7 @@ from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 from torchjoint.segments.learned.consensus import build_consensus
-from torchjoint.segments.learned.piece_graph import build_piece_graph
+from torchjoint.segments.learned.pieces import build_piece_graph
 
 #: Frames held in memory at a time.
 FRAMES = 4

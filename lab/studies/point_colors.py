@@ -29,11 +29,11 @@ from torchjoint.evaluation.scores import score
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
-from torchjoint.segments.learned import piece_graph as evidence_of_points
+from torchjoint.segments.learned import pieces as evidence_of_points
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.consensus import build_consensus
 from torchjoint.segments.learned.image_colors import image_colors
-from torchjoint.segments.learned.piece_graph import build_piece_graph
+from torchjoint.segments.learned.pieces import build_piece_graph
 
 #: Kinds of data, and the kind whose left-out models never saw them.
 KINDS = {"mosd": "mosd", "ycb": "desk", **{kind: kind for kind in DOMAINS}}

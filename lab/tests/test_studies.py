@@ -57,7 +57,8 @@ def test_each_parameter_of_the_sensitivity_is_one_of_the_preset(study):
     for suite, ranges in (("mosd", sensitivity.REGIONS), ("kitti", sensitivity.SCAN)):
         preset = sensitivity.preset_config(SUITES[suite].preset)
         for name in (*ranges, *sensitivity.IMAGE_LABELS):
-            sensitivity.value_in(preset, name)
+            value = sensitivity.value_in(preset, name)  # raises where there is no such parameter
+            assert value is None or isinstance(value, (int, float))
 
 
 def test_a_table_replaces_that_of_the_page_only_when_told(study, tmp_path, monkeypatch, capsys):

@@ -22,6 +22,8 @@ BATCH = 8
 class KnownImages(ImageSegmenter):
     """Replaces a segmenter's :class:`ImageSegmenter` for frames that are known in advance.
 
+    Dark frames are brightened, as method learned sees them.
+
     Args:
         config: parameters of the image stages.
         frames: all of one size. They are recognised by their names and poses.

@@ -17,7 +17,8 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
-from torchjoint.segments.learned.piece_graph import PieceGraph, build_piece_graph
+from torchjoint.segments.learned.piece_graph import PieceGraph
+from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.views.observations import Observations
 
 #: How the names of the features begin that need images, and of those that need colours.

@@ -16,7 +16,7 @@ from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundar
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 from torchjoint.segments.learned.consensus import build_consensus
 from torchjoint.segments.learned.method import Learned
-from torchjoint.segments.learned.piece_graph import build_piece_graph
+from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.views.state import JointState
 
 LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])

@@ -14,7 +14,8 @@ from torchjoint.segments.learned import image_agreement as agreement_module
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, BoundaryFeatures, boundary_features
 from torchjoint.segments.learned.image_agreement import image_agreement
 from torchjoint.segments.learned.image_counts import segments_of_pieces
-from torchjoint.segments.learned.piece_graph import PieceGraph, build_piece_graph
+from torchjoint.segments.learned.piece_graph import PieceGraph
+from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.segments.learned.region_statistics import (
     InnerEdges,
     Surface,

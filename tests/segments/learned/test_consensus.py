@@ -12,7 +12,7 @@ from torchjoint.segments.learned.agglomeration import build_hierarchy
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 from torchjoint.segments.learned.consensus import NOISE, Panel, build_consensus, segments_of_judges, vote
-from torchjoint.segments.learned.piece_graph import build_piece_graph
+from torchjoint.segments.learned.pieces import build_piece_graph
 
 
 def tensors(*rows):

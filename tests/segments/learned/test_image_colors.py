@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import torchjoint as tj
 from torchjoint.segments.learned.image_colors import image_colors
-from torchjoint.segments.learned.piece_graph import build_piece_graph
+from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.views.observation import Observation
 from torchjoint.views.observations import Observations
 from torchjoint.views.pose_check import PoseWarning
@@ -91,10 +91,10 @@ def test_a_cloud_without_colors_has_those_of_the_images(monkeypatch):
         asked.append(len(observations))
         return image_colors(num_points, observations)
 
-    monkeypatch.setattr("torchjoint.segments.learned.piece_graph.image_colors", spy)
+    monkeypatch.setattr("torchjoint.segments.learned.pieces.image_colors", spy)
     filled = tj.JointSegmenter()(scene)
     assert asked == [len(scene.frames)]
-    monkeypatch.setattr("torchjoint.segments.learned.piece_graph.image_colors", lambda num_points, observations: None)
+    monkeypatch.setattr("torchjoint.segments.learned.pieces.image_colors", lambda num_points, observations: None)
     assert not torch.equal(filled.points, tj.JointSegmenter()(scene).points)
 
 
@@ -123,7 +123,7 @@ def test_given_colors_stay(monkeypatch):
     def fail(num_points, observations):
         raise AssertionError("not asked for")
 
-    monkeypatch.setattr("torchjoint.segments.learned.piece_graph.image_colors", fail)
+    monkeypatch.setattr("torchjoint.segments.learned.pieces.image_colors", fail)
     scene = scene_of(colors=True)
     segmenter = tj.JointSegmenter()
     segmenter(scene)

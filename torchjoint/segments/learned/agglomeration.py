@@ -87,7 +87,7 @@ def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, 
     if linkage is not None:  # a first merging, which shows how far the masks contradict each other
         by_masks = _merge_in_steps(pieces, judge, steps, linkage, region, Merges(len(pieces.statistics.size)))
         linkage = linkage.calibrated(pieces.regions_of_pieces(by_masks))
-    region = _merge_in_steps(pieces, judge, steps[begun:], linkage, region, merges)
+    region = _merge_in_steps(pieces, judge, steps[1:] if begun else steps, linkage, region, merges)
     if linkage is not None:
         region = _merge_in_steps(pieces, judge, [(last, default)], linkage, region, merges, far=True)
         region = _merge_in_steps(pieces, judge, [(last, default)], linkage, region, merges, only_crumbs=True)

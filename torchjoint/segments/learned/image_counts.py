@@ -39,7 +39,7 @@ class ImageCounts(NamedTuple):
     @classmethod
     def union(cls, counts: Sequence[ImageCounts], starts: Sequence[int]) -> ImageCounts:
         """Counts of the same images as one; the pieces of number k are numbered from `starts[k]` on."""
-        piece = torch.cat([one.piece + start for one, start in zip(counts, starts, strict=False)])
+        piece = torch.cat([one.piece + start for one, start in zip(counts, starts, strict=True)])
         segment, order = torch.cat([one.segment for one in counts]).sort(stable=True)
         num_points = torch.cat([one.num_points for one in counts])
         return counts[0]._replace(piece=piece[order], segment=segment, num_points=num_points[order])

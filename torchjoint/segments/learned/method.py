@@ -18,7 +18,7 @@ from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 from torchjoint.segments.learned.consensus import build_consensus
 from torchjoint.segments.learned.mask_majority import move_to_majority
 from torchjoint.segments.learned.occluded_surfaces import lines_across
-from torchjoint.segments.learned.piece_graph import build_piece_graph
+from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.segments.method import Method
 from torchjoint.views.frame_evidence import FrameEvidence
 from torchjoint.views.propagation import edge_contours

@@ -67,7 +67,7 @@ class Occlusions(NamedTuple):
         """Occlusions of several graphs as one; the pieces of number k are numbered from `starts[k]` on."""
         moved = [
             one._replace(pairs=one.pairs + start, between=torch.where(one.between >= 0, one.between + start, -1))
-            for one, start in zip(occlusions, starts, strict=False)
+            for one, start in zip(occlusions, starts, strict=True)
         ]
         return cls(*(torch.cat(values, -1) for values in zip(*moved, strict=True)))
 

@@ -1,12 +1,7 @@
-"""Step 6, method learned: the pieces of a cloud, and what a model judges boundaries by, measured once.
-
-The points are first grouped into small pieces, which are never split again. Only edges between two pieces can be part
-of a boundary, so only these are measured.
-"""
+"""Step 6, method learned: the pieces of a cloud, and what a model judges the boundaries between them by."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
@@ -15,58 +10,12 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.cloud._vectors import dot, length, rows_of
-from torchjoint.cloud.edge_weights import map_edges
-from torchjoint.cloud.graph import PointGraph
-from torchjoint.cloud.normals import angle_between, is_convex
-from torchjoint.cloud.orientation import orient_normals
-from torchjoint.cloud.scales import Scales
-from torchjoint.images.exposure import brightened
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.segments.costs import combined_costs, crease_costs
-from torchjoint.segments.learned.image_colors import image_colors
-from torchjoint.segments.learned.image_counts import ImageCounts, segments_of_pieces
-from torchjoint.segments.learned.mask_counts import MaskCounts, masks_of_pieces
-from torchjoint.segments.learned.mask_pieces import cut_by_masks
-from torchjoint.segments.learned.occluded_surfaces import Occlusions, find_occlusions
-from torchjoint.segments.learned.region_statistics import (
-    InnerEdges,
-    RegionStatistics,
-    Surface,
-    pooled,
-    statistics_of_points,
-)
+from torchjoint.segments.learned.image_counts import ImageCounts
+from torchjoint.segments.learned.mask_counts import MaskCounts
+from torchjoint.segments.learned.occluded_surfaces import Occlusions
+from torchjoint.segments.learned.region_statistics import RegionStatistics, pooled
 from torchjoint.segments.learned.summaries import Measure
-from torchjoint.segments.merging import merge
-from torchjoint.segments.planes import SMOOTH_REGIONS, Planes, one_sided_planes, small_regions
-from torchjoint.views.propagation import disagreement
-from torchjoint.views.state import JointState
-
-# The model was trained on boundaries between pieces made with these numbers. With other numbers its probabilities would
-# be wrong, so they are not parameters of the config.
-
-#: Factor on the cost of a crease where the surface is convex.
-CONVEX_FACTOR = 0.05
-#: Weight of the images' disagreement in an edge's cost.
-IMAGE_WEIGHT = 0.3
-#: Overlap of two windows at which an image is neutral, r_o of eq. 6.
-OVERLAP_THRESHOLD = 0.7
-#: Share of a crease's cost that the images' agreement removes.
-AGREEMENT = 0.22
-#: Weight of the colour step in an edge's cost.
-COLOR_WEIGHT = 0.3
-#: A colour step of this many median colour steps has the full weight.
-LARGE_COLOR_STEP = 6
-#: Smallest median colour step by which colour steps are divided, units of Lab, because smaller steps are noise of the
-#: camera; first for the costs of edges, then for the model.
-SMALLEST_MEDIAN = 1.0
-SMALLEST_TYPICAL = 0.5
-#: Mean boundary cost up to which points merge into pieces.
-THRESHOLD = 0.05
-#: Smallest piece, points.
-MIN_SIZE = 8
-#: Right angles in one radian.
-RIGHT_ANGLES = 2 / math.pi
 
 
 class BoundaryEdges(NamedTuple):
@@ -164,17 +113,16 @@ def disjoint_union(graphs: Sequence[PieceGraph]) -> PieceGraph:
 
     The pieces of each graph follow those of the graph before it.
     """
-    counts = [len(graph.statistics.size) for graph in graphs]
-    starts = list(accumulate(counts, initial=0))
-    pairs_before = list(accumulate((graph.pairs.shape[1] for graph in graphs), initial=0))
+    *starts, num_pieces = accumulate((len(graph.statistics.size) for graph in graphs), initial=0)
+    *first_pairs, _ = accumulate((graph.pairs.shape[1] for graph in graphs), initial=0)
     moved = [
-        graph.edges._replace(pair=graph.edges.pair + start) for graph, start in zip(graphs, pairs_before, strict=False)
+        graph.edges._replace(pair=graph.edges.pair + first) for graph, first in zip(graphs, first_pairs, strict=True)
     ]
     images = [graph.images for graph in graphs if graph.images is not None]
     occlusions = [graph.occlusions for graph in graphs if graph.occlusions is not None]
     return PieceGraph(
-        torch.arange(starts[-1]),
-        torch.cat([graph.pairs + start for graph, start in zip(graphs, starts, strict=False)], 1),
+        torch.arange(num_pieces),
+        torch.cat([graph.pairs + start for graph, start in zip(graphs, starts, strict=True)], 1),
         BoundaryEdges(*parallel_map(_joined, zip(*moved, strict=True))),
         RegionStatistics(*map(_joined, zip(*(graph.statistics for graph in graphs), strict=True))),
         graphs[0].typical_color_step,
@@ -188,130 +136,3 @@ def _joined(values: Sequence[Any]) -> Any:
     if isinstance(values[0], Measure):
         return Measure.of(torch.cat([measure.values for measure in values]))
     return None if values[0] is None else torch.cat(list(values))
-
-
-def build_piece_graph(graph: PointGraph, scales: Scales, state: JointState) -> PieceGraph:
-    """Groups the points into pieces, and measures the edges between the pieces.
-
-    If the cloud has no colours, the visible points get colours from the images.
-
-    Args:
-        graph: the point graph.
-        scales: noise and spacing of the points.
-        state: the evidence of the images.
-    """
-    normals, oriented = orient_normals(graph, state.facing)
-    planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
-    seen = state.observations
-    # Frames with masks are treated separately, because masks have a much larger weight (see mask_merges).
-    observations = seen.without_masks()
-    r = disagreement(state.views, state.overlap_sum, OVERLAP_THRESHOLD) if seen else None
-    colors = image_colors(graph.num_points, seen) if graph.colors is None else graph.colors
-    lab = None if colors is None else _to_lab(brightened(colors))
-    color_step = median = None
-    if lab is not None:
-        color_step = _color_steps(lab, graph.edge_index)
-        known = color_step[color_step.isfinite()]
-        median = float(known.median()) if len(known) else 0.0
-    cost = _edge_costs(crease_costs(graph.edge_index, planes, oriented, CONVEX_FACTOR), r, color_step, median)
-    piece = merge(torch.arange(graph.num_points), graph.edge_index, cost, THRESHOLD, MIN_SIZE)
-    piece = cut_by_masks(piece, graph.edge_index, seen)
-    first, second = piece[graph.edge_index]
-    across = torch.nonzero(first != second).squeeze(1)
-    num_pieces = int(piece.max()) + 1
-    low, high = torch.minimum(first, second)[across], torch.maximum(first, second)[across]
-    key, pair = torch.unique(low * num_pieces + high, return_inverse=True)
-    ends = graph.edge_index[:, across]
-    geometry = _geometry(graph, ends, normals, oriented, planes, scales)
-    contour = views = None
-    if r is not None and observations:
-        total, views = state.contour_sum[across].long(), state.contour_views[across].long()
-        contour = torch.where(views > 0, total.float() / (255 * views.clamp(min=1)), torch.nan)
-        r = torch.where(state.views[across] > 0, r[across], torch.nan)
-    else:
-        r = None
-    surface = Surface(graph.points, planes.normal, oriented, scales.noise, scales.spacing, lab)
-    statistics = statistics_of_points(
-        piece, surface, _inner_edges(piece, graph.edge_index, normals, oriented, color_step)
-    )
-    if color_step is not None:
-        color_step = color_step[across]
-    optional = (color_step, r, contour)
-    present = [values for values in optional if values is not None]
-    crease, bend, wide_bend, offset, larger_offset, gap, *ranked = parallel_map(Measure.of, [*geometry, *present])
-    rest = iter(ranked)
-    color, overlap, strength = (None if values is None else next(rest) for values in optional)
-    unoriented = ~(oriented[ends[0]] & oriented[ends[1]])
-    return PieceGraph(
-        piece,
-        torch.stack([key // num_pieces, key % num_pieces]),
-        BoundaryEdges(
-            pair, crease, bend, wide_bend, offset, larger_offset, gap, unoriented, color, overlap, strength, views
-        ),
-        statistics,
-        None if median is None else max(median, SMALLEST_TYPICAL),
-        segments_of_pieces(piece, observations) if observations else None,
-        masks_of_pieces(piece, seen),
-        find_occlusions(piece, statistics, graph.points, scales, observations) if observations else None,
-    )
-
-
-def _inner_edges(
-    piece: Tensor, edge_index: Tensor, normals: Tensor, oriented: Tensor, color_step: Tensor | None
-) -> InnerEdges:
-    """The edges inside the pieces [N], with the angles between normals [N, 3], and colour steps [E]."""
-    i, j = edge_index
-    inner = torch.nonzero(piece[i] == piece[j]).squeeze(1)
-    i, j = i[inner], j[inner]
-    turn = angle_between(rows_of(normals, i), rows_of(normals, j), oriented[i] & oriented[j])
-    return InnerEdges(piece[i], turn * RIGHT_ANGLES, None if color_step is None else color_step[inner])
-
-
-def _edge_costs(crease: Tensor, r: Tensor | None, color_step: Tensor | None, median: float | None) -> Tensor:
-    """Costs [E] of edges from creases, disagreement of the images, and colour steps with their median."""
-    cost = crease if r is None else combined_costs(crease, r, IMAGE_WEIGHT, AGREEMENT)
-    if color_step is None or median is None:
-        return cost
-    large = LARGE_COLOR_STEP * max(median, SMALLEST_MEDIAN)
-    return cost + COLOR_WEIGHT * (1 - crease) * (color_step / large).clamp(max=1).nan_to_num()
-
-
-def _geometry(
-    graph: PointGraph, edge_index: Tensor, normals: Tensor, oriented: Tensor, planes: Planes, scales: Scales
-) -> tuple[Tensor, ...]:
-    """The measures crease, bend, wide_bend, offset, larger_offset and gap of BoundaryEdges, each [C] float32."""
-    i, j = edge_index
-    both = oriented[i] & oriented[j]
-    one, other = rows_of(planes.normal, i), rows_of(planes.normal, j)
-    between = rows_of(planes.mean, j) - rows_of(planes.mean, i)
-    angle = angle_between(one, other, both) * RIGHT_ANGLES
-    crease = torch.where(both & is_convex(between, other - one), -angle, angle)
-    bend = angle_between(rows_of(normals, i), rows_of(normals, j), both) * RIGHT_ANGLES
-    assert graph.wide_normals is not None  # it has scales
-    wide = torch.where(dot(graph.wide_normals, normals)[:, None] < 0, -graph.wide_normals, graph.wide_normals)
-    wide_bend = angle_between(rows_of(wide, i), rows_of(wide, j), both) * RIGHT_ANGLES
-    off_one, off_other = dot(between, one).abs(), dot(between, other).abs()
-    noise = torch.maximum(scales.noise[i], scales.noise[j])
-    spacing = torch.maximum(scales.spacing[i], scales.spacing[j])
-    gap = length(rows_of(graph.points, j) - rows_of(graph.points, i)) / spacing
-    return (
-        crease,
-        bend,
-        wide_bend,
-        torch.minimum(off_one, off_other) / noise,
-        torch.maximum(off_one, off_other) / noise,
-        gap,
-    )
-
-
-def _to_lab(colors: Tensor) -> Tensor:
-    """Colours [N, 3] RGB in [0, 1] -> [N, 3] Lab."""
-    import kornia
-
-    lab: Tensor = kornia.color.rgb_to_lab(colors.T[None, :, :, None].contiguous())
-    return lab[0, :, :, 0].T
-
-
-def _color_steps(lab: Tensor, edge_index: Tensor) -> Tensor:
-    """Distances [E] of the Lab colours of the two ends of each edge."""
-    return map_edges(lambda ends: length(rows_of(lab, ends[0]) - rows_of(lab, ends[1])), edge_index)
