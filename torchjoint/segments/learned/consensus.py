@@ -71,7 +71,9 @@ class Panel:
     def first_probabilities(self, values: Tensor) -> Tensor:
         """The probabilities [T, B] of all judges in the first round, of boundaries [B, F] that all of them see."""
         members = parallel_map(lambda member: member.probability(0, values), self._members)
-        probability = self.weights @ torch.stack(members)
+        probability = torch.zeros(len(self.weights), len(values), dtype=torch.float64)
+        for of_member, weight in zip(members, self.weights.T, strict=True):  # the bits of `@` differ between machines
+            probability += weight[:, None] * of_member
         return self._disturbed(probability, self._is_unsure[:, None].expand_as(probability))
 
     def _disturbed(self, probability: Tensor, is_unsure: Tensor) -> Tensor:
