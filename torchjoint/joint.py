@@ -32,6 +32,7 @@ from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Scene, Segmentation
+from torchjoint.scene.level_images import LevelImages
 from torchjoint.segments.choice import choose_method, describe
 from torchjoint.segments.method import Method
 from torchjoint.segments.point_labels import label_points
@@ -337,21 +338,22 @@ class JointSegmenter(nn.Module):
             raise ValueError(f"frames: none of the {count} images sees a point; wrong poses, axes or units?")
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
-                points, of_graph, hierarchy, piece = label_points(self.method, cloud, state)
+                found = label_points(self.method, cloud, state)
             if not images:
-                return Segmentation(points, (), seconds=dict(self.stopwatch.seconds), hierarchy=hierarchy)
-            labels = label_images(seen, of_graph, self.config, self.stopwatch, progress=progress)
-        pieces = None
-        if hierarchy is not None and piece is not None:
-            pieces = PieceImages(labels, seen, hierarchy, piece, self.config)
+                return Segmentation(found.given, (), seconds=dict(self.stopwatch.seconds), hierarchy=found.hierarchy)
+            labels = label_images(seen, found.of_graph, self.config, self.stopwatch, progress=progress)
+        pieces: Sequence[Tensor] = ()
+        if found.graph_hierarchy is not None and found.piece_number is not None:
+            pieces = PieceImages(labels, seen, found.graph_hierarchy, self.config)
+            pieces = LevelImages(pieces, len(found.piece_number), found.piece_number, len(found.piece_number))
         return Segmentation(
-            points=points,
-            images=labels,
+            points=found.given,
+            images=LevelImages(labels, len(found.number), found.number, len(found.number)),
             initial_images=LazySequence(count, lambda index: seen[index].initial_labels().long()),
             names=tuple(seen.names),
             seconds=dict(self.stopwatch.seconds),
-            hierarchy=hierarchy,
-            piece_images=pieces or (),
+            hierarchy=found.hierarchy,
+            piece_images=pieces,
         )
 
     @property

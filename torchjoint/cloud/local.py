@@ -32,6 +32,17 @@ BLOCK = 1 << 18
 _ODD = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 
 
+#: Bits of each coordinate in the order of points; and the steps that put two zeros between the bits of a number.
+_CURVE_BITS = 21
+_SPREAD = (
+    (32, 0x001F00000000FFFF),
+    (16, 0x001F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+
+
 def distinct_points(points: Tensor) -> Tensor | None:
     """The number of each point's distinct point: [N] int64, by first appearance; None if all points [N, 3] differ.
 
@@ -84,6 +95,28 @@ def _codes(rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.uint64]:
     x, y, z = ((bits ^ (bits >> np.uint64(29))) * _ODD).T
     code: npt.NDArray[np.uint64] = x ^ (y >> np.uint64(7)) ^ (z << np.uint64(9)) ^ ((x + y + z) >> np.uint64(31))
     return code
+
+
+def order_of_points(points: Tensor) -> Tensor:
+    """The order of distinct points [N, 3] along a curve through space: [N] int64, whatever their given order.
+
+    The curve visits all cells of an octree (Z-order), so that neighbours are close to each other in memory, too.
+    """
+    rows = points.numpy()
+    low, extent = rows.min(0).astype(np.float64), float(np.ptp(rows, 0).max())
+    scale = (2**_CURVE_BITS - 1) / extent if extent > 0 else 0.0
+
+    def codes(start: int) -> npt.NDArray[np.int64]:
+        cell = ((rows[start : start + BLOCK] - low) * scale).astype(np.int64)
+        for shift, mask in _SPREAD:
+            cell = (cell | cell << shift) & mask
+        return cell @ np.array([4, 2, 1])  # the three coordinates' bits alternate
+
+    code = np.concatenate(parallel_map(codes, range(0, len(rows), BLOCK)))
+    order = np.argsort(code, kind="stable")
+    if (code[order][1:] == code[order][:-1]).any():  # two points in one cell: their coordinates decide
+        order = np.lexsort((*rows.T, code))
+    return torch.from_numpy(order)
 
 
 def merged_points(cloud: Cloud, of_point: Tensor, count: int) -> Cloud:

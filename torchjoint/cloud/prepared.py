@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torchjoint.cloud.graph import PointGraph
-from torchjoint.cloud.local import LocalFrame, composed, merged_points, points_within, without_copies
+from torchjoint.cloud.local import (
+    LocalFrame,
+    composed,
+    merged_points,
+    order_of_points,
+    points_within,
+    without_copies,
+)
 from torchjoint.scene import Cloud
 
 
@@ -38,8 +46,11 @@ def local_cloud(cloud: Cloud, frame: LocalFrame, merge_within: float = 0.0) -> t
     Returns:
         the cloud; and [N] int64, its point for each given point. None: the points are the same.
     """
-    local, rounded = without_copies(frame.cloud(cloud))
-    if merge_within == 0:
-        return local, rounded
-    merged = points_within(local.points, merge_within)
-    return merged_points(local, merged, int(merged.max()) + 1), composed(rounded, merged)
+    local, of_point = without_copies(frame.cloud(cloud))
+    if merge_within > 0:
+        merged = points_within(local.points, merge_within)
+        local, of_point = merged_points(local, merged, int(merged.max()) + 1), composed(of_point, merged)
+    order = order_of_points(local.points)
+    place = torch.empty_like(order)
+    place[order] = torch.arange(len(order))
+    return local.selected(order), composed(of_point, place)

@@ -25,8 +25,7 @@ class PieceImages(Sequence[Tensor]):
     Args:
         images: final labels [H, W] int64 per frame, of the default level.
         observations: the frames.
-        hierarchy: all levels.
-        piece: [N] int64, piece of each point of the graph.
+        hierarchy: all levels of the graph's points.
         config: the refinement, and the smoothing of the image graph.
     """
 
@@ -35,12 +34,11 @@ class PieceImages(Sequence[Tensor]):
         images: Sequence[Tensor],
         observations: Observations,
         hierarchy: Hierarchy,
-        piece: Tensor,
         config: Config,
     ) -> None:
         self._images = images
         self._observations = observations[:]  # more may be added
-        self._piece = piece
+        self._piece = hierarchy.piece
         self._of_piece = hierarchy.segments_of_pieces(hierarchy.default)
         self._config = config
         self._known: dict[int, Packed] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torchjoint.cloud.prepared import PreparedCloud
@@ -13,21 +14,37 @@ from torchjoint.views.state import JointState
 
 
 class PointLabels(NamedTuple):
-    """The segments of the points."""
+    """The segments of the points.
 
-    given: Tensor  #: [N] int64, labels of the given points
-    of_graph: Tensor  #: [M] int64, labels of the graph's points
+    Images are labelled with numbers that do not depend on the order of the given points: of equally good labels of a
+    pixel the lowest counts. Only then labels get the numbers of the result.
+    """
+
+    given: Tensor  #: [N] int64, labels of the given points, numbered by first appearance
+    of_graph: Tensor  #: [M] int64, the same segments of the graph's points, with numbers of their own
+    number: Tensor  #: [S] int64, the number in `given` of each segment in `of_graph`
     hierarchy: Hierarchy | None  #: levels of the given points; None: the method has one level
-    piece: Tensor | None  #: [M] int64, the hierarchy's piece of each point of the graph; None: no hierarchy
+    graph_hierarchy: Hierarchy | None  #: the same levels of the graph's points, with pieces numbered in their order
+    piece_number: Tensor | None  #: [P] int64, the piece in `hierarchy` of each piece in `graph_hierarchy`
 
 
 def label_points(method: Method, cloud: PreparedCloud, state: JointState) -> PointLabels:
     """Segments the points by the evidence of all frames so far."""
     found, of_point = method.segment(cloud.graph, state), cloud.of_point
+    if of_point is None:
+        of_point = torch.arange(cloud.graph.num_points)
+    of_graph = found if isinstance(found, Tensor) else found.at()
+    number = _by_first_appearance(of_graph[of_point], int(of_graph.max()) + 1)
+    given = number[of_graph][of_point]
     if isinstance(found, Tensor):
-        return PointLabels(found if of_point is None else found[of_point], found, None, None)
-    hierarchy, piece = found, found.piece
-    if of_point is not None:
-        hierarchy, number = hierarchy.transferred(of_point)
-        piece = number[piece]
-    return PointLabels(hierarchy.at(), hierarchy.segments_of_pieces(hierarchy.default)[piece], hierarchy, piece)
+        return PointLabels(given, of_graph, number, None, None, None)
+    hierarchy, piece_number = found.transferred(of_point)
+    return PointLabels(given, of_graph, number, hierarchy, found, piece_number)
+
+
+def _by_first_appearance(labels: Tensor, count: int) -> Tensor:
+    """The new number of each label 0 ... `count` - 1, all of which occur in [N] int64: [count] int64."""
+    first = torch.full((count,), len(labels)).scatter_reduce_(0, labels, torch.arange(len(labels)), "amin")
+    number = torch.empty_like(first)
+    number[torch.argsort(first)] = torch.arange(count)
+    return number

@@ -114,6 +114,7 @@ def labels_so_far(
         number = torch.arange(int(labels.given.max()) + 1)
         if before is not None:
             number = kept_numbers(labels.given, before)
+    of_own = number[labels.number]
     seen, sizes = segmenter.state.observations[:], torch.bincount(labels.of_graph)  # a copy: frames may be added
 
     @lru_cache(maxsize=4)
@@ -122,7 +123,7 @@ def labels_so_far(
             return torch.full(scene.frames[index].size, -1)
         with torch.no_grad(), one_thread_per_operation():
             own = label_image(seen[index], labels.of_graph, sizes, segmenter.config)[0].long()
-        return torch.where((own >= 0) & (own < len(number)), number[own.clamp(0, len(number) - 1)], -1)
+        return torch.where((own >= 0) & (own < len(of_own)), of_own[own.clamp(0, len(of_own) - 1)], -1)
 
     return Segmentation(number[labels.given], LazySequence(len(scene.frames), image), names=names)
 
