@@ -1,4 +1,4 @@
-"""Copies of points and the place of the origin change no label."""
+"""Copies of points, their order, and the place of the origin change no label."""
 
 import dataclasses
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.cloud.local import LocalFrame, composed, distinct_points, without_copies
+from torchjoint.cloud.local import LocalFrame, composed, distinct_points, order_of_points, without_copies
 
 METHODS = ["learned", "paper", "scan"]
 
@@ -149,6 +149,46 @@ class TestCopies:
         assert composed(torch.tensor([0, 1, 1]), None, torch.tensor([4, 7])).tolist() == [4, 7, 7]
 
 
+class TestOrder:
+    @pytest.mark.parametrize("method", METHODS)
+    def test_it_changes_no_segment_of_points_and_pixels(self, scene, result_of, method):
+        order = torch.randperm(len(scene.points), generator=torch.Generator().manual_seed(4))
+        shuffled, plain = segmented(picked(scene, order), method), result_of(method)
+        number = torch.full((plain.num_point_segments,), -1)
+        number[plain.points[order]] = shuffled.points  # the same segments with other numbers
+        assert torch.equal(number[plain.points[order]], shuffled.points)
+        assert sorted(number.tolist()) == list(range(shuffled.num_point_segments))
+        for image, expected in zip(shuffled.images, plain.images, strict=True):
+            has_points = (expected >= 0) & (expected < len(number))
+            assert torch.equal(torch.where(has_points, number[expected.clamp(0, len(number) - 1)], expected), image)
+
+    def test_nor_a_level_of_the_hierarchy(self, scene, result_of):
+        order = torch.arange(len(scene.points)).flip(0)
+        shuffled, plain = segmented(picked(scene, order)), result_of("learned")
+        for granularity in (0.2, 0.8):
+            one, other = shuffled.at(granularity), plain.at(granularity)
+            pairs = torch.unique(torch.stack([one.points, other.points[order]]), dim=1)
+            assert pairs.shape[1] == one.num_point_segments == other.num_point_segments
+            for image, expected in zip(one.images, other.images, strict=True):
+                assert torch.equal(image >= one.num_point_segments, expected >= one.num_point_segments)
+
+    def test_points_have_an_order_of_their_own(self):
+        points = torch.rand(500, 3, generator=torch.Generator().manual_seed(0)) - 0.5
+        points[1] = points[0] + 1e-9 * torch.tensor([0.0, 0.0, 1.0])  # may fall in one cell, or be a copy
+        points = torch.unique(points, dim=0)
+        expected = points[order_of_points(points)]
+        for seed in range(3):
+            shuffled = points[torch.randperm(len(points), generator=torch.Generator().manual_seed(seed))]
+            assert torch.equal(shuffled[order_of_points(shuffled)], expected)
+        corners = torch.cartesian_prod(torch.arange(2.0), torch.arange(2.0), torch.arange(2.0))
+        assert torch.equal(order_of_points(corners), torch.arange(8))
+
+    def test_points_in_one_cell_are_ordered_by_coordinates(self):
+        near = torch.tensor([[0.0, 0.0, 2e-9], [0.0, 0.0, 1e-9], [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]])
+        assert order_of_points(near).tolist() == [3, 1, 0, 2]
+        assert order_of_points(torch.zeros(1, 3)).tolist() == [0]
+
+
 class TestOrigin:
     @pytest.mark.parametrize("method", ["learned", pytest.param("paper", marks=pytest.mark.slow)])
     @pytest.mark.parametrize("offset", [(8000.0, -1000.0, 256.0), (500_000.0, 5_400_000.0, 0.0)])
@@ -188,7 +228,7 @@ class TestOrigin:
     def test_a_scan_keeps_its_origin(self, scene):
         segmenter = tj.JointSegmenter(tj.Config().set(["point_segments.method=scan"]))
         segmenter.reset(scene.points)
-        assert torch.equal(segmenter.cloud.graph.points, scene.points)
+        assert torch.equal(segmenter.cloud.graph.points[segmenter.cloud.of_point], scene.points)
 
     def test_projection_is_as_exact_as_the_points(self, scene):
         offset = torch.tensor([500_000.0, 5_400_000.0, 0.0], dtype=torch.float64)

@@ -36,7 +36,7 @@ class PreparedCloud(NamedTuple):
 
 
 def local_cloud(cloud: Cloud, frame: LocalFrame, merge_within: float = 0.0) -> tuple[Cloud, Tensor | None]:
-    """The cloud in float32 coordinates of a local frame, without copies.
+    """The cloud in float32 coordinates of a local frame, without copies, in an order that only its points decide.
 
     Args:
         cloud: N points.
@@ -44,7 +44,7 @@ def local_cloud(cloud: Cloud, frame: LocalFrame, merge_within: float = 0.0) -> t
         merge_within: metres; points in one cube with this side are merged; 0: only copies are merged.
 
     Returns:
-        the cloud; and [N] int64, its point for each given point. None: the points are the same.
+        the cloud; and [N] int64, its point for each given point.
     """
     local, of_point = without_copies(frame.cloud(cloud))
     if merge_within > 0:
