@@ -162,14 +162,14 @@ class Judged(NamedTuple):
 
     with_images: LabelledEvidence
     without: LabelledEvidence
-    of_point: Tensor | None
+    of_point: Tensor
     truth: Tensor
 
     def scores(self, model: BoundaryModel, images: bool) -> tuple[float, float]:
         """F for objects and parts, and mean best IoU."""
         with one_thread_per_operation():
             labels = build_consensus((self.with_images if images else self.without).evidence, model).at()
-        judged = score(labels if self.of_point is None else labels[self.of_point], self.truth)
+        judged = score(labels[self.of_point], self.truth)
         return judged.f, judged.best_iou
 
 

@@ -90,8 +90,7 @@ def scores(scene: Scene, model: BoundaryModel, num_frames: int | None) -> list[t
         with one_thread_per_operation(), patch.object(evidence_of_points, "image_colors", return_value=None):
             evidence = build_piece_graph(graph._replace(colors=given), graph.scales, state)
             labels = build_consensus(evidence, model).at()
-        of_point = segmenter.cloud.of_point
-        judged = score(labels if of_point is None else labels[of_point], scene.truth.points)
+        judged = score(labels[segmenter.cloud.of_point], scene.truth.points)
         found.append((judged.f, judged.best_iou))
     return found
 

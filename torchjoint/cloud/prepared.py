@@ -24,18 +24,18 @@ class PreparedCloud(NamedTuple):
 
     graph: PointGraph
     local: LocalFrame  #: the coordinates of the graph's points
-    of_point: Tensor | None  #: [N] int64, the graph's point of each given point; None = itself
+    of_point: Tensor  #: [N] int64, the graph's point of each given point
 
     def of_given(self, of_point: Tensor | None) -> PreparedCloud:
         """The same graph for N other points; `of_point` [N] int64 gives the given point of each; None = the same."""
-        return self._replace(of_point=composed(of_point, self.of_point))
+        return self if of_point is None else self._replace(of_point=self.of_point[of_point])
 
     def is_same(self, other: PreparedCloud) -> bool:
         """Whether evidence of frames that was collected with one cloud is valid for the other."""
         return self.graph.is_same(other.graph) and self.local.is_same(other.local)
 
 
-def local_cloud(cloud: Cloud, frame: LocalFrame, merge_within: float = 0.0) -> tuple[Cloud, Tensor | None]:
+def local_cloud(cloud: Cloud, frame: LocalFrame, merge_within: float = 0.0) -> tuple[Cloud, Tensor]:
     """The cloud in float32 coordinates of a local frame, without copies, in an order that only its points decide.
 
     Args:
@@ -53,4 +53,4 @@ def local_cloud(cloud: Cloud, frame: LocalFrame, merge_within: float = 0.0) -> t
     order = order_of_points(local.points)
     place = torch.empty_like(order)
     place[order] = torch.arange(len(order))
-    return local.selected(order), composed(of_point, place)
+    return local.selected(order), place if of_point is None else place[of_point]

@@ -54,7 +54,7 @@ class Method(ABC):
         frame = LocalFrame.of(cloud.points)
         local, of_point = local_cloud(cloud, frame, merge_within)
         graph, of_local = self.build_graph(local)
-        return PreparedCloud(graph, frame, of_local).of_given(of_point)
+        return PreparedCloud(graph, frame, of_point if of_local is None else of_local[of_point])
 
     def developed(self, frame: Frame) -> Frame:
         """The frame as steps 1 to 8 see it. By default it is the given frame."""

@@ -31,8 +31,6 @@ class PointLabels(NamedTuple):
 def label_points(method: Method, cloud: PreparedCloud, state: JointState) -> PointLabels:
     """Segments the points by the evidence of all frames so far."""
     found, of_point = method.segment(cloud.graph, state), cloud.of_point
-    if of_point is None:
-        of_point = torch.arange(cloud.graph.num_points)
     of_graph = found if isinstance(found, Tensor) else found.at()
     number = _by_first_appearance(of_graph[of_point], int(of_graph.max()) + 1)
     given = number[of_graph][of_point]

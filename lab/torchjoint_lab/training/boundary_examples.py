@@ -144,10 +144,7 @@ def labelled_evidence(scene: Scene, config: Config | None = None, images: bool =
     state = segmenter.state if images else replace(segmenter.state, observations=Observations())
     with one_thread_per_operation():
         evidence = build_piece_graph(graph, graph.scales, state)
-    instance = scene.truth.points.long()
-    if segmenter.cloud.of_point is not None:
-        instance = _majority(instance, segmenter.cloud.of_point)
-    return LabelledEvidence(evidence, instance)
+    return LabelledEvidence(evidence, _majority(scene.truth.points.long(), segmenter.cloud.of_point))
 
 
 def _majority(instance: Tensor, of_point: Tensor) -> Tensor:

@@ -159,7 +159,8 @@ class TestMethod:
         monkeypatch.setattr("torchjoint.segments.learned.method.load_boundary_model", lambda _: ByCrease(0.1, 0.2, 0.3))
 
     def test_is_the_consensus(self, segmenter, evidence):
-        expected = build_consensus(evidence, ByCrease(0.1, 0.2, 0.3)).at()
+        hierarchy = build_consensus(evidence, ByCrease(0.1, 0.2, 0.3))
+        expected = hierarchy.transferred(segmenter.cloud.of_point)[0].at()
         result = segmenter.compute()
         assert torch.equal(result.points, expected)
         assert expected.max() > 3
