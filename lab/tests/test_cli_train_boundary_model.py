@@ -49,7 +49,7 @@ def test_an_interrupted_run_goes_on(small_scenes, tmp_path, run_lab, capsys, mon
 
 def test_evidence_of_other_scenes_is_deleted(tmp_path):
     def folder(*keys):
-        return command._folder(tmp_path / "a.npz", [command._Source(key, key, lambda: None) for key in keys])
+        return command._folder(tmp_path / "a.npz", [command._Source(key, key, lambda: None) for key in keys], 0.5)
 
     (folder("a", "b") / "scene-00000.pt").touch()
     assert (folder("a", "b") / "scene-00000.pt").exists()
@@ -68,6 +68,7 @@ def test_evidence_of_other_scenes_is_deleted(tmp_path):
         (["--domains", "table", "--seeds", "3", "3"], "--seeds: expected ascending pairs 0 <= first < end, got 3 3"),
         (["--domains", "table", "--seeds", "0", "2", "5"], "--seeds: expected ascending pairs"),
         (["--domains", "table", "--folds", "1"], "folds: expected a whole number >= 2, got 1"),
+        (["--domains", "table", "--varied", "2"], "--varied: expected a number from 0 to 1, got 2"),
         (["--domains", "table", "--thin", "0"], "--thin: expected more than 0 metres, got 0"),
         (["--domains", "table", "-o", "model.zip"], r"-o: expected a name that ends in \.npz, got model\.zip"),
         (["--domains", "table", "-o", "no/model.npz"], "-o: no is no folder"),

@@ -35,6 +35,7 @@ def train_boundary_model(
     seeds: tuple[int, ...] = (0, 14),
     models: Path | None = None,
     thin: float | None = None,
+    varied: float = 0.5,
     max_frames: int | None = None,
     trees: int = 60,
     folds: int = 4,
@@ -53,6 +54,8 @@ def train_boundary_model(
         seeds: first seed of the generated scenes, and the seed after the last one; `0 10 14 37`: also a second range.
         models: folder of 3D models for the generated scenes, as for `make_domain_scene`.
         thin: keep one point of your own scenes in each voxel of this size, metres.
+        varied: the probability that points of a scene are moved, added or left out, and the same for its colours: other
+            light, noise, grey. So the model learns to judge recordings that are worse than yours.
         max_frames: use at most so many frames of each of your own scenes, evenly spread.
         trees: number of trees in each round of merging of each member.
         folds: parts of the scenes; each is judged by trees that were trained on the others.
@@ -63,6 +66,8 @@ def train_boundary_model(
     from torchjoint_lab import training
 
     check_max_frames(max_frames)
+    if not 0 <= varied <= 1:
+        raise ValueError(f"--varied: expected a number from 0 to 1, got {varied}")
     if out.suffix != ".npz":
         raise ValueError(f"-o: expected a name that ends in .npz, got {out}")
     if out.exists() and not overwrite:
@@ -74,8 +79,8 @@ def train_boundary_model(
     if len(sources) < 2:
         raise ValueError(f"scenes: expected at least two, in SCENES or by --domains, got {len(sources)}")
     begin = time.perf_counter()
-    folder = _folder(out, sources)
-    model = training.fit_boundary_model(_prepare(folder, sources), options, report=_print_scores, progress=True)
+    folder = _folder(out, sources, varied)
+    model = training.fit_boundary_model(_prepare(folder, sources, varied), options, report=_print_scores, progress=True)
     training.save_boundary_model(out, model)
     training.load_boundary_model(out)
     shutil.rmtree(folder)
@@ -129,21 +134,22 @@ def _generated(domains: Sequence[str], seeds: Sequence[int], models: Path | None
     ]
 
 
-def _folder(out: Path, sources: Sequence[_Source]) -> Path:
+def _folder(out: Path, sources: Sequence[_Source], share: float) -> Path:
     """The folder with the evidence of these scenes; deletes that of other scenes."""
     from torchjoint_lab.training.boundary_examples import learned_config
     from torchjoint_lab.training.resumable_folder import resumable_folder
 
-    record = json.dumps([version("torchjoint"), learned_config().to_dict(), [source.key for source in sources]])
+    record = json.dumps([version("torchjoint"), learned_config().to_dict(), share, [source.key for source in sources]])
     return resumable_folder(out.with_name(f"{out.name}.partial"), record)
 
 
-def _prepare(folder: Path, sources: Sequence[_Source]) -> Sequence[LabelledEvidence]:
+def _prepare(folder: Path, sources: Sequence[_Source], share: float) -> Sequence[LabelledEvidence]:
     """Collects the evidence of all scenes that are not in the folder yet; returns it lazily, one file per scene."""
     from tqdm import tqdm
 
     from torchjoint_lab.training.boundary_examples import labelled_evidence
     from torchjoint_lab.training.piece_graph_files import PieceGraphFiles, save_evidence
+    from torchjoint_lab.training.variation import varied
 
     paths = [folder / f"scene-{index:05d}.pt" for index in range(len(sources))]
     with tqdm(list(zip(sources, paths, strict=True)), desc="evidence", unit="scene") as bar:
@@ -152,7 +158,7 @@ def _prepare(folder: Path, sources: Sequence[_Source]) -> Sequence[LabelledEvide
             if path.is_file():
                 continue
             try:
-                prepared = labelled_evidence(source.load())
+                prepared = labelled_evidence(varied(source.load(), source.name, share))
             except ValueError as error:
                 raise ValueError(f"{source.name}: {error}") from error
             save_evidence(path, prepared)
