@@ -40,6 +40,8 @@ def test_levels_are_read_back(tmp_path, scene, result, granularity):
         got, expected = read.at(level), result.at(level)
         assert torch.equal(got.points, expected.points)
         assert all(torch.equal(a, b) for a, b in zip(got.images, expected.images, strict=True))
+        assert torch.equal(got.confidence, expected.confidence)
+        assert torch.equal(got.point_confidence, expected.point_confidence)
 
 
 @pytest.mark.slow

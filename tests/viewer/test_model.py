@@ -7,7 +7,6 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.results.confidence import confidence
 from torchjoint.results.edits import Edit, Edits, read_edits, write_edits
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.splits import place_to_split
@@ -94,7 +93,6 @@ def test_a_split_goes_down_the_tree():
         Edits(5, None, apart).apply(table, hierarchy)
     with pytest.raises(ValueError, match="split: expected a hierarchy, got none"):
         Edits(5, None, apart[1:]).apply(table, None)
-    assert confidence(hierarchy, 0.5).tolist() == pytest.approx([0.6, 0.6, 0.6, 0.6, 0.9])
 
 
 def test_a_split_leaves_crumbs_where_they_are():

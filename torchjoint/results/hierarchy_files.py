@@ -15,10 +15,13 @@ from torchjoint.datasets.files.readers import read_image
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
+from torchjoint.scene.votes import Votes
 
 FILE, FOLDER = "hierarchy.npz", "pieces"
 #: Largest number of a piece in an image of pieces, which stores piece + 1 in three bytes; 0 = none.
 MAX_PIECE = 2**24 - 2
+#: Names of the arrays of the votes. Results without judges have none.
+_VOTES = ("votes", "piece_size")
 
 
 def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], piece_images: Sequence[Tensor]) -> None:
@@ -35,12 +38,18 @@ def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], pi
     """
     if hierarchy.num_pieces - 1 > MAX_PIECE:
         raise ValueError(f"hierarchy: {hierarchy.num_pieces} pieces do not fit 24-bit images (at most {MAX_PIECE + 1})")
+    votes = (
+        {}
+        if hierarchy.votes is None
+        else {name: v.numpy().astype(np.int32) for name, v in zip(_VOTES, hierarchy.votes, strict=True)}
+    )
     np.savez_compressed(
         folder / FILE,
         piece=hierarchy.piece.numpy().astype(np.int32),
         merges=hierarchy.merges.numpy().astype(np.int32),
         heights=hierarchy.heights.numpy(),
         default=np.float64(hierarchy.default),
+        **votes,
     )
     shutil.rmtree(folder / FOLDER, ignore_errors=True)
     if not len(piece_images):
@@ -71,7 +80,12 @@ def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
     try:
         arrays = read_archive(file)
         piece, merges = (torch.from_numpy(arrays[name].astype(np.int64)) for name in ("piece", "merges"))
-        hierarchy = Hierarchy(piece, merges, torch.from_numpy(arrays["heights"]), float(arrays["default"]))
+        votes = (
+            Votes(*(torch.from_numpy(arrays[name].astype(np.int64)) for name in _VOTES))
+            if _VOTES[0] in arrays
+            else None
+        )
+        hierarchy = Hierarchy(piece, merges, torch.from_numpy(arrays["heights"]), float(arrays["default"]), votes)
     except (TypeError, ValueError, KeyError, OSError) as error:
         raise ValueError(f"{file}: not a whole hierarchy: {error!r}") from error
     if len(hierarchy.piece) != num_points:

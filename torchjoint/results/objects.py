@@ -49,6 +49,7 @@ class SegmentRecord:
         center: [3] mean of its points, metres, world frame.
         box: the upright box around its points.
         color: [3] mean RGB in [0, 1] of its points; None if the cloud has no colours.
+        confidence: the probability that it is an object; None if unknown: :attr:`torchjoint.Segmentation.confidence`.
         views: the frames that see it, in the order of the frames.
     """
 
@@ -57,6 +58,7 @@ class SegmentRecord:
     center: tuple[float, ...]
     box: OrientedBox
     color: tuple[float, ...] | None
+    confidence: float | None
     views: tuple[View, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -71,6 +73,7 @@ class SegmentRecord:
                 "axes": [_rounded(axis, 6) for axis in self.box.axes],
             },
             "color": None if self.color is None else _rounded(self.color, 4),
+            "confidence": None if self.confidence is None else round(self.confidence, 4),
             "frames": [{"name": view.name, "pixels": view.pixels, "box": list(view.box)} for view in self.views],
         }
 
@@ -91,7 +94,7 @@ def segment_records(scene: Scene, result: Segmentation, up: Tensor | None = None
     order = np.argsort(labels, kind="stable")
     counts = np.bincount(labels[order][labels[order] >= 0], minlength=result.num_point_segments)
     parts = np.split(order[(labels < 0).sum() :], np.cumsum(counts)[:-1])
-    views = _views(result)
+    views, confidence = _views(result), result.confidence
     points, colors = scene.points.double().numpy(), None if scene.colors is None else scene.colors.double().numpy()
     return [
         SegmentRecord(
@@ -100,6 +103,7 @@ def segment_records(scene: Scene, result: Segmentation, up: Tensor | None = None
             tuple(points[part].mean(0).tolist()),
             oriented_box(points[part], vertical),
             None if colors is None else tuple(colors[part].mean(0).tolist()),
+            None if confidence is None else float(confidence[number]),
             tuple(views[number]),
         )
         for number, part in enumerate(parts)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.scene.votes import Votes
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Hierarchy:
         heights: [M] float64 in [0, 1]: up to what probability of a boundary regions must merge, until most judges have
             the two segments together. It is at least the height of each merge inside them.
         default: height of the default level.
+        votes: the segments of each judge at the default level; None: there were no judges.
 
     Raises:
         TypeError, ValueError: naming the attribute, what was expected and what came.
@@ -41,6 +43,7 @@ class Hierarchy:
     merges: Tensor
     heights: Tensor
     default: float = 0.5
+    votes: Votes | None = None
 
     def __post_init__(self) -> None:
         shapes = {"piece": (torch.int64, 1), "merges": (torch.int64, 2), "heights": (torch.float64, 1)}
@@ -65,6 +68,19 @@ class Hierarchy:
             raise ValueError("heights: expected numbers in [0, 1]")
         if not 0 <= self.default <= 1:
             raise ValueError(f"default: expected a height in [0, 1], got {self.default}")
+        if self.votes is not None:
+            self._check_votes(*self.votes)
+
+    def _check_votes(self, segments: Tensor, size: Tensor) -> None:
+        count = self.num_pieces
+        if segments.dtype != torch.int64 or segments.dim() != 2 or not len(segments) or segments.shape[1] != count:
+            raise ValueError(
+                f"votes: expected segments [T, {count}] int64, got {segments.dtype} {list(segments.shape)}"
+            )
+        if not 0 <= int(segments.min()) <= int(segments.max()) < count:
+            raise ValueError(f"votes: expected segments in [0, {count})")
+        if size.dtype != torch.int64 or size.shape != (count,) or int(size.min()) < 1:
+            raise ValueError(f"votes: expected sizes [{count}] int64 of at least 1 point")
 
     def __repr__(self) -> str:
         return f"Hierarchy({len(self.piece)} points, {self.num_pieces} pieces, {len(self.merges)} merges)"
@@ -129,7 +145,8 @@ class Hierarchy:
             raise ValueError(f"of_point: expected points of all {self.num_pieces} pieces")
         number = torch.empty_like(first)
         number[torch.argsort(first)] = torch.arange(self.num_pieces)
-        return replace(self, piece=number[piece], merges=number[self.merges]), number
+        votes = None if self.votes is None else self.votes.renumbered(number)
+        return replace(self, piece=number[piece], merges=number[self.merges], votes=votes), number
 
 
 def check_granularity(granularity: float, name: str = "granularity") -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Self, overload
 
 import torch
@@ -13,6 +14,7 @@ from torchjoint.runtime.packing import Packed, pack
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation
 from torchjoint.scene.hierarchy import Hierarchy
 from torchjoint.scene.level_images import LevelImages
+from torchjoint.scene.votes import Confidence
 
 
 class LabelImages(Sequence[Tensor]):
@@ -85,6 +87,34 @@ class Segmentation:
     def num_point_segments(self) -> int:
         """Number of segments of the cloud."""
         return int(self.points.max()) + 1 if self.points.numel() else 0
+
+    @property
+    def confidence(self) -> Tensor | None:
+        """How sure each segment of the cloud is: [num_point_segments] float64 in [0, 1].
+
+        It is the probability that the segment has an IoU of at least .5 with an object. It follows from how far the
+        judges of method learned agree. None: there were no judges, as with other methods, or with masks.
+        """
+        return None if self._confidence is None else self._confidence.of_segment
+
+    @property
+    def point_confidence(self) -> Tensor | None:
+        """How sure the label of each point is, [N] float64 in [0, 1]; None: as :attr:`confidence`.
+
+        It is the probability that the point's segment is an object, times the share of the judges that put the point
+        there.
+        """
+        if self._confidence is None or self.hierarchy is None:
+            return None
+        return self._confidence.of_piece[self.hierarchy.piece]
+
+    @cached_property
+    def _confidence(self) -> Confidence | None:
+        if self.hierarchy is None or self.hierarchy.votes is None:
+            return None
+        of_piece = torch.zeros(self.hierarchy.num_pieces, dtype=torch.int64)
+        of_piece[self.hierarchy.piece] = self.points
+        return self.hierarchy.votes.confidence(of_piece)
 
     @one_thread_per_operation()
     def at(self, granularity: float = 0.5) -> Self:

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from torchjoint.results.confidence import confidence
 from torchjoint.results.edits import Edit, Edits, Table
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.overlays import borders
@@ -77,7 +76,7 @@ class Model:
         scene, hierarchy = self.result.scene, self.result.hierarchy
         has = {
             "colours": scene.colors is not None,
-            "confidence": hierarchy is not None,
+            "confidence": hierarchy is not None and hierarchy.votes is not None,
             "initial": hierarchy is not None,
         }
         has["truth"] = scene.truth is not None and scene.truth.points is not None
@@ -227,12 +226,11 @@ class Model:
     @property
     def _confidence_colors(self) -> torch.Tensor:
         hierarchy = self.result.hierarchy
-        if hierarchy is None:
-            raise ValueError("confidence: expected a result with a hierarchy, got none")
+        if hierarchy is None or hierarchy.votes is None:
+            raise ValueError("confidence: expected a result with the votes of judges, got none")
         from matplotlib import colormaps
 
-        granularity = 0.5 if self.edits.granularity is None else self.edits.granularity
-        sure = confidence(hierarchy, hierarchy.height_of(granularity))
+        sure = hierarchy.votes.confidence(torch.from_numpy(np.unique(self._table, return_inverse=True)[1])).of_piece
         return torch.from_numpy(colormaps["viridis"](sure.numpy())[:, :3])
 
     # Measures

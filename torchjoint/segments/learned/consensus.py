@@ -8,6 +8,7 @@ accidental merge. Two pieces are kept together where most of their trees have th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -17,6 +18,7 @@ from torchjoint.ops.mask_merges import WEIGHT_UNIT, mask_merges
 from torchjoint.runtime.sorted_groups import members_of_groups
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
+from torchjoint.scene.votes import Votes
 from torchjoint.segments.learned.agglomeration import (
     COARSER,
     Merges,
@@ -95,6 +97,7 @@ def build_consensus(pieces: PieceGraph, model: BoundaryModel) -> Hierarchy:
     Returns:
         all levels. The cut at a threshold of the merging has those pieces together that most trees have together at
         this threshold. Between two thresholds, heights ascend with the share of the trees that are against a merge.
+        Its votes are the trees' segments at the default level.
     """
     if pieces.masks is not None:
         return build_hierarchy(pieces, model)
@@ -106,12 +109,14 @@ def build_consensus(pieces: PieceGraph, model: BoundaryModel) -> Hierarchy:
         joined, against = vote(of_judges, of_piece, size, pieces.pairs)
         merges.add(of_piece, joined, below + (level - below) * against / MAJORITY, level)
         of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
-        if level == default:  # what does not touch, but is together for the majority; all finer levels keep it apart
+        if level == default:
+            votes = Votes(torch.stack(of_judges), size)
+            # what does not touch, but is together for the majority; all finer levels keep it apart
             joined, against = vote(of_judges, of_piece, size)
             merges.add(of_piece, joined, torch.full_like(against, level), level)
             of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
         below = level
-    return merges.hierarchy(pieces.piece, default)
+    return replace(merges.hierarchy(pieces.piece, default), votes=votes)
 
 
 def segments_of_judges(

@@ -1,0 +1,113 @@
+"""The confidence that follows from the votes of judges."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+import torchjoint as tj
+from torchjoint.scene import Hierarchy
+from torchjoint.scene.votes import OFFSET, PER_IOU, PER_LOG_POINTS, Votes
+
+
+def by_hand(votes, of_piece):
+    """The same with sets of points."""
+    points, start = [], 0
+    for size in votes.size.tolist():
+        points.append(set(range(start, start + size)))
+        start += size
+
+    def segment(labels, number):
+        return set().union(*(points[p] for p in range(len(points)) if labels[p] == number))
+
+    of_segment, of_piece_ = {}, [0.0] * len(points)
+    for number in sorted(set(of_piece)):
+        own, ious, partners = segment(of_piece, number), [], []
+        for judge in votes.segments.tolist():
+            found = [
+                (len(own & other) / len(own | other), -k) for k in sorted(set(judge)) for other in [segment(judge, k)]
+            ]
+            iou, partner = max(found)
+            ious.append(iou)
+            partners.append(-partner)
+        log_odds = OFFSET + PER_IOU * sum(ious) / len(ious) + PER_LOG_POINTS * math.log(len(own))
+        of_segment[number] = 1 / (1 + math.exp(-log_odds))
+        for piece in range(len(points)):
+            if of_piece[piece] == number:
+                there = [judge[piece] == one for judge, one in zip(votes.segments.tolist(), partners, strict=True)]
+                of_piece_[piece] = of_segment[number] * sum(there) / len(there)
+    return [of_segment[number] for number in sorted(of_segment)], of_piece_
+
+
+@given(st.data())
+def test_by_hand(data):
+    count = data.draw(st.integers(1, 6))
+    labels = st.lists(st.integers(0, count - 1), min_size=count, max_size=count)
+    judges = data.draw(st.lists(labels, min_size=1, max_size=4))
+    size = data.draw(st.lists(st.integers(1, 5), min_size=count, max_size=count))
+    of_piece = torch.unique(torch.tensor(data.draw(labels)), return_inverse=True)[1]
+    votes = Votes(torch.tensor(judges), torch.tensor(size))
+    found, expected = votes.confidence(of_piece), by_hand(votes, of_piece.tolist())
+    assert found.of_segment.tolist() == pytest.approx(expected[0])
+    assert found.of_piece.tolist() == pytest.approx(expected[1])
+
+
+def test_other_numbers_of_the_pieces_give_the_same():
+    votes = Votes(torch.tensor([[0, 0, 1, 1], [0, 1, 1, 2]]), torch.tensor([40, 30, 20, 10]))
+    number, of_piece = torch.tensor([2, 0, 3, 1]), torch.tensor([0, 0, 1, 1])
+    renumbered = torch.empty(4, dtype=torch.int64)
+    renumbered[number] = of_piece
+    expected, found = votes.confidence(of_piece), votes.renumbered(number).confidence(renumbered)
+    assert torch.equal(found.of_segment, expected.of_segment)
+    assert torch.equal(found.of_piece[number], expected.of_piece)
+
+
+def segmentation(votes):
+    piece = torch.tensor([0, 1, 1, 2])
+    merges, heights = torch.tensor([[0, 1]]), torch.tensor([0.4], dtype=torch.float64)
+    return tj.Segmentation(torch.tensor([0, 0, 0, 1]), (), hierarchy=Hierarchy(piece, merges, heights, 0.5, votes))
+
+
+def test_of_a_segmentation_and_its_levels():
+    result = segmentation(Votes(torch.tensor([[0, 0, 1], [0, 1, 2]]), torch.tensor([100, 200, 300])))
+    both, apart = result.confidence, result.at(1.0).confidence
+    assert both.shape == (2,)
+    assert both[1] > both[0]  # the judges agree on the second segment
+    assert apart.shape == (3,)
+    assert result.point_confidence.tolist() == pytest.approx([float(both[0]) / 2, *[float(both[0])] * 2, float(both[1])])
+
+
+def test_without_judges_there_is_none():
+    for result in (segmentation(None), tj.Segmentation(torch.zeros(3, dtype=torch.int64), ())):
+        assert result.confidence is None
+        assert result.point_confidence is None
+
+
+@pytest.mark.parametrize(
+    ("segments", "size", "message"),
+    [
+        ([[0, 1]], [1, 1, 1], r"votes: expected segments \[T, 3\] int64, got torch.int64 \[1, 2\]"),
+        ([[0.0, 1, 2]], [1, 1, 1], r"votes: expected segments \[T, 3\] int64, got torch.float32"),
+        ([[0, 1, 3]], [1, 1, 1], r"votes: expected segments in \[0, 3\)"),
+        ([[0, 1, 2]], [1, 1, 0], r"votes: expected sizes \[3\] int64 of at least 1 point"),
+    ],
+)
+def test_wrong_votes(segments, size, message):
+    with pytest.raises(ValueError, match=message):
+        segmentation(Votes(torch.tensor(segments), torch.tensor(size)))
+
+
+def test_judges_of_a_small_room():
+    scene = tj.synthetic.make_scene(0, "small").scene
+    result = tj.JointSegmenter()(scene)
+    assert result.confidence.shape == (result.num_point_segments,)
+    assert ((result.confidence > 0) & (result.confidence < 1)).all()
+    assert (result.point_confidence <= result.confidence[result.points] + 1e-12).all()
+    counts = torch.bincount(result.points)
+    assert result.confidence[counts.argmax()] > result.confidence[counts.argmin()]
+    by_paper = tj.JointSegmenter(tj.Config.from_preset("paper"))(scene)
+    assert by_paper.confidence is None
