@@ -78,7 +78,9 @@ def test_of_a_segmentation_and_its_levels():
     assert both.shape == (2,)
     assert both[1] > both[0]  # the judges agree on the second segment
     assert apart.shape == (3,)
-    assert result.point_confidence.tolist() == pytest.approx([float(both[0]) / 2, *[float(both[0])] * 2, float(both[1])])
+    assert result.point_confidence.tolist() == pytest.approx(
+        [float(both[0]) / 2, *[float(both[0])] * 2, float(both[1])]
+    )
 
 
 def test_without_judges_there_is_none():

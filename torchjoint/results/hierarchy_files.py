@@ -38,18 +38,14 @@ def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], pi
     """
     if hierarchy.num_pieces - 1 > MAX_PIECE:
         raise ValueError(f"hierarchy: {hierarchy.num_pieces} pieces do not fit 24-bit images (at most {MAX_PIECE + 1})")
-    votes = (
-        {}
-        if hierarchy.votes is None
-        else {name: v.numpy().astype(np.int32) for name, v in zip(_VOTES, hierarchy.votes, strict=True)}
-    )
+    arrays = {"piece": hierarchy.piece, "merges": hierarchy.merges}
+    if hierarchy.votes is not None:
+        arrays |= dict(zip(_VOTES, hierarchy.votes, strict=True))
     np.savez_compressed(
         folder / FILE,
-        piece=hierarchy.piece.numpy().astype(np.int32),
-        merges=hierarchy.merges.numpy().astype(np.int32),
         heights=hierarchy.heights.numpy(),
         default=np.float64(hierarchy.default),
-        **votes,
+        **{name: array.numpy().astype(np.int32) for name, array in arrays.items()},  # type: ignore[arg-type]
     )
     shutil.rmtree(folder / FOLDER, ignore_errors=True)
     if not len(piece_images):

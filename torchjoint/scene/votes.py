@@ -19,6 +19,14 @@ class Confidence(NamedTuple):
     of_piece: Tensor  #: [P] float64, the probability of this, and that the piece is part of this object
 
 
+class Agreement(NamedTuple):
+    """How far the judges agree with S segments, which consist of P pieces."""
+
+    iou: Tensor  #: [S] float64, mean over the judges
+    points: Tensor  #: [S] float64, number of distinct points
+    share: Tensor  #: [P] float64, share of the judges whose segment has the piece, too
+
+
 class Votes(NamedTuple):
     """The segments of each of T judges, who segmented the same P pieces."""
 
@@ -32,10 +40,15 @@ class Votes(NamedTuple):
         return Votes(segments, size)
 
     def confidence(self, of_piece: Tensor) -> Confidence:
-        """The confidence in any segments of the pieces, [P] int64 with numbers 0 ... S - 1.
+        """The confidence in any segments of the pieces, [P] int64 with numbers 0 ... S - 1."""
+        iou, points, share = self.agreement(of_piece)
+        of_segment = torch.sigmoid(OFFSET + PER_IOU * iou + PER_LOG_POINTS * points.clamp(min=1).log())
+        return Confidence(of_segment, of_segment[of_piece] * share)
 
-        For each judge, a segment is compared with that segment of the judge which has the highest IoU with it. The mean
-        of these IoUs counts. A piece belongs to the object with the share of the judges that have it in these segments.
+    def agreement(self, of_piece: Tensor) -> Agreement:
+        """How far the judges agree with any segments of the pieces, [P] int64 with numbers 0 ... S - 1.
+
+        For each judge, a segment is compared with that segment of the judge which has the highest IoU with it.
         """
         count = int(of_piece.max()) + 1
         points = _sums(of_piece, self.size, count)
@@ -44,8 +57,7 @@ class Votes(NamedTuple):
             best, partner = _best_partners(of_piece, judge, self.size, points)
             iou += best / len(self.segments)
             share += (judge == partner[of_piece]).double() / len(self.segments)
-        of_segment = torch.sigmoid(OFFSET + PER_IOU * iou + PER_LOG_POINTS * points.clamp(min=1).log())
-        return Confidence(of_segment, of_segment[of_piece] * share)
+        return Agreement(iou, points, share)
 
 
 def _best_partners(of_piece: Tensor, judge: Tensor, size: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
