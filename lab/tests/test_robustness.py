@@ -53,7 +53,7 @@ CHANGES = {
     "half-frames": {"frames"},
     "one-frame": {"frames"},
     **{name: {"poses"} for name in ("poses-1cm", "poses-3cm", "poses-1deg")},
-    **{name: {"cloud"} for name in ("half-points", "outliers-1", "outliers-5", "twice", "shuffled")},
+    **{name: {"cloud"} for name in ("half-points", "voxels", "outliers-1", "outliers-5", "twice", "shuffled")},
 }
 LIGHT = ("light-0.1", "light-0.25", "light-0.5", "light-2", "gamma-0.5", "gamma-2", "warm", "cold")
 CHANGES |= {name: {"colors", "images"} for name in (*LIGHT, "16-bit", "grey", "color-noise")}
@@ -121,6 +121,15 @@ def test_points_are_left_out_added_and_shuffled(scene):
     shuffled = disturbed("shuffled", scene).original
     assert not torch.equal(shuffled, torch.arange(COUNT))
     assert torch.equal(shuffled.sort().values, torch.arange(COUNT))
+
+
+def test_other_voxels_keep_one_point_in_each():
+    grid = torch.cartesian_prod(torch.arange(60.0), torch.arange(60.0), torch.zeros(1)) * 0.01
+    first, second = (disturb(Run("table", "one", "voxels", number), Scene(grid)).original for number in (0, 1))
+    for kept in (first, second):
+        assert len(kept) / len(grid) == pytest.approx(1 / 1.5**2, rel=0.1)
+        assert torch.equal(kept, kept.unique())
+    assert not torch.equal(first, second)
 
 
 def test_a_scene_of_points_alone_gets_outliers(scene):
@@ -204,7 +213,7 @@ def test_images_are_changed_when_they_are_read(scene):
 
 def test_what_a_scene_lacks_is_not_disturbed(scene):
     bare, one = Scene(scene.points), scene.select_frames([0])
-    always = {"nothing", "moved", "half-points", "outliers-1", "outliers-5", "twice", "shuffled"}
+    always = {"nothing", "moved", "half-points", "voxels", "outliers-1", "outliers-5", "twice", "shuffled"}
     assert {name for name in DISTURBANCES if DISTURBANCES[name].applies(bare)} == always
     assert {name for name in DISTURBANCES if not DISTURBANCES[name].applies(one)} == {"half-frames", "one-frame"}
     without = Scene(scene.points, scene.frames)

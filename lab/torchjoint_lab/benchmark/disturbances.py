@@ -14,9 +14,12 @@ from torch import Generator, Tensor
 from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene
+from torchjoint.scene.thinning import voxel_subsample
 
 #: Points move by this share of their spacing, a standard deviation along each axis.
 SHARE_OF_SPACING = 0.3
+#: Side of other voxels, in units of the spacing.
+VOXEL = 1.5
 #: Share of red, green and blue in the brightness of a colour (Rec. 601).
 BRIGHTNESS = (0.299, 0.587, 0.114)
 
@@ -80,6 +83,16 @@ def _move(scene: Scene, generator: Generator) -> Disturbed:
 def _half_of_the_points(scene: Scene, generator: Generator) -> Disturbed:
     count = len(scene.points)
     kept = torch.randperm(count, generator=generator)[: math.ceil(count / 2)].sort().values
+    return Disturbed(scene.select_points(kept), kept)
+
+
+def _other_voxels(scene: Scene, generator: Generator) -> Disturbed:
+    """One point in each cell of a grid, as if the cloud had been fused at another voxel size."""
+    side = VOXEL * float(_spacing(scene).median())
+    shift = side * torch.rand(3, generator=generator, dtype=scene.points.dtype)
+    corner = scene.points.amin(0) - shift  # the grid begins at the lowest point
+    kept = voxel_subsample(torch.cat([corner[None], scene.points]), side)
+    kept = kept[kept > 0] - 1
     return Disturbed(scene.select_points(kept), kept)
 
 
@@ -222,6 +235,7 @@ DISTURBANCES = {
     CLEAN: Disturbance("nothing", _always, _nothing),
     "moved": Disturbance("points moved by .3 of the spacing", _always, _move),
     "half-points": Disturbance("half of the points", _always, _half_of_the_points),
+    "voxels": Disturbance("another voxel size", _always, _other_voxels),
     "outliers-1": Disturbance("1 % outliers", _always, partial(_outliers, share=0.01)),
     "outliers-5": Disturbance("5 % outliers", _always, partial(_outliers, share=0.05)),
     "twice": Disturbance("each point twice, with noise", _always, _twice),

@@ -20,6 +20,7 @@ from torchjoint.cloud.scales import Scales
 from torchjoint.images.exposure import brightened
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.segments.costs import combined_costs, crease_costs
+from torchjoint.segments.learned.color_dropouts import without_dropouts
 from torchjoint.segments.learned.image_colors import image_colors
 from torchjoint.segments.learned.image_counts import segments_of_pieces
 from torchjoint.segments.learned.mask_counts import masks_of_pieces
@@ -76,7 +77,10 @@ def build_piece_graph(graph: PointGraph, scales: Scales, state: JointState) -> P
     # Frames with masks are treated separately, because masks have a much larger weight (see mask_merges).
     observations = seen.without_masks()
     r = disagreement(state.views, state.overlap_sum, OVERLAP_THRESHOLD) if seen else None
-    colors = image_colors(graph.num_points, seen) if graph.colors is None else graph.colors
+    if graph.colors is None:
+        colors = image_colors(graph.num_points, seen)
+    else:
+        colors = without_dropouts(graph.colors, graph.edge_index)
     lab = None if colors is None else _to_lab(brightened(colors))
     color_step = median = None
     if lab is not None:
