@@ -20,10 +20,11 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import read_label_image
 from torchjoint.results.figures import overview
 from torchjoint.results.hierarchy_files import FILE, FOLDER, read_hierarchy, read_piece_image, write_hierarchy
-from torchjoint.results.inputs import write_inputs
+from torchjoint.results.inputs import read_names, write_inputs
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.objects import write_segments
 from torchjoint.runtime.archives import read_archive
+from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
@@ -61,8 +62,8 @@ def write_result(
     np.savez_compressed(folder / "points.npz", **{key: value.numpy() for key, value in arrays.items()})  # type: ignore[arg-type]
     _write_label_images(folder / "images", result)
     if result.hierarchy is not None:
-        write_hierarchy(folder, result.hierarchy, _image_names(result), result.piece_images)
-    write_inputs(folder, scene, result, _image_names(result))
+        write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.piece_images)
+    write_inputs(folder, scene, result)
     write_segments(folder, scene, result)
     overview(scene, result).savefig(folder / "overview.png", dpi=100)
     (folder / "run.yaml").write_text(
@@ -107,7 +108,8 @@ def read_result(folder: Path) -> Segmentation:
     labels = read_points(folder).labels
     files = sorted((folder / "images").glob("*.png"))
     images = LazySequence(len(files), lambda index: read_label_image(files[index]) - 1)
-    names = tuple(file.stem for file in files)
+    true = {file: name for name, file in read_names(folder).items()}
+    names = tuple(true.get(file.stem, file.stem) for file in files)
     if not (folder / FILE).is_file():
         return Segmentation(labels, images, names=names)
     hierarchy = read_hierarchy(folder, len(labels))
@@ -165,12 +167,8 @@ def _run_file(folder: Path) -> Path:
     return file
 
 
-def _image_names(result: Segmentation) -> list[str]:
-    return [name or f"{index:06d}" for index, name in enumerate(result.names)]
-
-
 def _write_label_images(folder: Path, result: Segmentation) -> None:
-    names = _image_names(result)
+    names = frame_files(result.names)
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"frames: expected different names, got {twice!r} twice")
