@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import shutil
 from contextlib import suppress
@@ -41,9 +42,25 @@ class PointResult(NamedTuple):
     colors: Tensor | None  #: [N, 3] float32
 
 
+class Origin(NamedTuple):
+    """What a result was made from."""
+
+    scene: str  #: the recording's path
+    fingerprint: str | None  #: of its files; None in results of version 0.1.0
+    version: str  #: of this package
+    config: Config
+
+
 @on_cpu()
 def write_result(
-    folder: Path, scene: Scene, result: Segmentation, config: Config, source: str, granularity: float = 0.5
+    folder: Path,
+    scene: Scene,
+    result: Segmentation,
+    config: Config,
+    source: str,
+    granularity: float = 0.5,
+    *,
+    fingerprint: str | None = None,
 ) -> None:
     """Writes points.ply, points.npz, segments.json, images/NAME.png, overview.png and run.yaml into a folder.
 
@@ -66,9 +83,10 @@ def write_result(
     write_inputs(folder, scene, result)
     write_segments(folder, scene, result)
     overview(scene, result).savefig(folder / "overview.png", dpi=100)
-    (folder / "run.yaml").write_text(
-        yaml.safe_dump(_run_record(scene, result, config, source, granularity), sort_keys=False)
-    )
+    record = _run_record(scene, result, config, source, granularity)
+    if fingerprint is not None:
+        record["fingerprint"] = fingerprint
+    (folder / "run.yaml").write_text(yaml.safe_dump(record, sort_keys=False))
 
 
 def _remove_earlier(folder: Path) -> None:
@@ -139,6 +157,16 @@ def read_source(folder: Path) -> str:
         ValueError, TypeError: run.yaml is damaged; the message names the file.
     """
     return read_yaml(_run_file(folder), lambda record: str(record.get("scene")), "a record of a run")
+
+
+def read_origin(folder: Path) -> Origin:
+    """Reads what a result was made from. Raises as :func:`read_source`."""
+
+    def origin(record: Any) -> Origin:
+        scene, known = os.path.abspath(str(record["scene"])), record.get("fingerprint")
+        return Origin(scene, known, record["versions"]["torchjoint"], Config.from_dict(record["config"]))
+
+    return read_yaml(_run_file(folder), origin, "a record of a run")
 
 
 def read_granularity(folder: Path) -> float | None:
