@@ -1,4 +1,4 @@
-"""Names that a recording gives its frames may be anything: no file leaves the result, and the name stays the true one."""
+"""Frames may have any name: no file leaves the result, and what is shown is the true name."""
 
 import json
 import os
@@ -20,8 +20,8 @@ from torchjoint.viewer.selection import export_selected
 
 CONFIG = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
 NAMES = (
-    "../../../victim/PWN", "{root}/victim/PWN", "a/b", "..", ".", "nul\0.", "half \ud800", "n" * 300, "ü" * 200, "$\\frac$",
-    "plain name", ".hidden",
+    "../../../victim/PWN", "{root}/victim/PWN", "a/b", "..", ".", "nul\0.", "half \ud800", "n" * 300, "ü" * 200,
+    "$\\frac$", "plain name", ".hidden",
 )  # fmt: skip
 
 

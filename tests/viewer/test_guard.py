@@ -118,7 +118,11 @@ Promise.all(attempts.map(url => new Promise(end => {
 def test_a_page_of_another_port_reads_nothing(viewer, tmp_path):
     sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need playwright")
     own = viewer.url.replace("http", "ws").rstrip("/")
-    attempts = [f"ws://{place(viewer)}", own, f"ws://localhost:{viewer.server.get_port()}"]  # the second knows the token
+    attempts = [
+        f"ws://{place(viewer)}",
+        own,
+        f"ws://localhost:{viewer.server.get_port()}",
+    ]  # the second knows the token
     (tmp_path / "index.html").write_text(PAGE % (json.dumps(attempts), PROTOCOL))
     handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=str(tmp_path))
     other = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)

@@ -206,7 +206,10 @@ def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
                 ("Infinity", "pieces: expected an integer, got inf"),
             )
         ),
-        ('{"pieces": PIECES, "granularity": null, "edits": [{"kind": "name", "pieces": [0], "name": 5}]}', "name: expe"),
+        (
+            '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "name", "pieces": [0], "name": 5}]}',
+            "name: expe",
+        ),
         ('{"pieces": Infinity, "granularity": null, "edits": []}', "pieces: expected an integer, got inf"),
         ('{"pieces": "PIECES", "granularity": null, "edits": []}', "pieces: expected an integer, got '"),
         ('{"pieces": true, "granularity": null, "edits": []}', "pieces: expected an integer, got True"),

@@ -55,8 +55,8 @@ def batch(
 ) -> BatchReport:
     """Segments any number of recordings, each into a result folder OUT/NAME, which is written completely or not at all.
 
-    A batch that is run again skips finished recordings and resumes interrupted ones. A folder with the result of another
-    recording, other files, other parameters or another version is a failure. A recording that fails does not
+    A batch that is run again skips finished recordings and resumes interrupted ones. A folder with the result of
+    another recording, other files, other parameters or another version is a failure. A recording that fails does not
     stop the others. OUT/summary.csv has a row for each result, OUT/failures.csv the reason of each failure.
 
     Args:
@@ -159,7 +159,7 @@ def _check_record(job: Job) -> None:
 
 
 def _sorted_out(job: Job, tables: Tables, found: dict[str, Path]) -> tuple[dict[str, Path], tuple[str, ...]]:
-    """The recordings without a result, and the names of those that have one; a damaged or another result is a failure."""
+    """The recordings without a result, and the names of those that have one; a damaged or other result is a failure."""
     skipped = [name for name in found if not job.overwrite and is_done(job.folder(name))]
     memory = tables.earlier_memory()
     for name in skipped:

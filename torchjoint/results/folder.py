@@ -21,14 +21,17 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import read_label_image
 from torchjoint.results.figures import overview
 from torchjoint.results.hierarchy_files import FILE, FOLDER, read_hierarchy, read_piece_image, write_hierarchy
-from torchjoint.results.inputs import read_names, write_inputs
+from torchjoint.results.inputs import CAMERAS, read_names, write_inputs
 from torchjoint.results.label_colors import label_colors
+from torchjoint.results.manifest import FILE as MANIFEST
+from torchjoint.results.manifest import Check, unchecked, write_manifest
 from torchjoint.results.objects import write_segments
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
+from torchjoint.scene.checks import as_labels, as_points
 
 #: Largest label in a 16-bit label image, which stores label + 1; 0 = none.
 MAX_LABEL = 2**16 - 2
@@ -66,7 +69,7 @@ def write_result(
 
     The frames are written, too: cameras.json, inputs/NAME.jpg, and images_color/NAME.jpg with the labels over them.
     A result with a hierarchy also gets hierarchy.npz and pieces/NAME.png, from which any level can be computed. Then
-    run.yaml also records the granularity of the labels.
+    run.yaml also records the granularity of the labels. manifest.json has the checksums.
 
     Raises:
         ValueError: a label does not fit 16-bit images, or two frames have the same name.
@@ -86,12 +89,13 @@ def write_result(
     record = _run_record(scene, result, config, source, granularity)
     if fingerprint is not None:
         record["fingerprint"] = fingerprint
+    write_manifest(folder, record)
     (folder / "run.yaml").write_text(yaml.safe_dump(record, sort_keys=False))
 
 
 def _remove_earlier(folder: Path) -> None:
     """Deletes the files of an interrupted run: with other parameters it may have written other files."""
-    for name in ("points.ply", "points.npz", FILE, "overview.png", "run.yaml"):
+    for name in ("points.ply", "points.npz", FILE, CAMERAS, "overview.png", "run.yaml", MANIFEST):
         (folder / name).unlink(missing_ok=True)
     for name in ("images", FOLDER):
         shutil.rmtree(folder / name, ignore_errors=True)
@@ -109,15 +113,20 @@ def read_points(folder: Path) -> PointResult:
         raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
     try:
         values = {key: torch.from_numpy(array) for key, array in read_archive(file).items()}
-        return PointResult(values["points"], values["labels"], values.get("colors"))
+        points = as_points(values["points"])
+        labels = as_labels(values["labels"], (len(points),))
+        if not 0 <= int(labels.min()) <= int(labels.max()) < len(labels):
+            raise ValueError(f"labels: expected 0 to {len(labels) - 1}, got {int(labels.min())} to {int(labels.max())}")
+        return PointResult(points, labels, values.get("colors"))
     except (ValueError, KeyError, TypeError, OSError) as error:
         raise ValueError(f"{file}: not a whole result: {error!r}") from error
 
 
-def read_result(folder: Path) -> Segmentation:
+def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
     """Reads a result, with all its levels if it has a hierarchy.
 
-    Images are read when they are used. Images and names are in the order of the names; initial images are not kept.
+    Images are read, and checked, when they are used. Images and names are in the order of the names; initial images are
+    not kept.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -125,15 +134,19 @@ def read_result(folder: Path) -> Segmentation:
     """
     labels = read_points(folder).labels
     files = sorted((folder / "images").glob("*.png"))
-    images = LazySequence(len(files), lambda index: read_label_image(files[index]) - 1)
+    images = LazySequence(len(files), lambda index: read_label_image(check(files[index])) - 1)
     true = {file: name for name, file in read_names(folder).items()}
     names = tuple(true.get(file.stem, file.stem) for file in files)
     if not (folder / FILE).is_file():
         return Segmentation(labels, images, names=names)
     hierarchy = read_hierarchy(folder, len(labels))
+    of_piece = torch.zeros(hierarchy.num_pieces, dtype=torch.int64)
+    of_piece[hierarchy.piece] = labels
+    if not torch.equal(of_piece[hierarchy.piece], labels):
+        raise ValueError(f"{folder / FILE}: expected pieces that lie inside one segment of points.npz, got others")
 
     def pieces(index: int) -> Tensor:
-        return read_piece_image(folder / FOLDER / files[index].name, hierarchy.num_pieces)
+        return read_piece_image(check(folder / FOLDER / files[index].name), hierarchy.num_pieces)
 
     piece_images = LazySequence(len(files), pieces)
     return Segmentation(labels, images, names=names, hierarchy=hierarchy, piece_images=piece_images)
@@ -229,6 +242,7 @@ def _run_record(scene: Scene, result: Segmentation, config: Config, source: str,
         "seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
         "versions": versions,
         "config": config.to_dict(),
+        "manifest": MANIFEST,
     }
 
 

@@ -16,6 +16,7 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_image
+from torchjoint.results.manifest import Check, unchecked
 from torchjoint.results.overlays import overlay
 from torchjoint.runtime.files import file_name, frame_files, write_text
 from torchjoint.runtime.lazy import LazySequence
@@ -68,8 +69,8 @@ def read_names(folder: Path) -> dict[str, str]:
     return {name: name if name in stored else file_name(name) for name in names}
 
 
-def read_inputs(folder: Path, names: Sequence[str]) -> Sequence[Frame]:
-    """Reads the frames of a result, in the order of `names`; images are read when they are used.
+def read_inputs(folder: Path, names: Sequence[str], check: Check = unchecked) -> Sequence[Frame]:
+    """Reads the frames of a result, in the order of `names`; images are read, and checked, when they are used.
 
     Raises:
         FileNotFoundError: there is no cameras.json (results of earlier versions have none).
@@ -87,7 +88,10 @@ def read_inputs(folder: Path, names: Sequence[str]) -> Sequence[Frame]:
 
     def read(index: int) -> Frame:
         intrinsics, world_to_camera = cameras[index]
-        image = read_image(folder / INPUTS / f"{files[names[index]]}.jpg")
+        file = folder / INPUTS / f"{files[names[index]]}.jpg"
+        image = read_image(check(file))
+        if list(image.shape[1:]) != (size := records[names[index]].get("size")):
+            raise ValueError(f"{file}: expected the size of its camera, {size}, got {list(image.shape[1:])}")
         return Frame(image, intrinsics, world_to_camera, name=names[index])
 
     return LazySequence(len(names), read, names)

@@ -126,8 +126,9 @@ def read_array(path: Path) -> Tensor:
 def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     """Returns a hash of file names, sizes and times, to detect changed files.
 
-    That of a folder covers all files in and below it, without folders of results; links are followed. That of a file covers its folder, and files
-    with the same stem in sibling folders (KITTI's layout). That of a cloud with a suffix in `ALONE` covers only itself.
+    That of a folder covers all files in and below it, without folders of results; links are followed. That of a file
+    covers its folder, and files with the same stem in sibling folders (KITTI's layout). That of a cloud with a suffix
+    in `ALONE` covers only itself.
 
     Args:
         path: of a recording.
