@@ -1,6 +1,7 @@
 """Many recordings: each has its result, or the reason why not; what is done is skipped."""
 
 import csv
+import shutil
 import sys
 from concurrent.futures import Future
 
@@ -10,10 +11,13 @@ import torch
 from folder_files import write_scans
 
 import torchjoint as tj
+from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.engine import Engine, tasks_on_machine
 from torchjoint.engine.worker import Shared
-from torchjoint.recordings import find_recordings
+from torchjoint.recordings import find_recordings, segment_recording
+from torchjoint.recordings.summary import _csv
 from torchjoint.runtime.locks import lock
+from torchjoint.scene.thinning import voxel_subsample
 
 
 class Given(Shared):
@@ -193,3 +197,80 @@ def test_tables_that_cannot_be_written(scans, tmp_path):
         )
     assert list(report.reports) == ["a"]
     assert len(tj.load_result(out / "a").points) == report.reports["a"].points
+
+
+class TestOrigin:
+    """A result that is there is taken only if it is what this batch would make."""
+
+    OPTIONS = tj.RecordingOptions(max_frames=1, thin=0.2)
+
+    @pytest.fixture
+    def kitchens(self, tmp_path):
+        """Two clouds of the same name."""
+        for day in ("day1", "day2"):
+            (tmp_path / day / "scans").mkdir(parents=True)
+            points = torch.rand(300, 3, generator=torch.Generator().manual_seed(int(day[-1])))
+            write_cloud(tmp_path / day / "scans" / "kitchen.ply", points)
+        return [tmp_path / day / "scans" / "kitchen.ply" for day in ("day1", "day2")]
+
+    def batch(self, scenes, out, config=QUICK, **options):
+        return tj.batch(scenes, out, engine=HereEngine(), config=config, options=self.OPTIONS, **options)
+
+    def test_another_recording_of_the_same_name(self, kitchens, tmp_path):
+        day1, day2 = kitchens
+        assert list(self.batch(day1, tmp_path / "out").reports) == ["kitchen"]
+        report = self.batch(day2, tmp_path / "out")
+        assert report.skipped == ()
+        reason = report.failures["kitchen"]
+        assert f"expected the result of {day2}, got that of {day1}; other scene, fingerprint; choose another" in reason
+        both = self.batch(kitchens, tmp_path / "out")  # the first keeps its folder: no third one is left
+        assert both.skipped == ("kitchen",)
+        assert list(both.reports) == ["kitchen", "day2-scans-kitchen"]
+        folders = sorted(path.name for path in (tmp_path / "out").iterdir() if path.is_dir())
+        assert folders == ["day2-scans-kitchen", "kitchen"]
+        for name, path in (("kitchen", day1), ("day2-scans-kitchen", day2)):
+            assert torch.equal(tj.load_result(tmp_path / "out" / name).scene.points, tj.load_scene(path).select_points(
+                voxel_subsample(tj.load_scene(path).points, 0.2)).points)  # fmt: skip
+
+    def test_changed_files(self, kitchens, tmp_path):
+        self.batch(kitchens[0], tmp_path / "out")
+        write_cloud(kitchens[0], torch.rand(200, 3))
+        assert "other fingerprint; choose" in self.batch(kitchens[0], tmp_path / "out").failures["kitchen"]
+        assert self.batch(kitchens[0], tmp_path / "out", overwrite=True).reports["kitchen"].frames == 0
+        assert self.batch(kitchens[0], tmp_path / "out").skipped == ("kitchen",)
+
+    def test_other_parameters_or_version(self, kitchens, tmp_path):
+        out = tmp_path / "out"
+        segment_recording(kitchens[0], out / "kitchen", QUICK.set(["visibility.footprint=0.4"]), self.OPTIONS)
+        assert "other config; choose" in self.batch(kitchens[0], out).failures["kitchen"]
+        record = (out / "kitchen" / "run.yaml").read_text()
+        (out / "kitchen" / "run.yaml").write_text(record.replace("torchjoint: ", "torchjoint: 9."))
+        assert "other version, config; choose" in self.batch(kitchens[0], out).failures["kitchen"]
+
+    def test_results_beside_a_recording_do_not_change_it(self, scans, tmp_path):
+        scene = shutil.copytree(scans / "a", tmp_path / "a")
+        self.batch(scene, scene / "results")
+        assert self.batch(scene, scene / "results").skipped == ("a",)
+        self.batch(scene, tmp_path / "out")
+        shutil.rmtree(scene)  # it may be in an archive now
+        assert self.batch(scene, tmp_path / "out").skipped == ("a",)
+
+    def test_names_that_the_batch_needs_itself(self, kitchens, tmp_path):
+        names = ("batch.yaml", "summary.csv", "failures.csv", "x", "x.partial", "=cmd|' calc'!A0", ".x.lock")
+        scenes = [shutil.copy(kitchens[0], tmp_path / f"{name}.ply") for name in names]
+        report = self.batch(scenes, tmp_path / "out")
+        assert len(report.reports) == len(names)
+        assert len(table(tmp_path / "out" / "summary.csv")) == len(names)
+        assert not [name for name in table(tmp_path / "out" / "summary.csv") if name.startswith("=")]
+        assert {name: tj.load_result(tmp_path / "out" / name).points.shape for name in report.reports}
+        assert len(self.batch(scenes, tmp_path / "out").skipped) == len(names)
+
+    def test_a_list_that_names_itself(self, tmp_path):
+        (tmp_path / "one.txt").write_text("two.txt\n")
+        (tmp_path / "two.txt").write_text("./one.txt\n")
+        with pytest.raises(ValueError, match=r"scenes: expected a list of recordings, got .*/one.txt, which names its"):
+            find_recordings(tmp_path / "one.txt")
+
+
+def test_cells_are_no_formulas():
+    assert _csv([("=1+1", "@x", "-5", 7)]) == "'=1+1,'@x,'-5,7\n"

@@ -61,12 +61,12 @@ def test_an_id_that_is_none(result, segment):
 def test_a_result_without_cameras_has_no_frames(out, tmp_path):
     for name in ("points.npz", "run.yaml"):
         (tmp_path / name).write_bytes((out / name).read_bytes())
-    assert len(tj.load_result(tmp_path).scene.frames) == 0
+    assert len(tj.load_result(tmp_path, verify=False).scene.frames) == 0
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "other.png").write_bytes(next((out / "images").iterdir()).read_bytes())
     (tmp_path / "cameras.json").write_bytes((out / "cameras.json").read_bytes())
     with pytest.raises(ValueError, match=r"cameras\.json: not the cameras of these images: KeyError\('other'\)"):
-        tj.load_result(tmp_path)
+        tj.load_result(tmp_path, verify=False)
 
 
 def test_segments_json_says_what_is_in_the_labels(out, scene, result):

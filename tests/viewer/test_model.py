@@ -73,6 +73,10 @@ def test_join_split_name_and_undo(model):
     assert model.undo()
     np.testing.assert_array_equal(model.table, start)
     assert not model.undo()
+    model.select((first,))
+    model.name("n" * 200)
+    with pytest.raises(ValueError, match="name: expected at most 200 characters, got 201"):
+        model.name("n" * 201)
     for action in (model.join, model.split, lambda: model.name("x")):
         model.select(())
         with pytest.raises(ValueError, match="select"):
@@ -191,6 +195,26 @@ def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
             '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "split", "pieces": [0, 1]}]}',
             "expected an edit, got",
         ),
+        *(
+            (f'{{"pieces": PIECES, "granularity": null, "edits": [{{"kind": "name", "pieces": [{piece}]}}]}}', message)
+            for piece, message in (
+                ("true", "pieces: expected an integer, got True"),
+                ("1.9", "pieces: expected an integer, got 1.9"),
+                ('"12"', "pieces: expected an integer, got '12'"),
+                ("Infinity", "pieces: expected an integer, got inf"),
+            )
+        ),
+        (
+            '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "name", "pieces": [0], "name": 5}]}',
+            "name: expe",
+        ),
+        ('{"pieces": Infinity, "granularity": null, "edits": []}', "pieces: expected an integer, got inf"),
+        ('{"pieces": "PIECES", "granularity": null, "edits": []}', "pieces: expected an integer, got '"),
+        ('{"pieces": true, "granularity": null, "edits": []}', "pieces: expected an integer, got True"),
+        ('{"pieces": PIECES, "granularity": Infinity, "edits": []}', "granularity: expected a number from 0"),
+        ('{"pieces": PIECES, "granularity": NaN, "edits": []}', "granularity: expected a number from 0"),
+        ('{"pieces": PIECES, "granularity": true, "edits": []}', "granularity: expected a number from 0"),
+        ('{"pieces": PIECES, "granularity": "0.5", "edits": []}', "granularity: expected a number from 0"),
     ],
 )
 def test_damaged_corrections(model, tmp_path, text, message):

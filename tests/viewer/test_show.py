@@ -1,5 +1,6 @@
 """torchjoint show: what it opens, with which scene, and what it says if it cannot."""
 
+import re
 import shutil
 import sys
 from dataclasses import replace
@@ -78,6 +79,21 @@ def test_without_viser_it_says_what_to_install(run, out, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(SystemExit, match=r"the viewer needs viser: pip install 'torchjoint\[viewer\]'"):
         run("show", out)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")  # of viser and websockets
+def test_a_page_for_the_network_says_so(run, out, monkeypatch, capsys):
+    from torchjoint.viewer.app import Viewer
+
+    monkeypatch.setattr(Viewer, "wait", lambda viewer: viewer.stop())
+    monkeypatch.setattr(Viewer, "_count_frames", lambda viewer: None)
+    run("show", out, "--no-open-browser", "--port", 8990)
+    assert "--host" not in capsys.readouterr().out
+    run("show", out, "--no-open-browser", "--port", 8990, "--host", "0.0.0.0")
+    text = capsys.readouterr().out
+    assert "--host 0.0.0.0: whoever gets the address below from this network sees this result, and may change" in text
+    assert re.search(r"http://localhost:899\d/\S{32}/\n", text)
+    assert "Websocket" not in text  # viser's own addresses, which are refused
 
 
 def test_up_turns_the_page(run, out, tmp_path):

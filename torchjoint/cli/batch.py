@@ -10,7 +10,7 @@ from torchjoint.cli._log import printed_log
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out, read_topics
 from torchjoint.recordings import BatchReport, RecordingOptions
 from torchjoint.recordings import batch as run_batch
-from torchjoint.recordings.summary import FAILURES, SUMMARY
+from torchjoint.recordings.scene_list import FAILURES, SUMMARY
 
 #: Most failures that are printed, and most characters of each; failures.csv has all.
 MOST_PRINTED, MOST_CHARACTERS = 20, 160

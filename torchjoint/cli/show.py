@@ -48,7 +48,8 @@ def show(
         granularity: start with another level than OUT has, 0 (coarse) to 1 (fine); needs a result of method learned.
         up: upward direction x y z in the coordinates of the cloud; default: from the poses and the largest level plane.
         truth: also offer the ground truth of the recording (Colour by: truth).
-        host: address of the page; 127.0.0.1: only this machine can open it; 0.0.0.0: any machine can.
+        host: address of the page; 127.0.0.1: only this machine can open it; 0.0.0.0: any machine can that knows the
+            printed address.
         port: of the page; if it is in use, the next free one.
         open_browser: open the page.
     """
@@ -136,8 +137,11 @@ def _serve(
     open_browser: bool,
 ) -> None:
     from torchjoint.viewer.app import Viewer
+    from torchjoint.viewer.server import is_loopback
     from torchjoint.viewer.shown import Shown
 
+    if not is_loopback(host):
+        print(f"--host {host}: whoever gets the address below from this network sees this result, and may change it")
     viewer = Viewer(result, Shown(folder), granularity=granularity, up=up, host=host, port=port)
     _open_page(viewer.url, open_browser)
     _serve_until_interrupted(viewer)

@@ -87,3 +87,5 @@ def _parse(text: str, source: str, make: Callable[[Mapping[str, Any]], T], form:
         return make(values or {})
     except (ValueError, TypeError) as error:
         raise type(error)(f"{source}: {error}") from error
+    except (LookupError, AttributeError, OverflowError) as error:
+        raise ValueError(f"{source}: expected {form}, got another form: {error!r}") from error

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchjoint.datasets.files.readers import read_array, read_label_image
 from torchjoint.results.folder import read_points
 from torchjoint.results.hierarchy_files import FILE, read_hierarchy
+from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy, Scene
@@ -72,10 +73,10 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
 
 
 def _frame_names(scene: Scene) -> dict[str, int]:
-    """Indices of the frames by name; a frame without a name is named by its number, as in a result."""
+    """Indices of the frames by the names of their files in a result."""
     known = getattr(scene.frames, "names", ())  # avoids reading lazy frames
     found = known or parallel_map(lambda index: scene.frames[index].name, range(len(scene.frames)))
-    names = [name or f"{index:06d}" for index, name in enumerate(found)]
+    names = frame_files(found)
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"{scene.name}: expected different names of frames, got {twice!r} twice")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -12,15 +13,16 @@ from tqdm import tqdm
 
 from torchjoint.config import Config
 from torchjoint.engine import Engine, Outcome, WorkerDied, open_engine
-from torchjoint.recordings.one_scene import Job, SceneReport, is_done, report_of, run_scene
+from torchjoint.recordings.one_scene import Job, SceneReport, check_origin, is_done, report_of, run_scene
 from torchjoint.recordings.options import RecordingOptions
-from torchjoint.recordings.scene_list import find_recordings
+from torchjoint.recordings.scene_list import RECORD, find_recordings
 from torchjoint.recordings.summary import Tables
+from torchjoint.results.folder import read_origin
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.locks import lock
 from torchjoint.runtime.messages import in_one_line, is_out_of_memory
 
-_RECORD, _LOCK = "batch.yaml", ".batch.lock"
+_LOCK = ".batch.lock"
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,8 @@ def batch(
 ) -> BatchReport:
     """Segments any number of recordings, each into a result folder OUT/NAME, which is written completely or not at all.
 
-    A batch that is run again skips finished recordings and resumes interrupted ones. A recording that fails does not
+    A batch that is run again skips finished recordings and resumes interrupted ones. A folder with the result of
+    another recording, other files, other parameters or another version is a failure. A recording that fails does not
     stop the others. OUT/summary.csv has a row for each result, OUT/failures.csv the reason of each failure.
 
     Args:
@@ -81,8 +84,9 @@ def batch(
     """
     config, options = config or Config(), options or RecordingOptions()
     options.check(config)
-    found = find_recordings(scenes)
     job = Job(_prepared(Path(out).absolute()), config, options, overwrite)
+    named = find_recordings(scenes)
+    found = {_folder(job.out, name, path, named): path for name, path in named.items()}
     with lock(job.out / _LOCK, f"{out}: another batch is writing its results here; wait for it, or choose another"):
         _check_record(job)
         tables = Tables(job.out, list(found))
@@ -134,9 +138,19 @@ def _prepared(out: Path) -> Path:
     return out
 
 
+def _folder(out: Path, name: str, path: Path, named: dict[str, Path]) -> str:
+    """The folder of a recording: its name, or a shorter one that an earlier batch of fewer recordings gave it."""
+    shorter = [name[place + 1 :] for place, letter in enumerate(name) if letter == "-"]
+    for one in shorter:
+        with suppress(OSError, ValueError, TypeError):  # a damaged result is not its
+            if one not in named and read_origin(out / one).scene == str(path.absolute()):
+                return one
+    return name
+
+
 def _check_record(job: Job) -> None:
     """Writes the parameters of a new batch to a file; a batch that is resumed must have the same parameters."""
-    file = job.out / _RECORD
+    file = job.out / RECORD
     record = {"torchjoint": version("torchjoint"), "options": {**vars(job.options)}, "config": job.config.to_dict()}
     text = yaml.safe_dump(record, sort_keys=False)
     if file.is_file() and file.read_text(encoding="utf-8", errors="replace") != text and not job.overwrite:
@@ -145,13 +159,14 @@ def _check_record(job: Job) -> None:
 
 
 def _sorted_out(job: Job, tables: Tables, found: dict[str, Path]) -> tuple[dict[str, Path], tuple[str, ...]]:
-    """The recordings without a result, and the names of those that have one; a damaged result is a failure."""
+    """The recordings without a result, and the names of those that have one; a damaged or other result is a failure."""
     skipped = [name for name in found if not job.overwrite and is_done(job.folder(name))]
     memory = tables.earlier_memory()
     for name in skipped:
         try:
+            check_origin(job, name, found[name])
             tables.reports[name] = report_of(job.folder(name), memory.get(name))
-        except (OSError, ValueError, TypeError, KeyError) as error:
+        except (OSError, ValueError, TypeError) as error:
             tables.failures[name] = in_one_line(error)
     todo = {name: path for name, path in found.items() if name not in skipped}
     return todo, tuple(name for name in skipped if name in tables.reports)

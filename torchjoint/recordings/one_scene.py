@@ -5,13 +5,16 @@ from __future__ import annotations
 import time
 import warnings
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 
 from torchjoint.config import Config
+from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.engine import tasks_on_machine
 from torchjoint.recordings.options import RecordingOptions
 from torchjoint.recordings.segment import segment_recording
-from torchjoint.results.folder import read_record
+from torchjoint.results.folder import Origin, read_origin, read_record
+from torchjoint.results.output_folder import own_files
 from torchjoint.runtime.locks import BusyError
 from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.peak_memory import peak_memory, reset_peak_memory
@@ -82,6 +85,25 @@ def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
 def is_done(out: Path) -> bool:
     """Whether a folder holds a result; results are written completely or not at all."""
     return (out / "run.yaml").is_file()
+
+
+def check_origin(job: Job, name: str, path: Path) -> None:
+    """Compares where a result came from with what the batch would make.
+
+    Raises:
+        ValueError: the result is of another recording, or of other files, parameters or version.
+        OSError, TypeError: the result is damaged; the message names the file.
+    """
+    out = job.folder(name)
+    origin = read_origin(out)
+    files = fingerprint(path, own_files(out)) if path.exists() and origin.fingerprint else origin.fingerprint
+    asked = Origin(str(path.absolute()), files, version("torchjoint"), job.config)
+    other = [field for field, one, two in zip(Origin._fields, asked, origin, strict=True) if one != two]
+    if other:
+        raise ValueError(
+            f"{out}: expected the result of {asked.scene}, got that of {origin.scene}; other {', '.join(other)}; "
+            "choose another folder, or --overwrite"
+        )
 
 
 def report_of(out: Path, memory: float | None = None, told: tuple[str, ...] = ()) -> SceneReport:

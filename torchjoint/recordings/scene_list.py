@@ -8,9 +8,12 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from torchjoint.datasets import list_scenes
+from torchjoint.runtime.files import file_name
 
 #: A file with one of these suffixes lists recordings, one per line.
 LISTS = (".txt", ".list")
+#: Files of a batch, beside the folders of its results.
+RECORD, SUMMARY, FAILURES = "batch.yaml", "summary.csv", "failures.csv"
 
 
 def find_recordings(scenes: str | Path | Iterable[str | Path]) -> dict[str, Path]:
@@ -26,7 +29,7 @@ def find_recordings(scenes: str | Path | Iterable[str | Path]) -> dict[str, Path
         that do not exist or have no known format are returned too: loading them raises the error.
 
     Raises:
-        ValueError: there is no recording, a pattern matches nothing, or a list cannot be read.
+        ValueError: there is no recording, a pattern matches nothing, or a list cannot be read or names itself.
     """
     given = [scenes] if isinstance(scenes, str | Path) else list(scenes)
     found = list(dict.fromkeys(Path(path) for one in given for path in _expanded(one)))
@@ -35,10 +38,12 @@ def find_recordings(scenes: str | Path | Iterable[str | Path]) -> dict[str, Path
     return _named(found)
 
 
-def _expanded(scene: str | Path) -> list[Path]:
+def _expanded(scene: str | Path, lists: tuple[Path, ...] = ()) -> list[Path]:
     path = Path(scene)
     if path.suffix.lower() in LISTS and path.is_file():
-        return [found for line in _lines(path) for found in _expanded(path.parent / line)]
+        if (own := path.resolve()) in lists:
+            raise ValueError(f"scenes: expected a list of recordings, got {path}, which names itself")
+        return [found for line in _lines(path) for found in _expanded(path.parent / line, (*lists, own))]
     if not path.exists() and glob.has_magic(str(scene)):
         matches = [Path(match) for match in sorted(glob.glob(str(scene), recursive=True))]
         recordings = [found for match in matches for found in _scenes(match) if match.is_dir() or _is_scene(match)]
@@ -75,13 +80,19 @@ def _is_scene(path: Path) -> bool:
 def _named(paths: list[Path]) -> dict[str, Path]:
     depth = 1
     while True:
-        names = ["-".join(_parts(path)[-depth:]) for path in paths]
+        names = [_folder_name("-".join(_parts(path)[-depth:])) for path in paths]
         if max(Counter(names).values()) == 1:
             return dict(zip(names, paths, strict=True))
         if depth > max(len(_parts(path)) for path in paths):
             twice = next(name for name in names if names.count(name) > 1)
             raise ValueError(f"scenes: expected different recordings, got two with the result {twice}")
         depth += 1
+
+
+def _folder_name(name: str) -> str:
+    """The name of a result's folder; no file of the batch, and no file beside another result, has it."""
+    is_free = name not in (RECORD, SUMMARY, FAILURES) and not name.endswith(".partial") and not name.startswith(".")
+    return file_name(name, is_free=is_free)
 
 
 def _parts(path: Path) -> list[str]:

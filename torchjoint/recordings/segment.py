@@ -78,7 +78,8 @@ def segment_recording(
     for name, needed in (("scene", path), ("--masks", masks)):
         if needed is not None and not needed.exists():
             raise FileNotFoundError(f"{name}: {needed} does not exist")
-    source = f"{fingerprint(path, own_files(out))} {options.source()}"
+    files = fingerprint(path, own_files(out))
+    source = f"{files} {options.source()}"
     if masks is not None:
         source += f" {fingerprint(masks)} {without_masks}"
     key = run_key(f"{source} {options.key()}", config)
@@ -102,7 +103,8 @@ def segment_recording(
             )
         if level is not None:
             result = result.at(level)
-        write_result(partial, scene, result, config, str(path), 0.5 if level is None else level)
+        level = 0.5 if level is None else level
+        write_result(partial, scene, result, config, str(path), level, fingerprint=files)
     return Segmented(result, segmenter, scene)
 
 

@@ -9,13 +9,13 @@ import warnings
 from pathlib import Path
 
 from torchjoint.recordings.one_scene import SceneReport
+from torchjoint.recordings.scene_list import FAILURES, SUMMARY
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.messages import in_one_line
 
 #: Least time between two writes, seconds, and largest share of the time that writes may take.
 INTERVAL, SHARE = 5.0, 0.05
 
-SUMMARY, FAILURES = "summary.csv", "failures.csv"
 _COLUMNS = ("scene", "points", "frames", "segments", "seconds", "peak_memory_mb", "warnings")
 
 
@@ -39,7 +39,9 @@ class Tables:
         try:
             text = (self.folder / SUMMARY).read_text(encoding="utf-8")
             rows = list(csv.DictReader(io.StringIO(text)))
-            return {row["scene"]: float(row["peak_memory_mb"]) for row in rows if row["peak_memory_mb"]}
+            return {
+                row["scene"].removeprefix("'"): float(row["peak_memory_mb"]) for row in rows if row["peak_memory_mb"]
+            }
         except (OSError, ValueError, KeyError, TypeError, csv.Error):
             return {}  # there is no summary, or somebody has edited it
 
@@ -86,6 +88,10 @@ def _row(name: str, report: SceneReport, stages: list[str]) -> tuple[object, ...
 
 
 def _csv(rows: list[tuple[object, ...]]) -> str:
+    """Rows as text. A cell that a spreadsheet would compute gets an apostrophe in front: names come from others."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
+    safe = [
+        [f"'{cell}" if str(cell).startswith(("=", "+", "-", "@", "\t", "\r")) else cell for cell in row] for row in rows
+    ]
+    csv.writer(text, lineterminator="\n").writerows(safe)
     return text.getvalue()

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from torchjoint.results.splits import split
 from torchjoint.runtime.files import write_text
 from torchjoint.scene import Hierarchy
+from torchjoint.scene.hierarchy import check_granularity
 
 FILE = "edits.json"
 Table = npt.NDArray[np.int64]
@@ -108,9 +109,9 @@ def read_edits(folder: Path, num_pieces: int) -> Edits:
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
         steps = tuple(_parse(step, num_pieces) for step in record["edits"])
-        granularity = record["granularity"]
-        granularity = None if granularity is None else float(granularity)
-        found = int(record["pieces"])
+        if (granularity := record["granularity"]) is not None:
+            check_granularity(granularity)
+        found = _integer(record["pieces"])
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{file}: not a list of edits: {error!r}") from error
     if found != num_pieces:
@@ -119,9 +120,17 @@ def read_edits(folder: Path, num_pieces: int) -> Edits:
 
 
 def _parse(step: Mapping[str, Any], num_pieces: int) -> Edit:
-    kind, pieces = step["kind"], tuple(int(piece) for piece in step["pieces"])
+    kind, pieces, name = step["kind"], tuple(_integer(piece) for piece in step["pieces"]), step.get("name", "")
     if len(pieces) not in {"join": (2,), "split": (1, 3), "name": (1,)}.get(kind, ()):
         raise ValueError(f"expected an edit, got {dict(step)}")
     if not all(0 <= piece < num_pieces for piece in pieces):
         raise ValueError(f"expected pieces below {num_pieces}, got {dict(step)}")
-    return Edit(kind, pieces, str(step.get("name", "")))
+    if not isinstance(name, str):
+        raise ValueError(f"name: expected a text, got {name!r}")
+    return Edit(kind, pieces, name)
+
+
+def _integer(value: object) -> int:
+    if type(value) is not int:
+        raise ValueError(f"pieces: expected an integer, got {value!r}")
+    return value

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.render import render_cloud
+from torchjoint.runtime.messages import printable
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
 from torchjoint.scene.subset import evenly_spaced_indices
@@ -71,7 +72,7 @@ def _draw_frames(figure: Any, scene: Scene, result: Segmentation, chosen: list[i
         for axis, (name, picture) in zip(axes[:, column], pictures.items(), strict=True):
             axis.imshow(_bytes(picture))
             axis.set(xticks=[], yticks=[], ylabel=name if column == 0 else "")
-        axes[0, column].set_title(result.names[index], fontsize=8)
+        axes[0, column].set_title(printable(result.names[index]), fontsize=8, parse_math=False)
 
 
 def _draw_cloud(figure: Any, scene: Scene, result: Segmentation) -> None:

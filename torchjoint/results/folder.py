@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import shutil
 from contextlib import suppress
@@ -20,13 +21,17 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import read_label_image
 from torchjoint.results.figures import overview
 from torchjoint.results.hierarchy_files import FILE, FOLDER, read_hierarchy, read_piece_image, write_hierarchy
-from torchjoint.results.inputs import write_inputs
+from torchjoint.results.inputs import CAMERAS, read_names, write_inputs
 from torchjoint.results.label_colors import label_colors
+from torchjoint.results.manifest import FILE as MANIFEST
+from torchjoint.results.manifest import Check, unchecked, write_manifest
 from torchjoint.results.objects import write_segments
 from torchjoint.runtime.archives import read_archive
+from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
+from torchjoint.scene.checks import as_labels, as_points
 
 #: Largest label in a 16-bit label image, which stores label + 1; 0 = none.
 MAX_LABEL = 2**16 - 2
@@ -40,15 +45,31 @@ class PointResult(NamedTuple):
     colors: Tensor | None  #: [N, 3] float32
 
 
+class Origin(NamedTuple):
+    """What a result was made from."""
+
+    scene: str  #: the recording's path
+    fingerprint: str | None  #: of its files; None in results of version 0.1.0
+    version: str  #: of this package
+    config: Config
+
+
 @on_cpu()
 def write_result(
-    folder: Path, scene: Scene, result: Segmentation, config: Config, source: str, granularity: float = 0.5
+    folder: Path,
+    scene: Scene,
+    result: Segmentation,
+    config: Config,
+    source: str,
+    granularity: float = 0.5,
+    *,
+    fingerprint: str | None = None,
 ) -> None:
     """Writes points.ply, points.npz, segments.json, images/NAME.png, overview.png and run.yaml into a folder.
 
     The frames are written, too: cameras.json, inputs/NAME.jpg, and images_color/NAME.jpg with the labels over them.
     A result with a hierarchy also gets hierarchy.npz and pieces/NAME.png, from which any level can be computed. Then
-    run.yaml also records the granularity of the labels.
+    run.yaml also records the granularity of the labels. manifest.json has the checksums.
 
     Raises:
         ValueError: a label does not fit 16-bit images, or two frames have the same name.
@@ -61,18 +82,20 @@ def write_result(
     np.savez_compressed(folder / "points.npz", **{key: value.numpy() for key, value in arrays.items()})  # type: ignore[arg-type]
     _write_label_images(folder / "images", result)
     if result.hierarchy is not None:
-        write_hierarchy(folder, result.hierarchy, _image_names(result), result.piece_images)
-    write_inputs(folder, scene, result, _image_names(result))
+        write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.piece_images)
+    write_inputs(folder, scene, result)
     write_segments(folder, scene, result)
     overview(scene, result).savefig(folder / "overview.png", dpi=100)
-    (folder / "run.yaml").write_text(
-        yaml.safe_dump(_run_record(scene, result, config, source, granularity), sort_keys=False)
-    )
+    record = _run_record(scene, result, config, source, granularity)
+    if fingerprint is not None:
+        record["fingerprint"] = fingerprint
+    write_manifest(folder, record)
+    (folder / "run.yaml").write_text(yaml.safe_dump(record, sort_keys=False))
 
 
 def _remove_earlier(folder: Path) -> None:
     """Deletes the files of an interrupted run: with other parameters it may have written other files."""
-    for name in ("points.ply", "points.npz", FILE, "overview.png", "run.yaml"):
+    for name in ("points.ply", "points.npz", FILE, CAMERAS, "overview.png", "run.yaml", MANIFEST):
         (folder / name).unlink(missing_ok=True)
     for name in ("images", FOLDER):
         shutil.rmtree(folder / name, ignore_errors=True)
@@ -90,15 +113,20 @@ def read_points(folder: Path) -> PointResult:
         raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
     try:
         values = {key: torch.from_numpy(array) for key, array in read_archive(file).items()}
-        return PointResult(values["points"], values["labels"], values.get("colors"))
+        points = as_points(values["points"])
+        labels = as_labels(values["labels"], (len(points),))
+        if not 0 <= int(labels.min()) <= int(labels.max()) < len(labels):
+            raise ValueError(f"labels: expected 0 to {len(labels) - 1}, got {int(labels.min())} to {int(labels.max())}")
+        return PointResult(points, labels, values.get("colors"))
     except (ValueError, KeyError, TypeError, OSError) as error:
         raise ValueError(f"{file}: not a whole result: {error!r}") from error
 
 
-def read_result(folder: Path) -> Segmentation:
+def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
     """Reads a result, with all its levels if it has a hierarchy.
 
-    Images are read when they are used. Images and names are in the order of the names; initial images are not kept.
+    Images are read, and checked, when they are used. Images and names are in the order of the names; initial images are
+    not kept.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -106,14 +134,19 @@ def read_result(folder: Path) -> Segmentation:
     """
     labels = read_points(folder).labels
     files = sorted((folder / "images").glob("*.png"))
-    images = LazySequence(len(files), lambda index: read_label_image(files[index]) - 1)
-    names = tuple(file.stem for file in files)
+    images = LazySequence(len(files), lambda index: read_label_image(check(files[index])) - 1)
+    true = {file: name for name, file in read_names(folder).items()}
+    names = tuple(true.get(file.stem, file.stem) for file in files)
     if not (folder / FILE).is_file():
         return Segmentation(labels, images, names=names)
     hierarchy = read_hierarchy(folder, len(labels))
+    of_piece = torch.zeros(hierarchy.num_pieces, dtype=torch.int64)
+    of_piece[hierarchy.piece] = labels
+    if not torch.equal(of_piece[hierarchy.piece], labels):
+        raise ValueError(f"{folder / FILE}: expected pieces that lie inside one segment of points.npz, got others")
 
     def pieces(index: int) -> Tensor:
-        return read_piece_image(folder / FOLDER / files[index].name, hierarchy.num_pieces)
+        return read_piece_image(check(folder / FOLDER / files[index].name), hierarchy.num_pieces)
 
     piece_images = LazySequence(len(files), pieces)
     return Segmentation(labels, images, names=names, hierarchy=hierarchy, piece_images=piece_images)
@@ -137,6 +170,16 @@ def read_source(folder: Path) -> str:
         ValueError, TypeError: run.yaml is damaged; the message names the file.
     """
     return read_yaml(_run_file(folder), lambda record: str(record.get("scene")), "a record of a run")
+
+
+def read_origin(folder: Path) -> Origin:
+    """Reads what a result was made from. Raises as :func:`read_source`."""
+
+    def origin(record: Any) -> Origin:
+        scene, known = os.path.abspath(str(record["scene"])), record.get("fingerprint")
+        return Origin(scene, known, record["versions"]["torchjoint"], Config.from_dict(record["config"]))
+
+    return read_yaml(_run_file(folder), origin, "a record of a run")
 
 
 def read_granularity(folder: Path) -> float | None:
@@ -165,12 +208,8 @@ def _run_file(folder: Path) -> Path:
     return file
 
 
-def _image_names(result: Segmentation) -> list[str]:
-    return [name or f"{index:06d}" for index, name in enumerate(result.names)]
-
-
 def _write_label_images(folder: Path, result: Segmentation) -> None:
-    names = _image_names(result)
+    names = frame_files(result.names)
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"frames: expected different names, got {twice!r} twice")
@@ -203,6 +242,7 @@ def _run_record(scene: Scene, result: Segmentation, config: Config, source: str,
         "seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
         "versions": versions,
         "config": config.to_dict(),
+        "manifest": MANIFEST,
     }
 
 

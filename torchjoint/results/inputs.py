@@ -16,8 +16,9 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_image
+from torchjoint.results.manifest import Check, unchecked
 from torchjoint.results.overlays import overlay
-from torchjoint.runtime.files import write_text
+from torchjoint.runtime.files import file_name, frame_files, write_text
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Scene, Segmentation
@@ -27,49 +28,57 @@ CAMERAS, INPUTS, OVERLAYS = "cameras.json", "inputs", "images_color"
 QUALITY = 90
 
 
-def write_inputs(folder: Path, scene: Scene, result: Segmentation, names: Sequence[str]) -> None:
+def write_inputs(folder: Path, scene: Scene, result: Segmentation) -> None:
     """Writes cameras, images, and images under the colours of their labels; equal results give equal bytes.
 
     Args:
         folder: the result.
         scene: its frames, in the order of the result's images.
         result: the segmentation of the scene.
-        names: of the images, without suffix.
     """
     for part in (INPUTS, OVERLAYS):
         shutil.rmtree(folder / part, ignore_errors=True)
         (folder / part).mkdir()
-    num_point_segments = result.num_point_segments
+    num_point_segments, files = result.num_point_segments, frame_files(result.names)
 
     def write(index: int) -> dict[str, Any]:
         frame = scene.frames[index]
         painted = overlay(frame.image, result.images[index], num_point_segments)
-        _save(folder / INPUTS / f"{names[index]}.jpg", frame.image)
-        _save(folder / OVERLAYS / f"{names[index]}.jpg", painted)
+        _save(folder / INPUTS / f"{files[index]}.jpg", frame.image)
+        _save(folder / OVERLAYS / f"{files[index]}.jpg", painted)
         return {
-            "name": names[index],
+            "name": result.names[index] or files[index],
             "size": list(frame.size),
             "intrinsics": frame.intrinsics.tolist(),
             "world_to_camera": frame.world_to_camera.tolist(),
         }
 
-    cameras = parallel_map(write, range(len(names)))
+    cameras = parallel_map(write, range(len(files)))
     lines = ",\n".join(json.dumps(camera) for camera in cameras)
     write_text(folder / CAMERAS, f'{{"frames": [\n{lines}\n]}}\n')
 
 
-def read_inputs(folder: Path, names: Sequence[str]) -> Sequence[Frame]:
-    """Reads the frames of a result, in the order of `names`; images are read when they are used.
+def read_names(folder: Path) -> dict[str, str]:
+    """The name of each file of `inputs/`, without suffix, by the true name of its frame; none without cameras.json.
+
+    Raises:
+        ValueError: cameras.json is damaged; the message names the file.
+    """
+    stored = {file.stem for file in (folder / INPUTS).glob("*.jpg")}  # earlier versions had longer names
+    names = [str(name) for name in _read_cameras(folder)] if (folder / CAMERAS).is_file() else []
+    return {name: name if name in stored else file_name(name) for name in names}
+
+
+def read_inputs(folder: Path, names: Sequence[str], check: Check = unchecked) -> Sequence[Frame]:
+    """Reads the frames of a result, in the order of `names`; images are read, and checked, when they are used.
 
     Raises:
         FileNotFoundError: there is no cameras.json (results of earlier versions have none).
         ValueError: cameras.json is damaged or has other names; the message names the file.
     """
-    file = folder / CAMERAS
-    if not file.is_file():
-        raise FileNotFoundError(f"{file}: missing; expected a result with cameras, which `torchjoint segment` writes")
+    file, files = folder / CAMERAS, read_names(folder)
+    records = _read_cameras(folder)
     try:
-        records = {record["name"]: record for record in json.loads(file.read_text(encoding="utf-8"))["frames"]}
         cameras = [
             tuple(torch.tensor(records[name][key], dtype=torch.float64) for key in ("intrinsics", "world_to_camera"))
             for name in names
@@ -79,10 +88,23 @@ def read_inputs(folder: Path, names: Sequence[str]) -> Sequence[Frame]:
 
     def read(index: int) -> Frame:
         intrinsics, world_to_camera = cameras[index]
-        image = read_image(folder / INPUTS / f"{names[index]}.jpg")
+        file = folder / INPUTS / f"{files[names[index]]}.jpg"
+        image = read_image(check(file))
+        if list(image.shape[1:]) != (size := records[names[index]].get("size")):
+            raise ValueError(f"{file}: expected the size of its camera, {size}, got {list(image.shape[1:])}")
         return Frame(image, intrinsics, world_to_camera, name=names[index])
 
     return LazySequence(len(names), read, names)
+
+
+def _read_cameras(folder: Path) -> dict[str, dict[str, Any]]:
+    file = folder / CAMERAS
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: missing; expected a result with cameras, which `torchjoint segment` writes")
+    try:
+        return {record["name"]: record for record in json.loads(file.read_text(encoding="utf-8"))["frames"]}
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"{file}: not the cameras of these images: {error!r}") from error
 
 
 def _save(file: Path, image: Tensor) -> None:

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from torchjoint.runtime.files import write_text
+from torchjoint.runtime.files import no_link, write_text
 from torchjoint.runtime.locks import lock
 
 #: Files in a partial folder: its source; the marker that it is complete; the marker that the old result has moved.
@@ -115,6 +115,8 @@ def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = Fa
 
 def _prepare(partial: Path, source: str) -> None:
     """Makes the partial folder, or uses that of an earlier run with the same source."""
+    for path in (partial, *partial.rglob("*")):
+        no_link(path)
     source_file = partial / SOURCE
     # A run may be killed after it made the folder and before it wrote the first file.
     is_new = not partial.exists() or {path.name for path in partial.iterdir()} <= {f".{SOURCE[:-4]}.partial.txt"}

@@ -22,6 +22,7 @@ from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction, view_from_above
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.messages import printable
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.subset import evenly_spaced_indices
 
@@ -133,5 +134,5 @@ def _thumbnail(result: Result, index: int) -> str:
     stream = io.BytesIO()
     picture.save(stream, "jpeg", quality=80)
     data = base64.b64encode(stream.getvalue()).decode("ascii")
-    name = escape(result.names[index])
+    name = escape(printable(result.names[index]))
     return f'<img alt="{name}" title="{name}" src="data:image/jpeg;base64,{data}">'

@@ -1,11 +1,50 @@
-"""Atomic file writes: a file is written under a temporary name, then renamed. A reader never sees a partial file."""
+"""Names of files, and atomic writes: a file is written under a temporary name, then renamed."""
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+
+#: Most bytes of a name: file systems allow 255, and a suffix may follow.
+LONGEST = 240
+
+
+def file_name(name: str, *, is_free: bool = True) -> str:
+    """The file name for something that data name: the name itself if a file can have it, else one with a checksum.
+
+    Args:
+        name: any text, also of a stranger.
+        is_free: False: the name itself is in use for something else.
+
+    Example:
+        >>> file_name("frame 1"), file_name("../victim")
+        ('frame 1', '_victim-9bdbb2e21cc3')
+    """
+    raw = name.encode("utf-8", "surrogatepass")
+    is_text = raw == name.encode("utf-8", "ignore")
+    if is_free and is_text and raw.strip(b".") and len(raw) <= LONGEST and not {"/", "\0"} & set(name):
+        return name
+    return f"{re.sub(r'[^A-Za-z0-9-]+', '_', name)[:100]}-{hashlib.sha256(raw).hexdigest()[:12]}"
+
+
+def frame_files(names: Sequence[str]) -> list[str]:
+    """The file names of frames, without suffix; a frame without a name has its number."""
+    return [file_name(name or f"{index:06d}") for index, name in enumerate(names)]
+
+
+def no_link(path: Path) -> Path:
+    """Returns a path below which a file will be written.
+
+    Raises:
+        FileExistsError: it is a link, which leads elsewhere: a result may come from a stranger.
+    """
+    if path.is_symlink():
+        raise FileExistsError(f"{path}: expected a file or folder, got a link; nothing is written through it")
+    return path
 
 
 @contextmanager
@@ -15,6 +54,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     The temporary path has the suffix of `path`, because libraries choose the format by the suffix.
     """
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+    partial.unlink(missing_ok=True)  # it may be a link to another place
     try:
         yield partial
         os.replace(partial, path)

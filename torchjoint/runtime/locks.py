@@ -21,7 +21,7 @@ def lock(path: Path, busy: str) -> Iterator[None]:
         BusyError: another process holds it; `busy` is the message.
     """
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         try:
             _take(descriptor)
         except OSError as error:

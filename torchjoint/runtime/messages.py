@@ -13,6 +13,11 @@ def is_out_of_memory(error: BaseException) -> bool:
     return isinstance(error, MemoryError) or any(part in str(error) for part in _OUT_OF_MEMORY)
 
 
+def printable(name: str) -> str:
+    """A name as text for a page or a picture: half characters, which have no encoding, as their numbers."""
+    return name.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 def in_one_line(error: BaseException) -> str:
     """Describes an error in one line, and how to solve it if this is known."""
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):

@@ -37,6 +37,9 @@ class Viewer:
         host, port: of the page. With the default host only this machine can open it. If the port is in use, the next
             free one is used.
 
+    Attributes:
+        url: address of the page. Who knows it can see and correct the result.
+
     Raises:
         ModuleNotFoundError: viser is not installed.
         ValueError: edits.json is damaged, or belongs to another result.
@@ -57,7 +60,7 @@ class Viewer:
         self.model = Model(result, self._shown.edits(result, granularity), upward)
         self._lock = threading.RLock()  # viser calls the functions below on several threads
         self._order, self._can_save = "points", True
-        self.server, distance = start_server(result.scene, upward, host, port)
+        self.server, distance, self.url = start_server(result.scene, upward, host, port)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), self.model.point_colors())
         self._has_frames = len(result.scene.frames) > 0
         with self._lock:
@@ -98,11 +101,6 @@ class Viewer:
         """Writes a line at the top of the panel of a run that is not finished."""
         with self._lock:
             self._panel.note.content = note_html(note)
-
-    @property
-    def url(self) -> str:
-        """Address of the page."""
-        return f"http://{self.server.get_host().replace('0.0.0.0', 'localhost')}:{self.server.get_port()}"
 
     def wait(self) -> None:
         """Serves the page until the program is interrupted."""

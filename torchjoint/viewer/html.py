@@ -13,6 +13,7 @@ from html import escape
 
 from PIL import Image
 
+from torchjoint.runtime.messages import printable
 from torchjoint.viewer.measures import Row
 from torchjoint.viewer.model import Bytes
 
@@ -33,7 +34,7 @@ COLUMNS = ("id", "name", "points", "size", "frames")
 
 def image_html(image: Bytes, caption: str) -> str:
     """An image that sends `image COLUMN ROW SHIFT` where it is clicked, in pixels of the image."""
-    stream = io.BytesIO()
+    stream, caption = io.BytesIO(), escape(printable(caption))
     Image.fromarray(image).save(stream, "jpeg", quality=88)
     data = base64.b64encode(stream.getvalue()).decode("ascii")
     position = (
@@ -42,7 +43,7 @@ def image_html(image: Bytes, caption: str) -> str:
         f"+Math.floor((event.clientY-r.top)/r.height*{image.shape[0]})+' '+(event.shiftKey?1:0);"
     )
     return (
-        f'<img id="tj-image" alt="{escape(caption)}" title="{escape(caption)}" src="data:image/jpeg;base64,{data}" '
+        f'<img id="tj-image" alt="{caption}" title="{caption}" src="data:image/jpeg;base64,{data}" '
         f'style="width:100%;cursor:crosshair;display:block;margin-bottom:8px" onclick="{position}{_SEND}">'
     )
 
@@ -90,6 +91,6 @@ def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
         seen = "" if row.frames is None else f", seen in {row.frames} frames"
         parts.append(f"<div>segment <b>{row.key}</b>{name}: {row.points} points, {size} m{seen}</div>")
     if len(rows) == 1 and frames:
-        listed = ", ".join(f"{escape(name)} ({pixels} px)" for name, pixels in frames[:8])
+        listed = ", ".join(f"{escape(printable(name))} ({pixels} px)" for name, pixels in frames[:8])
         parts.append(f"<div>{listed}{', ...' if len(frames) > 8 else ''}</div>")
     return f'<div id="tj-panel" style="{_TEXT}">{"".join(parts)}</div>'

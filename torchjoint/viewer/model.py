@@ -21,6 +21,8 @@ Bytes = npt.NDArray[np.uint8]
 Mode = Literal["segments", "colours", "confidence", "initial", "truth"]
 #: Share of its own colour that an unselected segment keeps; the rest is the light grey of the background.
 FADED, PALE = 0.15, 235.0
+#: Most characters of a segment's name.
+LONGEST = 200
 
 
 class Model:
@@ -134,9 +136,11 @@ class Model:
         """Names the selected segment; an empty name removes its name. Consecutive names are one change.
 
         Raises:
-            ValueError: not exactly one segment is selected.
+            ValueError: not exactly one segment is selected, or the name is longer than LONGEST.
         """
         segment = self._the_selected("name")
+        if len(name) > LONGEST:
+            raise ValueError(f"name: expected at most {LONGEST} characters, got {len(name)}")
         step, steps = Edit("name", (segment,), name), self.edits.steps
         if self._before and steps and steps[-1].kind == "name" and steps[-1].pieces == step.pieces:
             self._edit(replace(self.edits, steps=(*steps[:-1], step)))  # replaces the name while the user types

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.exports.coco import export_coco
+from torchjoint.runtime.files import frame_files, no_link
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.viewer.model import Model
 
@@ -26,12 +27,13 @@ def export_selected(model: Model, folder: Path, kind: str) -> Path:
     * COCO: COCO's JSON of the selected segments in all frames, with the displayed ids.
 
     Raises:
-        ValueError: nothing is selected.
+        ValueError: nothing is selected, or an unknown kind.
+        FileExistsError: the folder is a link.
         ModuleNotFoundError: COCO needs pycocotools.
     """
     if not model.selected:
         raise ValueError("export: select a segment first")
-    folder.mkdir(exist_ok=True)
+    no_link(folder).mkdir(exist_ok=True)
     name = "-".join(str(model.key(segment)) for segment in model.selected[:5])
     name += f"-and-{len(model.selected) - 5}-more" if len(model.selected) > 5 else ""
     result, keys = model.result, _keys_of_pieces(model)
@@ -40,6 +42,8 @@ def export_selected(model: Model, folder: Path, kind: str) -> Path:
         chosen = result.scene.select_points(labels >= 0)
         write_cloud(folder / f"{name}.ply", chosen.points, chosen.colors, labels[labels >= 0])
         return folder / f"{name}.ply"
+    if kind not in ("PNG", "COCO"):
+        raise ValueError(f"export: expected PLY, PNG or COCO, got {kind!r}")
     images = LazySequence(len(result.images), lambda index: _labels(model, keys, index))
     if kind == "PNG":
         return _write_masks(folder / f"{name}-masks", images, result.names)
@@ -64,7 +68,7 @@ def _write_masks(folder: Path, images: Sequence[Tensor], names: Sequence[str]) -
     for old in (partial, folder):  # also masks of frames that see no selected segment any more
         shutil.rmtree(old, ignore_errors=True)
     partial.mkdir()
-    for name, labels in zip(names, images, strict=True):
+    for name, labels in zip(frame_files(names), images, strict=True):
         if bool((labels >= 0).any()):
             Image.fromarray(((labels >= 0) * 255).numpy().astype(np.uint8)).save(partial / f"{name}.png")
     return partial.rename(folder)

@@ -1,8 +1,15 @@
-"""The server of the viewer's page."""
+"""The server of the viewer's page. It answers only those who know its address, which has a random part."""
 
 from __future__ import annotations
 
+import io
+import secrets
+import socket
+from contextlib import redirect_stdout
+from ipaddress import ip_address
 from typing import Any
+from unittest.mock import patch
+from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +30,7 @@ def import_viser() -> Any:
     return viser
 
 
-def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int) -> tuple[Any, float]:
+def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int) -> tuple[Any, float, str]:
     """Starts a server of an empty page whose first view is of a scene.
 
     Args:
@@ -32,13 +39,65 @@ def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int
         host, port: of the page; if the port is in use, the next free one is used.
 
     Returns:
-        a viser.ViserServer, and the distance between the viewer and the scene's centre, metres.
+        a viser.ViserServer, the distance between the viewer and the scene's centre, metres, and the page's address.
 
     Raises:
         ModuleNotFoundError: viser is not installed.
     """
-    server = import_viser().ViserServer(host=host, port=port, label="torchjoint", verbose=False)
+    viser, token = import_viser(), secrets.token_urlsafe(24)
+    from websockets.asyncio import server as sockets
+
+    serve, guards = sockets.serve, []
+
+    def guarded(*arguments: Any, process_request: Any, **options: Any) -> Any:
+        guards.append(_guard(process_request, token, host))
+        return serve(*arguments, process_request=guards[-1], **options)
+
+    # Viser has no argument for it, and prints an address without the random part.
+    with patch.object(sockets, "serve", guarded), redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label="torchjoint", verbose=False)
+    if not guards:
+        server.stop()
+        raise RuntimeError(f"the viewer: expected viser 1.0 or 1.1, got {viser.__version__}, whose page is open to all")
     server.scene.set_up_direction(tuple(up))
     position, target = start(scene, up)
     server.initial_camera.position, server.initial_camera.look_at = position, target
-    return server, float(np.linalg.norm(position - target))
+    shown = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, f"[{host}]" if ":" in host else host)
+    url = f"http://{shown}:{server.get_port()}/{token}/"
+    return server, float(np.linalg.norm(position - target)), url
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches an address."""
+    return host == "localhost" or (_is_number(host) and ip_address(host).is_loopback)
+
+
+def _guard(answer: Any, token: str, host: str) -> Any:
+    """Checks a request before viser answers it.
+
+    Its path begins with the token, for the page as for its websocket, whose address the page takes from its own. `Host`
+    is a number or a name of this machine: a name of another site may lead here, too. `Origin`, which a browser sends
+    with a websocket, is the page itself.
+    """
+    own = {"localhost", host, socket.gethostname(), socket.getfqdn()}
+
+    def checked(connection: Any, request: Any) -> Any:
+        given, _, path = request.path.removeprefix("/").partition("/")
+        address, origins = request.headers.get("Host", ""), request.headers.get_all("Origin")
+        name = urlsplit(f"//{address}").hostname or ""
+        is_own = name in own or _is_number(name)
+        is_same = all(origin.partition("://")[2] == address for origin in origins)
+        if not (is_own and is_same and secrets.compare_digest(given.encode(), token.encode())):
+            return connection.respond(403, "open the address that torchjoint has printed\n")
+        request.path = f"/{path}"
+        return answer(connection, request)
+
+    return checked
+
+
+def _is_number(host: str) -> bool:
+    try:
+        ip_address(host)
+    except ValueError:
+        return False
+    return True

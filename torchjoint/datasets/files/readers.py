@@ -26,6 +26,8 @@ from torchjoint.datasets.files.ply import Ply, read_ply
 
 #: Larger images are rejected before they are decoded.
 MAX_PIXELS = 64_000_000
+#: Folders with one of these files hold results, of one recording or of many. They are no part of a recording.
+RESULTS = frozenset({"run.yaml", "batch.yaml"})
 #: Suffixes of clouds that stand alone: no other file belongs to them.
 ALONE = (".ply", ".npy", ".npz", ".xyz", *las.SUFFIXES, ".e57")
 
@@ -124,8 +126,9 @@ def read_array(path: Path) -> Tensor:
 def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     """Returns a hash of file names, sizes and times, to detect changed files.
 
-    That of a folder covers all files in and below it; links are followed. That of a file covers its folder, and files
-    with the same stem in sibling folders (KITTI's layout). That of a cloud with a suffix in `ALONE` covers only itself.
+    That of a folder covers all files in and below it, without folders of results; links are followed. That of a file
+    covers its folder, and files with the same stem in sibling folders (KITTI's layout). That of a cloud with a suffix
+    in `ALONE` covers only itself.
 
     Args:
         path: of a recording.
@@ -148,9 +151,12 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
 
 
 def _files_below(folder: Path, without: Set[str]) -> Iterator[Path]:
-    """Files in and below a folder; links are followed, but a link to a folder above is followed only once."""
+    """Files in and below a folder without results; links are followed, one to a folder above only once."""
     entered = set()
     for place, folders, names in os.walk(folder, followlinks=True):
+        if place != str(folder) and not RESULTS.isdisjoint(names):
+            folders.clear()
+            continue
         entered.add(os.path.realpath(place))
         inside = [name for name in folders if os.path.abspath(os.path.join(place, name)) not in without]
         folders[:] = [name for name in sorted(inside) if os.path.realpath(os.path.join(place, name)) not in entered]

@@ -9,7 +9,7 @@ import numpy as np
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.result import Result
 from torchjoint.runtime.extras import needed_for
-from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.files import atomic_write, frame_files
 from torchjoint.runtime.threads import on_cpu
 
 
@@ -50,14 +50,18 @@ def export_las(path: Path, result: Result) -> None:
 
 @on_cpu()
 def export_npz(path: Path, result: Result) -> None:
-    """Writes the arrays points [N, 3], labels [N], colors [N, 3] if any, names [L], `image:NAME` [H, W]."""
+    """Writes the arrays points [N, 3], labels [N], colors [N, 3] if any, names [L], `image:NAME` [H, W].
+
+    NAME is the name of the frame's file in a result.
+    """
     arrays = {"points": result.scene.points.numpy(), "labels": result.points.numpy()}
     if result.scene.colors is not None:
         arrays["colors"] = result.scene.colors.numpy()
     names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
     arrays["names"] = np.array(names, dtype=str)
     arrays |= {
-        f"image:{name}": image.numpy().astype(np.int32) for name, image in zip(names, result.images, strict=True)
+        f"image:{name}": image.numpy().astype(np.int32)
+        for name, image in zip(frame_files(names), result.images, strict=True)
     }
     with atomic_write(path) as partial, partial.open("wb") as stream:  # NumPy would add .npz to a path
         np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]

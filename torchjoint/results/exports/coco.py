@@ -8,7 +8,7 @@ from typing import Any
 
 from torchjoint.results.exports.masks import masks_of
 from torchjoint.results.result import Result
-from torchjoint.runtime.files import write_text
+from torchjoint.runtime.files import frame_files, write_text
 from torchjoint.runtime.threads import on_cpu, parallel_map
 
 
@@ -24,14 +24,13 @@ def export_coco(path: Path, result: Result) -> None:
     """
     if not len(result.images):
         raise ValueError("--format coco: expected a result with images, got none")
-    count = result.num_point_segments
+    count, files = result.num_point_segments, frame_files(result.names)
     of_images = parallel_map(lambda index: list(masks_of(result.images[index])), range(len(result.images)))
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for index, masks in enumerate(of_images):
         height, width = result.images[index].shape
-        file_name = f"{result.names[index] or f'{index:06d}'}.jpg"
-        images.append({"id": index + 1, "file_name": file_name, "width": width, "height": height})
+        images.append({"id": index + 1, "file_name": f"{files[index]}.jpg", "width": width, "height": height})
         for mask in masks:
             annotations.append(
                 {

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from torchjoint.results.exports.masks import masks_of
 from torchjoint.results.result import Result
+from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.threads import on_cpu, parallel_map
 
 
@@ -24,8 +25,10 @@ def export_sam(folder: Path, result: Result) -> None:
     if not len(result.images):
         raise ValueError("--format sam: expected a result with images, got none")
 
+    files = frame_files(result.names)
+
     def write(index: int) -> None:
-        name, (height, width) = result.names[index] or f"{index:06d}", result.images[index].shape
+        name, (height, width) = files[index], result.images[index].shape
         image = {"image_id": index, "width": width, "height": height, "file_name": f"{name}.jpg"}
         annotations = [
             {

@@ -1,0 +1,93 @@
+"""The files that belong together in a result: manifest.json has the size and checksum of each that `load_result` reads.
+
+It says so if a file was changed, lost, or taken from another result. A result of version 0.1.0 has none.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from torchjoint.config import read_yaml
+from torchjoint.runtime.checked_files import file_checksum
+from torchjoint.runtime.files import write_text
+from torchjoint.runtime.threads import parallel_map
+
+FILE, RUN = "manifest.json", "run.yaml"
+#: The files that are checked when a result is opened, and those that are checked when they are read.
+AT_ONCE, WHEN_READ = ("points.npz", "hierarchy.npz", "cameras.json"), ("images/*.png", "pieces/*.png", "inputs/*.jpg")
+
+#: A function that returns the path of a result's file, or raises ValueError if it is not what was written.
+Check = Callable[[Path], Path]
+
+
+def write_manifest(folder: Path, record: Mapping[str, Any]) -> None:
+    """Writes manifest.json of a result whose other files are written; `record` is the content of run.yaml."""
+    names = _names(folder)
+    entries = parallel_map(lambda name: [(folder / name).stat().st_size, file_checksum(folder / name)], names)
+    lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(entry)}" for name, entry in zip(names, entries, strict=True))
+    write_text(folder / FILE, f'{{"run": "{_checksum(record)}", "files": {{\n{lines}\n}}}}\n')
+
+
+def unchecked(path: Path) -> Path:
+    """Returns the path."""
+    return path
+
+
+def open_manifest(folder: Path) -> Check:
+    """Checks what a result consists of; returns the check of single files, for those that are read later.
+
+    Raises:
+        FileNotFoundError: a file is missing.
+        ValueError, TypeError: a file was changed or does not belong to the result; the message names it.
+    """
+    record = read_yaml(folder / RUN, dict, "a record of a run")
+    if "manifest" not in record:  # of version 0.1.0
+        return unchecked
+    if not (folder / FILE).is_file():
+        raise FileNotFoundError(f"{folder / FILE}: missing; expected the list of a result's files{_WAY_OUT}")
+    files = _read(folder / FILE, record)
+    names = set(_names(folder))
+    for name in sorted(files.keys() - names):
+        raise FileNotFoundError(f"{folder / name}: missing; expected a whole result{_WAY_OUT}")
+    for name in sorted(names - files.keys()):
+        raise ValueError(f"{folder / name}: expected only files that the run wrote, got another{_WAY_OUT}")
+
+    def check(path: Path) -> Path:
+        entry = files.get(path.relative_to(folder).as_posix())
+        if entry != [path.stat().st_size, file_checksum(path)]:
+            raise ValueError(f"{path}: expected the file that the run wrote, got another, or a damaged one{_WAY_OUT}")
+        return path
+
+    for name in AT_ONCE:
+        if name in files:
+            check(folder / name)
+    return check
+
+
+_WAY_OUT = "; load_result(..., verify=False) reads it all the same"
+
+
+def _names(folder: Path) -> list[str]:
+    """The names of a result's files that are checked, relative to its folder."""
+    return sorted(file.relative_to(folder).as_posix() for one in (*AT_ONCE, *WHEN_READ) for file in folder.glob(one))
+
+
+def _read(file: Path, record: Mapping[str, Any]) -> dict[str, list[Any]]:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        run, files = content["run"], dict(content["files"])
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
+        raise ValueError(f"{file}: not the list of a result's files: {error!r}") from error
+    if run != _checksum(record):
+        raise ValueError(f"{file.parent / RUN}: expected the record of this result, got another{_WAY_OUT}")
+    return files
+
+
+def _checksum(record: Mapping[str, Any]) -> str:
+    """Of a run's record without its seconds, so that equal results have equal manifests."""
+    text = json.dumps({key: value for key, value in record.items() if key != "seconds"}, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
