@@ -208,6 +208,9 @@ class TestExports:
                 assert annotation["area"] == int(mask.sum())
                 assert annotation["in_cloud"] == (annotation["segment_id"] < result.num_point_segments)
                 drawn[mask] = annotation["segment_id"]
+                if annotation["in_cloud"]:
+                    sure = float(result.confidence[annotation["segment_id"]])
+                    assert annotation["score"] == pytest.approx(sure, abs=1e-4)
             assert torch.equal(drawn, labels)
 
     def test_sam(self, export, result):
@@ -225,11 +228,14 @@ class TestExports:
         cloud = laspy.read(export("las"))
         np.testing.assert_allclose(cloud.xyz, result.scene.points, atol=1e-4)
         np.testing.assert_array_equal(cloud["label"], result.points)
+        np.testing.assert_allclose(cloud["confidence"], result.point_confidence, atol=1e-6)
         np.testing.assert_allclose(np.array(cloud.green) / 65535, result.scene.colors[:, 1], atol=1e-4)
 
     def test_npz_of_another_level(self, export, result):
         with np.load(export("npz", "--granularity", 0.2)) as arrays:
             np.testing.assert_array_equal(arrays["labels"], result.at(0.2).points)
+            np.testing.assert_array_equal(arrays["confidence"], result.at(0.2).confidence)
+            np.testing.assert_array_equal(arrays["point_confidence"], result.at(0.2).point_confidence)
             for name, labels in zip(result.names, result.at(0.2).images, strict=True):
                 np.testing.assert_array_equal(arrays[f"image:{name}"], labels)
 

@@ -26,7 +26,8 @@ def export_ply(folder: Path, result: Result) -> None:
 def export_las(path: Path, result: Result) -> None:
     """Writes a LAS 1.4 file of all points: 16-bit colours, if there are any, and the extra dimension `label` (int32).
 
-    Coordinates are kept to a tenth of a millimetre.
+    Coordinates are kept to a tenth of a millimetre. A result with a confidence also has it at each point, as the extra
+    dimension `confidence` (float32).
 
     Raises:
         ModuleNotFoundError: laspy is not installed.
@@ -37,10 +38,15 @@ def export_las(path: Path, result: Result) -> None:
     header = laspy.LasHeader(point_format=7 if result.scene.colors is not None else 6, version="1.4")
     header.offsets, header.scales = np.floor(points.min(0)), np.full(3, 1e-4)
     header.add_extra_dim(laspy.ExtraBytesParams("label", np.int32))
+    sure = result.point_confidence
+    if sure is not None:
+        header.add_extra_dim(laspy.ExtraBytesParams("confidence", np.float32))
     header.creation_date = None  # equal results give equal bytes
     cloud = laspy.LasData(header)
     cloud.xyz = points
     cloud["label"] = result.points.numpy().astype(np.int32)
+    if sure is not None:
+        cloud["confidence"] = sure.numpy().astype(np.float32)
     if result.scene.colors is not None:
         colors = (result.scene.colors.clamp(0, 1) * 65535).round().numpy().astype(np.uint16)
         cloud.red, cloud.green, cloud.blue = colors.T
@@ -52,11 +58,14 @@ def export_las(path: Path, result: Result) -> None:
 def export_npz(path: Path, result: Result) -> None:
     """Writes the arrays points [N, 3], labels [N], colors [N, 3] if any, names [L], `image:NAME` [H, W].
 
-    NAME is the name of the frame's file in a result.
+    NAME is the name of the frame's file in a result. A result with a confidence also has the arrays confidence [S], of
+    the segments, and point_confidence [N].
     """
     arrays = {"points": result.scene.points.numpy(), "labels": result.points.numpy()}
     if result.scene.colors is not None:
         arrays["colors"] = result.scene.colors.numpy()
+    if result.confidence is not None and result.point_confidence is not None:
+        arrays |= {"confidence": result.confidence.numpy(), "point_confidence": result.point_confidence.numpy()}
     names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
     arrays["names"] = np.array(names, dtype=str)
     arrays |= {

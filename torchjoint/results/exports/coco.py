@@ -16,7 +16,8 @@ from torchjoint.runtime.threads import on_cpu, parallel_map
 def export_coco(path: Path, result: Result) -> None:
     """Writes one JSON file; an annotation's `segment_id` is the label, the same in all images and in the cloud.
 
-    `in_cloud` is False for a segment of an image that has no points. All annotations have category 1, "object".
+    `in_cloud` is False for a segment of an image that has no points. All annotations have category 1, "object". `score`
+    is the confidence in the segment, where the result has one.
 
     Raises:
         ModuleNotFoundError: pycocotools is not installed.
@@ -25,6 +26,7 @@ def export_coco(path: Path, result: Result) -> None:
     if not len(result.images):
         raise ValueError("--format coco: expected a result with images, got none")
     count, files = result.num_point_segments, frame_files(result.names)
+    scores = [] if result.confidence is None else result.confidence.tolist()
     of_images = parallel_map(lambda index: list(masks_of(result.images[index])), range(len(result.images)))
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
@@ -43,6 +45,7 @@ def export_coco(path: Path, result: Result) -> None:
                     "iscrowd": 0,
                     "segment_id": mask.segment,
                     "in_cloud": mask.segment < count,
+                    **({"score": round(scores[mask.segment], 4)} if mask.segment < len(scores) else {}),
                 }
             )
     record = {
