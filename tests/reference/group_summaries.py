@@ -22,7 +22,11 @@ ERRORS = [
     ({"order": PIXELS}, TypeError, "order: expected dtype torch.int32, got torch.int64"),
     ({"order": PIXELS.int() + 1}, ValueError, "order: expected numbers in [0, 3), got 3 at 2"),
     ({"order": PIXELS.int() * 0}, ValueError, "order: expected a permutation, got 0 again at 1"),
-    ({"order": PIXELS.int().flip(0)}, ValueError, "ascending values, got a smaller one at 2"),
+    (
+        {"order": PIXELS.int().flip(0), "group": PIXELS // 2},
+        ValueError,
+        "order: expected ascending values in each group, got a smaller one at 2",
+    ),
     ({"group": PIXELS - 2}, ValueError, "group: expected numbers in [0, 2), got -2 at 0"),
     ({"group": PIXELS + 1}, ValueError, "group: expected numbers in [0, 2), got 2 at 1"),
     ({"num_groups": -1}, ValueError, "num_groups: expected a number >= 0, got -1"),

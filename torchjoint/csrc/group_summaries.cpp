@@ -20,6 +20,7 @@ struct Group {
   int32_t count = 0, met = 0;
   int32_t next_place = 0;  // of the next quantile among the values of the group
   int32_t next_quantile = 0;  // in ascending order of the quantiles
+  float last = -std::numeric_limits<float>::infinity();  // value that the pass has met
 };
 
 class Quantiles {
@@ -91,7 +92,6 @@ Tensor group_summaries(const Tensor& values, const Tensor& order, const Tensor& 
     out[g * columns] = groups[g].sum / groups[g].count;
     wanted.find_place(groups[g]);
   }
-  float last = -std::numeric_limits<float>::infinity();
   const int32_t* const place = ascending.const_data_ptr<int32_t>();
   for (int64_t r = 0; r < num_values; ++r) {
     const int64_t i = place[r];
@@ -100,9 +100,9 @@ Tensor group_summaries(const Tensor& values, const Tensor& order, const Tensor& 
     check(g != kWasMet, "order: expected a permutation, got ", i, " again at ", r);
     group_of[i] = kWasMet;
     if (g == kNoGroup) continue;
-    check(value[i] >= last, "order: expected that of ascending values, got a smaller one at ", r);
-    last = value[i];
     Group& of = groups[g];
+    check(value[i] >= of.last, "order: expected ascending values in each group, got a smaller one at ", r);
+    of.last = value[i];
     if (of.met++ == of.next_place) wanted.take(of, value[i], out + g * columns + 1);
   }
   return result;

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "common_keys.h"
 #include "merged_regions.h"
 
 namespace torchjoint {
@@ -15,8 +16,6 @@ namespace {
 
 // Weights of masks are whole numbers up to this, so that all sums are exact.
 constexpr int64_t kWeightUnit = 256;
-// A list is searched instead of traversed if it is this many times longer than the other list.
-constexpr size_t kMuchLonger = 8;
 
 struct InMask {
   int64_t key;  // mask
@@ -28,23 +27,6 @@ struct InFrame {
   int64_t seen;  // points of the region that the frame sees
   int64_t covered;  // sum over the frame's masks of their weight times the region's points in them
 };
-
-// Calls `function(a, b)` for each key that occurs in two lists with ascending keys.
-template <typename Item, typename Function>
-void for_each_common(const std::vector<Item>& one, const std::vector<Item>& other, const Function& function) {
-  if (one.size() > other.size()) return for_each_common(other, one, function);
-  auto place = other.begin();
-  const bool is_searched = other.size() / kMuchLonger > one.size();
-  for (const Item& item : one) {
-    if (is_searched) {
-      place = std::lower_bound(place, other.end(), item.key, [](const Item& a, int64_t key) { return a.key < key; });
-    } else {
-      while (place != other.end() && place->key < item.key) ++place;
-    }
-    if (place == other.end()) return;
-    if (place->key == item.key) function(item, *place);
-  }
-}
 
 // The union of two lists with ascending keys; the items of common keys are added.
 template <typename Item, typename Add>
@@ -84,10 +66,12 @@ struct Agreement {
   int64_t agree = 0, total = 0;
 
   void add(const Views& one, const Views& other, const int64_t* weight) {
-    for_each_common(one.masks, other.masks,
-                    [&](const InMask& a, const InMask& b) { agree += 2 * weight[a.key] * a.points * b.points; });
-    for_each_common(one.frames, other.frames,
-                    [&](const InFrame& a, const InFrame& b) { total += a.covered * b.seen + b.covered * a.seen; });
+    for_each_common<InMask>(one.masks, other.masks, [&](const InMask& a, const InMask& b) {
+      agree += 2 * weight[a.key] * a.points * b.points;
+    });
+    for_each_common<InFrame>(one.frames, other.frames, [&](const InFrame& a, const InFrame& b) {
+      total += a.covered * b.seen + b.covered * a.seen;
+    });
   }
 };
 

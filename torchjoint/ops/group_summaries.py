@@ -20,8 +20,8 @@ def group_summaries(values: Tensor, order: Tensor, group: Tensor, num_groups: in
 
     Args:
         values: ``[C]`` float32.
-        order: ``[C]`` int32, a permutation: the indices of the values in ascending order; indices of values that are
-            not finite may be anywhere. See :func:`ascending_order`.
+        order: ``[C]`` int32, a permutation: the indices of the values, those of each group in ascending order; indices
+            of values that are not finite may be anywhere. See :func:`ascending_order`.
         group: ``[C]`` int64, the group of each value, 0 ... G - 1, or -1 = none.
         num_groups: G.
         quantiles: ``[Q]`` float32 in [0, 1].

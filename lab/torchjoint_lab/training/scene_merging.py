@@ -107,6 +107,6 @@ def merge_by_probability(
     Returns:
         [N] int64 regions 0, 1, ..., numbered by their first old regions.
     """
-    ends, cost = crossing_edges(pairs, of_edge, probability)
+    ends, crossing = crossing_edges(pairs, of_edge)
     size = torch.ones(int(region.max()) + 1, dtype=torch.int64)
-    return ops.merge_regions(ends, cost, size, threshold)[region]
+    return ops.merge_regions(ends, probability.float()[crossing], size, threshold)[region]

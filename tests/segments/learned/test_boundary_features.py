@@ -10,7 +10,6 @@ import torchjoint as tj
 from torchjoint.cloud.graph import build_point_graph
 from torchjoint.cloud.scales import measure_scales
 from torchjoint.scene import Cloud, Scene
-from torchjoint.segments.learned import image_agreement as agreement_module
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, BoundaryFeatures, boundary_features
 from torchjoint.segments.learned.image_agreement import image_agreement
 from torchjoint.segments.learned.image_counts import segments_of_pieces
@@ -253,17 +252,6 @@ class TestImages:
         result = self.agreement(seen([], []), seen([0, 5], [-1, -1]))
         assert result[:, [0, 1, 2, 7]].isnan().all()
         assert (result[:, 3:7] == 0).all()
-
-    @pytest.mark.parametrize(("frames", "rows"), [(1, 100), (2, 100), (3, 1), (3, 7)])
-    def test_frames_by_blocks(self, seen, monkeypatch, frames, rows):
-        generator = torch.Generator().manual_seed(0)
-        views = [seen(range(13), torch.randint(-1, 4, (13,), generator=generator).tolist()) for _ in range(5)]
-        views += [seen([], []), seen(range(5), [0] * 5)]
-        whole = self.agreement(*views)
-        assert whole[:, 7].min() > 0
-        monkeypatch.setattr(agreement_module, "FRAMES", frames)
-        monkeypatch.setattr(agreement_module, "ROWS", rows)
-        assert torch.equal(self.agreement(*views), whole)
 
 
 @pytest.fixture(scope="module")

@@ -58,10 +58,10 @@ def merging_steps(thresholds: Sequence[float]) -> list[tuple[int, float]]:
     return [*steps, steps[-1]]
 
 
-def crossing_edges(pairs: Tensor, of_edge: Tensor, probability: Tensor) -> tuple[Tensor, Tensor]:
-    """The edges [2, c] int64 between regions, and their costs [c] float32."""
+def crossing_edges(pairs: Tensor, of_edge: Tensor) -> tuple[Tensor, Tensor]:
+    """The edges [2, c] int64 between regions, and their boundaries [c] int64."""
     crossing = of_edge[of_edge >= 0]
-    return pairs[:, crossing], probability.float()[crossing]
+    return pairs[:, crossing], crossing
 
 
 def build_hierarchy(pieces: PieceGraph, model: Model) -> Hierarchy:
@@ -118,7 +118,8 @@ def _merge_in_steps(
             break
         num_regions = int(region.max()) + 1
         of_piece = pieces.regions_of_pieces(region)
-        ends, cost = crossing_edges(pairs, of_edge, judge(index, values, _first_pieces(of_piece)[pairs[0]]))
+        ends, crossing = crossing_edges(pairs, of_edge)
+        cost = judge(index, values, _first_pieces(of_piece)[pairs[0]]).float()[crossing]
         if linkage is not None and far:
             ends, cost = _with_far_pairs(ends, cost, pairs, linkage.far_pairs(of_piece), num_regions)
         if linkage is None:

@@ -127,9 +127,10 @@ def segments_of_judges(
     pairs, values, of_edge = boundary_features(pieces, pieces.piece)
     levels = sorted({threshold for _, threshold in merging_steps(thresholds)})
 
+    ends, crossing = crossing_edges(pairs, of_edge)
+
     def first_regions(probability: Tensor) -> Tensor:
-        ends, cost = crossing_edges(pairs, of_edge, probability)
-        joined, _ = ops.region_dendrogram(ends, cost, num_pieces, levels[0])
+        joined, _ = ops.region_dendrogram(ends, probability.float()[crossing], num_pieces, levels[0])
         return ops.connected_components(joined, num_pieces)
 
     regions = parallel_map(first_regions, panel.first_probabilities(values))

@@ -23,11 +23,10 @@ class ImageCounts(NamedTuple):
     """
 
     piece: Tensor  #: [I] int32
-    segment: Tensor  #: [I] int32, sorted by frame
+    segment: Tensor  #: [I] int32
     num_points: Tensor  #: [I] int32, visible points of the piece in the segment
     segment_size: Tensor  #: [L] int64, visible points in the segment
     frame_of_segment: Tensor  #: [L] int64, ascending
-    num_frames: int
 
     def grouped(self, of_piece: Tensor) -> ImageCounts:
         """The counts of groups of pieces; `of_piece` [P] int64 is the group of each piece."""
@@ -39,10 +38,11 @@ class ImageCounts(NamedTuple):
     @classmethod
     def union(cls, counts: Sequence[ImageCounts], starts: Sequence[int]) -> ImageCounts:
         """Counts of the same images as one; the pieces of number k are numbered from `starts[k]` on."""
-        piece = torch.cat([one.piece + start for one, start in zip(counts, starts, strict=True)])
-        segment, order = torch.cat([one.segment for one in counts]).sort(stable=True)
-        num_points = torch.cat([one.num_points for one in counts])
-        return counts[0]._replace(piece=piece[order], segment=segment, num_points=num_points[order])
+        return counts[0]._replace(
+            piece=torch.cat([one.piece + start for one, start in zip(counts, starts, strict=True)]),
+            segment=torch.cat([one.segment for one in counts]),
+            num_points=torch.cat([one.num_points for one in counts]),
+        )
 
 
 def segments_of_pieces(piece: Tensor, observations: Sequence[Observation]) -> ImageCounts:
@@ -69,5 +69,4 @@ def segments_of_pieces(piece: Tensor, observations: Sequence[Observation]) -> Im
         torch.cat(counts),
         torch.cat(sizes),
         torch.repeat_interleave(torch.arange(len(sizes)), num_labels),
-        len(sizes),
     )

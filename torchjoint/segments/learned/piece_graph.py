@@ -134,5 +134,5 @@ def disjoint_union(graphs: Sequence[PieceGraph]) -> PieceGraph:
 def _joined(values: Sequence[Any]) -> Any:
     """The values of several graphs, one after the other; None if they have none."""
     if isinstance(values[0], Measure):
-        return Measure.of(torch.cat([measure.values for measure in values]))
+        return Measure.union(values)
     return None if values[0] is None else torch.cat(list(values))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import accumulate
 from typing import NamedTuple
 
 import torch
@@ -18,12 +20,19 @@ class Measure(NamedTuple):
     """A measure of C edges. It is sorted once, so that quantiles of groups of edges need no further sort."""
 
     values: Tensor  #: [C] float32, NaN = missing
-    order: Tensor  #: [C] int32, places of the values in ascending order, missing ones last
+    order: Tensor  #: [C] int32, places of the values; in ascending order, if the edges are of one graph
 
     @classmethod
     def of(cls, values: Tensor) -> Measure:
         """Sorts values [C] float32."""
         return cls(values, ascending_order(values))
+
+    @classmethod
+    def union(cls, measures: Sequence[Measure]) -> Measure:
+        """The measures of several graphs, one after the other. No group may have edges of two graphs."""
+        *starts, _ = accumulate((len(one.values) for one in measures), initial=0)
+        orders = [one.order + start for one, start in zip(measures, starts, strict=True)]
+        return cls(torch.cat([one.values for one in measures]), torch.cat(orders))
 
 
 def summarize(measure: Measure, group: Tensor, num_groups: int) -> Tensor:
