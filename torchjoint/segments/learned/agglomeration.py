@@ -61,7 +61,7 @@ def merging_steps(thresholds: Sequence[float]) -> list[tuple[int, float]]:
 def crossing_edges(pairs: Tensor, of_edge: Tensor) -> tuple[Tensor, Tensor]:
     """The edges [2, c] int64 between regions, and their boundaries [c] int64."""
     crossing = of_edge[of_edge >= 0]
-    return pairs[:, crossing], crossing
+    return pairs.index_select(1, crossing), crossing
 
 
 def build_hierarchy(pieces: PieceGraph, model: Model) -> Hierarchy:
@@ -119,7 +119,7 @@ def _merge_in_steps(
         num_regions = int(region.max()) + 1
         of_piece = pieces.regions_of_pieces(region)
         ends, crossing = crossing_edges(pairs, of_edge)
-        cost = judge(index, values, _first_pieces(of_piece)[pairs[0]]).float()[crossing]
+        cost = judge(index, values, _first_pieces(of_piece)[pairs[0]]).float().index_select(0, crossing)
         if linkage is not None and far:
             ends, cost = _with_far_pairs(ends, cost, pairs, linkage.far_pairs(of_piece), num_regions)
         if linkage is None:

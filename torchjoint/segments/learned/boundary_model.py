@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops.boosted_trees import boosted_trees
+from torchjoint.runtime.threads import all_threads
 
 _MOST_ROUNDS = _MOST_MEMBERS = 100
 #: The arrays of trees, and their types.
@@ -53,7 +54,8 @@ class BoostedTrees:
 
     def score(self, values: Tensor) -> Tensor:
         """The baseline plus the sum over the trees: the log odds of rows [B, F] float32; returns [B] float64."""
-        return self.baseline + boosted_trees(values, *self.arrays())
+        with all_threads():
+            return self.baseline + boosted_trees(values, *self.arrays())
 
 
 def no_calibration() -> Tensor:

@@ -130,7 +130,7 @@ def segments_of_judges(
     ends, crossing = crossing_edges(pairs, of_edge)
 
     def first_regions(probability: Tensor) -> Tensor:
-        joined, _ = ops.region_dendrogram(ends, probability.float()[crossing], num_pieces, levels[0])
+        joined, _ = ops.region_dendrogram(ends, probability.float().index_select(0, crossing), num_pieces, levels[0])
         return ops.connected_components(joined, num_pieces)
 
     regions = parallel_map(first_regions, panel.first_probabilities(values))

@@ -31,7 +31,8 @@ class ImageCounts(NamedTuple):
     def grouped(self, of_piece: Tensor) -> ImageCounts:
         """The counts of groups of pieces; `of_piece` [P] int64 is the group of each piece."""
         num_groups = int(of_piece.max()) + 1
-        key, row = torch.unique(self.segment.long() * num_groups + of_piece[self.piece.long()], return_inverse=True)
+        of_row = of_piece.index_select(0, self.piece)
+        key, row = torch.unique(self.segment.long() * num_groups + of_row, return_inverse=True)
         num_points = sum_by(row, self.num_points, len(key))
         return self._replace(piece=(key % num_groups).int(), segment=(key // num_groups).int(), num_points=num_points)
 

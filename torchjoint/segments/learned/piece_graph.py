@@ -39,8 +39,8 @@ class BoundaryEdges(NamedTuple):
 
         def part(values: Any) -> Any:
             if isinstance(values, Measure):
-                return Measure.of(values.values[kept])
-            return None if values is None else values[kept]
+                return Measure.of(values.values.index_select(0, kept))
+            return None if values is None else values.index_select(0, kept)
 
         return BoundaryEdges(*parallel_map(part, self))
 
@@ -78,7 +78,7 @@ class PieceGraph:
     def between(self, region: Tensor) -> PieceGraph:
         """Drops edges inside regions [N], which are not needed again, if they are at least half of all edges."""
         first, second = self.regions_of_pieces(region)[self.pairs]
-        across = torch.nonzero((first != second)[self.edges.pair]).squeeze(1)
+        across = torch.nonzero((first != second).index_select(0, self.edges.pair)).squeeze(1)
         if 2 * len(across) > len(self.edges.pair):
             return self
         return replace(self, edges=self.edges.only(across))
@@ -95,12 +95,12 @@ class PieceGraph:
         key = torch.minimum(first, second) * num_groups + torch.maximum(first, second)
         pair = torch.full_like(key, -1)
         key, pair[apart] = torch.unique(key[apart], return_inverse=True)
-        kept = torch.nonzero(apart[self.edges.pair]).squeeze(1)
+        kept = torch.nonzero(apart.index_select(0, self.edges.pair)).squeeze(1)
         edges = self.edges.only(kept)
         return PieceGraph(
             torch.arange(num_groups),
             torch.stack([key // num_groups, key % num_groups]),
-            edges._replace(pair=pair[edges.pair]),
+            edges._replace(pair=pair.index_select(0, edges.pair)),
             pooled(self.statistics, of_piece, num_groups),
             self.typical_color_step,
             None if self.images is None else self.images.grouped(of_piece),
