@@ -13,7 +13,10 @@ import io
 import json
 import shutil
 import warnings
+import zipfile
+import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -214,7 +217,8 @@ def result_case(index: int, seed: int, results: Results) -> str:
     for _ in range(1 + rng.integers(2)):
         found = files_below(results.root)
         known = [file for file in found if (results.other / file.relative_to(results.root)).is_file()]
-        CHANGES[rng.integers(len(CHANGES))](results, known[rng.integers(len(known))], rng)
+        with suppress(*CLEAR, OSError, zipfile.BadZipFile, zlib.error, yaml.YAMLError, LookupError):  # damaged before
+            CHANGES[rng.integers(len(CHANGES))](results, known[rng.integers(len(known))], rng)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -171,7 +171,8 @@ class Masks:
         """The masks of an image of another size (H, W), by the nearest pixel.
 
         Warns:
-            UserWarning: the aspect ratios differ by more than 2 % and one pixel, so masks and image may show different views.
+            UserWarning: the aspect ratios differ by more than 2 % and one pixel, so masks and image may show different
+                views.
         """
         if size == self.size:
             return self
