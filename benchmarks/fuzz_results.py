@@ -217,7 +217,9 @@ def result_case(index: int, seed: int, results: Results) -> str:
     for _ in range(1 + rng.integers(2)):
         found = files_below(results.root)
         known = [file for file in found if (results.other / file.relative_to(results.root)).is_file()]
-        with suppress(*CLEAR, OSError, zipfile.BadZipFile, zlib.error, yaml.YAMLError, LookupError):  # damaged before
+        with suppress(
+            *CLEAR, OSError, zipfile.BadZipFile, zlib.error, yaml.YAMLError, LookupError, SyntaxError
+        ):  # damaged before
             CHANGES[rng.integers(len(CHANGES))](results, known[rng.integers(len(known))], rng)
     try:
         with warnings.catch_warnings():

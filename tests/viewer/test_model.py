@@ -210,6 +210,10 @@ def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
             '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "name", "pieces": [0], "name": 5}]}',
             "name: expe",
         ),
+        (
+            '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "name", "pieces": [0], "name": "\\ud800"}]}',
+            "name: expected a text",
+        ),
         ('{"pieces": Infinity, "granularity": null, "edits": []}', "pieces: expected an integer, got inf"),
         ('{"pieces": "PIECES", "granularity": null, "edits": []}', "pieces: expected an integer, got '"),
         ('{"pieces": true, "granularity": null, "edits": []}', "pieces: expected an integer, got True"),
