@@ -1,5 +1,6 @@
 """Batches whose workers end as `deadly_boundary` says, and what their results are compared with."""
 
+import json
 import os
 from pathlib import Path
 
@@ -23,8 +24,8 @@ def make_known(folder, patch):
 def contents(folder):
     """All files of a result; run.yaml without the seconds and the path of the recording."""
     files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    record = yaml.safe_load(files.pop("run.yaml"))
-    return files, record["counts"], record["config"]
+    record, manifest = yaml.safe_load(files.pop("run.yaml")), json.loads(files.pop("manifest.json"))
+    return files, record["counts"], record["config"], manifest["files"]
 
 
 def assert_complete(out, expected):
@@ -40,5 +41,5 @@ def undisturbed(scans, out):
         patch.setenv("TORCHJOINT_TEST_DEATHS", str(out))
         patch.syspath_prepend(TESTS)
         patch.setattr("torchjoint.results.folder.overview", overview)  # as the workers have it
-        tj.recordings.segment_recording(scans / "a", out / "a", CONFIG, OPTIONS)
+        tj.recordings.segment_recording(scans / "a", out / "a", CONFIG, OPTIONS, allow_import=True)
     return dict.fromkeys("abc", contents(out / "a"))

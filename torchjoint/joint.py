@@ -71,6 +71,8 @@ class JointSegmenter(nn.Module):
             container.
         spill: folder of the temporary file; default: TMPDIR, or /var/tmp. The file has no name, and the system removes
             it when the process ends.
+        allow_import: import the code that the config names (``boundary.detector=package.module:Class``). Do not allow
+            it for a config that came from others, such as that of their result.
 
     Example:
         >>> import torchjoint as tj
@@ -90,6 +92,7 @@ class JointSegmenter(nn.Module):
         merge_within: float = 0.0,
         memory: int | str | None = None,
         spill: str | Path | None = None,
+        allow_import: bool = False,
     ) -> None:
         super().__init__()
         if config is not None and not isinstance(config, Config):
@@ -102,7 +105,7 @@ class JointSegmenter(nn.Module):
         self._memory = as_bytes(memory)
         self._spill = None if spill is None else Path(spill)
         self.config = config or Config()
-        self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
+        self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter, allow_import)
         self.stopwatch = Stopwatch()
         self._make_method = method
         self._given: Tensor | None = None  # [M, 3], the given points without copies

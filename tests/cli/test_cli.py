@@ -41,7 +41,7 @@ def out(recording, run):
 
 def test_what_segment_writes(out, recording, synthetic):
     files = {"points.ply", "points.npz", "images", "overview.png", "run.yaml", "hierarchy.npz", "pieces"}
-    files |= {"segments.json", "cameras.json", "inputs", "images_color"}
+    files |= {"segments.json", "cameras.json", "inputs", "images_color", "manifest.json"}
     assert {path.name for path in out.iterdir()} == files
     assert {path.name for path in recording.parent.iterdir()} == {"recording", "out"}
     config = tj.Config().set([*SMALL[1:], "refinement.color_weight=90"])

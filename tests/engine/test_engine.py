@@ -170,3 +170,28 @@ def test_dask_without_a_scheduler(monkeypatch):
     message = "engine dask://127.0.0.1:1: no scheduler answers at tcp://127.0.0.1:1"
     with pytest.raises(ConnectionError, match=message), open_engine("dask://127.0.0.1:1"):
         pass
+
+
+def listening(process):
+    """The addresses at which a process and its descendants can be reached."""
+    found = set()
+    for one in [psutil.Process(process), *psutil.Process(process).children(recursive=True)]:
+        with suppress(psutil.NoSuchProcess):  # it has ended meanwhile
+            found |= {place.laddr.ip for place in one.net_connections("inet") if place.status == psutil.CONN_LISTEN}
+    return found
+
+
+@QUIET
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["loky:1", "dask:1", "ray:1"])
+def test_no_other_machine_reaches_the_workers(engine, tmp_path):
+    """On this machine, another user needs the token of ray."""
+    pytest.importorskip({"dask:1": "distributed", "ray:1": "ray"}.get(engine, "joblib"))
+    with open_engine(engine) as workers:
+        (outcome,) = workers.run(task, [0], tmp_path)
+        assert outcome.value[0] == 0
+        reached = listening(os.getpid())
+        assert all(place.removeprefix("::ffff:").startswith("127.") or place == "::1" for place in reached), reached
+        if engine == "ray:1":
+            assert reached
+            assert os.environ["RAY_AUTH_MODE"] == "token"

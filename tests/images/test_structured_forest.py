@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from folder_files import write_folder
 from torch import Tensor, nn
 from torchjoint_lab.datasets.bsds import bsds_images
 from torchjoint_lab.evaluation.boundary_scores import evaluate_boundaries
@@ -22,6 +23,7 @@ from torchjoint.images.boundary import make_boundary
 from torchjoint.images.forest import read_forest
 from torchjoint.images.gradient_boundary import GradientBoundary
 from torchjoint.images.structured_forest import StructuredForestBoundary
+from torchjoint.recordings import segment_recording
 
 MODEL = Path(str(files("torchjoint.models"))) / "bsds500.yml.gz"
 
@@ -189,9 +191,36 @@ class TestMakeBoundary:
 
     def test_a_module_of_ones_own(self, scene_of):
         config = Config().set([f"boundary.detector={__name__}:Vertical"])
-        assert isinstance(make_boundary(config.boundary), Vertical)
+        assert isinstance(make_boundary(config.boundary, allow_import=True), Vertical)
         scene = scene_of(0).scene
-        assert len(tj.JointSegmenter(config)(scene).images) == len(scene.frames)
+        assert len(tj.JointSegmenter(config, allow_import=True)(scene).images) == len(scene.frames)
+
+    def test_a_config_of_others_imports_nothing(self, scene_of, tmp_path, monkeypatch):
+        """It may come with a result, with the module beside it."""
+        (tmp_path / "evil_module.py").write_text("import pathlib\npathlib.Path(__file__).with_name('ran').touch()")
+        monkeypatch.syspath_prepend(tmp_path)
+        out = shutil.copytree(Path(__file__).parents[1] / "samples" / "result-0.1.0", tmp_path / "out")
+        run = out / "run.yaml"
+        run.write_text(run.read_text().replace("detector: gradient", "detector: evil_module:Boundary"))
+        config = tj.load_result(out).config
+        assert config.boundary.detector == "evil_module:Boundary"
+        message = (
+            r"boundary\.detector: expected gradient or structured_forest, got code, evil_module:Boundary; allow_imp"
+        )
+        write_folder(tmp_path / "scene", scene_of(0))
+        for use in (
+            lambda: tj.JointSegmenter(config),
+            lambda: tj.JointSegmenter().with_config(config),
+            lambda: segment_recording(tmp_path / "scene", tmp_path / "new", config, tj.RecordingOptions(max_frames=1)),
+        ):
+            with pytest.raises((ValueError, RuntimeError), match=rf"{message}|call reset"):
+                use()
+        report = tj.batch(tmp_path / "scene", tmp_path / "batch", engine="loky:1", config=config)
+        assert "got code, evil_module:Boundary" in report.failures["scene"]
+        assert not (tmp_path / "ran").exists()
+        with pytest.raises(ValueError, match="cannot be made"):
+            tj.JointSegmenter(config, allow_import=True)
+        assert (tmp_path / "ran").exists()
 
     @pytest.mark.parametrize(
         ("detector", "message"),
@@ -206,7 +235,7 @@ class TestMakeBoundary:
     )
     def test_errors(self, detector, message):
         with pytest.raises(ValueError, match=r"boundary\.detector") as error:
-            make_boundary(BoundaryConfig(detector=detector))
+            make_boundary(BoundaryConfig(detector=detector), allow_import=True)
         assert message in str(error.value)
 
     def test_types(self):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 import torch
 from hypothesis import given
@@ -22,6 +24,10 @@ def cloud(kind: str, num_points: int, seed: int, dtype: torch.dtype) -> torch.Te
         points = points[torch.randint(1 + num_points // 20, (num_points,), generator=generator)]
     elif kind == "outliers":
         points = (points - 0.5) ** 9 * 1e6
+    elif kind == "cluster":  # most points lie in a tiny part of the room, with a cluster inside
+        points[num_points // 5 :] *= 1e-5
+        points[num_points // 2 :] *= 1e-5
+        points = points[torch.randperm(num_points, generator=generator)]
     elif kind == "far away":  # rounded to few different coordinates in float32
         points += 1e5
     elif kind == "tiny":  # squares vanish in float32, and some in float64
@@ -29,7 +35,7 @@ def cloud(kind: str, num_points: int, seed: int, dtype: torch.dtype) -> torch.Te
     return points.to(dtype)
 
 
-KINDS = ("random", "lattice", "plane", "copies", "outliers", "far away", "tiny")
+KINDS = ("random", "lattice", "plane", "copies", "outliers", "cluster", "far away", "tiny")
 
 
 def check(points: torch.Tensor, *counts: int) -> None:
@@ -73,3 +79,11 @@ def test_copies_are_neighbours_by_number() -> None:
 def test_any_strides() -> None:
     points = cloud("random", 100, 0, torch.float32)
     assert torch.equal(nearest_neighbors(points.t().contiguous().t(), 5)[0], nearest_neighbors(points, 5)[0])
+
+
+@pytest.mark.parametrize("others", [30, 6000])
+def test_a_dense_cluster_in_a_room_takes_no_quadratic_time(others: int) -> None:
+    room, cluster = torch.rand(others, 3) * 4 - 2, torch.rand(40_000, 3) * 1e-5
+    start = time.process_time()
+    nearest_neighbors(torch.cat([room, cluster]), 16)
+    assert time.process_time() - start < 3  # 7 to 20 in a balanced tree

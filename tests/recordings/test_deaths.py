@@ -154,7 +154,9 @@ def batch_with_a_cut(engine, target, scans, deaths, out):
 
     threading.Thread(target=cut, daemon=True).start()
     try:
-        report = tj.batch(scans, out, engine=f"{engine}://127.0.0.1:{wire.port}", config=CONFIG, options=OPTIONS)
+        report = tj.batch(
+            scans, out, engine=f"{engine}://127.0.0.1:{wire.port}", config=CONFIG, options=OPTIONS, allow_import=True
+        )
     finally:
         wire.close()
     for one in gc.get_objects():  # an attempt to connect that dask's client has cancelled leaves its socket open

@@ -50,11 +50,11 @@ def test_a_worker_is_killed_and_one_has_too_little_memory(engine, scans, deaths,
     out = tmp_path / "out"
     (deaths / "kill").touch()
     (deaths / "memory").touch()
-    first = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS)
+    first = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS, allow_import=True)
     assert list(deaths.iterdir()) == []  # both have come
     (failed,) = first.failures  # the scene of the killed worker went on where it was
     assert "out of memory" in first.failures[failed]
-    again = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS)
+    again = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS, allow_import=True)
     assert sorted(again.skipped) == sorted(set(expected) - {failed})
     assert_complete(out, expected)
 
@@ -71,11 +71,11 @@ def test_a_full_disk(engine, scans, deaths, expected, tmp_path):
         out = disk / "out"
         with warnings.catch_warnings():  # whether there is room for the tables depends on what was written last
             warnings.filterwarnings("ignore", ".*could not be written: the disk is full")
-            first = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS)
+            first = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS, allow_import=True)
         assert first.failures
         assert all("the disk is full" in reason for reason in first.failures.values())
         subprocess.run(["mount", "-o", "remount,size=200m", disk], check=True)
-        again = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS)
+        again = tj.batch(scans, out, engine=engine, config=CONFIG, options=OPTIONS, allow_import=True)
         assert again.failures == {}
         assert_complete(out, expected)
     finally:

@@ -108,6 +108,10 @@ NOTICED_WITHOUT = {
     "fewer labels": labels(lambda array: array[:-1]),
     "labels as a column": labels(lambda array: array[:, None]),
     "points of NaN": lambda folder: change_points(folder, points=np.full((400, 3), np.nan)),
+    "colours of another length": lambda folder: change_points(folder, colors=np.zeros((5, 3), np.float32)),
+    "a label image of another size": lambda folder: Image.fromarray(np.zeros((10, 10), np.uint16)).save(
+        sorted((folder / "images").iterdir())[0]
+    ),
     "a hierarchy of zeros": zeros,
     "a small input": small_input,
     "counts": edit_run("counts", {"points": 400, "frames": 2, "point_segments": 3}),
@@ -123,6 +127,9 @@ NOTICED_WITH = NOTICED_WITHOUT | {
     "no pieces": lambda folder: shutil.rmtree(folder / "pieces"),
     "no cameras": lambda folder: (folder / "cameras.json").unlink(),
     "no hierarchy": lambda folder: (folder / "hierarchy.npz").unlink(),
+    "a record that was cut": lambda folder: (folder / "run.yaml").write_text(
+        (folder / "run.yaml").read_text().replace("manifest: manifest.json\n", "")
+    ),
     "no manifest": lambda folder: (folder / "manifest.json").unlink(),
     "another granularity": edit_run("granularity", 0.1),
     "another config": edit_run("config", {}),
@@ -143,7 +150,7 @@ def test_what_was_changed_is_noticed(out, damage):
 @pytest.mark.parametrize("damage", NOTICED_WITHOUT.values(), ids=NOTICED_WITHOUT)
 def test_what_is_noticed_without_a_manifest(old, damage):
     damage(old)
-    with pytest.raises((ValueError, TypeError, FileNotFoundError), match=str(old)):
+    with pytest.raises((ValueError, TypeError, FileNotFoundError), match=rf"{old}|pieces of image 0"):
         read_all(old)
 
 

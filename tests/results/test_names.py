@@ -127,11 +127,15 @@ def test_nothing_is_written_through_a_link(run, place, tmp_path):
     model.select((0,))
     with pytest.raises(FileExistsError, match="selection: expected a file or folder, got a link"):
         export_selected(model, out / "selection", "PLY")
-    (place / "new.partial").symlink_to(victim)
-    with pytest.raises(FileExistsError, match="got a link"), output_folder(place / "new", "source"):
-        pass
-    (place / ".other.lock").symlink_to(victim / "created")
-    with pytest.raises(OSError, match=r"other\.lock"), output_folder(place / "other", "source"):
+    for name, target in ((".one.replaced", victim), ("one.partial", victim), (".one.lock", victim / "created")):
+        (place / name).symlink_to(target)
+        with pytest.raises(FileExistsError, match="got a link"), output_folder(place / "one", "source"):
+            pass
+        (place / name).unlink()
+    (place / "one.partial").mkdir()  # of an earlier run
+    (place / "one.partial" / "source.txt").write_text("source")
+    (place / "one.partial" / "state").symlink_to(victim)
+    with pytest.raises(FileExistsError, match=r"state: .* got a link"), output_folder(place / "one", "source"):
         pass
 
 

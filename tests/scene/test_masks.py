@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+import warnings
+
 import pytest
 import torch
 from examples import few_and_many
@@ -93,3 +96,22 @@ BOOLS = torch.zeros(2, 4, 6, dtype=torch.bool)
 def test_errors_name_the_argument(masks: dict[str, object], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         frame(**masks)
+
+
+def test_ten_thousand_masks_of_one_pixel():
+    stack = torch.zeros(10_000, 240, 320, dtype=torch.bool)
+    stack.view(10_000, -1)[torch.arange(10_000), torch.randperm(240 * 320)[:10_000]] = True
+    start = time.process_time()
+    masks = Masks.from_stack(stack)
+    assert time.process_time() - start < 6  # 20 with a start of threads for each mask
+    assert (len(masks), masks.num_atoms, int(masks.areas().sum())) == (10_000, 10_001, 10_000)
+
+
+@pytest.mark.parametrize(
+    ("size", "half"), [((12, 15), (6, 7)), ((15, 12), (7, 6)), ((15, 15), (8, 7)), ((9, 9), (5, 5))]
+)
+def test_half_the_size_is_no_other_aspect(size, half):
+    masks = Masks.from_stack(torch.ones(1, *half, dtype=torch.bool))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert masks.resized(size).covered().all()

@@ -156,9 +156,9 @@ def test_what_one_click_did_is_undone_at_once(model):
 def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
     first, second = largest(model)
     edits = Edits(model.parts.count, None, (Edit("join", (first, second)), Edit("name", (first,), "Tisch <ö>")))
-    for name in ("points.npz", "run.yaml", "hierarchy.npz"):
+    for name in ("points.npz", "run.yaml", "hierarchy.npz", "cameras.json", "manifest.json"):
         (tmp_path / name).write_bytes((out / name).read_bytes())
-    for name in ("images", "pieces"):
+    for name in ("images", "pieces", "inputs"):
         (tmp_path / name).symlink_to(out / name)
     write_edits(tmp_path, edits)
     assert read_edits(tmp_path, model.parts.count) == edits
@@ -207,6 +207,10 @@ def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
         (
             '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "name", "pieces": [0], "name": 5}]}',
             "name: expe",
+        ),
+        (
+            '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "name", "pieces": [0], "name": "\\ud800"}]}',
+            "name: expected a text",
         ),
         ('{"pieces": Infinity, "granularity": null, "edits": []}', "pieces: expected an integer, got inf"),
         ('{"pieces": "PIECES", "granularity": null, "edits": []}', "pieces: expected an integer, got '"),

@@ -68,6 +68,7 @@ def batch(
             options=options,
             overwrite=overwrite,
             progress=True,
+            allow_import=True,
         )
     _print(report)
     if report.failures:

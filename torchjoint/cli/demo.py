@@ -31,7 +31,7 @@ def demo(
     with output_folder(out, SOURCE, overwrite=overwrite) as partial:
         assert partial is not None  # it is None only if a key is given
         with printed_log():
-            segmenter = JointSegmenter(config)
+            segmenter = JointSegmenter(config, allow_import=True)
             result = segmenter(synthetic.scene, progress=True, on_frames=view)
         write_result(partial, synthetic.scene, result, config, SOURCE)
     summarize(result, out)

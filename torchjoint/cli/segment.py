@@ -85,6 +85,7 @@ def segment(
             engine=workers,
             progress=True,
             on_frames=view,
+            allow_import=True,
         )
     if segmented is None:
         print(f"{out}: an earlier run was killed after it wrote the result; this result is now in its place")

@@ -111,7 +111,7 @@ Value threshold(const Value* values, size_t size, size_t wanted, Value high, Val
   const size_t enough = wanted + wanted / 4 + 2;
   Value low = 0;
   size_t below = 0, up_to_high = size;
-  for (int tries = 0; tries < 8 && up_to_high > enough && guess < high; ++tries) {
+  for (int tries = 0; tries < 16 && up_to_high > enough && guess < high; ++tries) {
     const size_t within = count_up_to(values, size, guess);
     if (within < wanted) {
       if (tries == 0) up_to_high = count_up_to(values, size, high);
@@ -120,7 +120,7 @@ Value threshold(const Value* values, size_t size, size_t wanted, Value high, Val
       high = guess, up_to_high = within;
     }
     const double share = (1.1 * wanted + 1 - below) / (up_to_high - below);
-    guess = static_cast<Value>(low + (high - low) * std::clamp(share, 0.1, 0.9));
+    guess = static_cast<Value>(low + (high - low) * std::clamp(share, 1e-4, 0.9));
   }
   return high;
 }

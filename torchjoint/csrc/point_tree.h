@@ -1,4 +1,5 @@
-// A balanced k-d tree over points: leaves with equal numbers of points, in the order of the tree, and their boxes.
+// A k-d tree over points: leaves with equal numbers of points, in the order of the tree, and their boxes. It is balanced,
+// except where most points of a node lie in a tiny part of its box: there few points are cut off.
 #pragma once
 
 #include "array.h"
@@ -37,10 +38,10 @@ class PointTree {
   };
 
   PointTree(const Value* points, int64_t num_points)
-      : num_points_(num_points), num_leaves_((num_points + kLeafSize - 1) / kLeafSize), leaves_(num_leaves_),
-        low_{Array<Value>(num_leaves_), Array<Value>(num_leaves_), Array<Value>(num_leaves_)},
+      : num_points_(num_points), num_leaves_((num_points + kLeafSize - 1) / kLeafSize),
+        leaves_(num_leaves_), low_{Array<Value>(num_leaves_), Array<Value>(num_leaves_), Array<Value>(num_leaves_)},
         high_{Array<Value>(num_leaves_), Array<Value>(num_leaves_), Array<Value>(num_leaves_)},
-        boxes_(std::max<int64_t>(2 * num_leaves_ - 1, 0)) {
+        boxes_(std::max<int64_t>(2 * num_leaves_ - 1, 0)), middles_(std::max<int64_t>(2 * num_leaves_ - 1, 0)) {
     if (num_points == 0) return;
     Array<Point> moved(num_points);
     torch::stable::parallel_for(0, num_points, 1 << 14, [&](int64_t begin, int64_t end) {
@@ -61,29 +62,29 @@ class PointTree {
 
   // The smallest range of leaves of a node of the tree that holds the leaf and at least `count` points, if there is one.
   std::pair<int64_t, int64_t> leaves_around(int64_t leaf, int64_t count) const {
-    int64_t first = 0, last = num_leaves_;
-    while (last - first > 1) {
-      const int64_t middle = split(first, last);
-      const int64_t from = leaf < middle ? first : middle, to = leaf < middle ? middle : last;
-      if (num_points(from, to) < count) break;
-      first = from, last = to;
+    Node node{0, 0, num_leaves_, 0};
+    while (node.last - node.first > 1) {
+      const auto [one, other] = parts(node);
+      const Node& part = leaf < one.last ? one : other;
+      if (num_points(part.first, part.last) < count) break;
+      node = part;
     }
-    return {first, last};
+    return {node.first, node.last};
   }
 
   // Writes the leaves whose boxes are at most sqrt(limit) from a place.
   void leaves_near(const Value* place, Value limit, std::vector<int32_t>& found) const {
     size_t size = 0;
-    Node stack[64];  // at most twice the depth of the tree is used
+    Node stack[64];  // the depth of the tree + 1 is used, at most 31 + kMostCuts + 1
     int depth = 0;
-    stack[depth++] = {0, 0, num_leaves_};
+    stack[depth++] = {0, 0, num_leaves_, 0};
     while (depth > 0) {
       const Node node = stack[--depth];
       if (squared_gap(place, boxes_[node.id]) > limit) continue;
       if (node.last - node.first > kFewLeaves) {
-        const int64_t middle = split(node.first, node.last);
-        stack[depth++] = {right(node.id, node.first, middle), middle, node.last};
-        stack[depth++] = {node.id + 1, node.first, middle};
+        const auto [one, other] = parts(node);
+        stack[depth++] = other;
+        stack[depth++] = one;
         continue;
       }
       if (size + kFewLeaves > found.size()) found.resize(2 * (size + kFewLeaves));
@@ -109,14 +110,22 @@ class PointTree {
   // A node is a range of leaves; its first half is the next node, and its second half follows all nodes of the first.
   struct Node {
     int64_t id, first, last;
+    int cuts;  // on the way to this node
   };
 
-  static int64_t split(int64_t first, int64_t last) { return (first + last + 1) / 2; }
-  static int64_t right(int64_t id, int64_t first, int64_t middle) { return id + 2 * (middle - first); }
+  // Samples of a node that are compared, and the share of its box inside which most of them are close together.
+  static constexpr int kSamples = 9, kMostCuts = 24;
+  static constexpr Value kTinyShare = Value{1} / 512;
+
+  std::pair<Node, Node> parts(const Node& node) const {
+    const int64_t middle = middles_[node.id];
+    const int cuts = node.cuts + (middle != (node.first + node.last + 1) / 2);
+    return {{node.id + 1, node.first, middle, cuts}, {node.id + 2 * (middle - node.first), middle, node.last, cuts}};
+  }
 
   // Builds the upper levels of the tree one by one, then subtrees in parallel: so all threads soon have work.
   void build(Point* points) {
-    std::vector<Node> level{{0, 0, num_leaves_}};
+    std::vector<Node> level{{0, 0, num_leaves_, 0}};
     for (int depth = 0; depth < 6; ++depth) {
       std::vector<Node> next(2 * level.size());
       for_all(level, [&](size_t i) { std::tie(next[2 * i], next[2 * i + 1]) = halves(points, level[i]); });
@@ -140,17 +149,17 @@ class PointTree {
     build_below(points, other);
   }
 
-  // Measures the box of a node, and divides its points into two halves along the longest side of the box. Points with
-  // equal coordinates may go to either half.
+  // Measures the box of a node, and divides its points into two parts along the longest side of the box. Points with
+  // equal coordinates may go to either part.
   std::pair<Node, Node> halves(Point* points, const Node& node) {
     Point *const from = points + node.first * kLeafSize, *const to = from + num_points(node.first, node.last);
     const Box<Value>& box = boxes_[node.id] = box_of(from, to);
     if (node.last - node.first == 1) return fill(node.first, from, to, box), std::pair<Node, Node>{};
-    const int64_t middle = split(node.first, node.last);
     int longest = 0;
     for (int d = 1; d < 3; ++d) {
       if (box.high[d] - box.low[d] > box.high[longest] - box.low[longest]) longest = d;
     }
+    const int64_t middle = middles_[node.id] = middle_of(node, from, to, box, longest);
     const auto part = [&]<int d>() {
       std::nth_element(from, points + middle * kLeafSize, to,
                        [](const Point& a, const Point& b) { return a.at[d] < b.at[d]; });
@@ -158,7 +167,25 @@ class PointTree {
     longest == 0   ? part.template operator()<0>()
     : longest == 1 ? part.template operator()<1>()
                    : part.template operator()<2>();
-    return {{node.id + 1, node.first, middle}, {right(node.id, node.first, middle), middle, node.last}};
+    return parts(node);
+  }
+
+  // The leaf that begins the second part of a node: the middle one. If most of some samples lie in a tiny part of the
+  // side, it is where most of the other points are cut off: else each leaf of a dense cluster in a room would have a
+  // point of the room and a large box, and each search near the cluster would test all of these.
+  static int64_t middle_of(const Node& node, const Point* from, const Point* to, const Box<Value>& box, int d) {
+    const int64_t half = (node.first + node.last + 1) / 2;
+    if (node.cuts == kMostCuts || to - from < 4 * kLeafSize) return half;
+    Value sample[kSamples];
+    for (int i = 0; i < kSamples; ++i) sample[i] = from[(to - from - 1) * i / (kSamples - 1)].at[d];
+    std::sort(sample, sample + kSamples);
+    const Value low = sample[2], high = sample[kSamples - 3], side = box.high[d] - box.low[d];
+    if (!(high - low < kTinyShare * side)) return half;
+    const bool cut_low = low - box.low[d] > box.high[d] - high;
+    const Value border = cut_low ? low - kTinyShare * side : high + kTinyShare * side;
+    const int64_t below = std::count_if(from, to, [&](const Point& point) { return point.at[d] < border; });
+    const int64_t leaf = node.first + (cut_low ? below : below + kLeafSize - 1) / kLeafSize;
+    return std::clamp(leaf, node.first + 1, node.last - 1);
   }
 
   // As squared_gap, for the boxes of leaves [first, last): vector instructions test several at once.
@@ -199,6 +226,7 @@ class PointTree {
   Array<Leaf> leaves_;
   Array<Value> low_[3], high_[3];  // corners of the boxes of leaves
   Array<Box<Value>> boxes_;
+  Array<int64_t> middles_;  // of each node, the first leaf of its second part
 };
 
 }  // namespace torchjoint

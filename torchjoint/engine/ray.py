@@ -10,12 +10,14 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from typing import Any
+from unittest.mock import patch
 
 from torchjoint.engine.engine import Engine
 from torchjoint.engine.worker import Answer, Shared
 
 try:
     import ray
+    from ray._private import ray_constants
     from ray.exceptions import NodeDiedError, OutOfMemoryError, WorkerCrashedError
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("engine ray needs ray: pip install 'torchjoint[ray]'") from error
@@ -58,7 +60,8 @@ class RayEngine(Engine):
             ray.init(f"ray://{address}", **quiet)
         else:
             assert workers is not None
-            with _paths_for_workers():
+            # Ray listens on all interfaces, except where it thinks that there are no clusters (Windows, macOS).
+            with _paths_for_workers(), patch.object(ray_constants, "ENABLE_RAY_CLUSTER", False):
                 ray.init("local", num_cpus=workers * threads, include_dashboard=False, **quiet)
         # Ray must not repeat tasks, because Engine.run does.
         self._options = {"num_cpus": threads, "max_retries": 0}

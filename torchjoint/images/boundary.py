@@ -14,11 +14,15 @@ from torchjoint.images.gradient_boundary import GradientBoundary
 from torchjoint.images.structured_forest import MULTI_SCALE, StructuredForestBoundary
 
 
-def make_boundary(config: BoundaryConfig) -> nn.Module:
+def make_boundary(config: BoundaryConfig, allow_import: bool = False) -> nn.Module:
     """Makes the detector that a config names.
 
+    Args:
+        config: its name and parameters.
+        allow_import: whether it may be code of the user. A config may come from a stranger, as that of a result.
+
     Raises:
-        ValueError: the user's module cannot be imported or made without arguments, or is no
+        ValueError: the user's module may not be imported, cannot be imported or made without arguments, or is no
             :class:`torch.nn.Module`.
     """
     if config.detector == "gradient":
@@ -26,6 +30,11 @@ def make_boundary(config: BoundaryConfig) -> nn.Module:
     if config.detector == "structured_forest":
         scales = MULTI_SCALE if config.multi_scale else (1.0,)
         return StructuredForestBoundary(config.model, scales)
+    if not allow_import:
+        raise ValueError(
+            f"boundary.detector: expected gradient or structured_forest, got code, {config.detector}; "
+            "allow_import=True imports it, if you trust it"
+        )
     return _make_own(config.detector)
 
 

@@ -39,12 +39,19 @@ class ImageSegmenter(nn.Module):
         boundary: any module [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1]; default: the detector of the config.
         segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none, or -> B :class:`Masks`; default:
             the pixel graph.
+        allow_import: whether the config's detector may be code of the user.
     """
 
-    def __init__(self, config: Config, boundary: nn.Module | None = None, segmenter: nn.Module | None = None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        boundary: nn.Module | None = None,
+        segmenter: nn.Module | None = None,
+        allow_import: bool = False,
+    ) -> None:
         super().__init__()
         self.config = config
-        self.boundary = boundary or make_boundary(config.boundary)
+        self.boundary = boundary or make_boundary(config.boundary, allow_import)
         self.segmenter = segmenter
 
     def forward(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> list[ImageSegments]:

@@ -52,6 +52,7 @@ def batch(
     options: RecordingOptions | None = None,
     overwrite: bool = False,
     progress: bool = False,
+    allow_import: bool = False,
 ) -> BatchReport:
     """Segments any number of recordings, each into a result folder OUT/NAME, which is written completely or not at all.
 
@@ -70,6 +71,7 @@ def batch(
         options: how recordings are read; default ``RecordingOptions()``.
         overwrite: replace earlier results.
         progress: show a progress bar.
+        allow_import: import the code that the config names, see :class:`torchjoint.JointSegmenter`.
 
     Returns:
         reports and failures by scene.
@@ -84,7 +86,7 @@ def batch(
     """
     config, options = config or Config(), options or RecordingOptions()
     options.check(config)
-    job = Job(_prepared(Path(out).absolute()), config, options, overwrite)
+    job = Job(_prepared(Path(out).absolute()), config, options, overwrite, allow_import)
     named = find_recordings(scenes)
     found = {_folder(job.out, name, path, named): path for name, path in named.items()}
     with lock(job.out / _LOCK, f"{out}: another batch is writing its results here; wait for it, or choose another"):

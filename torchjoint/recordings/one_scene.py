@@ -53,6 +53,7 @@ class Job:
     config: Config
     options: RecordingOptions
     overwrite: bool
+    allow_import: bool = False
 
     def folder(self, name: str) -> Path:
         """The result folder of a recording."""
@@ -72,7 +73,15 @@ def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
         warnings.simplefilter("always")
         while job.overwrite or not is_done(out):
             try:
-                segment_recording(path, out, job.config, job.options, overwrite=job.overwrite, memory=memory)
+                segment_recording(
+                    path,
+                    out,
+                    job.config,
+                    job.options,
+                    overwrite=job.overwrite,
+                    memory=memory,
+                    allow_import=job.allow_import,
+                )
                 break
             except BusyError:
                 if time.monotonic() > end:

@@ -46,6 +46,7 @@ def segment_recording(
     engine: Engine | None = None,
     progress: bool = False,
     on_frames: Watch | None = None,
+    allow_import: bool = False,
 ) -> Segmented | None:
     """Segments a recording and writes its result folder, completely or not at all.
 
@@ -62,6 +63,7 @@ def segment_recording(
         engine: workers for the frames; None: this process. The labels are the same.
         progress: show progress bars.
         on_frames: is called when frames were added, see :meth:`torchjoint.JointSegmenter.forward`.
+        allow_import: import the code that the config names, see :class:`torchjoint.JointSegmenter`.
 
     Returns:
         the result; None if an earlier run was killed after its last file: its result is now in `out`.
@@ -94,7 +96,13 @@ def segment_recording(
             scene = read_folder(masks, scene, "segment" if without_masks == "segment" else "leave out")
         scene = options.cut_down(scene)
         checkpoint = Checkpoint(partial / STATE / "frames", key)
-        segmenter = JointSegmenter(config, merge_within=options.merge_within, memory=memory, spill=partial / STATE)
+        segmenter = JointSegmenter(
+            config,
+            merge_within=options.merge_within,
+            memory=memory,
+            spill=partial / STATE,
+            allow_import=allow_import,
+        )
         if engine is None:
             result = segmenter(scene, progress=progress, checkpoint=checkpoint, on_frames=on_frames)
         else:

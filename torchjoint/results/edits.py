@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from torchjoint.results.splits import split
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.messages import printable
 from torchjoint.scene import Hierarchy
 from torchjoint.scene.hierarchy import check_granularity
 
@@ -125,7 +126,7 @@ def _parse(step: Mapping[str, Any], num_pieces: int) -> Edit:
         raise ValueError(f"expected an edit, got {dict(step)}")
     if not all(0 <= piece < num_pieces for piece in pieces):
         raise ValueError(f"expected pieces below {num_pieces}, got {dict(step)}")
-    if not isinstance(name, str):
+    if not isinstance(name, str) or printable(name) != name:
         raise ValueError(f"name: expected a text, got {name!r}")
     return Edit(kind, pieces, name)
 

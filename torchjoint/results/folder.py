@@ -30,8 +30,8 @@ from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import on_cpu
-from torchjoint.scene import Scene, Segmentation
-from torchjoint.scene.checks import as_labels, as_points
+from torchjoint.scene import Cloud, Scene, Segmentation
+from torchjoint.scene.checks import as_labels
 
 #: Largest label in a 16-bit label image, which stores label + 1; 0 = none.
 MAX_LABEL = 2**16 - 2
@@ -113,11 +113,11 @@ def read_points(folder: Path) -> PointResult:
         raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
     try:
         values = {key: torch.from_numpy(array) for key, array in read_archive(file).items()}
-        points = as_points(values["points"])
-        labels = as_labels(values["labels"], (len(points),))
+        cloud = Cloud.checked(values["points"], values.get("colors"), None)
+        labels = as_labels(values["labels"], (len(cloud.points),))
         if not 0 <= int(labels.min()) <= int(labels.max()) < len(labels):
             raise ValueError(f"labels: expected 0 to {len(labels) - 1}, got {int(labels.min())} to {int(labels.max())}")
-        return PointResult(points, labels, values.get("colors"))
+        return PointResult(cloud.points, labels, cloud.colors)
     except (ValueError, KeyError, TypeError, OSError) as error:
         raise ValueError(f"{file}: not a whole result: {error!r}") from error
 

@@ -38,9 +38,9 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
         >>> result.images[0], result.at(0.3), result.crops(7, k=3)[0].image  # doctest: +SKIP
     """
     folder = Path(folder)
-    config = read_config(folder)
+    stored, config = read_points(folder), read_config(folder)
     check = open_manifest(folder) if verify else unchecked
-    segmentation, stored = read_result(folder, check), read_points(folder)
+    segmentation = read_result(folder, check)
     if verify:
         _check_counts(folder, segmentation)
     frames = read_inputs(folder, segmentation.names, check) if (folder / CAMERAS).is_file() else ()

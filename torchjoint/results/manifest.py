@@ -45,9 +45,9 @@ def open_manifest(folder: Path) -> Check:
         ValueError, TypeError: a file was changed or does not belong to the result; the message names it.
     """
     record = read_yaml(folder / RUN, dict, "a record of a run")
-    if "manifest" not in record:  # of version 0.1.0
-        return unchecked
     if not (folder / FILE).is_file():
+        if "manifest" not in record:  # of version 0.1.0
+            return unchecked
         raise FileNotFoundError(f"{folder / FILE}: missing; expected the list of a result's files{_WAY_OUT}")
     files = _read(folder / FILE, record)
     names = set(_names(folder))

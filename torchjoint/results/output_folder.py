@@ -96,6 +96,8 @@ def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = Fa
         raise FileExistsError(f"{out}: exists and is not a folder; choose another name for the output")
     out.parent.mkdir(parents=True, exist_ok=True)
     places = _Places.of(out)
+    for path in places.own:
+        no_link(path)
     with lock(places.lock, f"{out}: another run is writing this result; wait for it, or choose another output"):
         finished = _finish_earlier(places, overwrite)
         if key and finished == key:
@@ -115,7 +117,7 @@ def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = Fa
 
 def _prepare(partial: Path, source: str) -> None:
     """Makes the partial folder, or uses that of an earlier run with the same source."""
-    for path in (partial, *partial.rglob("*")):
+    for path in partial.rglob("*"):
         no_link(path)
     source_file = partial / SOURCE
     # A run may be killed after it made the folder and before it wrote the first file.

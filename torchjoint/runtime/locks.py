@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from torchjoint.runtime.files import no_link
+
 
 class BusyError(FileExistsError):
     """Another run holds the lock."""
@@ -21,7 +23,7 @@ def lock(path: Path, busy: str) -> Iterator[None]:
         BusyError: another process holds it; `busy` is the message.
     """
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+        descriptor = os.open(no_link(path), os.O_RDWR | os.O_CREAT, 0o644)
         try:
             _take(descriptor)
         except OSError as error:

@@ -53,5 +53,7 @@ class LevelImages(Sequence[Tensor]):
         labels = self._images[index]
         private = labels >= self._num_before
         of_table = labels.masked_fill(private, -1) if self._pieces is None else self._pieces[index]
+        if of_table.shape != labels.shape:
+            raise ValueError(f"pieces of image {index}: expected {list(labels.shape)}, got {list(of_table.shape)}")
         found = self._table.index_select(0, of_table.reshape(-1) + 1).view(labels.shape)
         return torch.where(private, labels + (self._num_after - self._num_before), found)

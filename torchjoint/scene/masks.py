@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -69,7 +70,7 @@ class Masks:
         atom = torch.zeros(stack[0].numel() if len(stack) else stack.shape[1] * stack.shape[2], dtype=torch.int64)
         members: list[tuple[int, ...]] = [()]
         for number, mask in enumerate(stack.cpu().flatten(1)):
-            inside = mask.nonzero().squeeze(1)
+            inside = torch.from_numpy(np.flatnonzero(mask.numpy()))  # torch's own starts threads for each mask
             before, new = torch.unique(atom[inside], return_inverse=True)
             atom[inside] = new + len(members)  # the part of an atom inside the mask becomes a new atom
             members += [(*members[old], number) for old in before.tolist()]
@@ -170,12 +171,13 @@ class Masks:
         """The masks of an image of another size (H, W), by the nearest pixel.
 
         Warns:
-            UserWarning: the aspect ratios differ by more than 2 %, so masks and image may show different views.
+            UserWarning: the aspect ratios differ by more than 2 % and one pixel, so masks and image may show different
+                views.
         """
         if size == self.size:
             return self
         (height, width), (own_height, own_width) = size, self.size
-        if abs(own_height * width / (height * own_width) - 1) > 0.02:
+        if abs(own_height * width / height - own_width) > max(1, 0.02 * own_width):  # half of 15 pixels may be 7
             warnings.warn(
                 f"masks: {own_height} x {own_width} pixels for an image of {height} x {width}: other aspect ratio; "
                 "do they show the same view?",

@@ -148,7 +148,7 @@ def _seen(case: Case, config: Config, make_method: MakeStepSix | None = None) ->
     make = make_method or (make_regions if isinstance(config, RegionsConfig) else choose_method)
 
     def see() -> JointSegmenter:
-        segmenter = JointSegmenter(before, method=make)
+        segmenter = JointSegmenter(before, method=make, allow_import=True)
         segmenter.image_segmenter = _known_images(case, before)
         segmenter.reset(case.scene.points, case.scene.colors, case.scene.normals)
         for start in range(0, len(case.frames), 8):

@@ -75,7 +75,7 @@ def _predictor(boundaries: str, records: Sequence[BsdsImage], multi_scale: bool)
         return lambda record: _checked_map(files[record.name], record)
     detector, model = (FOREST, boundaries) if boundaries.endswith(".yml.gz") else (boundaries, None)
     try:
-        module = make_boundary(BoundaryConfig(detector, model, multi_scale))
+        module = make_boundary(BoundaryConfig(detector, model, multi_scale), allow_import=True)
     except (ValueError, OSError) as error:
         raise ValueError(
             f"{boundaries}: neither a folder of predictions, nor a forest, nor a detector: {error}"

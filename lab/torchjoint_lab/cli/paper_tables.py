@@ -75,7 +75,7 @@ def paper_tables(
     for folder in (sis3d, scenecut, results):
         if folder is not None and not folder.is_dir():
             raise FileNotFoundError(f"{folder}: no such folder; expected results in it, a folder for each scene")
-    sources = _Sources(sis3d, scenecut, results, max_frames, JointSegmenter(parameters.config()))
+    sources = _Sources(sis3d, scenecut, results, max_frames, JointSegmenter(parameters.config(), allow_import=True))
     paths = list_scenes(scenes)
     found: dict[str, dict[Row, Scores]] = {}
     try:
