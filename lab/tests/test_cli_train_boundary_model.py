@@ -34,13 +34,13 @@ def test_an_interrupted_run_goes_on(small_scenes, tmp_path, run_lab, capsys, mon
     monkeypatch.setattr(training, "fit_boundary_model", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run_lab(*arguments)
-    assert small_scenes == [0, 4]
+    assert small_scenes == [0, 4, 0, 4]  # as they are, and varied
     monkeypatch.setattr(training, "fit_boundary_model", fit)
     run_lab(*arguments)
-    assert small_scenes == [0, 4]  # the evidence was on disk
+    assert small_scenes == [0, 4, 0, 4]  # the evidence was on disk
     printed = capsys.readouterr().out
     assert "merging up to 0.15: " in printed
-    assert "2 models of 4 rounds from 2 scenes in " in printed
+    assert "4 models of 4 rounds from 2 scenes in " in printed
     assert list(tmp_path.iterdir()) == [out]
     assert len(load_boundary_model(out).thresholds) == len(boundary_examples.BoundaryModelOptions().thresholds)
     with pytest.raises(SystemExit, match=r"model\.npz: exists already"):
@@ -49,11 +49,11 @@ def test_an_interrupted_run_goes_on(small_scenes, tmp_path, run_lab, capsys, mon
 
 def test_evidence_of_other_scenes_is_deleted(tmp_path):
     def folder(*keys):
-        return command._folder(tmp_path / "a.npz", [command._Source(key, key, lambda: None) for key in keys], 0.5)
+        return command._folder(tmp_path / "a.npz", [command._Source(key, key, lambda: None) for key in keys], [0.5])
 
-    (folder("a", "b") / "scene-00000.pt").touch()
-    assert (folder("a", "b") / "scene-00000.pt").exists()
-    assert not (folder("a", "c") / "scene-00000.pt").exists()
+    (folder("a", "b") / "scene-0-00000.pt").touch()
+    assert (folder("a", "b") / "scene-0-00000.pt").exists()
+    assert not (folder("a", "c") / "scene-0-00000.pt").exists()
     (tmp_path / "a.npz.partial" / "key").unlink()
     with pytest.raises(FileExistsError, match=r"a\.npz\.partial: is in the way"):
         folder("a", "c")
@@ -68,7 +68,7 @@ def test_evidence_of_other_scenes_is_deleted(tmp_path):
         (["--domains", "table", "--seeds", "3", "3"], "--seeds: expected ascending pairs 0 <= first < end, got 3 3"),
         (["--domains", "table", "--seeds", "0", "2", "5"], "--seeds: expected ascending pairs"),
         (["--domains", "table", "--folds", "1"], "folds: expected a whole number >= 2, got 1"),
-        (["--domains", "table", "--varied", "2"], "--varied: expected a number from 0 to 1, got 2"),
+        (["--domains", "table", "--varied", "2"], "--varied: expected numbers from 0 to 1, got 2"),
         (["--domains", "table", "--thin", "0"], "--thin: expected more than 0 metres, got 0"),
         (["--domains", "table", "-o", "model.zip"], r"-o: expected a name that ends in \.npz, got model\.zip"),
         (["--domains", "table", "-o", "no/model.npz"], "-o: no is no folder"),

@@ -35,7 +35,7 @@ def train_boundary_model(
     seeds: tuple[int, ...] = (0, 14),
     models: Path | None = None,
     thin: float | None = None,
-    varied: float = 0.5,
+    varied: tuple[float, ...] = (0.0, 0.5),
     max_frames: int | None = None,
     trees: int = 60,
     folds: int = 4,
@@ -55,19 +55,21 @@ def train_boundary_model(
         models: folder of 3D models for the generated scenes, as for `make_domain_scene`.
         thin: keep one point of your own scenes in each voxel of this size, metres.
         varied: the probability that points of a scene are moved, added or left out, and the same for its colours: other
-            light, noise, grey. So the model learns to judge recordings that are worse than yours.
+            light, noise, grey. Each number gives MEMBERS models, so that some know your kind of recordings best, and
+            others know worse ones.
         max_frames: use at most so many frames of each of your own scenes, evenly spread.
         trees: number of trees in each round of merging of each member.
         folds: parts of the scenes; each is judged by trees that were trained on the others.
-        members: number of models, trained with seeds from SEED on, whose mean is written: five err less than one.
+        members: number of models of each number of VARIED, trained with seeds from SEED on: five err less than one.
         seed: of all random choices; the same seed makes the same file.
         overwrite: replace OUT if it exists.
     """
+    from torchjoint.segments.learned.boundary_model import BoundaryModel
     from torchjoint_lab import training
 
     check_max_frames(max_frames)
-    if not 0 <= varied <= 1:
-        raise ValueError(f"--varied: expected a number from 0 to 1, got {varied}")
+    if not varied or not all(0 <= share <= 1 for share in varied):
+        raise ValueError(f"--varied: expected numbers from 0 to 1, got {' '.join(map(str, varied)) or 'none'}")
     if out.suffix != ".npz":
         raise ValueError(f"-o: expected a name that ends in .npz, got {out}")
     if out.exists() and not overwrite:
@@ -80,7 +82,9 @@ def train_boundary_model(
         raise ValueError(f"scenes: expected at least two, in SCENES or by --domains, got {len(sources)}")
     begin = time.perf_counter()
     folder = _folder(out, sources, varied)
-    model = training.fit_boundary_model(_prepare(folder, sources, varied), options, report=_print_scores, progress=True)
+    prepared = [_prepare(folder, sources, place, share) for place, share in enumerate(varied)]
+    trained = [training.fit_boundary_model(one, options, report=_print_scores, progress=True) for one in prepared]
+    model = BoundaryModel(tuple(member for one in trained for member in one.members))
     training.save_boundary_model(out, model)
     training.load_boundary_model(out)
     shutil.rmtree(folder)
@@ -134,16 +138,18 @@ def _generated(domains: Sequence[str], seeds: Sequence[int], models: Path | None
     ]
 
 
-def _folder(out: Path, sources: Sequence[_Source], share: float) -> Path:
+def _folder(out: Path, sources: Sequence[_Source], shares: Sequence[float]) -> Path:
     """The folder with the evidence of these scenes; deletes that of other scenes."""
     from torchjoint_lab.training.boundary_examples import learned_config
     from torchjoint_lab.training.resumable_folder import resumable_folder
 
-    record = json.dumps([version("torchjoint"), learned_config().to_dict(), share, [source.key for source in sources]])
+    record = json.dumps(
+        [version("torchjoint"), learned_config().to_dict(), list(shares), [source.key for source in sources]]
+    )
     return resumable_folder(out.with_name(f"{out.name}.partial"), record)
 
 
-def _prepare(folder: Path, sources: Sequence[_Source], share: float) -> Sequence[LabelledEvidence]:
+def _prepare(folder: Path, sources: Sequence[_Source], place: int, share: float) -> Sequence[LabelledEvidence]:
     """Collects the evidence of all scenes that are not in the folder yet; returns it lazily, one file per scene."""
     from tqdm import tqdm
 
@@ -151,7 +157,7 @@ def _prepare(folder: Path, sources: Sequence[_Source], share: float) -> Sequence
     from torchjoint_lab.training.piece_graph_files import PieceGraphFiles, save_evidence
     from torchjoint_lab.training.variation import varied
 
-    paths = [folder / f"scene-{index:05d}.pt" for index in range(len(sources))]
+    paths = [folder / f"scene-{place}-{index:05d}.pt" for index in range(len(sources))]
     with tqdm(list(zip(sources, paths, strict=True)), desc="evidence", unit="scene") as bar:
         for source, path in bar:
             bar.set_postfix_str(source.name)

@@ -35,6 +35,8 @@ from torchjoint.segments.learned.summaries import sum_by
 
 #: Standard deviation of the noise of a disturbed judge, in log odds.
 NOISE = 0.4
+#: Largest number of judges of each of the three kinds.
+MOST_OF_A_KIND = 5
 #: Two regions merge if at most this share of the trees has them apart.
 MAJORITY = 0.5
 #: The operator wants a prior; this much of it changes nothing.
@@ -42,18 +44,23 @@ NO_PRIOR = 1e-9
 
 
 class Panel:
-    """T judges: each member of a model; each member, with noise; and the mean of all members but one, of each.
+    """T judges, of three kinds: a member of the model; a member with noise; and the mean of all members but these two.
+
+    The members with noise are others than those without, if there are enough.
 
     Args:
-        model: M members, T = 3 M.
+        model: M members, T = 3 min(M, 5).
     """
 
     def __init__(self, model: BoundaryModel) -> None:
         self._members = model.members
-        own = torch.eye(len(self._members), dtype=torch.float64)
-        others = 1 - own if len(self._members) > 1 else own
-        self.weights = torch.cat([own, own, others / others.sum(1, keepdim=True)])  # [T, M]
-        self._is_unsure = torch.arange(len(self.weights)) // len(self._members) == 1
+        each = min(len(self._members), MOST_OF_A_KIND)
+        members = torch.eye(len(self._members), dtype=torch.float64)
+        sure, unsure = members[:each], members.roll(-each, 0)[:each]
+        others = 1 - torch.maximum(sure, unsure)
+        others = torch.where(others.any(1, keepdim=True), others, sure)
+        self.weights = torch.cat([sure, unsure, others / others.sum(1, keepdim=True)])  # [T, M]
+        self._is_unsure = torch.arange(len(self.weights)) // each == 1
         self._random = torch.Generator().manual_seed(0)
 
     def probabilities(self, number: int, values: Tensor, judge: Tensor) -> Tensor:
