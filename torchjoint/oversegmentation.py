@@ -17,11 +17,12 @@ from torchjoint import ops
 from torchjoint.cloud.batch import split_batch
 from torchjoint.cloud.edge_weights import EdgeWeights, discounted_angle, geometric_weights, segmentator_turn
 from torchjoint.cloud.graph import undirected_edges
-from torchjoint.cloud.local import LocalFrame, composed, first_of_each, warn_of_rounding, without_copies
+from torchjoint.cloud.local import LocalFrame, composed, warn_of_rounding, without_copies
 from torchjoint.cloud.mesh import face_edges, vertex_normals
 from torchjoint.cloud.neighbors import neighbor_tables, order_along_space
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.config import SuperpointsConfig
+from torchjoint.runtime.first_places import first_places
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud
 from torchjoint.scene.checks import is_double
@@ -221,7 +222,7 @@ def _local(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
     if viewpoint is not None:
         viewpoint = (viewpoint.double() - frame.origin).float()
         if of_given is not None and viewpoint.ndim == 2:
-            viewpoint = viewpoint[first_of_each(of_given)]
+            viewpoint = viewpoint[first_places(of_given)]
     return replace(cloud, viewpoint=viewpoint), of_given
 
 

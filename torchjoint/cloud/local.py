@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from torchjoint.runtime.first_places import first_places
 from torchjoint.runtime.threads import num_threads, parallel_map
 from torchjoint.scene import Cloud
 
@@ -137,7 +138,7 @@ def merged_points(cloud: Cloud, of_point: Tensor, count: int) -> Cloud:
     points, colors, normals = mean(cloud.points), mean(cloud.colors), mean(cloud.normals)
     assert points is not None
     if normals is not None:
-        own = cloud.normals[first_of_each(of_point)].double()  # type: ignore[index]
+        own = cloud.normals[first_places(of_point)].double()  # type: ignore[index]
         opposite = normals.square().sum(1, keepdim=True) < 1e-6  # the mean of opposite normals has no direction
         equal = (normals == own).all(1, keepdim=True)  # keep them bit by bit
         normals = torch.where(opposite | equal, own, normalize(normals, dim=1))
@@ -160,12 +161,6 @@ def points_within(points: Tensor, side: float) -> Tensor:
     return torch.arange(len(points)) if cell is None else cell
 
 
-def first_of_each(of_point: Tensor) -> Tensor:
-    """The first point [M] int64 of each of M groups; `of_point` [N] int64 is the group of each point."""
-    none = torch.full((int(of_point.max()) + 1,), len(of_point))
-    return none.scatter_reduce(0, of_point, torch.arange(len(of_point)), "amin")
-
-
 def without_copies(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
     """The cloud without copies, and its point for each given point, [N] int64; None: all points differ."""
     found = distinct_points(cloud.points)
@@ -173,7 +168,7 @@ def without_copies(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
         return cloud, None
     merged = merged_points(cloud, found, int(found.max()) + 1)
     # The mean of equal float64 coordinates may be another number.
-    return replace(merged, points=cloud.points[first_of_each(found)]), found
+    return replace(merged, points=cloud.points[first_places(found)]), found
 
 
 def _lower_median(values: Tensor) -> float:

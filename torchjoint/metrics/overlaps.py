@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.metrics.labels import checked_pair
+from torchjoint.runtime.first_places import numbers_by_first_place
 from torchjoint.runtime.threads import on_cpu
 
 
@@ -85,8 +86,5 @@ def _by_first_appearance(labels: Tensor) -> tuple[Tensor, int]:
         size = len(values)
     else:
         labels = labels + 1
-    position = torch.arange(len(labels))
-    first = torch.full((size,), len(labels)).scatter_reduce(0, labels, position, "amin")
-    number = torch.empty_like(first)
-    number[first.argsort()] = torch.arange(size)  # labels that do not occur come last
-    return number[labels], int((first < len(labels)).sum())
+    number = numbers_by_first_place(labels, size)[labels]
+    return number, int(number.max()) + 1

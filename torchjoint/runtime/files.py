@@ -22,7 +22,7 @@ def file_name(name: str, *, is_free: bool = True) -> str:
 
     Example:
         >>> file_name("frame 1"), file_name("../victim")
-        ('frame 1', '_victim-9bdbb2e21cc3')
+        ('frame 1', '_victim-18d36a5a94d8')
     """
     raw = name.encode("utf-8", "surrogatepass")
     is_text = raw == name.encode("utf-8", "ignore")

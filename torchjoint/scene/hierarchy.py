@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.runtime.first_places import numbers_by_first_place
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene.votes import Votes
 
@@ -140,11 +141,9 @@ class Hierarchy:
             ValueError: a piece does not occur.
         """
         piece = self.piece[of_point]
-        first = torch.full((self.num_pieces,), len(piece)).scatter_reduce_(0, piece, torch.arange(len(piece)), "amin")
-        if (first == len(piece)).any():
+        if (torch.bincount(piece, minlength=self.num_pieces) == 0).any():
             raise ValueError(f"of_point: expected points of all {self.num_pieces} pieces")
-        number = torch.empty_like(first)
-        number[torch.argsort(first)] = torch.arange(self.num_pieces)
+        number = numbers_by_first_place(piece, self.num_pieces)
         votes = None if self.votes is None else self.votes.renumbered(number)
         return replace(self, piece=number[piece], merges=number[self.merges], votes=votes), number
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
 from torchjoint.cloud.prepared import PreparedCloud
+from torchjoint.runtime.first_places import numbers_by_first_place
 from torchjoint.scene import Hierarchy
 from torchjoint.segments.method import Method
 from torchjoint.views.state import JointState
@@ -32,17 +32,9 @@ def label_points(method: Method, cloud: PreparedCloud, state: JointState) -> Poi
     """Segments the points by the evidence of all frames so far."""
     found, of_point = method.segment(cloud.graph, state), cloud.of_point
     of_graph = found if isinstance(found, Tensor) else found.at()
-    number = _by_first_appearance(of_graph[of_point], int(of_graph.max()) + 1)
+    number = numbers_by_first_place(of_graph[of_point], int(of_graph.max()) + 1)
     given = number[of_graph][of_point]
     if isinstance(found, Tensor):
         return PointLabels(given, of_graph, number, None, None, None)
     hierarchy, piece_number = found.transferred(of_point)
     return PointLabels(given, of_graph, number, hierarchy, found, piece_number)
-
-
-def _by_first_appearance(labels: Tensor, count: int) -> Tensor:
-    """The new number of each label 0 ... `count` - 1, all of which occur in [N] int64: [count] int64."""
-    first = torch.full((count,), len(labels)).scatter_reduce_(0, labels, torch.arange(len(labels)), "amin")
-    number = torch.empty_like(first)
-    number[torch.argsort(first)] = torch.arange(count)
-    return number

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.runtime.first_places import first_places
 from torchjoint.scene import Hierarchy
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.mask_merging import MaskLinkage
@@ -119,7 +120,7 @@ def _merge_in_steps(
         num_regions = int(region.max()) + 1
         of_piece = pieces.regions_of_pieces(region)
         ends, crossing = crossing_edges(pairs, of_edge)
-        cost = judge(index, values, _first_pieces(of_piece)[pairs[0]]).float().index_select(0, crossing)
+        cost = judge(index, values, first_places(of_piece)[pairs[0]]).float().index_select(0, crossing)
         if linkage is not None and far:
             ends, cost = _with_far_pairs(ends, cost, pairs, linkage.far_pairs(of_piece), num_regions)
         if linkage is None:
@@ -157,12 +158,6 @@ def _with_far_pairs(
     return torch.cat([ends, far], 1), torch.cat([cost, torch.ones(far.shape[1], dtype=torch.float32)])
 
 
-def _first_pieces(of_piece: Tensor) -> Tensor:
-    """The lowest piece of each region: [P] int64, of which the first R count; `of_piece` [P] int64 is the region."""
-    num_pieces = len(of_piece)
-    return torch.full((num_pieces,), num_pieces).scatter_reduce_(0, of_piece, torch.arange(num_pieces), "amin")
-
-
 class Merges:
     """The merges of all rounds. A merge is never lower than the merges inside it."""
 
@@ -186,7 +181,7 @@ class Merges:
         """
         if threshold > self._ceiling:
             self._below, self._ceiling = self._ceiling, threshold
-        pieces = _first_pieces(of_piece)[joined]
+        pieces = first_places(of_piece)[joined]
         self._pairs.append(pieces.t())
         heights = mean.clamp(min=self._below + HEIGHT_STEP).clamp(max=self._ceiling)
         for a, b, height in zip(*pieces.tolist(), heights.tolist(), strict=True):

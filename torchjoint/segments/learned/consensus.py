@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.ops.mask_merges import WEIGHT_UNIT, mask_merges
+from torchjoint.runtime.first_places import numbers_by_first_place
 from torchjoint.runtime.sorted_groups import members_of_groups
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
@@ -168,8 +169,7 @@ def _together(segments: Sequence[Tensor]) -> Tensor:
     cell = segments[0]
     for other in segments[1:]:
         _, cell = torch.unique(cell * (int(other.max()) + 1) + other, return_inverse=True)
-    first = torch.full_like(cell, len(cell)).scatter_reduce_(0, cell, torch.arange(len(cell)), "amin")[cell]
-    return torch.unique(first, return_inverse=True)[1]
+    return numbers_by_first_place(cell, int(cell.max()) + 1)[cell]
 
 
 def vote(

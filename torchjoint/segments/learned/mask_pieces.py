@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.ops.mask_merges import mask_merges
+from torchjoint.runtime.first_places import first_places
 from torchjoint.segments.learned.mask_counts import MaskCounts, masks_of_pieces
 from torchjoint.segments.learned.mask_merging import APART_WEIGHT, shares_against
 from torchjoint.views.observation import Observation
@@ -47,12 +48,12 @@ def cut_by_masks(piece: Tensor, edge_index: Tensor, observations: Sequence[Obser
     masks = masks_of_pieces(piece, observations)
     if masks is None:
         return piece
-    num_pieces, number = int(piece.max()) + 1, torch.arange(len(piece))
+    num_pieces = int(piece.max()) + 1
     is_mixed = shares_against(masks, masks.in_mask, masks.in_frame, num_pieces) > MIXED
     single = is_mixed[piece]
     # The points of mixed pieces are regions of their own; each other piece is one region, named by its first point.
-    first = torch.full((num_pieces,), len(piece)).scatter_reduce_(0, piece, number, "amin")
-    region = torch.unique(torch.where(single, number, first[piece]), return_inverse=True)[1]
+    first = first_places(piece, num_pieces)[piece]
+    region = torch.unique(torch.where(single, torch.arange(len(piece)), first), return_inverse=True)[1]
     i, j = edge_index
     ends = region[edge_index[:, single[i] & (piece[i] == piece[j])]]
     counts = _frames_that_see_most(masks.in_frame, num_pieces, len(observations))
