@@ -236,7 +236,7 @@ def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
     """After making room the run goes on where it was, also at the default interval, with the same result."""
     again = tmp_path / "out"
 
-    def full(*_):
+    def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("torchjoint.recordings.segment.write_result", full)

@@ -11,9 +11,11 @@ from torchjoint.results.inputs import CAMERAS, read_inputs
 from torchjoint.results.manifest import open_manifest, unchecked
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.result import Result
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
 
 
+@on_cpu()
 def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) -> Result:
     """Reads a folder that ``torchjoint segment`` wrote: labels, all levels, the cloud, cameras and parameters.
 
