@@ -263,14 +263,14 @@ def test_the_table_by_hand():
     columns, _, clean, grey, twice = (cells(line) for line in report(results).splitlines()[-5:])
     assert columns == ["disturbance", "room", "walk", "mean", "mean - clean"]
     assert clean == [
-        "nothing", "0.600 ± 0.000 / 0.500 ± 0.000, 0.800 ± 0.000", "0.900 ± 0.141", "0.600 / 0.500, 0.850", ""
+        "nothing", ".60 / .50, .80", ".90", "0.600 ± 0.000 / 0.500 ± 0.000, 0.850 ± 0.071", ""
     ]  # fmt: skip
     assert grey == [
-        "grey", "0.150 ± 0.050 / 0.500 ± 0.000, 0.500 ± 0.000", "–", "0.150 / 0.500, 0.500",
+        "grey", ".15 / .50, .50", "–", "0.150 ± 0.050 / 0.500 ± 0.000, 0.500 ± 0.000",
         "**-0.450 ± 0.029** / +0.000 ± 0.000, **-0.300 ± 0.000**",
     ]  # fmt: skip
     # Errors of three and two runs: the root of 0.1² / 3 + 0.02 / 2.
-    assert twice == ["each point twice, with noise", "–", "0.800 ± 0.100", "0.800", "-0.100 ± 0.115"]
+    assert twice == ["each point twice, with noise", "–", ".80", "0.800 ± 0.100", "-0.100 ± 0.115"]
 
 
 @pytest.fixture

@@ -159,7 +159,7 @@ class Spread(NamedTuple):
         return self.deviation**2 / self.runs
 
     def __str__(self) -> str:
-        return f"{self.mean:.3f}" if math.isnan(self.deviation) else f"{self.mean:.3f} ± {self.deviation:.3f}"
+        return f"{self.mean:.2f}".removeprefix("0")
 
 
 Table = Mapping[tuple[str, str], Mapping[str, Spread]]  # kind, disturbance -> measure
@@ -191,9 +191,9 @@ def report(results: Mapping[Run, Record]) -> str:
     runs, scenes = (len({getattr(run, name) for run in results}) for name in ("number", "scene"))
     return (
         f"{scenes} scenes, {runs} runs each, whose points moved by {NOISE * 1000:g} mm. F / best IoU against the "
-        "truth, covering with the first clean run; ± is the deviation of single runs. The last columns are over "
-        "the kinds that have what is disturbed; differences to the clean runs of the same kinds have their "
-        "standard errors, bold where they are more than twice that.\n\n"
+        "truth, covering with the first clean run. The last columns are over the kinds that have what is disturbed: the "
+        "mean ± the deviation of single runs of one kind; the difference to the clean runs of the same kinds with its "
+        "standard error, bold where it is more than twice that.\n\n"
         + markdown(["disturbance", *kinds, "mean", "mean - clean"], rows)
     )
 
@@ -214,7 +214,8 @@ def _means(table: Table, kinds: Sequence[str], disturbance: str) -> tuple[str, s
         both = [[table.get((kind, which), {}).get(name) for which in (disturbance, CLEAN)] for kind in kinds]
         pairs = [(own, clean) for own, clean in both if own is not None and clean is not None]
         if pairs:
-            means[name] = f"{fmean(own.mean for own, _ in pairs):.3f}"
+            mean, deviation = fmean(own.mean for own, _ in pairs), fmean(own.deviation for own, _ in pairs)
+            means[name] = f"{mean:.3f}" if math.isnan(deviation) else f"{mean:.3f} ± {deviation:.3f}"
             differences[name] = _difference(pairs)
     return _joined(means), "" if disturbance == CLEAN else _joined(differences)
 
