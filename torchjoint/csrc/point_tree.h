@@ -38,8 +38,8 @@ class PointTree {
   };
 
   PointTree(const Value* points, int64_t num_points)
-      : num_points_(num_points), num_leaves_((num_points + kLeafSize - 1) / kLeafSize),
-        leaves_(num_leaves_), low_{Array<Value>(num_leaves_), Array<Value>(num_leaves_), Array<Value>(num_leaves_)},
+      : num_points_(num_points), num_leaves_((num_points + kLeafSize - 1) / kLeafSize), leaves_(num_leaves_),
+        low_{Array<Value>(num_leaves_), Array<Value>(num_leaves_), Array<Value>(num_leaves_)},
         high_{Array<Value>(num_leaves_), Array<Value>(num_leaves_), Array<Value>(num_leaves_)},
         boxes_(std::max<int64_t>(2 * num_leaves_ - 1, 0)), middles_(std::max<int64_t>(2 * num_leaves_ - 1, 0)) {
     if (num_points == 0) return;

@@ -192,8 +192,8 @@ def report(results: Mapping[Run, Record]) -> str:
     return (
         f"{scenes} scenes, {runs} runs each, whose points moved by {NOISE * 1000:g} mm. F / best IoU against the "
         "truth, covering with the first clean run. The last columns are over the kinds that have what is disturbed: "
-        "the mean ± the deviation of single runs of one kind; the difference to the clean runs of the same kinds with its "
-        "standard error, bold where it is more than twice that.\n\n"
+        "the mean ± the deviation of single runs of one kind; the difference to the clean runs of the same kinds with "
+        "its standard error, bold where it is more than twice that.\n\n"
         + markdown(["disturbance", *kinds, "mean", "mean - clean"], rows)
     )
 
