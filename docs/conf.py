@@ -10,8 +10,10 @@ from torchjoint import __version__
 
 project = "torchjoint"
 author = "the torchjoint authors"
+copyright = f"2026, {author}"
 release = version = __version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx.ext.viewcode"]
+extensions.append("sphinx_copybutton")
 root_doc = "docs/index"
 include_patterns = [
     "docs/*.md",

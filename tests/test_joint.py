@@ -438,13 +438,22 @@ class TestPoseCheck:
         assert len(messages) == 1
         assert "the poses look inverted" in messages[0]
 
-    def test_wrong_axes(self, synthetic):
+    @pytest.mark.parametrize("with_depth", [True, False])
+    @pytest.mark.parametrize("is_inverse", [True, False])
+    def test_wrong_axes(self, synthetic, is_inverse, with_depth):
         opengl = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
-        messages = self.warnings_of(
-            self.changed(synthetic, lambda f: dataclasses.replace(f, world_to_camera=opengl @ f.world_to_camera))
-        )
-        assert messages
-        assert "look inverted" not in messages[0]
+
+        def turn(frame):
+            pose = opengl @ frame.world_to_camera
+            depth = frame.depth if with_depth else None
+            return dataclasses.replace(
+                frame, world_to_camera=torch.linalg.inv(pose) if is_inverse else pose, depth=depth
+            )
+
+        messages = self.warnings_of(self.changed(synthetic, turn))
+        assert len(messages) == 1
+        what = "to be camera-to-world in OpenGL axes" if is_inverse else "to be in OpenGL axes"
+        assert f"the poses look {what}" in messages[0]
 
     def test_a_shifted_pose(self, synthetic):
         def shift(frame):

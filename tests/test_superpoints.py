@@ -250,7 +250,7 @@ ERRORS = [
     ({"points": POINTS / 0}, ValueError, "points: expected finite values"),
     ({"points": POINTS + 1e13}, ValueError, "points: expected coordinates up to 1e+12 m, got 1e+13 m"),
     ({"colors": POINTS[:5]}, ValueError, "colors: expected shape [30, 3], got [5, 3]"),
-    ({"colors": POINTS * 255}, ValueError, "colors: expected values in [0, 1] (or uint8)"),
+    ({"colors": POINTS - 1}, ValueError, "colors: expected values in [0, 1] (or uint8)"),
     ({"color_weight": 1.0}, ValueError, "colors: color_weight > 0 needs the colours of the points, got None"),
     ({"normals": NAN}, ValueError, "normals: expected finite values"),
     ({"normals": 0 * POINTS}, ValueError, "normals: expected unit vectors, got 30 of length 0"),

@@ -231,6 +231,18 @@ def test_an_error_that_is_no_one_s_fault_is_one_line(recording, run, tmp_path, m
     assert list(tmp_path.iterdir()) == []
 
 
+def test_poses_that_look_wrong_end_a_run(scene_of, run, tmp_path):
+    folder = write_folder(tmp_path / "recording", scene_of(3))
+    for file in folder.glob("*.pose.txt"):
+        np.savetxt(file, np.linalg.inv(np.loadtxt(file)))
+    with pytest.raises(SystemExit, match=r"the poses look inverted: .*; --ignore-poses segments it all the same"):
+        run("segment", folder, "-o", tmp_path / "out", *SMALL)
+    assert not (tmp_path / "out").exists()
+    with pytest.warns(tj.PoseWarning, match="the poses look inverted"):
+        run("segment", folder, "-o", tmp_path / "out", "--ignore-poses", *SMALL)
+    assert (tmp_path / "out" / "points.npz").is_file()
+
+
 @pytest.mark.slow
 def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
     """After making room the run goes on where it was, also at the default interval, with the same result."""

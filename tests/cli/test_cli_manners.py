@@ -1,5 +1,6 @@
 """Small things a person meets: versions, presets, pipes, interrupts, types."""
 
+import dataclasses
 import subprocess
 import sys
 
@@ -10,7 +11,10 @@ from folder_files import write_folder
 
 import torchjoint as tj
 from torchjoint.config import presets
+from torchjoint.datasets.formats import FORMATS
+from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.results.crops import Crop
+from torchjoint.results.output_folder import output_folder
 
 PROGRAM = "import sys; from torchjoint.cli import main; sys.argv = ['torchjoint', *sys.argv[1:]]; main()"
 
@@ -109,3 +113,60 @@ def test_python_m_torchjoint_is_the_command() -> None:
     command = [sys.executable, "-m", "torchjoint", "--version"]
     printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert printed == f"torchjoint {tj.__version__}\n"
+
+
+def test_a_misspelt_command_is_guessed(run, capsys):
+    with pytest.raises(SystemExit):
+        run("segmnt", "recording")
+    assert "no command 'segmnt'; did you mean 'segment'?" in capsys.readouterr().err
+
+
+def test_formats_are_listed(run, capsys):
+    run("formats")
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.split()[:2] == ["tum", "rgb.txt"] for line in lines)
+    assert len(lines) == len(FORMATS)
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
+    """Root may write everywhere, so the system's answer is replaced."""
+    monkeypatch.setattr("torchjoint.results.output_folder.os.access", lambda path, mode: False)
+    message = rf"{tmp_path}/out: the folder {tmp_path} cannot be written"
+    with pytest.raises(PermissionError, match=message), output_folder(tmp_path / "out", "a test"):
+        pass
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".txt", ".xyz"])
+def test_more_columns_than_colours(tmp_path, suffix):
+    """As in `room_xyzrgbl.npy`: the label is left out with a word, the colours stay; normals are no colours."""
+    rng = np.random.default_rng(0)
+    rows = np.concatenate([rng.random((50, 3)), rng.integers(0, 256, (50, 3)), np.full((50, 1), 7)], 1)
+    path = tmp_path / f"room{suffix}"
+
+    def load(rows):
+        np.save(path, rows) if suffix == ".npy" else np.savetxt(path, rows)
+        return tj.load_scene(path)
+
+    with pytest.warns(UserWarning, match="of 7 columns, the first 6 are read, x y z and colours; the rest is left out"):
+        scene = load(rows)
+    assert np.allclose(scene.colors.numpy(), rows[:, 3:6] / 255, atol=1e-6)
+    rows[:, 3:6] = -0.5
+    with pytest.warns(UserWarning, match="of 7 columns, the first 3 are read, x y z; the rest is left out"):
+        assert load(rows).colors is None
+
+
+def test_floating_colours_of_0_to_255_are_taken():
+    points, colors = torch.rand(60, 3), torch.randint(0, 256, (60, 3)).float()
+    with pytest.warns(UserWarning, match="colors: got values up to .*; taken as 0 to 255, and divided by 255"):
+        scene = tj.Scene(points, colors=colors)
+    assert torch.allclose(scene.colors, colors / 255)
+
+
+@pytest.mark.parametrize(
+    ("scale", "message"),
+    [(1000, "got a median of 2000 .* probably millimetres"), (1e-3, "got a median of 0.002 .* probably metres where")],
+)
+def test_depth_in_another_unit(scene_of, scale, message):
+    frames = [dataclasses.replace(f, depth=torch.full(f.size, 2.0 * scale)) for f in scene_of(3).scene.frames[:2]]
+    with pytest.raises(ValueError, match=message):
+        fuse_cloud(frames)

@@ -240,14 +240,20 @@ def test_no_such_scene(tmp_path):
         tj.load_scene(tmp_path / "nowhere")
 
 
-@pytest.mark.parametrize("kind", ["empty folder", "file"])
-def test_an_unknown_format_says_what_was_looked_for(tmp_path, kind):
-    path = tmp_path / "thing"
-    path.mkdir() if kind == "empty folder" else path.write_text("x")
+def test_an_unknown_format_says_what_is_missing(tmp_path):
+    (tmp_path / "empty").mkdir()
     with pytest.raises(
-        ValueError, match=r"is of no known format\. Looked for: folder: camera-intrinsics\.txt and frame"
+        ValueError, match=r"it has no files\. The most similar one needs camera-intrinsics\.txt and frame"
     ):
-        tj.load_scene(path)
+        tj.load_scene(tmp_path / "empty")
+    (tmp_path / "thing.mp4").write_text("x")
+    with pytest.raises(ValueError, match=r"it is a file that ends in '\.mp4'\. .*`torchjoint formats` lists all"):
+        tj.load_scene(tmp_path / "thing.mp4")
+    (tmp_path / "tum" / "rgb").mkdir(parents=True)
+    for name in ("rgb.txt", "poses.txt"):
+        (tmp_path / "tum" / name).write_text("x")
+    with pytest.raises(ValueError, match=r"it has 2 \.txt, 1 folders\. The most similar one needs rgb\.txt and ground"):
+        tj.load_scene(tmp_path / "tum")
 
 
 def test_clouds_keep_labels_for_other_tools(tmp_path):

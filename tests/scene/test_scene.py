@@ -79,7 +79,7 @@ def test_bad_frames(change, error, message):
             r"points: expected coordinates up to 1e\+12 m, got 5\.4e\+13 m",
         ),
         (
-            {"points": torch.zeros(5, 3), "colors": torch.ones(5, 3) * 255},
+            {"points": torch.zeros(5, 3), "colors": torch.ones(5, 3) * 300},
             ValueError,
             r"colors: expected values in \[0",
         ),

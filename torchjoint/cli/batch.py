@@ -31,6 +31,7 @@ def batch(
     thin: float | None = None,
     merge_within: float = 0.0,
     granularity: float | None = None,
+    ignore_poses: bool = False,
 ) -> None:
     """Segments any number of recordings over many workers; each gets a result folder OUT/NAME.
 
@@ -53,10 +54,11 @@ def batch(
         in_view: leave out the points that no frame has in its view.
         thin: keep one point per voxel of this size, metres.
         merge_within: metres; all points in a cube with this side are treated as one point and get the same label.
+        ignore_poses: go on if the poses look wrong; else this is an error.
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5.
     """
     options = RecordingOptions(
-        voxel_size, max_frames, in_view, thin, merge_within, granularity, read_topics(topics), time_limit
+        voxel_size, max_frames, in_view, thin, merge_within, granularity, read_topics(topics), time_limit, ignore_poses
     )
     with printed_log():
         report = run_batch(
@@ -67,7 +69,7 @@ def batch(
             config=parameters.config(),
             options=options,
             overwrite=overwrite,
-            progress=True,
+            progress=sys.stderr.isatty(),
             allow_import=True,
         )
     _print(report)

@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Mapping
 from concurrent.futures import BrokenExecutor
+from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import version
 from typing import NamedTuple, NoReturn
@@ -40,6 +41,9 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
     chosen = names.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
     for name, command in commands.items():
         chosen.add_parser(name, help=command.help, add_help=False)
+    for word in sys.argv[1:2]:
+        if word not in commands and (similar := get_close_matches(word, commands, 1)):
+            names.error(f"no command {word!r}; did you mean {similar[0]!r}?")
     try:
         command, arguments = names.parse_known_args(sys.argv[1:2])[0].command, sys.argv[2:]
         module, _, function = commands[command].function.partition(":")

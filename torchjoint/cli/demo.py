@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from torchjoint import metrics
@@ -32,7 +33,7 @@ def demo(
         assert partial is not None  # it is None only if a key is given
         with printed_log():
             segmenter = JointSegmenter(config, allow_import=True)
-            result = segmenter(synthetic.scene, progress=True, on_frames=view)
+            result = segmenter(synthetic.scene, progress=sys.stderr.isatty(), on_frames=view)
         write_result(partial, synthetic.scene, result, config, SOURCE)
     summarize(result, out)
     in_3d = metrics.objects_and_parts(result.points, synthetic.point_labels)

@@ -12,6 +12,7 @@ COMMANDS = {
     "evaluate": Command("torchjoint.cli.evaluate:evaluate", "scores results against ground truth"),
     "show": Command("torchjoint.cli.show:show", "shows a result in the browser"),
     "export": Command("torchjoint.cli.export:export", "writes a result in the format of another tool"),
+    "formats": Command("torchjoint.cli.formats:formats", "lists the formats of recordings that can be read"),
     "parameters": Command("torchjoint.cli.parameters:parameters", "prints the parameters as tables"),
 }
 

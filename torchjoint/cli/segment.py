@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Literal
@@ -29,6 +30,7 @@ def segment(
     thin: float | None = None,
     merge_within: float = 0.0,
     granularity: float | None = None,
+    ignore_poses: bool = False,
     masks: Path | None = None,
     without_masks: Literal["segment", "leave-out"] = "segment",
     memory: str | None = None,
@@ -54,6 +56,7 @@ def segment(
         thin: keep one point per voxel of this size, metres; for clouds that are denser than their noise, or too large.
         merge_within: metres; all points in a cube with this side are treated as one point and get the same label.
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
+        ignore_poses: go on if the poses look wrong; else this is an error.
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5. All levels are always saved. Only
             point_segments.method learned has levels; auto chooses it unless the cloud is a scan.
         masks: masks of a network: a folder with NAME.png (labels, 0 = none), NAME.npz, NAME.json (SAM) or a folder NAME
@@ -69,7 +72,7 @@ def segment(
     """
     config = parameters.config()
     options = RecordingOptions(
-        voxel_size, max_frames, in_view, thin, merge_within, granularity, read_topics(topics), time_limit
+        voxel_size, max_frames, in_view, thin, merge_within, granularity, read_topics(topics), time_limit, ignore_poses
     )
     view = live_view(show)
     with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:
@@ -83,7 +86,7 @@ def segment(
             overwrite=overwrite,
             memory=memory,
             engine=workers,
-            progress=True,
+            progress=sys.stderr.isatty(),
             on_frames=view,
             allow_import=True,
         )

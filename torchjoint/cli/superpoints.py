@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -70,7 +71,7 @@ def superpoints(
             preset=config,
             engine=engine or "loky",
             overwrite=overwrite,
-            progress=True,
+            progress=sys.stderr.isatty(),
         )
         tiles = "1 tile" if made.num_tiles == 1 else f"{made.num_tiles} tiles"
         print(f"{made.num_points} points in {made.num_superpoints} superpoints, {tiles}: {out}")

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
-from torchjoint.datasets.formats import FORMATS
+from torchjoint.datasets.formats import FORMATS, Format
 from torchjoint.datasets.recording import Options
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
@@ -41,7 +42,7 @@ def load_scene(
         The scene; `scene.truth` holds the ground-truth instances, if the data set has any.
 
     Raises:
-        FileNotFoundError, ValueError: the message names the file; if no format fits, it lists the expected files.
+        FileNotFoundError, ValueError: the message names the file; if no format fits, what the most similar one needs.
     """
     path = Path(path)
     if not path.exists():
@@ -61,15 +62,17 @@ def list_scenes(path: str | Path) -> dict[str, Path]:
 
     Raises:
         FileNotFoundError: there is no such path.
-        ValueError: there is no scene; the message lists the files of each format.
+        ValueError: there is no scene; the message says what is there, and what the most similar format needs.
     """
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"scenes: {path} does not exist")
     found = _find_scenes(path)
     if not found:
-        looked_for = "; ".join(f"{name}: {module.WHAT}" for name, module in FORMATS.items())
-        raise ValueError(f"scene: {path} is of no known format. Looked for: {looked_for}")
+        raise ValueError(
+            f"scene: {path} is of no known format: it {_content(path)}. The most similar one needs {_nearest(path)}. "
+            "`torchjoint formats` lists all"
+        )
     return found
 
 
@@ -82,3 +85,22 @@ def _find_scenes(path: Path) -> dict[str, Path]:
             return found
     folders = sorted(one for one in path.iterdir() if one.is_dir()) if path.is_dir() else []
     return {one.name: one for one in folders if any(module.recognizes(one) for module in FORMATS.values())}
+
+
+def _content(path: Path) -> str:
+    """What a folder or file of no known format has, in a few words."""
+    if path.is_file():
+        return f"is a file that ends in {path.suffix!r}"
+    kinds = Counter("folders" if one.is_dir() else one.suffix or "files without suffix" for one in path.iterdir())
+    return f"has {', '.join(f'{count} {kind}' for kind, count in kinds.most_common(6)) or 'no files'}"
+
+
+def _nearest(path: Path) -> str:
+    """What the format needs that mentions most of the names in a folder, or most of their suffixes."""
+    present = list(path.iterdir()) if path.is_dir() else [path]
+    names, suffixes = {one.name for one in present}, {one.suffix.lower() for one in present} - {""}
+
+    def likeness(module: Format) -> tuple[int, int]:
+        return sum(name in module.WHAT for name in names), sum(suffix in module.WHAT for suffix in suffixes)
+
+    return max(FORMATS.values(), key=likeness).WHAT

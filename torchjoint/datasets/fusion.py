@@ -17,6 +17,9 @@ from torchjoint.scene.camera import camera_center
 #: Depth beyond this, metres, is ignored: a depth camera's error grows with the square of the distance.
 FAR = 5.0
 
+#: A median depth below this, metres, is no picture of a scene.
+NEAR = 0.05
+
 #: The volume's origin is at a multiple of this many voxels.
 GRID = 1 << 14
 
@@ -89,7 +92,7 @@ def fuse_cloud(
     cloud = volume.extract_point_cloud()
     points, colors = np.asarray(cloud.points).astype(np.float32), np.asarray(cloud.colors).astype(np.float32)
     if len(points) == 0:
-        raise ValueError(f"depth: the {fused} depth images give no surface; expected metres, mostly below {FAR}")
+        raise ValueError(f"depth: the {fused} depth images give no surface; {_likely_unit(frames)}")
     order = np.lexsort(points.T)
     sorted_points = torch.from_numpy(points[order])
     return (
@@ -97,6 +100,21 @@ def fuse_cloud(
         # A cloud's file has 8 bits per colour: a cloud that is read back must be the same.
         (torch.from_numpy(colors[order]).clamp(0, 1) * 255).round().double().div(255).float(),
     )
+
+
+def _likely_unit(frames: Sequence[Frame]) -> str:
+    """What the values of the first depth image say about their unit."""
+    depth = next(frame.depth for frame in frames if frame.depth is not None)
+    measured = depth[depth > 0]
+    if measured.numel() == 0:
+        return "the first one has no measured pixel"
+    median = float(measured.median())
+    reason = ""
+    if median > FAR:
+        reason = "; these are probably millimetres where metres are expected"
+    elif median < NEAR:
+        reason = "; these are probably metres where the format has millimetres"
+    return f"expected metres, mostly below {FAR:g}, got a median of {median:.4g} in the first one{reason}"
 
 
 def _origin(frames: Sequence[Frame], voxel_size: float) -> Tensor:

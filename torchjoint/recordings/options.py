@@ -24,6 +24,7 @@ class RecordingOptions:
         granularity: level of the labels, 0 (coarse) to 1 (fine); None: the default, 0.5.
         topics: for a ROS recording: pairs of a role and its topic, for roles that several topics fit.
         time_limit: for a ROS recording: largest time from an image to its depth image and its pose, seconds.
+        ignore_poses: go on if the poses look wrong; else this is an error.
     """
 
     voxel_size: float = 0.02
@@ -34,6 +35,7 @@ class RecordingOptions:
     granularity: float | None = None
     topics: tuple[tuple[str, str], ...] = ()
     time_limit: float = 0.02
+    ignore_poses: bool = False
 
     def check(self, config: Config) -> None:
         """Raises ValueError if an option is out of range, or does not fit the parameters."""

@@ -46,6 +46,7 @@ def _expanded(scene: str | Path, lists: tuple[Path, ...] = ()) -> list[Path]:
         return [found for line in _lines(path) for found in _expanded(path.parent / line, (*lists, own))]
     if not path.exists() and glob.has_magic(str(scene)):
         matches = [Path(match) for match in sorted(glob.glob(str(scene), recursive=True))]
+        matches = [match for match in matches if match.suffix.lower() not in LISTS]
         recordings = [found for match in matches for found in _scenes(match) if match.is_dir() or _is_scene(match)]
         if not recordings:
             raise ValueError(f"scenes: {scene} matches no recording")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -22,6 +25,7 @@ from torchjoint.runtime.files import write_text
 from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
+from torchjoint.views.pose_check import PoseDoubt, PoseWarning
 
 
 class Segmented(NamedTuple):
@@ -69,7 +73,8 @@ def segment_recording(
         the result; None if an earlier run was killed after its last file: its result is now in `out`.
 
     Raises:
-        ValueError, TypeError, OSError: an invalid option or file, which the message names; `out` exists or is in use.
+        ValueError, TypeError, OSError: an invalid option or file, which the message names; `out` exists or is in use;
+            the poses look wrong.
     """
     options.check(config)
     as_bytes(memory, "--memory")
@@ -103,17 +108,30 @@ def segment_recording(
             spill=partial / STATE,
             allow_import=allow_import,
         )
-        if engine is None:
-            result = segmenter(scene, progress=progress, checkpoint=checkpoint, on_frames=on_frames)
-        else:
-            result = segment_over(
-                engine, segmenter, scene, progress=progress, checkpoint=checkpoint, on_frames=on_frames
-            )
+        with nullcontext() if options.ignore_poses else _poses_must_fit():
+            if engine is None:
+                result = segmenter(scene, progress=progress, checkpoint=checkpoint, on_frames=on_frames)
+            else:
+                result = segment_over(
+                    engine, segmenter, scene, progress=progress, checkpoint=checkpoint, on_frames=on_frames
+                )
         if level is not None:
             result = result.at(level)
         level = 0.5 if level is None else level
         write_result(partial, scene, result, config, str(path), level, fingerprint=files)
     return Segmented(result, segmenter, scene)
+
+
+@contextmanager
+def _poses_must_fit() -> Iterator[None]:
+    """Poses that look wrong end the run: its labels would look right, and be wrong."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", PoseWarning)
+            warnings.simplefilter("default", PoseDoubt)
+            yield
+    except PoseWarning as warning:
+        raise ValueError(f"{warning}; --ignore-poses segments it all the same") from warning
 
 
 def _load(path: Path, partial: Path, options: RecordingOptions, progress: bool) -> Scene:

@@ -90,6 +90,7 @@ def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = Fa
     Raises:
         FileExistsError: `out` exists and `overwrite` is False; `out` is not a result; the path of the partial result is
             used by something else; or another run is writing to `out`.
+        PermissionError: nothing can be written there.
     """
     out = Path(os.path.abspath(out))
     if out.is_symlink() or (out.exists() and not out.is_dir()):
@@ -98,6 +99,8 @@ def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = Fa
     places = _Places.of(out)
     for path in places.own:
         no_link(path)
+    if not os.access(places.lock.parent, os.W_OK | os.X_OK):
+        raise PermissionError(f"{out}: the folder {places.lock.parent} cannot be written; choose another output")
     with lock(places.lock, f"{out}: another run is writing this result; wait for it, or choose another output"):
         finished = _finish_earlier(places, overwrite)
         if key and finished == key:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import torch
@@ -42,7 +43,7 @@ class Cloud:
         """
         points = as_points(points)
         if colors is not None:
-            colors = as_unit_range(colors, "colors")
+            colors = as_unit_range(_in_unit_range(colors), "colors")
             check_shape(colors, tuple(points.shape), "colors")
         return cls(points, colors, None if normals is None else _unit_normals(normals, points))
 
@@ -59,6 +60,16 @@ class Cloud:
         if self.colors is None or not (self.colors == self.colors[0]).all():
             return self
         return replace(self, colors=None)
+
+
+def _in_unit_range(colors: Tensor) -> Tensor:
+    """Floating colours of 0 to 255, divided by 255; any others as they are."""
+    if isinstance(colors, Tensor) and colors.is_floating_point() and colors.numel():
+        low, high = map(float, colors.aminmax())
+        if low >= 0 and 2 <= high <= 255:
+            warnings.warn(f"colors: got values up to {high:g}; taken as 0 to 255, and divided by 255", stacklevel=4)
+            return colors / 255
+    return colors
 
 
 def _unit_normals(normals: Tensor, points: Tensor) -> Tensor:

@@ -44,8 +44,20 @@ AGREEING_SHARE = 0.75
 CHANCE_SHARE, CHANCE_CORRELATION, LEAST_CONTRAST = 0.8, 0.6, 0.03
 
 
+#: What poses may be instead of world to camera in OpenCV's axes, in words.
+OTHERS = {
+    "inverted": "inverted: expected world_to_camera, but they fit better as camera-to-world",
+    "axes": "to be in OpenGL axes (y up, z backwards): expected OpenCV axes (y down, z forwards)",
+    "inverted axes": "to be camera-to-world in OpenGL axes: expected world_to_camera in OpenCV axes",
+}
+
+
 class PoseWarning(UserWarning):
     """The poses or intrinsics look wrong."""
+
+
+class PoseDoubt(PoseWarning):
+    """The same, of something that right poses or intrinsics can have, too: a cropped image, or few edges."""
 
 
 class Agreement(NamedTuple):
@@ -76,7 +88,7 @@ class _Look(NamedTuple):
     """The result of the comparison of one frame."""
 
     given: Agreement
-    inverted: Agreement
+    others: dict[str, Agreement]  #: with the poses read as in OTHERS
     off_center: float
     edges: Tensor | None
 
@@ -123,26 +135,30 @@ class PoseCheck:
         """
         if not self._looks:
             return None
-        given, inverted = (_combined([getattr(look, kind) for look in self._looks]) for kind in ("given", "inverted"))
-        found = _complaints(given, inverted, max(look.off_center for look in self._looks))
+        given = _combined([look.given for look in self._looks])
+        others = {kind: _combined([look.others[kind] for look in self._looks]) for kind in OTHERS}
+        found = _complaints(given, others, max(look.off_center for look in self._looks))
         with one_thread_per_operation():
             found |= _edge_complaints(combined([look.edges for look in self._looks if look.edges is not None]))
         for kind, message in found.items():
             if kind not in self._said:
                 self._said.add(kind)
-                warnings.warn(f"{self._name}: {message}", PoseWarning, stacklevel=4)
+                category = PoseDoubt if kind in ("edges", "off center") else PoseWarning
+                warnings.warn(f"{self._name}: {message}", category, stacklevel=4)
         return given
 
     def _look(self, frame: Frame) -> _Look:
-        poses = (frame.world_to_camera, torch.linalg.inv(frame.world_to_camera))
-        given, inverted = (
-            _agreement(self._cloud, self._spacing, frame, self._local.pose(pose), self._config) for pose in poses
+        pose, inverse = frame.world_to_camera, torch.linalg.inv(frame.world_to_camera)
+        turn = torch.tensor([1.0, -1, -1, 1], dtype=pose.dtype)[:, None]  # from OpenGL's axes to OpenCV's
+        given, *others = (
+            _agreement(self._cloud, self._spacing, frame, self._local.pose(one), self._config)
+            for one in (pose, inverse, turn * pose, turn * inverse)
         )
         edges = None
         if math.isnan(given.depth_residual) and math.isnan(given.color_residual):  # no other check finds small errors
             local = replace(frame, world_to_camera=self._local.pose(frame.world_to_camera))
             edges = edge_correlations(self._cloud, local, self._spacing, self._config)
-        return _Look(given, inverted, _off_center(frame), edges)
+        return _Look(given, dict(zip(OTHERS, others, strict=True)), _off_center(frame), edges)
 
 
 def frames_to_check(scene: Scene) -> dict[int, Frame]:
@@ -191,17 +207,32 @@ def _edge_complaints(alignment: EdgeAlignment | None) -> dict[str, str]:
     }
 
 
-def _complaints(given: Agreement, inverted: Agreement, off_center: float) -> dict[str, str]:
+def _fits_better(given: Agreement, other: Agreement, kind: str) -> bool:
+    # Comparisons with NaN are False, so a missing residual has no effect.
+    depth_says = other.depth_residual < 0.05 and not given.depth_residual < 0.05
+    color_says = other.color_residual < 0.7 * given.color_residual and not given.depth_residual < 0.05
+    # More points in view alone say nothing of the axes, because a scene may lie behind a camera, too.
+    is_likely = kind == "inverted" or other.color_correlation > CHANCE_CORRELATION
+    view_says = is_likely and given.in_view * 5 < other.in_view and not other.depth_residual > 0.1
+    return depth_says or color_says or view_says
+
+
+def _residuals(agreement: Agreement) -> tuple[float, float]:
+    """Of depth and colour; what is not known comes last."""
+    depth, color = (
+        math.inf if math.isnan(value) else value for value in (agreement.depth_residual, agreement.color_residual)
+    )
+    return depth, color
+
+
+def _complaints(given: Agreement, others: dict[str, Agreement], off_center: float) -> dict[str, str]:
     """The problems that were found: kind -> message."""
     complaints = {}
-    # Comparisons with NaN are False, so a missing residual has no effect.
-    depth_says = inverted.depth_residual < 0.05 and not given.depth_residual < 0.05
-    color_says = inverted.color_residual < 0.7 * given.color_residual and not given.depth_residual < 0.05
-    view_says = given.in_view * 5 < inverted.in_view and not inverted.depth_residual > 0.1
-    if depth_says or color_says or view_says:
-        complaints["inverted"] = (
-            "the poses look inverted: expected world_to_camera, but they fit better as camera-to-world "
-            f"(as given: {given}; if inverted: {inverted})"
+    better = [kind for kind, other in others.items() if _fits_better(given, other, kind)]
+    if better:
+        found = min(better, key=lambda kind: _residuals(others[kind]))
+        complaints["convention"] = (
+            f"the poses look {OTHERS[found]} (as given: {given}; read like this: {others[found]})"
         )
     elif given.in_view == 0:
         complaints["view"] = "no point of the cloud is in view of the checked frames: wrong poses, units or axes?"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,7 +43,8 @@ def read_cloud_file(path: Path, columns: int | None = None) -> CloudFile:
     * .ply, .pcd: positions; colours and normals, if any; the triangles of a .ply mesh;
     * .las, .laz (also COPC), .e57: positions, float64; colours, if any; all scans of an .e57, in its world frame;
     * .npz: array `points` and, if any, arrays `colors`, `normals`, `faces`;
-    * .npy, .xyz, .txt: one row per point, x y z first; six columns are x y z and colours (0-255, or 0-1);
+    * .npy, .xyz, .txt: one row per point, x y z first; columns 4 to 6 are colours, if all are in 0-255 (or 0-1), else
+      they are left out, as all after them are; a warning tells what is left out;
     * .pcd.bin: nuScenes' LiDAR scans, rows of 5 float32: x y z intensity ring;
     * other .bin: KITTI's LiDAR scans, rows of 4 float32: x y z reflectance.
 
@@ -131,7 +133,18 @@ def _from_rows(rows: npt.NDArray[Any]) -> CloudFile:
     if rows.shape[1] > max(MOST_COLUMNS, rows.shape[0]):
         raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}: transpose the array")
     values = torch.from_numpy(np.ascontiguousarray(rows)).to(torch.float64)
-    colors = values[:, 3:6].float() if rows.shape[1] == 6 else None
-    if colors is not None and colors.numel() and float(colors.max()) > 1:
-        colors = colors / 255
-    return CloudFile(values[:, :3], colors)
+    colors = values[:, 3:6] if rows.shape[1] >= 6 else None
+    if colors is not None and colors.numel() and not (float(colors.min()) >= 0 and float(colors.max()) <= 255):
+        colors = None  # normals, for example
+    used = 3 if colors is None else 6
+    if rows.shape[1] > used:
+        what = "x y z" if colors is None else "x y z and colours"
+        warnings.warn(
+            f"of {rows.shape[1]} columns, the first {used} are read, {what}; the rest is left out", stacklevel=2
+        )
+    return CloudFile(values[:, :3], None if colors is None else unit_colors(colors.float()))
+
+
+def unit_colors(colors: Tensor) -> Tensor:
+    """Colours of 0 to 255 as colours of 0 to 1; those that are in 0 to 1 already stay."""
+    return colors / 255 if colors.numel() and float(colors.max()) > 1 else colors

@@ -29,7 +29,7 @@ MAX_PIXELS = 64_000_000
 #: Folders with one of these files hold results, of one recording or of many. They are no part of a recording.
 RESULTS = frozenset({"run.yaml", "batch.yaml"})
 #: Suffixes of clouds that stand alone: no other file belongs to them.
-ALONE = (".ply", ".npy", ".npz", ".xyz", *las.SUFFIXES, ".e57")
+ALONE = (".ply", ".npy", ".npz", ".xyz", ".txt", *las.SUFFIXES, ".e57")
 
 
 def read_image(path: Path) -> Tensor:

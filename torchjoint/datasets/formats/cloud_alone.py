@@ -1,4 +1,4 @@
-"""Reads a point cloud alone, without images: .ply, .pcd, .npy, .npz, .xyz, .las, .laz, .e57, and .bin as of KITTI.
+"""Reads a point cloud alone, without images: .ply, .pcd, .npy, .npz, .xyz, .txt, .las, .laz, .e57, and KITTI's .bin.
 
 The scene has no frames: segmenting it is plain 3D segmentation. :mod:`torchjoint.datasets.files.clouds` says what the
 files hold.
@@ -12,8 +12,8 @@ from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
 
-WHAT = "a point cloud alone: .ply, .pcd, .npy, .npz, .xyz, .las, .laz, .e57, .bin"
-SUFFIXES = (".ply", ".pcd", ".npy", ".npz", ".xyz", ".las", ".laz", ".e57", ".bin")
+WHAT = "a point cloud alone: .ply, .pcd, .npy, .npz, .xyz, .txt, .las, .laz, .e57, .bin"
+SUFFIXES = (".ply", ".pcd", ".npy", ".npz", ".xyz", ".txt", ".las", ".laz", ".e57", ".bin")
 
 
 def recognizes(path: Path) -> bool:
