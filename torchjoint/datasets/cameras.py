@@ -1,4 +1,4 @@
-"""Converts cameras of other conventions: quaternions, OpenGL axes, resized images, lens distortion."""
+"""Converts cameras of other conventions: quaternions, OpenGL axes, resized images, distorting lenses."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.lenses import undistort, undistort_fisheye
 from torchjoint.scene import Frame
 from torchjoint.scene.checks import as_intrinsics
 
@@ -27,13 +28,15 @@ UNIT_TOLERANCE = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera with OpenCV's lens distortion.
+    """A camera with OpenCV's lens distortion.
 
     Args:
         intrinsics: [3, 3] float64, pixels; pixel centres have integer coordinates.
         size: (H, W) of the images for which the camera was calibrated; None: images of any size.
-        distortion: k1, k2, p1, p2; or also k3; or also k3, k4, k5, k6, as for ``cv2.undistort``; empty = none.
+        distortion: k1, k2, p1, p2; or also k3; or also k3, k4, k5, k6, as for ``cv2.undistort``; empty = none. Of a
+            fisheye: k1, k2, k3, k4, as for ``cv2.fisheye``.
         name: used in messages.
+        fisheye: the lens is a fisheye: without distortion, the radius in the image grows with the angle.
 
     Raises:
         ValueError: numbers that are not finite; a focal length or size that is not positive.
@@ -43,6 +46,7 @@ class Camera:
     size: tuple[int, int] | None = None
     distortion: tuple[float, ...] = ()
     name: str = "camera"
+    fisheye: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "intrinsics", as_intrinsics(self.intrinsics, f"intrinsics of {self.name}"))
@@ -71,7 +75,9 @@ class Camera:
         )
         if depth is not None:
             depth = resize_depth(depth, size, name)
-        if any(self.distortion):
+        if self.fisheye:
+            image, depth, intrinsics = undistort_fisheye(image, depth, intrinsics, self.distortion, self.name)
+        elif any(self.distortion):
             image, depth, intrinsics = undistort(image, depth, intrinsics, self.distortion, self.name)
         return Frame(image, intrinsics, world_to_camera, depth=depth, name=name)
 
@@ -108,63 +114,6 @@ def resize_depth(depth: Tensor, size: tuple[int, int], name: str = "") -> Tensor
         ((torch.arange(n) + 0.5) * (o / n)).long().clamp(max=o - 1) for n, o in zip(size, old, strict=True)
     )
     return depth[rows[:, None], columns]
-
-
-def undistort(
-    image: Tensor, depth: Tensor | None, intrinsics: Tensor, distortion: tuple[float, ...], name: str = "camera"
-) -> tuple[Tensor, Tensor | None, Tensor]:
-    """Undistorts image and depth; crops the view to pixels that the image covers, as nerfstudio and COLMAP do.
-
-    Args:
-        image: [3, H, W] uint8.
-        depth: [H, W] float32 metres, 0 = unknown; resampled by nearest neighbour.
-        intrinsics: [3, 3] of the distorted image, pixels.
-        distortion: as in :class:`Camera`.
-        name: used in messages.
-
-    Returns:
-        Image, depth and intrinsics, undistorted; the image size does not change.
-
-    Raises:
-        ValueError: the distortion model cannot be inverted in this image.
-    """
-    import cv2
-
-    size = (image.shape[2], image.shape[1])
-    before, coefficients = intrinsics.numpy(), np.array(distortion, dtype=np.float64)
-    try:
-        after = np.asarray(cv2.getOptimalNewCameraMatrix(before, coefficients, size, 0)[0], dtype=np.float64)
-        if not _can_be_undone(before, after, coefficients, size):
-            raise ValueError(
-                f"{name}: distortion {distortion} cannot be undone in images of {size[0]} x {size[1]} pixels"
-            )
-        columns, rows = cv2.initUndistortRectifyMap(before, coefficients, np.eye(3), after, size, cv2.CV_32FC1)
-        pixels = np.ascontiguousarray(image.permute(1, 2, 0).numpy())
-        straight = cv2.remap(pixels, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        straight_depth = (
-            None if depth is None else cv2.remap(depth.contiguous().numpy(), columns, rows, cv2.INTER_NEAREST)
-        )
-    except cv2.error as error:
-        raise ValueError(f"{name}: images of {size[0]} x {size[1]} pixels cannot be undistorted: {error}") from error
-    return (
-        torch.from_numpy(straight).permute(2, 0, 1),
-        None if straight_depth is None else torch.from_numpy(straight_depth),
-        torch.from_numpy(after),
-    )
-
-
-def _can_be_undone(before: Matrix, after: Matrix, coefficients: Matrix, size: tuple[int, int]) -> bool:
-    """Whether the distorted radius grows with the radius, up to the corners of the undistorted image."""
-    focal, center = np.diag(after)[:2], after[:2, 2]
-    zoom = focal / np.diag(before)[:2]
-    if not (np.isfinite(after).all() and (zoom > 0.25).all() and (zoom < 4).all()):
-        return False
-    corners = np.array([(x, y) for x in (0, size[0]) for y in (0, size[1])])
-    radius = np.linspace(0, np.linalg.norm((corners - center) / focal, axis=1).max(), 200)
-    k1, k2, _, _, k3, k4, k5, k6 = np.append(coefficients, np.zeros(8))[:8]
-    square = radius**2
-    above, below = (1 + square * (a + square * (b + square * c)) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
-    return bool((below > 0).all() and (np.diff(radius * above / below) > 0).all())
 
 
 def rotations_from_quaternions(quaternions: Matrix, name: str) -> Rotation:

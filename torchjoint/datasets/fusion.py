@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 
 import numpy as np
 import torch
@@ -50,7 +51,7 @@ def fuse_cloud(
         to a file and read back.
 
     Raises:
-        ModuleNotFoundError: Open3D is not installed.
+        ModuleNotFoundError: Open3D is not installed, or is a version that fuses nothing.
         ValueError: no frame has depth, or the depth gives no surface.
     """
     if not 1e-4 <= voxel_size <= 10:
@@ -58,6 +59,7 @@ def fuse_cloud(
     with needed_for("fusing a cloud from depth images", "Open3D", "torchjoint[open3d]"):
         from open3d import camera, geometry, pipelines
 
+    _finds_a_wall()
     origin = _origin(frames, voxel_size)
     volume = pipelines.integration.ScalableTSDFVolume(
         voxel_length=voxel_size,
@@ -100,6 +102,28 @@ def fuse_cloud(
         # A cloud's file has 8 bits per colour: a cloud that is read back must be the same.
         (torch.from_numpy(colors[order]).clamp(0, 1) * 255).round().double().div(255).float(),
     )
+
+
+@cache
+def _finds_a_wall() -> None:
+    """Fuses a flat wall, because Open3D 0.20.0 finds no surface in anything."""
+    import open3d
+
+    volume = open3d.pipelines.integration.ScalableTSDFVolume(
+        voxel_length=0.1, sdf_trunc=0.4, color_type=open3d.pipelines.integration.TSDFVolumeColorType.RGB8
+    )
+    image = open3d.geometry.RGBDImage.create_from_color_and_depth(
+        open3d.geometry.Image(np.zeros((32, 32, 3), np.uint8)),
+        open3d.geometry.Image(np.ones((32, 32), np.float32)),
+        depth_scale=1.0,
+        convert_rgb_to_intensity=False,
+    )
+    volume.integrate(image, open3d.camera.PinholeCameraIntrinsic(32, 32, 16.0, 16.0, 16.0, 16.0), np.eye(4))
+    if not len(volume.extract_point_cloud().points):
+        raise ModuleNotFoundError(
+            f"fusing a cloud from depth images needs another Open3D: {open3d.__version__} finds no surface even in a "
+            "flat wall; install 0.19 (Python 3.11 or 3.12), or give the recording a cloud.ply"
+        )
 
 
 def _likely_unit(frames: Sequence[Frame]) -> str:

@@ -35,6 +35,9 @@ _PARAMETERS = {
     "RADIAL": (1, 5),
     "OPENCV": (2, 8),
     "FULL_OPENCV": (2, 12),
+    "OPENCV_FISHEYE": (2, 8),
+    "SIMPLE_RADIAL_FISHEYE": (1, 4),
+    "RADIAL_FISHEYE": (1, 5),
 }
 
 
@@ -120,9 +123,10 @@ def _camera(model: str, width: int, height: int, parameters: Sequence[float], na
     if len(parameters) != num_parameters:
         raise ValueError(f"{name}: expected {num_parameters} parameters of {model}, got {len(parameters)}")
     focal, (cx, cy), distortion = np.split(np.array(parameters), [num_focal, num_focal + 2])
-    # Radial models have the first coefficients of OpenCV's k1 k2 p1 p2.
+    # Radial models have the first coefficients of OpenCV's k1 k2 p1 p2, or of a fisheye's k1 k2 k3 k4.
     matrix = pinhole_matrix(float(focal[0]), float(focal[-1]), float(cx), float(cy), center=0.5)
-    return Camera(matrix, (height, width), tuple(distortion.tolist()) + (0.0,) * max(4 - len(distortion), 0), name)
+    coefficients = tuple(distortion.tolist()) + (0.0,) * max(4 - len(distortion), 0)
+    return Camera(matrix, (height, width), coefficients, name, fisheye=model.endswith("FISHEYE"))
 
 
 def _check_model(model: str, name: str) -> tuple[int, int]:

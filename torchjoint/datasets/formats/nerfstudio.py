@@ -2,7 +2,8 @@
 
 transforms.json          `frames`, each with `file_path` and `transform_matrix`: camera-to-world, 4x4, OpenGL axes (y
                          up, z back). Intrinsics `fl_x fl_y cx cy w h`, or `camera_angle_x`, and distortion `k1 k2 p1 p2
-                         k3` are given per frame, or once for all frames. Pixel centres are at 1/2.
+                         k3` (of a fisheye `k1 k2 k3 k4`) are given per frame, or once for all frames. Pixel centres are
+                         at 1/2.
 images, anywhere below   8-bit; a `file_path` without suffix means a .png
 `depth_file_path`        of a frame (optional): depth along z at any resolution. A 16-bit .png, or a .npy of integers,
                          has units of `depth_unit_scale_factor` metres (default 0.001); a .npy of floating numbers is in
@@ -38,6 +39,7 @@ from torchjoint.scene.checks import as_pose
 WHAT = "transforms.json, as of nerfstudio (or a file of that kind itself)"
 
 _PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "RADIAL", "SIMPLE_RADIAL")
+_FISHEYE = "OPENCV_FISHEYE"
 
 
 class _Shot(NamedTuple):
@@ -126,18 +128,19 @@ def _world_to_camera(frame: Record) -> Tensor:
 
 def _camera(frame: Record, color: Path) -> Camera:
     model = frame.text("camera_model", "OPENCV")
-    if model not in _PERSPECTIVE or frame.values.get("is_fisheye"):
+    if model not in (*_PERSPECTIVE, _FISHEYE):
         raise ValueError(
-            f"{frame.name}: camera_model: expected one of {', '.join(_PERSPECTIVE)}, got "
-            f"{'a fisheye' if model in _PERSPECTIVE else repr(model)}; undistort the images first"
+            f"{frame.name}: camera_model: expected one of {', '.join((*_PERSPECTIVE, _FISHEYE))}, got {model!r}; "
+            "undistort the images first"
         )
-    if frame.number("k4", 0.0) != 0:
+    fisheye = model == _FISHEYE or bool(frame.values.get("is_fisheye"))
+    if not fisheye and frame.number("k4", 0.0) != 0:
         raise ValueError(f"{frame.name}: k4: expected 0 for a perspective camera, got {frame.number('k4')}")
     size = _size(frame) if "w" in frame and "h" in frame else read_image_size(color)
     fl_x, fl_y = _focal_lengths(frame, size)
     matrix = pinhole_matrix(fl_x, fl_y, frame.number("cx", size[1] / 2), frame.number("cy", size[0] / 2), center=0.5)
-    distortion = tuple(frame.number(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3"))
-    return Camera(matrix, size, distortion, frame.name)
+    keys = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
+    return Camera(matrix, size, tuple(frame.number(key, 0.0) for key in keys), frame.name, fisheye)
 
 
 def _focal_lengths(frame: Record, size: tuple[int, int]) -> tuple[float, float]:
