@@ -10,8 +10,8 @@ from torchjoint.datasets.cameras import (
     resize_depth,
     rotations_from_quaternions,
     scale_intrinsics,
-    undistort,
 )
+from torchjoint.datasets.lenses import undistort, undistort_fisheye
 from torchjoint.datasets.paths import frame_names, path_inside
 
 HALF = 0.5**0.5
@@ -134,6 +134,18 @@ class TestDistortion:
     def test_what_cannot_be_undone(self, wrong):
         with pytest.raises(ValueError, match=r"camera: (distortion .* cannot be undone|images of .* cannot be)"):
             undistort(self.dot(30, 40), None, self.MATRIX, wrong)
+
+    @pytest.mark.parametrize("wrong", [(1e6, 0, 0, 0), (-3, 0, 0, 0), (3, 0, 0, 0)])
+    def test_a_fisheye_that_cannot_be_undone(self, wrong):
+        with pytest.raises(ValueError, match=r"camera: (distortion .* cannot be undone|images of .* cannot be)"):
+            undistort_fisheye(self.dot(30, 40), None, self.MATRIX, wrong)
+
+    def test_a_fisheye_keeps_its_depth(self):
+        depth = torch.full(self.SIZE, 2.0)
+        straight, of_pixels, matrix = undistort_fisheye(self.dot(81, 57), depth, self.MATRIX, (0.01, 0, 0, 0))
+        assert straight[0].argmax() == 57 * 160 + 81  # the middle stays
+        assert (of_pixels == 2).all()
+        assert torch.equal(matrix, self.MATRIX)
 
     @pytest.mark.parametrize(
         ("arguments", "message"),

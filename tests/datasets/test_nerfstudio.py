@@ -10,6 +10,7 @@ from PIL import Image
 from posed_files import assert_same_frames, assert_same_segmentation, eight_bits, save_depth, save_image
 
 import torchjoint as tj
+from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.ply import write_cloud
 
 #: What nerfstudio did to the world of COLMAP; the poses and the cloud are after it.
@@ -110,6 +111,14 @@ class TestIntrinsics:
         save(folder, values | {"w": 320, "h": 240, "fl_x": 200, "fl_y": 200, "cx": 160, "cy": 120})
         expected = torch.tensor([[100, 0, 79.5], [0, 100, 59.5], [0, 0, 1]], dtype=torch.float64)
         torch.testing.assert_close(tj.load_scene(folder).frames[0].intrinsics, expected)
+
+    @pytest.mark.parametrize("model", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
+    def test_fisheyes_are_undistorted(self, folder, model):
+        lens = {"k1": 0.02, "k2": -0.01, "k3": 0.004, "k4": 0.001}
+        save(folder, read(folder) | lens | model)
+        camera = Camera(tj.load_scene(folder).frames[0].intrinsics, (120, 160), tuple(lens.values()), fisheye=True)
+        image = torch.from_numpy(np.array(Image.open(folder / "images" / "frame_00001.png"))).permute(2, 0, 1)
+        assert torch.equal(tj.load_scene(folder).frames[0].image, camera.frame(image, torch.eye(4)).image)
 
     def test_distorted_images_are_undistorted(self, folder):
         save(folder, read(folder) | {"k1": -0.2, "p2": 0.01})
@@ -243,8 +252,7 @@ class TestPaths:
         ({"w": -1}, {}, r"frames\[0\]: w, h: expected a size in pixels"),
         ({"h": 300}, {}, r"image 'frame_0000\d' of .*: expected the aspect ratio of 160 x 300 pixels, got 160 x 120"),
         ({"fl_y": -5}, {}, r"intrinsics of .*frames\[0\]: expected \[\[fx"),
-        ({"camera_model": "OPENCV_FISHEYE"}, {}, r"frames\[0\]: camera_model: .* got 'OPENCV_FISHEYE'; undistort"),
-        ({"is_fisheye": True}, {}, r"frames\[0\]: camera_model: .* got a fisheye; undistort the images first"),
+        ({"camera_model": "EQUIRECT"}, {}, r"frames\[0\]: camera_model: .* got 'EQUIRECT'; undistort the images first"),
         ({"k4": 0.1}, {}, r"frames\[0\]: k4: expected 0 for a perspective camera, got 0\.1"),
         ({"frames": {}}, {}, r"transforms\.json: frames: expected a list, got dict"),
         ({"frames": []}, {}, r"transforms\.json: frames: expected at least one, got none"),

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from PIL import Image, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 
 from torchjoint.datasets.files import las
@@ -32,9 +32,20 @@ RESULTS = frozenset({"run.yaml", "batch.yaml"})
 ALONE = (".ply", ".npy", ".npz", ".xyz", ".txt", *las.SUFFIXES, ".e57")
 
 
-def read_image(path: Path) -> Tensor:
-    """Reads an 8-bit image of any mode; returns [3, H, W] uint8 RGB."""
-    return rgb_of(_opened(path), str(path))
+def read_image(path: Path, camera_size: tuple[int, int] | None = None) -> Tensor:
+    """Reads an 8-bit image of any mode.
+
+    Args:
+        path: of the image.
+        camera_size: (H, W) for which its camera was calibrated; tells whether to turn an image as its EXIF tag says.
+
+    Returns:
+        [3, H, W] uint8 RGB.
+
+    Raises:
+        FileNotFoundError, ValueError: the message names the file and its error.
+    """
+    return rgb_of(_as_calibrated(_opened(path), camera_size, str(path)), str(path))
 
 
 def read_image_size(path: Path) -> tuple[int, int]:
@@ -167,6 +178,24 @@ def _opened(path: Path) -> Image.Image:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected an image")
     return decode_image(path.read_bytes(), str(path))
+
+
+def _as_calibrated(image: Image.Image, camera_size: tuple[int, int] | None, name: str) -> Image.Image:
+    """Turns an image as its EXIF tag says if that gives the shape of the camera's images.
+
+    Programs for cameras and poses differ: COLMAP reads the stored pixels, others what a person sees.
+    """
+    turn = image.getexif().get(ExifTags.Base.Orientation, 1)
+    if turn not in range(2, 9):
+        return image
+    if turn >= 5 and camera_size is not None:  # width and height are exchanged
+        wide = (image.width - image.height) * (camera_size[1] - camera_size[0])
+        if wide:
+            return image if wide > 0 else ImageOps.exif_transpose(image)
+    raise ValueError(
+        f"{name}: EXIF says that this image is to be turned (orientation {turn}), and it is not known whether its "
+        "camera is that of the stored or of the turned image; turn the image, or remove its tag"
+    )
 
 
 def rgb_of(image: Image.Image, name: str) -> Tensor:

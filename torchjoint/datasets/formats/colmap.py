@@ -68,4 +68,4 @@ def _image_folder(bases: Sequence[Path], name: str, source: str) -> Path:
 
 
 def _read_frame(file: Path, image: ColmapImage, name: str) -> Frame:
-    return image.camera.frame(read_image(file), image.world_to_camera, name=name)
+    return image.camera.frame(read_image(file, image.camera.size), image.world_to_camera, name=name)

@@ -46,7 +46,7 @@ def load(path: Path, options: Options) -> Scene:
     image = next((path / name for name in ("image.png", "image.jpg") if (path / name).is_file()), None)
     if image is None:
         raise FileNotFoundError(f"{path}: expected image.png or image.jpg beside pointcloud.pcd")
-    frames = LazySequence(1, lambda _: camera.frame(read_image(image), pose, name="image"))
+    frames = LazySequence(1, lambda _: camera.frame(read_image(image, camera.size), pose, name="image"))
     return Scene(points[known], frames, None if colors is None else colors[known], name=path.name)
 
 

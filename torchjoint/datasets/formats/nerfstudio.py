@@ -101,7 +101,7 @@ def _shot(file: Path, frame: Record) -> _Shot:
 
 def _read_frame(shot: _Shot, name: str) -> Frame:
     depth = None if shot.depth is None else _read_depth(shot.depth, shot.depth_unit)
-    return shot.camera.frame(read_image(shot.color), shot.world_to_camera, depth, name)
+    return shot.camera.frame(read_image(shot.color, shot.camera.size), shot.world_to_camera, depth, name)
 
 
 def _read_depth(path: Path, unit: float | None) -> Tensor:

@@ -99,7 +99,7 @@ def read_frames(path: Path) -> Sequence[Frame]:
 
 def _read_frame(shot: _Shot, camera: Camera, name: str) -> Frame:
     depth = None if shot.depth is None else read_depth(shot.depth, DEPTH_UNIT)
-    return camera.frame(read_image(shot.color), invert_pose(shot.camera_to_world), depth, name)
+    return camera.frame(read_image(shot.color, camera.size), invert_pose(shot.camera_to_world), depth, name)
 
 
 def associate(first: Sequence[float], second: Sequence[float], tolerance: float = TOLERANCE) -> list[tuple[int, int]]:
