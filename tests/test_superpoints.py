@@ -216,6 +216,73 @@ def test_meshes_in_a_batch_are_the_meshes_alone():
     assert torch.equal(together, torch.cat([alone[0], alone[1] + alone[0].max() + 1]))
 
 
+class TestInvalidPoints:
+    """What remains is segmented as if the points that are NaN or infinite had never been there."""
+
+    POINTS = torch.rand(300, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 1.0, 0.05])
+    BAD = torch.arange(300) % 7 == 3
+
+    def broken(self):
+        points = self.POINTS.clone()
+        points[self.BAD] = torch.tensor([float("nan"), 1.0, float("inf")])
+        return points
+
+    def check(self, labels, expected):
+        assert torch.equal(labels[~self.BAD], expected)
+        assert (labels[self.BAD] == -1).all()
+
+    def test_a_cloud(self):
+        colors = torch.rand(300, 3, generator=torch.Generator().manual_seed(1))
+        expected = tj.superpoints(self.POINTS[~self.BAD], colors[~self.BAD], color_weight=1.0)
+        with pytest.warns(UserWarning, match="points: 43 of 300 points are NaN or infinite; they are left out"):
+            labels = tj.superpoints(self.broken(), colors, drop_invalid=True, color_weight=1.0)
+        self.check(labels, expected)
+        with pytest.warns(UserWarning, match="43 of 300"):
+            assert (tj.Superpoints(color_weight=1.0)(self.broken(), colors, drop_invalid=True) == labels).all()
+        with pytest.warns(UserWarning, match="43 of 300"):
+            array = tj.superpoints(self.broken().numpy(), colors.numpy(), drop_invalid=True, color_weight=1.0)
+        assert array.tolist() == labels.tolist()
+
+    def test_a_batch_with_viewpoints(self):
+        views = torch.tensor([[0.0, 0, 5], [0, 0, -5]])[(torch.arange(300) >= 100).long()]
+        kept = ~self.BAD
+        expected = tj.superpoints(
+            self.POINTS[kept], ptr=torch.tensor([0, int(kept[:100].sum()), int(kept.sum())]), viewpoint=views[kept]
+        )
+        with pytest.warns(UserWarning, match="43 of 300"):
+            labels = tj.superpoints(self.broken(), ptr=torch.tensor([0, 100, 300]), viewpoint=views, drop_invalid=True)
+        self.check(labels, expected)
+
+    @pytest.mark.parametrize(("name", "columns"), [("edges", 2), ("faces", 3)])
+    def test_a_graph(self, name, columns):
+        nodes = torch.randint(300, (4000, columns), generator=torch.Generator().manual_seed(2))
+        nodes = nodes[(nodes[:, :1] != nodes[:, 1:]).all(1)]
+        number = (~self.BAD).cumsum(0) - 1
+        kept = number[nodes[~self.BAD[nodes].any(1)]]
+        as_given = (lambda rows: rows.T) if name == "edges" else (lambda rows: rows)
+        expected = tj.superpoints(self.POINTS[~self.BAD], **{name: as_given(kept)})
+        with pytest.warns(UserWarning, match="43 of 300"):
+            labels = tj.superpoints(self.broken(), **{name: as_given(nodes)}, drop_invalid=True)
+        self.check(labels, expected)
+
+    def test_nothing_is_left_out_of_a_whole_cloud(self):
+        assert torch.equal(tj.superpoints(self.POINTS, drop_invalid=True), tj.superpoints(self.POINTS))
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            ({"points": torch.full((5, 3), float("nan"))}, "points: 5 of 5 points are NaN or infinite"),
+            ({"points": torch.rand(5)}, r"points: expected shape \[N, 3\], got \[5\]"),
+            ({"points": torch.rand(5, 3), "edges": torch.tensor([[0], [5]])}, r"edges: expected point numbers in"),
+            ({"points": torch.rand(5, 3), "ptr": torch.tensor([0, 4])}, "ptr: expected to go from 0 to N = 5"),
+            ({"points": torch.rand(5, 3), "colors": torch.rand(4, 3)}, r"colors: expected shape \[5, 3\]"),
+        ],
+    )
+    def test_errors(self, arguments, message):
+        with pytest.raises(ValueError, match=message):
+            tj.superpoints(**arguments, drop_invalid=True)
+
+
 def test_strange_clouds():
     assert tj.superpoints(torch.tensor([[1.0, 2, 3]])).tolist() == [0]
     assert tj.superpoints(torch.zeros(100, 3)).tolist() == [0] * 100  # all in one place

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from torchjoint import ops
-from torchjoint.cloud.batch import split_batch
+from torchjoint.cloud.batch import split_batch, without_invalid
 from torchjoint.cloud.edge_weights import EdgeWeights, discounted_angle, geometric_weights, segmentator_turn
 from torchjoint.cloud.graph import undirected_edges
 from torchjoint.cloud.local import LocalFrame, composed, warn_of_rounding, without_copies
@@ -55,6 +55,7 @@ def superpoints(
     faces: Values | None = None,
     ptr: Values | None = None,
     viewpoint: Values | None = None,
+    drop_invalid: bool = False,
     preset: str | SuperpointsConfig = "default",
     **parameters: Unpack[SuperpointsParameters],
 ) -> Values:
@@ -80,6 +81,8 @@ def superpoints(
             result equals that of ScanNet's segmentator. A vertex without a triangle is its own superpoint.
         ptr: optional [B + 1] integers, the start of each of B clouds, then N: 0 = ptr[0] < ptr[1] < ... < ptr[B] = N.
         viewpoint: optional [3] metres, the position of the sensor; or one per cloud [B, 3], or per point [N, 3].
+        drop_invalid: leave out the points that are NaN or infinite, with a warning; their label is -1. Edges and
+            triangles to them are left out, too. Else such points are an error.
         preset: "default", "scan" or "segmentator", a YAML file, or a config.
         parameters: replace parameters of the preset by name, such as ``scale=2.0``. :class:`SuperpointsConfig` declares
             them; ``torchjoint parameters --superpoints`` gives their units and ranges:
@@ -91,9 +94,9 @@ def superpoints(
             * ``scale``, ``min_size``: how large superpoints become.
 
     Returns:
-        [N] int64 labels 0, 1, 2, ... in the order of their first points. The labels of a cloud continue after those of
-        the cloud before it. Apart from this offset a cloud gets the same labels as if it were segmented alone. The
-        labels do not depend on the number of threads.
+        [N] int64 labels 0, 1, 2, ... in the order of their first points; -1 = left out. The labels of a cloud continue
+        after those of the cloud before it. Apart from this offset a cloud gets the same labels as if it were segmented
+        alone. The labels do not depend on the number of threads.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -106,10 +109,16 @@ def superpoints(
         >>> labels.unique(return_counts=True)
         (tensor([0, 1]), tensor([400, 400]))
     """
+    given: list[Any] = [points, colors, normals, edges, faces, ptr, viewpoint]
     if isinstance(points, np.ndarray):
-        values = [_as_tensor(value) for value in (points, colors, normals, edges, faces, ptr, viewpoint)]
-        return _segment_batch(*values, preset=preset, parameters=parameters).numpy()
-    return _segment_batch(points, colors, normals, edges, faces, ptr, viewpoint, preset=preset, parameters=parameters)
+        given = [_as_tensor(value) for value in given]
+    valid = None
+    if drop_invalid:
+        valid, given = without_invalid(*given)
+    labels = _segment_batch(*given, preset=preset, parameters=parameters)
+    if valid is not None:
+        labels = torch.full((len(valid),), -1).masked_scatter_(valid, labels)
+    return labels.numpy() if isinstance(points, np.ndarray) else labels
 
 
 def _as_tensor(values: Any) -> Any:
@@ -172,10 +181,17 @@ class Superpoints(nn.Module):
         self.parameters_given = parameters
 
     def forward(
-        self, points: Tensor, colors: Tensor | None = None, normals: Tensor | None = None, ptr: Tensor | None = None
+        self,
+        points: Tensor,
+        colors: Tensor | None = None,
+        normals: Tensor | None = None,
+        ptr: Tensor | None = None,
+        drop_invalid: bool = False,
     ) -> Tensor:
         """Labels [N] int64 of points [N, 3]; arguments and errors as in :func:`superpoints`."""
-        return superpoints(points, colors, normals, ptr=ptr, preset=self.preset, **self.parameters_given)
+        return superpoints(
+            points, colors, normals, ptr=ptr, drop_invalid=drop_invalid, preset=self.preset, **self.parameters_given
+        )
 
     if TYPE_CHECKING:  # the one of nn.Module is untyped
         __call__ = forward

@@ -57,6 +57,24 @@ def test_what_it_writes(tmp_path, run, capsys):
     assert {file.name for file in tmp_path.iterdir()} == {"cloud.npz", "a.ply", "a.png", "b.npy", "c.npz"}
 
 
+@pytest.mark.filterwarnings("ignore:.*are NaN or infinite; they are left out")
+@pytest.mark.parametrize("suffix", [".ply", ".npy", ".npz", ".bin", ".xyz"])
+def test_points_that_are_nan_or_infinite(tmp_path, run, suffix):
+    points = POINTS.clone()
+    points[::9] = float("nan")
+    cloud, valid = write(tmp_path / f"cloud{suffix}", points), torch.arange(400) % 9 != 0
+    with pytest.raises(ValueError, match=rf"cloud{suffix}: 45 of 400 points are NaN or infinite; --drop-invalid"):
+        read_cloud_file(cloud)
+    run("superpoints", cloud, "-o", tmp_path / "a.npy", "--no-picture", "--drop-invalid")
+    labels = torch.from_numpy(np.load(tmp_path / "a.npy"))
+    colors = read_cloud_file(cloud, None, "drop").colors
+    assert labels[valid].tolist() == tj.superpoints(read_cloud_file(cloud, None, "drop").points, colors).tolist()
+    assert (labels[~valid] == -1).all()
+    run("superpoints", cloud, "-o", tmp_path / "b.ply", "--no-picture", "--drop-invalid")
+    assert len(read_cloud_file(tmp_path / "b.ply").points) == 355
+    assert len(tj.load_scene(cloud, drop_invalid=True).points) == 355
+
+
 def test_a_mesh(tmp_path, run):
     import open3d
 

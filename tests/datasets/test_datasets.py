@@ -191,7 +191,7 @@ def test_a_cloud_with_nan(tmp_path):
         "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
         "end_header\n1 2 3\nnan nan nan\n"
     )
-    with pytest.raises(ValueError, match=r"c\.ply: 1 of 2 points are NaN or infinite; remove them"):
+    with pytest.raises(ValueError, match=r"c\.ply: 1 of 2 points are NaN or infinite; --drop-invalid"):
         read_cloud(tmp_path / "c.ply")
 
 

@@ -1,6 +1,7 @@
 """Many recordings: each has its result, or the reason why not; what is done is skipped."""
 
 import csv
+import importlib
 import shutil
 import sys
 from concurrent.futures import Future
@@ -143,7 +144,7 @@ def test_the_command(done, scans, run, capsys):
 
 def test_the_exit_code_of_the_command_tells_of_failures(done, scans, run, capsys, monkeypatch):
     out, report = done
-    monkeypatch.setattr(sys.modules["torchjoint.cli.batch"], "run_batch", lambda *_, **__: report)
+    monkeypatch.setattr(importlib.import_module("torchjoint.cli.batch"), "run_batch", lambda *_, **__: report)
     with pytest.raises(SystemExit) as ended:
         run("batch", scans, "-o", out)
     assert ended.value.code == 1
@@ -155,9 +156,9 @@ def test_the_exit_code_of_the_command_tells_of_failures(done, scans, run, capsys
 def test_the_command_chooses_topics(scans, tmp_path, run, monkeypatch):
     given = []
     monkeypatch.setattr(
-        sys.modules["torchjoint.cli.batch"], "run_batch", lambda *_, options, **__: given.append(options)
+        importlib.import_module("torchjoint.cli.batch"), "run_batch", lambda *_, options, **__: given.append(options)
     )
-    monkeypatch.setattr(sys.modules["torchjoint.cli.batch"], "_print", lambda report: sys.exit("printed"))
+    monkeypatch.setattr(importlib.import_module("torchjoint.cli.batch"), "_print", lambda report: sys.exit("printed"))
     chosen = ["--topics", "color=/front/image", "info=/front/info", "--time-limit", 0.1]
     with pytest.raises(SystemExit, match="printed"):
         run("batch", scans / "a", "-o", tmp_path / "out", *chosen)

@@ -32,6 +32,7 @@ def batch(
     merge_within: float = 0.0,
     granularity: float | None = None,
     ignore_poses: bool = False,
+    drop_invalid: bool = False,
 ) -> None:
     """Segments any number of recordings over many workers; each gets a result folder OUT/NAME.
 
@@ -55,10 +56,21 @@ def batch(
         thin: keep one point per voxel of this size, metres.
         merge_within: metres; all points in a cube with this side are treated as one point and get the same label.
         ignore_poses: go on if the poses look wrong; else this is an error.
+        drop_invalid: leave out the points of the cloud that are NaN or infinite, and tell their number; else they are
+            an error.
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5.
     """
     options = RecordingOptions(
-        voxel_size, max_frames, in_view, thin, merge_within, granularity, read_topics(topics), time_limit, ignore_poses
+        voxel_size,
+        max_frames,
+        in_view,
+        thin,
+        merge_within,
+        granularity,
+        read_topics(topics),
+        time_limit,
+        ignore_poses,
+        drop_invalid,
     )
     with printed_log():
         report = run_batch(

@@ -31,6 +31,7 @@ def segment(
     merge_within: float = 0.0,
     granularity: float | None = None,
     ignore_poses: bool = False,
+    drop_invalid: bool = False,
     masks: Path | None = None,
     without_masks: Literal["segment", "leave-out"] = "segment",
     memory: str | None = None,
@@ -57,6 +58,8 @@ def segment(
         merge_within: metres; all points in a cube with this side are treated as one point and get the same label.
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
         ignore_poses: go on if the poses look wrong; else this is an error.
+        drop_invalid: leave out the points of the cloud that are NaN or infinite, and tell their number; else they are
+            an error.
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5. All levels are always saved. Only
             point_segments.method learned has levels; auto chooses it unless the cloud is a scan.
         masks: masks of a network: a folder with NAME.png (labels, 0 = none), NAME.npz, NAME.json (SAM) or a folder NAME
@@ -72,7 +75,16 @@ def segment(
     """
     config = parameters.config()
     options = RecordingOptions(
-        voxel_size, max_frames, in_view, thin, merge_within, granularity, read_topics(topics), time_limit, ignore_poses
+        voxel_size,
+        max_frames,
+        in_view,
+        thin,
+        merge_within,
+        granularity,
+        read_topics(topics),
+        time_limit,
+        ignore_poses,
+        drop_invalid,
     )
     view = live_view(show)
     with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:

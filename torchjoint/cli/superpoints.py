@@ -18,6 +18,7 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.oversegmentation import superpoints as segment
 from torchjoint.runtime.files import atomic_write
 from torchjoint.scene import Scene
+from torchjoint.scene.checks import valid_points
 from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.run import is_las
 
@@ -29,6 +30,7 @@ def superpoints(
     set: tuple[str, ...] = (),
     viewpoint: tuple[float, float, float] | None = None,
     columns: int | None = None,
+    drop_invalid: bool = False,
     picture: bool = True,
     overwrite: bool = False,
     tile: float | None = None,
@@ -48,6 +50,8 @@ def superpoints(
         set: single parameters: --set scale=2 color_weight=0.5; `torchjoint parameters --superpoints` lists them.
         viewpoint: x y z of the sensor, metres; normals then point outward, so that convex and concave edges differ.
         columns: numbers per point in a .bin file; default: 4, or 5 for .pcd.bin.
+        drop_invalid: leave out the points that are NaN or infinite, and tell their number; in a .npy their label
+            is -1. Else they are an error.
         picture: write a picture of the cloud and its superpoints next to OUT (not if OUT is .las or .laz).
         overwrite: replace existing files.
         tile: side of a tile of a .las or .laz, metres; default: the largest tile with at most 2 million points.
@@ -83,9 +87,13 @@ def superpoints(
     png = out.with_suffix(".png")
     _check_output(out, png if picture else None, overwrite)
     config = SuperpointsConfig.from_preset(preset).set(set)
-    read = read_cloud_file(cloud, columns)
+    read = read_cloud_file(cloud, columns, "keep")
+    valid = valid_points(read.points, str(cloud), "drop" if drop_invalid else "refuse")
     mesh = read.faces if config.weight == "segmentator" else None
-    scene = Scene(read.points, colors=read.colors, normals=read.normals)
+    colors, normals = (None if of is None else of[valid] for of in (read.colors, read.normals))
+    if mesh is not None:
+        mesh = (valid.cumsum(0) - 1)[mesh[valid[mesh].all(1)]]
+    scene = Scene(read.points[valid], colors=colors, normals=normals)
     labels = segment(
         scene.points,
         scene.colors,
@@ -94,7 +102,7 @@ def superpoints(
         viewpoint=None if viewpoint is None else torch.tensor(viewpoint, dtype=torch.float64),
         preset=config,
     )
-    _write(out, scene, labels)
+    _write(out, scene, labels, valid)
     print(f"{len(labels)} points in {int(labels.max()) + 1} superpoints: {out}")
     if picture:
         _write_picture(png, scene, labels)
@@ -111,7 +119,7 @@ def _check_output(out: Path, png: Path | None, overwrite: bool) -> None:
             raise FileExistsError(f"{file}: exists already; choose another name with -o, or --overwrite")
 
 
-def _write(out: Path, scene: Scene, labels: Tensor) -> None:
+def _write(out: Path, scene: Scene, labels: Tensor, valid: Tensor) -> None:
     from torchjoint.results.label_colors import label_colors
 
     if out.suffix == ".ply":
@@ -122,7 +130,7 @@ def _write(out: Path, scene: Scene, labels: Tensor) -> None:
         arrays["colors"] = scene.colors.numpy()
     with atomic_write(out) as partial:
         if out.suffix == ".npy":
-            np.save(partial, labels.numpy())
+            np.save(partial, torch.full((len(valid),), -1).masked_scatter_(valid, labels).numpy())
         else:
             np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]
 

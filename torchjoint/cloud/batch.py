@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.scene import Cloud
+from torchjoint.scene.checks import valid_points
 
 
 def split_batch(
@@ -45,6 +46,46 @@ def split_batch(
         )
         for (start, end), own_edges, own_faces, view in zip(pairwise(starts), all_edges, all_faces, views, strict=True)
     ]
+
+
+def without_invalid(
+    points: Tensor,
+    colors: Tensor | None,
+    normals: Tensor | None,
+    edges: Tensor | None,
+    faces: Tensor | None,
+    ptr: Tensor | None,
+    viewpoint: Tensor | None,
+) -> tuple[Tensor, list[Tensor | None]]:
+    """A batch without the points that are NaN or infinite, and without edges and triangles to them.
+
+    Args:
+        points: [N, 3] metres.
+        colors, normals, edges, faces, ptr, viewpoint: as of :func:`torchjoint.superpoints`.
+
+    Returns:
+        which points are kept, [N] bool; and all arguments, in order, without the others.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+    """
+    if not isinstance(points, Tensor):
+        raise TypeError(f"points: expected a torch.Tensor, got {type(points).__name__}")
+    if points.ndim != 2:
+        raise ValueError(f"points: expected shape [N, 3], got {list(points.shape)}")
+    num_points, valid = len(points), valid_points(points, "points", "drop")
+    first = torch.cat([torch.zeros(1, dtype=torch.int64), valid.cumsum(0)])  # kept points before each point
+    graphs = []
+    for name, given in (("edges", edges), ("faces", faces)):
+        nodes = _checked_nodes(name, given, num_points)
+        graphs.append(None if nodes is None else first[nodes[:, valid[nodes].all(0)]])
+    edges, faces = graphs
+    if ptr is not None:
+        ptr = first[_checked_ptr(ptr, num_points)]
+    colors, normals, viewpoint = (
+        of[valid] if isinstance(of, Tensor) and of.shape == points.shape else of for of in (colors, normals, viewpoint)
+    )
+    return valid, [points[valid], colors, normals, edges, None if faces is None else faces.T, ptr, viewpoint]
 
 
 def _checked_ptr(ptr: Tensor | None, num_points: int) -> list[int]:

@@ -23,6 +23,7 @@ def load_scene(
     progress: bool | None = None,
     topics: Mapping[str, str] | None = None,
     time_limit: float = 0.02,
+    drop_invalid: bool = False,
 ) -> Scene:
     """Loads a scene; detects its format. Frames are read from disk on access.
 
@@ -37,6 +38,8 @@ def load_scene(
         topics: for a ROS recording: the topic of a role, such as {"color": "/camera/color/image_raw"}. The roles are
             color, info, depth, points and odometry. A role needs it only if several topics fit.
         time_limit: for a ROS recording: an image takes a depth image and a pose at most this many seconds away.
+        drop_invalid: leave out the points of the cloud that are NaN or infinite, with a warning; else they are an
+            error.
 
     Returns:
         The scene; `scene.truth` holds the ground-truth instances, if the data set has any.
@@ -49,7 +52,14 @@ def load_scene(
         raise FileNotFoundError(f"scene: {path} does not exist")
     if not 0 < time_limit < float("inf"):
         raise ValueError(f"time_limit: expected more than 0 seconds, got {time_limit}")
-    options = Options(None if cloud is None else Path(cloud), voxel_size, progress, dict(topics or {}), time_limit)
+    options = Options(
+        None if cloud is None else Path(cloud),
+        voxel_size,
+        progress,
+        dict(topics or {}),
+        time_limit,
+        "drop" if drop_invalid else "refuse",
+    )
     for module in FORMATS.values():
         if module.recognizes(path):
             return module.load(path, options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +15,7 @@ Size = tuple[int, int]  # (W, H), as in OpenCV
 
 #: For (intrinsics, coefficients, size): the intrinsics of the undistorted image, and the column and row of each of its
 #: pixels in the distorted image.
-Lens = Callable[[Matrix, Matrix, Size], tuple[Matrix, npt.NDArray[np.float32], npt.NDArray[np.float32]]]
+Lens = Callable[[Matrix, Matrix, Size], tuple[Matrix, npt.NDArray[Any], npt.NDArray[Any]]]
 
 
 def undistort(
@@ -75,9 +76,7 @@ def _resample(
     )
 
 
-def _perspective(
-    before: Matrix, coefficients: Matrix, size: Size
-) -> tuple[Matrix, npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+def _perspective(before: Matrix, coefficients: Matrix, size: Size) -> tuple[Matrix, npt.NDArray[Any], npt.NDArray[Any]]:
     import cv2
 
     after = np.asarray(cv2.getOptimalNewCameraMatrix(before, coefficients, size, 0)[0], dtype=np.float64)
@@ -94,9 +93,7 @@ def _perspective(
     return after, *cv2.initUndistortRectifyMap(before, coefficients, np.eye(3), after, size, cv2.CV_32FC1)
 
 
-def _fisheye(
-    before: Matrix, coefficients: Matrix, size: Size
-) -> tuple[Matrix, npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+def _fisheye(before: Matrix, coefficients: Matrix, size: Size) -> tuple[Matrix, npt.NDArray[Any], npt.NDArray[Any]]:
     import cv2
 
     after = before.copy()

@@ -14,6 +14,7 @@ from torchjoint.datasets.files.readers import read_cloud
 from torchjoint.datasets.fused_clouds import fuse_or_recall
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.camera import camera_center
+from torchjoint.scene.checks import Invalid
 
 #: Suffixes of a file `cloud` in a recording's folder; the first that exists is used.
 CLOUD_SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".copc.laz", ".e57")
@@ -28,6 +29,7 @@ class Options:
     progress: bool | None = False  #: show a progress bar while fusing; None: if there is a terminal
     topics: Mapping[str, str] = field(default_factory=dict)  #: for a ROS recording: topics by role
     time_limit: float = 0.02  #: for a ROS recording: most seconds from an image to its depth and pose
+    invalid: Invalid = "refuse"  #: what becomes of points of the cloud that are NaN or infinite
 
 
 def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:
@@ -38,7 +40,7 @@ def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, cloud
     """
     file = find_cloud(path, options, clouds)
     if file is not None:
-        points, colors, normals = read_cloud(file)
+        points, colors, normals = read_cloud(file, options.invalid)
         return Scene(points, frames, colors, normals, name=path.name)
     points, colors = fuse_or_recall(path, frames, options.voxel_size, options.progress)
     if options.cloud is not None:

@@ -25,6 +25,7 @@ class RecordingOptions:
         topics: for a ROS recording: pairs of a role and its topic, for roles that several topics fit.
         time_limit: for a ROS recording: largest time from an image to its depth image and its pose, seconds.
         ignore_poses: go on if the poses look wrong; else this is an error.
+        drop_invalid: leave out the points that are NaN or infinite; else they are an error.
     """
 
     voxel_size: float = 0.02
@@ -36,6 +37,7 @@ class RecordingOptions:
     topics: tuple[tuple[str, str], ...] = ()
     time_limit: float = 0.02
     ignore_poses: bool = False
+    drop_invalid: bool = False
 
     def check(self, config: Config) -> None:
         """Raises ValueError if an option is out of range, or does not fit the parameters."""
@@ -55,7 +57,7 @@ class RecordingOptions:
 
     def key(self) -> str:
         """The options that change the state of a run, as text."""
-        return f"{self.max_frames} {self.in_view} {self.thin} {self.merge_within}"
+        return f"{self.max_frames} {self.in_view} {self.thin} {self.merge_within} {self.drop_invalid}"
 
     def cut_down(self, scene: Scene) -> Scene:
         """Selects the frames and points of a recording that are used."""

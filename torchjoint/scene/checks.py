@@ -5,8 +5,14 @@ The message calls the argument `name`, and says what was expected and what came.
 
 from __future__ import annotations
 
+import warnings
+from typing import Literal
+
 import torch
 from torch import Tensor
+
+#: What becomes of points that are NaN or infinite.
+Invalid = Literal["refuse", "drop", "keep"]
 
 #: Largest difference of R R^T from the identity, of det R from 1, and of the last row from 0 0 0 1, in a valid pose.
 #: Poses in text files have 7 digits. Poses that were averaged or interpolated wrongly have much larger differences.
@@ -30,6 +36,28 @@ def as_points(points: Tensor, name: str = "points") -> Tensor:
         rounded = points.float()
         return rounded if torch.equal(rounded.double(), points) else points
     return points
+
+
+def valid_points(points: Tensor, name: str, invalid: Invalid) -> Tensor:
+    """Which points [N, 3] are kept, [N] bool.
+
+    Args:
+        points: [N, 3].
+        name: begins the messages.
+        invalid: what becomes of points that are NaN or infinite; "drop" warns of their number.
+
+    Raises:
+        ValueError: there are such points, and they are refused; or there are no others.
+    """
+    valid = torch.isfinite(points).all(1)
+    bad = int((~valid).sum())
+    if bad == 0 or invalid == "keep":
+        return torch.ones_like(valid)
+    told = f"{name}: {bad} of {len(points)} points are NaN or infinite"
+    if invalid == "refuse" or bad == len(points):
+        raise ValueError(f"{told}; --drop-invalid (drop_invalid=True) leaves them out")
+    warnings.warn(f"{told}; they are left out", stacklevel=3)
+    return valid
 
 
 def is_double(value: Tensor) -> bool:

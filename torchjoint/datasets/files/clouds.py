@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_array, read_mesh
 from torchjoint.runtime.archives import read_archive
+from torchjoint.scene.checks import Invalid, valid_points
 
 #: Row lengths that are tried for a LiDAR scan; rows that are examined, and the fewest rows that allow a decision.
 COLUMNS, ROWS, LEAST_ROWS = (3, 4, 5, 6, 7), 1 << 16, 100
@@ -37,7 +38,7 @@ class CloudFile(NamedTuple):
     faces: Tensor | None = None  #: [F, 3] int64, triangles of a mesh
 
 
-def read_cloud_file(path: Path, columns: int | None = None) -> CloudFile:
+def read_cloud_file(path: Path, columns: int | None = None, invalid: Invalid = "refuse") -> CloudFile:
     """Reads a cloud; the suffix of the file gives its format.
 
     * .ply, .pcd: positions; colours and normals, if any; the triangles of a .ply mesh;
@@ -51,10 +52,21 @@ def read_cloud_file(path: Path, columns: int | None = None) -> CloudFile:
     Args:
         path: of the file.
         columns: numbers in a row of a .bin file, if other than above.
+        invalid: what becomes of points that are NaN or infinite; a mesh with such points loses its triangles.
 
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
+    read = _read(path, columns)
+    valid = valid_points(read.points, str(path), invalid)
+    if bool(valid.all()):
+        return read
+    colors, normals = (None if of is None else of[valid] for of in (read.colors, read.normals))
+    return CloudFile(read.points[valid], colors, normals)
+
+
+def _read(path: Path, columns: int | None) -> CloudFile:
+    """The cloud with its invalid points."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise ValueError(f"{path}: expected a file that ends in {', '.join(SUFFIXES)}")
@@ -77,7 +89,7 @@ def read_cloud_file(path: Path, columns: int | None = None) -> CloudFile:
 def _read_bin(path: Path, columns: int | None) -> Tensor:
     """A LiDAR scan; if the number of columns was not given, it must be plausible."""
     usual = 5 if path.name.lower().endswith(".pcd.bin") else 4
-    rows = read_scan(path, columns or usual)
+    rows = read_scan(path, columns or usual, "keep")
     better = None if columns is not None else likelier_columns(rows)
     if better is not None:
         raise ValueError(
@@ -101,8 +113,8 @@ def likelier_columns(rows: Tensor) -> int | None:
     return best if steps[best] < MUCH * steps[rows.shape[1]] else None
 
 
-def read_scan(path: Path, columns: int) -> Tensor:
-    """Reads a LiDAR scan of KITTI or nuScenes, float32 rows x, y, z, ...; returns [N, columns] with finite x, y, z.
+def read_scan(path: Path, columns: int, invalid: Invalid = "refuse") -> Tensor:
+    """Reads a LiDAR scan of KITTI or nuScenes, float32 rows x, y, z, ...; returns [N, columns].
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -113,17 +125,18 @@ def read_scan(path: Path, columns: int) -> Tensor:
     size = path.stat().st_size
     if size == 0 or size % (4 * columns):
         raise ValueError(f"{path}: expected rows of {columns} float32, {4 * columns} bytes each, got {size} bytes")
-    rows = np.fromfile(path, dtype="<f4").reshape(-1, columns)
-    bad = int((~np.isfinite(rows[:, :3])).any(1).sum())
-    if bad:
-        raise ValueError(f"{path}: {bad} of {len(rows)} points are NaN or infinite")
-    return torch.from_numpy(rows)
+    rows = torch.from_numpy(np.fromfile(path, dtype="<f4").reshape(-1, columns))
+    return rows[valid_points(rows[:, :3], str(path), invalid)]
 
 
 def _from_archive(path: Path) -> CloudFile:
     values = {name: torch.from_numpy(array) for name, array in read_archive(path).items()}
     if "points" not in values:
         raise ValueError(f"expected an array `points`, got {', '.join(values) or 'none'}")
+    count = len(values["points"]) if values["points"].shape[1:] == (3,) else -1
+    for name in ("points", "colors", "normals"):
+        if name in values and values[name].shape != (count, 3):
+            raise ValueError(f"{name}: expected a row of three numbers for each point, got {[*values[name].shape]}")
     return CloudFile(*(values.get(name) for name in CloudFile._fields))  # type: ignore[arg-type]
 
 

@@ -23,6 +23,7 @@ from torchjoint.datasets.files import las
 from torchjoint.datasets.files.e57 import read_e57
 from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.ply import Ply, read_ply
+from torchjoint.scene.checks import Invalid, valid_points
 
 #: Larger images are rejected before they are decoded.
 MAX_PIXELS = 64_000_000
@@ -83,8 +84,12 @@ def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
     return torch.from_numpy(values.reshape(shape))
 
 
-def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
+def read_cloud(path: Path, invalid: Invalid = "refuse") -> tuple[Tensor, Tensor | None, Tensor | None]:
     """Reads a PLY, PCD, LAS, LAZ or E57 file.
+
+    Args:
+        path: of the file.
+        invalid: what becomes of points that are NaN or infinite.
 
     Returns:
         points [N, 3] float32 or float64, as in the file; colours [N, 3] in [0, 1] or None; normals [N, 3] or None (also
@@ -93,11 +98,14 @@ def read_cloud(path: Path) -> tuple[Tensor, Tensor | None, Tensor | None]:
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
-    return read_mesh(path)[:3]
+    points, colors, normals, _ = read_mesh(path)
+    valid = valid_points(points, str(path), invalid)
+    colors, normals = (None if of is None else of[valid] for of in (colors, normals))
+    return points[valid], colors, normals
 
 
 def read_mesh(path: Path) -> Ply:
-    """Reads a file as :func:`read_cloud`, with the triangles of a PLY mesh."""
+    """Reads a file as :func:`read_cloud`, with the triangles of a PLY mesh; points may be NaN or infinite."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud")
     suffix = path.suffix.lower()
@@ -111,10 +119,6 @@ def read_mesh(path: Path) -> Ply:
         mesh = Ply(pcd.points(), None if colors is None else colors.float() / 255, pcd.normals(), None)
     else:
         mesh = read_ply(path)
-    finite = torch.isfinite(mesh.points).all(1)
-    if not finite.all():
-        bad = int((~finite).sum())
-        raise ValueError(f"{path}: {bad} of {len(finite)} points are NaN or infinite; remove them")
     return mesh if mesh.normals is not None and mesh.normals.any() else mesh._replace(normals=None)
 
 

@@ -23,6 +23,6 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     """Loads the cloud; see :func:`torchjoint.load_scene`."""
-    cloud = read_cloud_file(path)
+    cloud = read_cloud_file(path, invalid=options.invalid)
     points = cloud.points if cloud.points.is_floating_point() else cloud.points.double()
     return Scene(points, colors=cloud.colors, normals=cloud.normals, name=path.stem)

@@ -47,7 +47,7 @@ def load(path: Path, options: Options) -> Scene:
     columns = lidar.number("num_pts_feats")
     if columns not in range(3, 65):
         raise ValueError(f"{lidar.name}: num_pts_feats: expected 3 to 64, got {columns:g}")
-    points = read_scan(path_inside(path, lidar.text("lidar_path"), lidar.name), int(columns))[:, :3]
+    points = read_scan(path_inside(path, lidar.text("lidar_path"), lidar.name), int(columns), options.invalid)[:, :3]
     cameras = sample.record("cameras")
     names = list(cameras.values)
     shots = [_shot(path, cameras.record(name)) for name in names]
