@@ -94,7 +94,7 @@ def test_a_failure_stops_no_other(done, scans):
     result = tj.load_result(out / "a")
     assert int(rows["a"]["points"]) == len(result.points) == report.reports["a"].points
     assert (rows["a"]["frames"], int(rows["a"]["segments"])) == ("1", int(result.points.max()) + 1)
-    assert float(rows["a"]["seconds: point segments"]) > 0
+    assert float(rows["a"]["seconds: segment"]) > 0
     assert float(rows["a"]["peak_memory_mb"]) > 10
 
 

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
+from torchjoint.results.folder import read_record
 from torchjoint.scene import Segmentation
 
 
 def summarize(result: Segmentation, out: Path) -> None:
-    """Prints the numbers of points, segments and images, the seconds per stage, and the written files."""
-    seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in result.seconds.items())
+    """Prints the numbers of points, segments and images, the seconds of the run, and the written files."""
+    _, parts = read_record(out)
     print(f"{len(result.points)} points in {result.num_point_segments} segments, {len(result.images)} images")
-    print(f"seconds by stage (added up over threads): {seconds}")
+    print(f"{sum(parts.values()):.1f} seconds: {_listed(parts)}")
+    print(f"segmenting, added up over threads: {_listed(result.seconds)}")
     levels = ", hierarchy.npz, pieces/" if result.hierarchy is not None else ""
     print(
         f"written to {out}: overview.png, points.ply, points.npz, segments.json, images/, images_color/, inputs/, "
         f"cameras.json, run.yaml{levels}"
     )
+
+
+def _listed(seconds: Mapping[str, float]) -> str:
+    return ", ".join(f"{part} {value:.1f}" for part, value in seconds.items())

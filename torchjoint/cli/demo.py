@@ -14,6 +14,7 @@ from torchjoint.cli.show import live_view, show_result
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
+from torchjoint.runtime.stopwatch import Stopwatch
 
 
 def demo(
@@ -28,13 +29,15 @@ def demo(
         show: show the run, and then the result, in the browser, as `torchjoint segment --show` does.
     """
     view = live_view(show)
-    synthetic, config = demo_scene(), parameters.config()
+    clock = Stopwatch()
+    with clock("generate"):
+        synthetic, config = demo_scene(), parameters.config()
     with output_folder(out, SOURCE, overwrite=overwrite) as partial:
         assert partial is not None  # it is None only if a key is given
-        with printed_log():
+        with printed_log(), clock("segment"):
             segmenter = JointSegmenter(config, allow_import=True)
             result = segmenter(synthetic.scene, progress=sys.stderr.isatty(), on_frames=view)
-        write_result(partial, synthetic.scene, result, config, SOURCE)
+        write_result(partial, synthetic.scene, result, config, SOURCE, seconds=clock.seconds)
     summarize(result, out)
     in_3d = metrics.objects_and_parts(result.points, synthetic.point_labels)
     covering = metrics.segmentation_covering(result.points, synthetic.point_labels)

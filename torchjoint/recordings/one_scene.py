@@ -32,7 +32,7 @@ class SceneReport:
         points: number of points.
         frames: number of frames.
         segments: number of segments of the points.
-        seconds: by stage; the sum over threads.
+        seconds: of each part of the run by the clock; they add up to the whole.
         peak_memory: of the worker, megabytes; None if it is unknown.
         warnings: the warnings of the run.
     """

@@ -23,6 +23,7 @@ from torchjoint.results.output_folder import STATE, output_folder, own_files
 from torchjoint.runtime.checked_files import file_checksum
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.memory import as_bytes
+from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
 from torchjoint.views.pose_check import PoseDoubt, PoseWarning
@@ -94,12 +95,14 @@ def segment_recording(
     with output_folder(out, source, key=f"{key} {level}", overwrite=overwrite) as partial:
         if partial is None:
             return None
-        if masks is not None:
-            check_files(masks)  # first, because fusing a cloud takes long
-        scene = _load(path, partial, options, progress)
-        if masks is not None:
-            scene = read_folder(masks, scene, "segment" if without_masks == "segment" else "leave out")
-        scene = options.cut_down(scene)
+        clock = Stopwatch()
+        with clock("read"):
+            if masks is not None:
+                check_files(masks)  # first, because fusing a cloud takes long
+            scene = _load(path, partial, options, progress)
+            if masks is not None:
+                scene = read_folder(masks, scene, "segment" if without_masks == "segment" else "leave out")
+            scene = options.cut_down(scene)
         checkpoint = Checkpoint(partial / STATE / "frames", key)
         segmenter = JointSegmenter(
             config,
@@ -108,7 +111,7 @@ def segment_recording(
             spill=partial / STATE,
             allow_import=allow_import,
         )
-        with nullcontext() if options.ignore_poses else _poses_must_fit():
+        with clock("segment"), nullcontext() if options.ignore_poses else _poses_must_fit():
             if engine is None:
                 result = segmenter(scene, progress=progress, checkpoint=checkpoint, on_frames=on_frames)
             else:
@@ -118,7 +121,7 @@ def segment_recording(
         if level is not None:
             result = result.at(level)
         level = 0.5 if level is None else level
-        write_result(partial, scene, result, config, str(path), level, fingerprint=files)
+        write_result(partial, scene, result, config, str(path), level, fingerprint=files, seconds=clock.seconds)
     return Segmented(result, segmenter, scene)
 
 

@@ -74,14 +74,14 @@ class Tables:
 
     def _summary(self) -> str:
         reports = [(name, self.reports[name]) for name in self._names if name in self.reports]
-        stages = list(dict.fromkeys(stage for _, report in reports for stage in report.seconds))
-        header = (*_COLUMNS[:5], *(f"seconds: {stage}" for stage in stages), *_COLUMNS[5:])
-        return _csv([header, *(_row(name, report, stages) for name, report in reports)])
+        parts = list(dict.fromkeys(part for _, report in reports for part in report.seconds))
+        header = (*_COLUMNS[:5], *(f"seconds: {part}" for part in parts), *_COLUMNS[5:])
+        return _csv([header, *(_row(name, report, parts) for name, report in reports)])
 
 
-def _row(name: str, report: SceneReport, stages: list[str]) -> tuple[object, ...]:
+def _row(name: str, report: SceneReport, parts: list[str]) -> tuple[object, ...]:
     memory = "" if report.peak_memory is None else round(report.peak_memory)
-    seconds = [report.seconds.get(stage, "") for stage in stages]
+    seconds = [report.seconds.get(part, "") for part in parts]
     total = round(sum(report.seconds.values()), 3)
     counts = (report.points, report.frames, report.segments)
     return (name, *counts, total, *seconds, memory, "; ".join(report.warnings))

@@ -33,7 +33,8 @@ def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
 
     count = min(num_frames, len(result.images))
     width = 3.2 * max(count, 3)
-    shape = max((image.shape[0] / image.shape[1] for image in result.initial_images), default=0)
+    chosen = evenly_spaced_indices(len(result.images), num_frames)
+    shape = max((rows / columns for rows, columns in (result.images[index].shape for index in chosen)), default=0)
     frames_height = 3 * (width / max(count, 1) * shape + 0.15) + 0.2 if count else 0.0
     figure = Figure(figsize=(width, frames_height + 0.38 * width), layout="constrained")
     if not count:
@@ -41,7 +42,7 @@ def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
         return figure
     parts: Any = figure.subfigures(2, 1, height_ratios=[frames_height, 0.38 * width])
     top, bottom = parts
-    _draw_frames(top, scene, result, evenly_spaced_indices(len(result.images), num_frames))
+    _draw_frames(top, scene, result, chosen)
     _draw_cloud(bottom, scene, result)
     return figure
 

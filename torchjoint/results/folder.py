@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 import platform
 import shutil
+import time
+from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +24,7 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import read_label_image
 from torchjoint.results.figures import overview
 from torchjoint.results.hierarchy_files import FILE, FOLDER, read_hierarchy, read_piece_image, write_hierarchy
-from torchjoint.results.inputs import CAMERAS, read_names, write_inputs
+from torchjoint.results.inputs import CAMERAS, read_inputs, read_names, write_inputs
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.manifest import FILE as MANIFEST
 from torchjoint.results.manifest import Check, unchecked, write_manifest
@@ -29,8 +32,9 @@ from torchjoint.results.objects import write_segments
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.lazy import LazySequence
-from torchjoint.runtime.threads import on_cpu
-from torchjoint.scene import Cloud, Scene, Segmentation
+from torchjoint.runtime.packing import pack
+from torchjoint.runtime.threads import on_cpu, parallel_map
+from torchjoint.scene import Cloud, LabelImages, Scene, Segmentation
 from torchjoint.scene.checks import as_labels
 
 #: Largest label in a 16-bit label image, which stores label + 1; 0 = none.
@@ -64,32 +68,42 @@ def write_result(
     granularity: float = 0.5,
     *,
     fingerprint: str | None = None,
+    seconds: Mapping[str, float] | None = None,
 ) -> None:
     """Writes points.ply, points.npz, segments.json, images/NAME.png, overview.png and run.yaml into a folder.
 
     The frames are written, too: cameras.json, inputs/NAME.jpg, and images_color/NAME.jpg with the labels over them.
     A result with a hierarchy also gets hierarchy.npz and pieces/NAME.png, from which any level can be computed. Then
-    run.yaml also records the granularity of the labels. manifest.json has the checksums.
+    run.yaml also records the granularity of the labels, and the wall-clock `seconds` of the run's parts before, with
+    those of writing. manifest.json has the checksums.
 
     Raises:
         ValueError: a label does not fit 16-bit images, or two frames have the same name.
     """
+    start = time.perf_counter()
     _remove_earlier(folder)
+    # Each part below uses all label images: they are computed once, and kept packed.
+    packed = parallel_map(lambda index: pack(result.images[index]), range(len(result.images)))
+    result = replace(result, images=LabelImages(packed))
     write_cloud(folder / "points.ply", scene.points, label_colors(result.points), result.points)
     arrays = {"points": scene.points, "labels": result.points} | (
         {} if scene.colors is None else {"colors": scene.colors}
     )
     np.savez_compressed(folder / "points.npz", **{key: value.numpy() for key, value in arrays.items()})  # type: ignore[arg-type]
-    _write_label_images(folder / "images", result)
+    last_label = _write_label_images(folder / "images", result)
     if result.hierarchy is not None:
         write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.piece_images)
     write_inputs(folder, scene, result)
+    if len(scene.frames):
+        scene = replace(scene, frames=read_inputs(folder, result.names))  # faster to read than the recording
     write_segments(folder, scene, result)
     overview(scene, result).savefig(folder / "overview.png", dpi=100)
-    record = _run_record(scene, result, config, source, granularity)
+    record = _run_record(scene, result, config, source, granularity, last_label)
     if fingerprint is not None:
         record["fingerprint"] = fingerprint
     write_manifest(folder, record)
+    parts = dict(seconds or {}) | {"write": time.perf_counter() - start}
+    record["seconds"] = {part: round(value, 3) for part, value in parts.items()}
     (folder / "run.yaml").write_text(yaml.safe_dump(record, sort_keys=False))
 
 
@@ -192,11 +206,11 @@ def read_granularity(folder: Path) -> float | None:
 
 
 def read_record(folder: Path) -> tuple[dict[str, int], dict[str, float]]:
-    """Reads the counts of a result (points, frames, point_segments) and its seconds by stage. Raises as read_source."""
+    """Reads a result's counts (points, frames, point_segments) and the seconds of its parts. Raises as read_source."""
 
     def numbers(record: Any) -> tuple[dict[str, int], dict[str, float]]:
         counts = {name: int(record["counts"][name]) for name in ("points", "frames", "point_segments")}
-        return counts, {str(stage): float(value) for stage, value in record["seconds"].items()}
+        return counts, {str(part): float(value) for part, value in record["seconds"].items()}
 
     return read_yaml(_run_file(folder), numbers, "a record of a run")
 
@@ -208,23 +222,32 @@ def _run_file(folder: Path) -> Path:
     return file
 
 
-def _write_label_images(folder: Path, result: Segmentation) -> None:
+def _write_label_images(folder: Path, result: Segmentation) -> int:
+    """Writes the label images; returns the largest label, or -1."""
     names = frame_files(result.names)
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"frames: expected different names, got {twice!r} twice")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    for name, labels in zip(names, result.images, strict=True):
-        if int(labels.max()) > MAX_LABEL:
+
+    def write(index: int) -> int:
+        labels = result.images[index]
+        if (last := int(labels.max())) > MAX_LABEL:
             raise ValueError(
-                f"image segments: ids up to {int(labels.max())} do not fit 16-bit images (at most {MAX_LABEL}); "
+                f"image segments: ids up to {last} do not fit 16-bit images (at most {MAX_LABEL}); "
                 "raise image_segments.min_size, or choose a lower granularity"
             )
-        Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{name}.png")
+        # Compression level 3: as for the pieces.
+        Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{names[index]}.png", compress_level=3)
+        return last
+
+    return max(parallel_map(write, range(len(names))), default=-1)
 
 
-def _run_record(scene: Scene, result: Segmentation, config: Config, source: str, granularity: float) -> dict[str, Any]:
+def _run_record(
+    scene: Scene, result: Segmentation, config: Config, source: str, granularity: float, last_label: int
+) -> dict[str, Any]:
     packages = ("torchjoint", "torch", "kornia", "numpy", "scipy", "open3d", "opencv-contrib-python-headless")
     versions = {"python": platform.python_version()}
     for name in packages:
@@ -237,15 +260,10 @@ def _run_record(scene: Scene, result: Segmentation, config: Config, source: str,
             "points": len(scene.points),
             "frames": len(result.images),
             "point_segments": result.num_point_segments,
-            "image_segments_without_points": _count_private(result),
+            "image_segments_without_points": max(0, last_label + 1 - result.num_point_segments),
         },
-        "seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
+        "thread_seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
         "versions": versions,
         "config": config.to_dict(),
         "manifest": MANIFEST,
     }
-
-
-def _count_private(result: Segmentation) -> int:
-    last = max((int(labels.max()) for labels in result.images), default=-1)
-    return max(0, last + 1 - result.num_point_segments)

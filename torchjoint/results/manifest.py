@@ -89,5 +89,6 @@ def _read(file: Path, record: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 def _checksum(record: Mapping[str, Any]) -> str:
     """Of a run's record without its seconds, so that equal results have equal manifests."""
-    text = json.dumps({key: value for key, value in record.items() if key != "seconds"}, sort_keys=True, default=str)
+    timeless = {key: value for key, value in record.items() if key not in ("seconds", "thread_seconds")}
+    text = json.dumps(timeless, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -20,8 +20,8 @@ def overlay(image: Tensor, labels: Tensor, num_point_segments: int | None = None
     Returns:
         [3, H, W] float32 RGB in [0, 1].
     """
-    ids, place = labels.unique(return_inverse=True)
-    paint = label_colors(ids, num_point_segments)[place].permute(2, 0, 1)
+    table = label_colors(torch.arange(-1, int(labels.max()) + 1), num_point_segments)
+    paint = table.T.contiguous()[:, labels + 1]
     blended = torch.where(labels < 0, image, image + (paint - image) * opacity)
     return torch.where(borders(labels), 1.0, blended)
 
