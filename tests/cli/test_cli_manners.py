@@ -170,3 +170,16 @@ def test_depth_in_another_unit(scene_of, scale, message):
     frames = [dataclasses.replace(f, depth=torch.full(f.size, 2.0 * scale)) for f in scene_of(3).scene.frames[:2]]
     with pytest.raises(ValueError, match=message):
         fuse_cloud(frames)
+
+
+def test_bash_completes_commands_and_options(run, capsys, tmp_path):
+    run("completion", "bash")
+    (tmp_path / "script").write_text(capsys.readouterr().out)
+    ask = """source ./script
+    function=$(complete -p torchjoint | sed 's/.*-F \\([^ ]*\\).*/\\1/')
+    for words in "torchjoint seg" "torchjoint segment x --ma"; do
+        COMP_WORDS=($words); COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMP_LINE=$words; COMP_POINT=${#words}
+        $function; echo ${COMPREPLY[@]}
+    done"""
+    told = subprocess.run(["bash", "-c", ask], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert told.split("\n")[:2] == ["segment", "--max-frames --masks"]

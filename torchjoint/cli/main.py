@@ -14,6 +14,7 @@ COMMANDS = {
     "export": Command("torchjoint.cli.export:export", "writes a result in the format of another tool"),
     "formats": Command("torchjoint.cli.formats:formats", "lists the formats of recordings that can be read"),
     "parameters": Command("torchjoint.cli.parameters:parameters", "prints the parameters as tables"),
+    "completion": Command("torchjoint.cli.completion:completion", "prints a script that completes commands in a shell"),
 }
 
 DESCRIPTION = """\
