@@ -11,6 +11,7 @@ import tyro
 
 from torchjoint.results.exports import FORMATS, SUFFIXES
 from torchjoint.results.loading import load_result
+from torchjoint.results.mask_report import only_masked as with_masks_only
 from torchjoint.results.result import Result
 
 
@@ -19,6 +20,7 @@ def export(
     format: Literal["coco", "sam", "ply", "las", "npz"],
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     granularity: float | None = None,
+    only_masked: bool = False,
     overwrite: bool = False,
 ) -> None:
     """Writes a result in the format of another tool.
@@ -30,9 +32,15 @@ def export(
             and las need `pip install 'torchjoint[export]'`.
         out: file, or folder for sam and ply; default: RESULT-FORMAT in the current folder, with the format's suffix.
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); needs a result of method learned.
+        only_masked: only what the masks of the run show: segments that lie in masks with at least half of their pixels.
+            The others are -1, or left out. Corrections by hand are not in it.
         overwrite: replace OUT.
     """
-    loaded = load_result(result)
+    if only_masked and granularity is not None:
+        raise ValueError("--only-masked: expected no --granularity, because masks are compared with the stored level")
+    loaded = load_result(result, edits=not only_masked)
+    if only_masked:
+        loaded = with_masks_only(result, loaded)
     if granularity is not None:
         loaded = loaded.at(granularity)
     suffix = SUFFIXES.get(format, "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,16 @@ from torchjoint.scene.masks import Masks
 
 
 @on_cpu()
-def from_coco(annotations: Sequence[Mapping[str, Any]], size: tuple[int, int]) -> Masks:
+def from_coco(
+    annotations: Sequence[Mapping[str, Any]], size: tuple[int, int], categories: Mapping[int, str] | None = None
+) -> Masks:
     """Masks of the annotations, or of the results, of one image.
 
     Args:
         annotations: a dict for each mask: ``segmentation`` (polygons, or run lengths, compressed or not), and an
-            optional ``score`` in [0, 1].
+            optional ``score`` in [0, 1]. If all have an ``id``, the masks have it, too.
         size: (H, W) of the image.
+        categories: names of ``category_id``; then the masks have names.
 
     Raises:
         ValueError, TypeError: naming the annotation and its entry, what was expected and what came.
@@ -39,7 +43,10 @@ def from_coco(annotations: Sequence[Mapping[str, Any]], size: tuple[int, int]) -
         if isinstance(score, bool) or not isinstance(score, (int, float)):
             raise TypeError(f"{name}'s score: expected a number, got {score!r}")
         scores.append(float(score))
-    return Masks.from_stack(stacked(masks, size, "annotations"), torch.tensor(scores), "annotations")
+    found = Masks.from_stack(stacked(masks, size, "annotations"), torch.tensor(scores), "annotations")
+    ids = [one["id"] for one in annotations if isinstance(one.get("id"), int)]
+    names = [str(categories.get(one.get("category_id", -1), "")) for one in annotations] if categories else []
+    return replace(found, ids=tuple(ids) if len(ids) == len(found) else (), names=tuple(names))
 
 
 class CocoFile:
@@ -59,6 +66,7 @@ class CocoFile:
             self._annotations: dict[Any, list[Any]] = {image["id"]: [] for image in data["images"]}
             for annotation in data["annotations"]:
                 self._annotations[annotation["image_id"]].append(annotation)
+            self._categories = {one["id"]: str(one["name"]) for one in data.get("categories", []) if "name" in one}
         except (KeyError, TypeError) as error:
             raise ValueError(
                 f"{path}: expected images with file_name and id, annotations with image_id: {error}"
@@ -79,7 +87,8 @@ class CocoFile:
         """
         image = self._images[name]
         try:
-            return from_coco(self._annotations[image["id"]], (int(image["height"]), int(image["width"])))
+            size = int(image["height"]), int(image["width"])
+            return from_coco(self._annotations[image["id"]], size, self._categories)
         except (ValueError, TypeError, KeyError) as error:
             raise ValueError(f"{self._path}, image {name!r}: {error}") from error
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -72,9 +73,9 @@ def save_masks(path: Path | str, masks: Masks) -> None:
         raise ValueError(f"path: expected a file name with .npz, got {path.name}")
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as partial:
-        np.savez_compressed(
-            partial, atom=masks.atom.numpy(), pairs=masks.pairs.numpy(), mask_scores=masks.scores.numpy()
-        )
+        arrays = {"atom": masks.atom.numpy(), "pairs": masks.pairs.numpy(), "mask_scores": masks.scores.numpy()}
+        arrays |= {key: np.array(of) for key, of in (("ids", masks.ids), ("names", masks.names)) if of}
+        np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]
 
 
 def _read_labels(path: Path) -> Masks:
@@ -95,7 +96,9 @@ def _read_json(path: Path) -> Masks:
 def _read_npz(path: Path) -> Masks:
     arrays = read_archive(path)
     if {"atom", "pairs", "mask_scores"} <= set(arrays):
-        return Masks(*(torch.from_numpy(arrays[name]) for name in ("atom", "pairs", "mask_scores")))
+        ids, names = (tuple(arrays[key].tolist()) if key in arrays else () for key in ("ids", "names"))
+        tensors = [torch.from_numpy(arrays[key]) for key in ("atom", "pairs", "mask_scores")]
+        return Masks(tensors[0], tensors[1], tensors[2], ids, names)
     if "masks" not in arrays:
         raise ValueError(f"{path}: expected masks, and optional scores, got {', '.join(arrays) or 'nothing'}")
     masks, scores = as_tensor(arrays["masks"], "masks"), arrays.get("scores")
@@ -112,7 +115,9 @@ def _read_pngs(path: Path) -> Masks:
         if image.mode not in ("1", "L"):
             raise ValueError(f"{file}: expected a mask with values 0 and 255, got an image of mode {image.mode}")
         masks.append(as_binary(np.array(image), str(file)))
-    return from_stack(stacked(masks, None, path.name), _scores(path / METADATA, [file.stem for file in files]))
+    stems = [file.stem for file in files]
+    found = from_stack(stacked(masks, None, path.name), _scores(path / METADATA, stems))
+    return replace(found, names=tuple(stems))
 
 
 def _scores(path: Path, ids: list[str]) -> list[float] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -41,4 +42,4 @@ def from_panoptic(segmentation: Any, segments_info: Sequence[Mapping[str, Any]])
     if len(set(ids)) < len(ids):
         raise ValueError(f"segments_info: expected each id once, got {sorted(ids)}")
     stack = torch.stack(masks) if masks else torch.zeros(0, *labels.shape, dtype=torch.bool)
-    return Masks.from_stack(stack, torch.tensor(scores), "segmentation")
+    return replace(Masks.from_stack(stack, torch.tensor(scores), "segmentation"), ids=tuple(ids))

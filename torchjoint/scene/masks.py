@@ -24,6 +24,8 @@ class Masks:
         atom: [H, W] int32, the atom of each pixel, 0 ... K - 1 by first appearance, row by row.
         pairs: [2, L] int64, pairs (atom, mask): the atom lies in the mask. Atoms without a pair are in no mask.
         scores: [M] float32 in [0, 1], how far each mask can be trusted.
+        ids: M numbers that the masks have where they come from; empty: 0 ... M - 1.
+        names: M names, such as classes; empty: none.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -32,11 +34,16 @@ class Masks:
     atom: Tensor
     pairs: Tensor
     scores: Tensor
+    ids: tuple[int, ...] = ()
+    names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.atom.ndim != 2 or self.atom.dtype != torch.int32:
             raise ValueError(f"atom: expected [H, W] int32, got {list(self.atom.shape)} {self.atom.dtype}")
         object.__setattr__(self, "scores", _as_scores(self.scores, len(self.scores), "scores"))
+        for name in ("ids", "names"):
+            if len(getattr(self, name)) not in (0, len(self)):
+                raise ValueError(f"{name}: expected one for each of {len(self)} masks, got {len(getattr(self, name))}")
         if self.pairs.ndim != 2 or self.pairs.shape[0] != 2 or self.pairs.dtype != torch.int64:
             raise ValueError(f"pairs: expected [2, L] int64, got {list(self.pairs.shape)} {self.pairs.dtype}")
         if self.atom.numel() and int(self.atom.min()) < 0:
@@ -100,11 +107,19 @@ class Masks:
         covered = values > none
         mask = (covered.cumsum(0) - 1).tolist()
         members = [(mask[i],) if is_mask else () for i, is_mask in enumerate(covered.tolist())]
-        return cls._of_members(number, members, _as_scores(scores, int(covered.sum()), f"{name}' scores"))
+        ids = tuple(values[covered].tolist())
+        return cls._of_members(number, members, _as_scores(scores, int(covered.sum()), f"{name}' scores"), ids)
 
     @classmethod
     @on_cpu()
-    def _of_members(cls, atom: Tensor, members: Sequence[Sequence[int]], scores: Tensor) -> Masks:
+    def _of_members(
+        cls,
+        atom: Tensor,
+        members: Sequence[Sequence[int]],
+        scores: Tensor,
+        ids: tuple[int, ...] = (),
+        names: tuple[str, ...] = (),
+    ) -> Masks:
         """Numbers the atoms that have pixels by first appearance. `members` are the masks of each atom, ascending."""
         first = torch.full((len(members),), atom.numel())
         first.scatter_reduce_(0, atom.reshape(-1), torch.arange(atom.numel()), "amin")
@@ -112,7 +127,8 @@ class Masks:
         number = torch.zeros(len(members), dtype=torch.int32)
         number[present] = torch.arange(len(present), dtype=torch.int32)
         pairs = [(new, mask) for new, old in enumerate(present) for mask in members[old]]
-        return cls(number[atom], torch.tensor(pairs, dtype=torch.int64).view(-1, 2).t().contiguous(), scores)
+        of_atom = torch.tensor(pairs, dtype=torch.int64).view(-1, 2).t().contiguous()
+        return cls(number[atom], of_atom, scores, ids, names)
 
     def __len__(self) -> int:
         return len(self.scores)
@@ -188,7 +204,8 @@ class Masks:
         members: list[list[int]] = [[] for _ in range(self.num_atoms)]
         for atom, mask in self.pairs.t().tolist():
             members[atom].append(mask)
-        return self._of_members(self.atom[row][:, column].long(), [tuple(masks) for masks in members], self.scores)
+        atom = self.atom[row][:, column].long()
+        return self._of_members(atom, [tuple(masks) for masks in members], self.scores, self.ids, self.names)
 
 
 def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None = None, name: str = "masks") -> Masks:

@@ -17,7 +17,7 @@ from torchjoint.runtime.threads import on_cpu
 def export_ply(folder: Path, result: Result) -> None:
     """Writes ID.ply for each segment of the cloud, with the points' own colours, if there are any."""
     folder.mkdir()
-    for segment in range(result.num_point_segments):
+    for segment in result.points[result.points >= 0].unique().tolist():
         cloud = result.cloud(segment)
         write_cloud(folder / f"{segment:06d}.ply", cloud.points, cloud.colors)
 

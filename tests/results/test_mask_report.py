@@ -1,0 +1,140 @@
+"""masks.json: which segment each mask became, and what lies in masks."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from folder_files import write_folder
+
+import torchjoint as tj
+from torchjoint.datasets.files.ply import read_ply
+from torchjoint.results.mask_report import write_mask_report
+from torchjoint.scene import LabelImages
+
+EVERYTHING = tj.masks.from_stack(torch.ones(1, 120, 160, dtype=torch.bool))
+
+
+@pytest.fixture(scope="module")
+def synthetic(scene_of):
+    return scene_of(0)
+
+
+def scene_with(synthetic, *masks):
+    """The first frames of a scene, with masks."""
+    frames = [replace(frame, masks=of) for frame, of in zip(synthetic.scene.frames, masks, strict=False)]
+    return replace(synthetic.scene, frames=frames)
+
+
+def report(tmp_path, scene, images, count=3):
+    points = torch.arange(len(scene.points)) % count
+    segmentation = tj.Segmentation(points, LabelImages(images), names=tuple("abcdef"[: len(images)]))
+    write_mask_report(tmp_path, scene, segmentation)
+    return json.loads((tmp_path / "masks.json").read_text())
+
+
+def test_by_hand(tmp_path, synthetic):
+    labels = torch.full((120, 160), 2)
+    labels[:60, :80] = 0
+    labels[60:] = 3  # a segment of this image only
+    stack = torch.zeros(2, 120, 160, dtype=torch.bool)
+    stack[0, :60, :60] = True  # three quarters of segment 0
+    stack[1, 50:, :] = True  # all of segment 3, and ten rows of 0 and 2
+    masks = replace(tj.masks.from_stack(stack, [0.5, 1.0]), ids=(7, 9), names=("cup", "floor"))
+    found = report(tmp_path, scene_with(synthetic, masks), [labels])
+    assert found["frames"] == [
+        {
+            "name": "a",
+            "masks": [
+                {"id": 7, "name": "cup", "score": 0.5, "segment": 0, "iou": 0.75, "pixels": 3600},
+                {"id": 9, "name": "floor", "score": 1.0, "segment": 3, "iou": 0.8571, "pixels": 11200},
+            ],
+        }
+    ]
+    inside = (60 * 60 + 10 * 20) / 4800
+    assert found["segments"] == [
+        {"id": 0, "masked": round(inside, 4), "frames": 1, "names": {"cup": 1}},
+        {"id": 2, "masked": round(10 / 60, 4), "frames": 0, "names": {}},
+    ]
+
+
+def test_frames_without_masks_do_not_count(tmp_path, synthetic):
+    labels = torch.zeros(120, 160, dtype=torch.int64)
+    found = report(tmp_path, scene_with(synthetic, None, EVERYTHING), [labels, labels])
+    assert [frame["name"] for frame in found["frames"]] == ["b"]
+    assert found["segments"] == [{"id": 0, "masked": 1.0, "frames": 1, "names": {}}]
+
+
+def test_a_mask_over_nothing_has_no_segment(tmp_path, synthetic):
+    labels = torch.full((120, 160), -1)
+    found = report(tmp_path, scene_with(synthetic, EVERYTHING), [labels])
+    assert found["frames"][0]["masks"][0]["segment"] == -1
+    assert found["segments"] == []
+
+
+def test_without_masks_there_is_no_file(tmp_path, synthetic):
+    write_mask_report(tmp_path, synthetic.scene, tj.JointSegmenter()(synthetic.scene))
+    assert not (tmp_path / "masks.json").exists()
+
+
+@pytest.fixture(scope="module")
+def thing(synthetic):
+    counts = torch.stack([torch.bincount(one.flatten() + 1, minlength=40)[:40] for one in synthetic.image_labels])
+    return int(counts.sum(0)[3:].argmax()) + 2
+
+
+@pytest.fixture(scope="module")
+def out(synthetic, thing, tmp_path_factory):
+    from torchjoint.cli.main import main
+
+    folder = tmp_path_factory.mktemp("masked")
+    recording = write_folder(folder / "recording", synthetic, depth=False)
+    for index, labels in enumerate(synthetic.image_labels):
+        masks = tj.masks.from_stack((labels == thing)[None])
+        tj.masks.save_masks(folder / "masks" / f"frame-{index * 5:06d}.npz", replace(masks, ids=(4,), names=("it",)))
+    with pytest.MonkeyPatch.context() as patch:
+        words = ["segment", recording, "-o", folder / "out", "--masks", folder / "masks"]
+        patch.setattr("sys.argv", ["torchjoint", *map(str, words)])
+        main()
+    return folder / "out"
+
+
+class TestARun:
+    """The largest true thing that is no wall or floor is the only one with masks."""
+
+    def test_the_thing_has_its_name(self, out, synthetic, thing):
+        found = json.loads((out / "masks.json").read_text())
+        named = [segment for segment in found["segments"] if segment["names"]]
+        assert len(named) >= 1
+        best = max(named, key=lambda segment: segment["frames"])
+        own = tj.load_result(out).points == best["id"]
+        true = synthetic.point_labels == thing
+        assert float((own & true).sum() / (own | true).sum()) > 0.5
+        assert {mask["id"] for frame in found["frames"] for mask in frame["masks"]} == {4}
+
+    def test_an_export_of_what_is_masked(self, out, run, tmp_path):
+        kept = [s["id"] for s in json.loads((out / "masks.json").read_text())["segments"] if s["masked"] >= 0.5]
+        run("export", out, "--format", "npz", "-o", tmp_path / "a.npz", "--only-masked")
+        labels = np.load(tmp_path / "a.npz")["labels"]
+        stored = tj.load_result(out, edits=False).points.numpy()
+        assert (labels == np.where(np.isin(stored, kept), stored, -1)).all()
+        run("export", out, "--format", "ply", "-o", tmp_path / "ply", "--only-masked")
+        assert sorted(int(file.stem) for file in (tmp_path / "ply").iterdir()) == kept
+        assert len(read_ply(tmp_path / "ply" / f"{kept[0]:06d}.ply").points) == (stored == kept[0]).sum()
+
+    def test_errors(self, out, run, tmp_path):
+        with pytest.raises(SystemExit, match="--only-masked: expected no --granularity"):
+            run("export", out, "--format", "npz", "--only-masked", "--granularity", 0.5)
+        other = tmp_path / "other"
+        other.mkdir()
+        for name in ("points.npz", "run.yaml"):
+            (other / name).write_bytes((out / name).read_bytes())
+        (other / "masks.json").write_text('{"frames": [], "segments": [{"id": 100000, "masked": 1}]}')
+        from torchjoint.results.mask_report import only_masked
+
+        with pytest.raises(ValueError, match=r"masks\.json: not the masks of this result"):
+            only_masked(other, tj.load_result(out))
+        (other / "masks.json").unlink()
+        with pytest.raises(FileNotFoundError, match="expected a result of a recording with masks"):
+            only_masked(other, tj.load_result(out))

@@ -1,0 +1,137 @@
+"""What became of the masks of a network: masks.json in a result (output after step 8)."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.results.result import Result
+from torchjoint.runtime.files import write_text
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.scene import Masks, Scene, Segmentation
+from torchjoint.scene.level_images import LevelImages
+
+FILE = "masks.json"
+#: A mask became a segment if their IoU in the frame is at least this.
+FOUND = 0.5
+
+
+class _Frame(NamedTuple):
+    masks: list[dict[str, Any]]
+    shown: Tensor  # [S] pixels of each segment of the cloud in a frame with masks
+    masked: Tensor  # [S] those of them that lie in a mask
+
+
+def write_mask_report(folder: Path, scene: Scene, result: Segmentation) -> None:
+    """Writes masks.json, unless no frame has masks.
+
+    `frames` has, for each mask of a frame, its id, name and score, its segment with their IoU in the frame, and its
+    area in pixels. `segments` has, for each segment of the cloud that these frames show, the share of its pixels that
+    lie in masks, the number of frames in which it is a mask (IoU >= 0.5), and how often these masks have each name.
+    """
+    count = result.num_point_segments
+
+    def look(index: int) -> _Frame | None:
+        masks = scene.frames[index].masks
+        return _frame(masks, result.images[index], count) if isinstance(masks, Masks) else None
+
+    found = parallel_map(look, range(len(scene.frames)))
+    (folder / FILE).unlink(missing_ok=True)
+    if not any(found):
+        return
+    frames: list[dict[str, Any]] = [
+        {"name": name or f"{index:06d}", "masks": one.masks}
+        for index, (name, one) in enumerate(zip(result.names, found, strict=True))
+        if one is not None
+    ]
+    shown, masked = (sum(getattr(one, name) for one in found if one is not None) for name in ("shown", "masked"))
+    good = [mask for frame in frames for mask in frame["masks"] if mask["iou"] >= FOUND]
+    times = Counter(mask["segment"] for mask in good)
+    segments = []
+    for segment in torch.nonzero(torch.as_tensor(shown)).flatten().tolist():
+        names = Counter(mask["name"] for mask in good if mask["segment"] == segment and mask["name"])
+        share = round(int(masked[segment]) / int(shown[segment]), 4)
+        segments.append({"id": segment, "masked": share, "frames": times[segment], "names": dict(names.most_common())})
+    lines = [",\n".join(json.dumps(record) for record in records) for records in (frames, segments)]
+    write_text(folder / FILE, f'{{"frames": [\n{lines[0]}\n], "segments": [\n{lines[1]}\n]}}\n')
+
+
+def _frame(masks: Masks, labels: Tensor, num_segments: int) -> _Frame:
+    """Compares the masks of a frame with its labels [H, W]."""
+    num_labels = max(int(labels.max()) + 1, num_segments)
+    of_pixel = labels.flatten() + 1  # 0: none
+    pixels = torch.bincount(of_pixel, minlength=num_labels + 1)
+    covered = torch.bincount(of_pixel[masks.covered().flatten()], minlength=num_labels + 1)
+    # Pixels of each pair of an atom and a label, then of each pair of a mask and a label.
+    pair, number = torch.unique(masks.atom.flatten().long() * (num_labels + 1) + of_pixel, return_counts=True)
+    atom, label = pair.div(num_labels + 1, rounding_mode="floor"), pair % (num_labels + 1)
+    records = []
+    for mask, area in enumerate(masks.areas().tolist()):
+        inside = torch.zeros(masks.num_atoms, dtype=torch.bool)
+        inside[masks.pairs[0, masks.pairs[1] == mask]] = True
+        here = inside[atom] & (label > 0)
+        both = torch.zeros(num_labels + 1, dtype=torch.int64).index_add_(0, label[here], number[here])
+        iou = both / (area + pixels - both).clamp(min=1)
+        best = int(iou.argmax())
+        records.append(
+            {
+                "id": masks.ids[mask] if masks.ids else mask,
+                "name": masks.names[mask] if masks.names else "",
+                "score": round(float(masks.scores[mask]), 4),
+                "segment": best - 1,
+                "iou": round(float(iou[best]), 4),
+                "pixels": area,
+            }
+        )
+    return _Frame(records, pixels[1 : num_segments + 1], covered[1 : num_segments + 1])
+
+
+def count_masks(folder: Path) -> tuple[int, int] | None:
+    """How many masks became a segment, and how many there are; None: the result has no masks.json.
+
+    Raises:
+        ValueError: the file is damaged; the message names it.
+    """
+    if not (folder / FILE).is_file():
+        return None
+    masks = [mask["iou"] for frame in _read(folder)["frames"] for mask in frame["masks"]]
+    return sum(iou >= FOUND for iou in masks), len(masks)
+
+
+def only_masked(folder: Path, result: Result) -> Result:
+    """The result with only those segments of the cloud that lie in masks with at least half of their pixels.
+
+    The other segments are -1 in points and images; ids stay. There are no levels any more.
+
+    Raises:
+        FileNotFoundError: there is no masks.json: no frame had masks.
+        ValueError: the file is damaged, or no segment lies in masks; the message names the file.
+    """
+    try:
+        kept = [segment["id"] for segment in _read(folder)["segments"] if segment["masked"] >= 0.5]
+        table = torch.full((result.num_point_segments,), -1)
+        table[kept] = torch.tensor(kept)
+    except (LookupError, TypeError) as error:
+        raise ValueError(f"{folder / FILE}: not the masks of this result: {error!r}") from error
+    if not kept:
+        raise ValueError(f"{folder / FILE}: no segment lies in masks with half of its pixels")
+    count = result.num_point_segments
+    images = LevelImages(result.images, count, table, count)
+    return replace(result, points=table[result.points], images=images, hierarchy=None, piece_images=())
+
+
+def _read(folder: Path) -> dict[str, Any]:
+    file = folder / FILE
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: missing; expected a result of a recording with masks")
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        return {name: list(content[name]) for name in ("frames", "segments")}
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
+        raise ValueError(f"{file}: not the report of a result's masks: {error!r}") from error
