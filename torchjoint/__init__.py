@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from torchjoint.results.loading import load_result
     from torchjoint.results.result import Result
     from torchjoint.scene import Cloud, Frame, Hierarchy, LabelImages, Masks, Scene, Segmentation, Truth
+    from torchjoint.scene.pose_warning import PoseWarning
     from torchjoint.synthetic import SyntheticScene
-    from torchjoint.views.pose_check import PoseWarning
 
 __version__ = version("torchjoint")
 
@@ -70,7 +70,7 @@ _HOMES = {
         "results.result": "Result",
         "scene": "Cloud Frame Hierarchy LabelImages Masks Scene Segmentation Truth",
         "synthetic": "SyntheticScene",
-        "views.pose_check": "PoseWarning",
+        "scene.pose_warning": "PoseWarning",
     }.items()
     for name in names.split()
 }

@@ -24,8 +24,9 @@ from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.render import render_cloud
+from torchjoint.scene.pose_warning import PoseWarning
 from torchjoint.segments.scan.scan_segments import segment_scan
-from torchjoint.views.pose_check import PoseCheck, PoseWarning, frames_to_check
+from torchjoint.views.pose_check import PoseCheck, frames_to_check
 from torchjoint.views.projection import project
 from torchjoint.views.visibility import Visible, visible_points
 

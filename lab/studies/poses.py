@@ -20,7 +20,8 @@ from torchjoint_lab.synthetic import DOMAINS, make_domain_scene
 
 import torchjoint as tj
 from torchjoint.scene import Scene
-from torchjoint.views.pose_check import PoseCheck, PoseWarning, frames_to_check
+from torchjoint.scene.pose_warning import PoseWarning
+from torchjoint.views.pose_check import PoseCheck, frames_to_check
 
 HALF_A_METRE = 0.5
 OPENGL = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))

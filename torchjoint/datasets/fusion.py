@@ -11,15 +11,20 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from torchjoint.datasets.depth_agreement import warn_of_poses
 from torchjoint.runtime.extras import needed_for
 from torchjoint.scene import Frame
 from torchjoint.scene.camera import camera_center
+from torchjoint.scene.subset import evenly_spaced_indices
 
 #: Depth beyond this, metres, is ignored: a depth camera's error grows with the square of the distance.
 FAR = 5.0
 
-#: A median depth below this, metres, is no picture of a scene.
+#: Depth below this, metres, is no picture of a scene.
 NEAR = 0.05
+
+#: Number of depth images whose unit is checked.
+CHECKED = 6
 
 #: The volume's origin is at a multiple of this many voxels.
 GRID = 1 << 14
@@ -52,13 +57,18 @@ def fuse_cloud(
 
     Raises:
         ModuleNotFoundError: Open3D is not installed, or is a version that fuses nothing.
-        ValueError: no frame has depth, or the depth gives no surface.
+        ValueError: no frame has depth, or it has another unit, or it gives no surface.
+
+    Warns:
+        PoseWarning: the poses do not fit, and another convention does.
     """
     if not 1e-4 <= voxel_size <= 10:
         raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
     with needed_for("fusing a cloud from depth images", "Open3D", "torchjoint[open3d]"):
         from open3d import camera, geometry, pipelines
 
+    _check_unit(frames)
+    warn_of_poses(frames)
     _finds_a_wall()
     origin = _origin(frames, voxel_size)
     volume = pipelines.integration.ScalableTSDFVolume(
@@ -94,7 +104,7 @@ def fuse_cloud(
     cloud = volume.extract_point_cloud()
     points, colors = np.asarray(cloud.points).astype(np.float32), np.asarray(cloud.colors).astype(np.float32)
     if len(points) == 0:
-        raise ValueError(f"depth: the {fused} depth images give no surface; {_likely_unit(frames)}")
+        raise ValueError(f"depth: the {fused} depth images give no surface; wrong poses?")
     order = np.lexsort(points.T)
     sorted_points = torch.from_numpy(points[order])
     return (
@@ -126,19 +136,25 @@ def _finds_a_wall() -> None:
         )
 
 
-def _likely_unit(frames: Sequence[Frame]) -> str:
-    """What the values of the first depth image say about their unit."""
-    depth = next(frame.depth for frame in frames if frame.depth is not None)
-    measured = depth[depth > 0]
-    if measured.numel() == 0:
-        return "the first one has no measured pixel"
+def _check_unit(frames: Sequence[Frame]) -> None:
+    """Checks some depth images before all are fused, which takes long.
+
+    Raises:
+        ValueError: none has a pixel at a distance that is fused; the message has the likely unit.
+    """
+    chosen = (frames[index] for index in evenly_spaced_indices(len(frames), CHECKED))
+    images = [frame.depth for frame in chosen if frame.depth is not None]
+    if not images or any(((image > NEAR) & (image < FAR)).any() for image in images):
+        return
+    measured = torch.cat([image[image > 0] for image in images])
+    if not len(measured):
+        raise ValueError(f"depth: expected metres, got {len(images)} images without a measured pixel")
     median = float(measured.median())
-    reason = ""
-    if median > FAR:
-        reason = "; these are probably millimetres where metres are expected"
-    elif median < NEAR:
-        reason = "; these are probably metres where the format has millimetres"
-    return f"expected metres, mostly below {FAR:g}, got a median of {median:.4g} in the first one{reason}"
+    unit = "millimetres where metres are expected" if median >= FAR else "metres where the format has millimetres"
+    raise ValueError(
+        f"depth: expected metres, mostly {NEAR:g} to {FAR:g}, got a median of {median:.4g} in {len(images)} images; "
+        f"these are probably {unit}"
+    )
 
 
 def _origin(frames: Sequence[Frame], voxel_size: float) -> Tensor:

@@ -26,7 +26,7 @@ from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
-from torchjoint.views.pose_check import PoseDoubt, PoseWarning
+from torchjoint.scene.pose_warning import PoseDoubt, PoseWarning
 
 
 class Segmented(NamedTuple):
@@ -99,7 +99,8 @@ def segment_recording(
         with clock("read"):
             if masks is not None:
                 check_files(masks)  # first, because fusing a cloud takes long
-            scene = _load(path, partial, options, progress)
+            with nullcontext() if options.ignore_poses else _poses_must_fit():
+                scene = _load(path, partial, options, progress)
             if masks is not None:
                 scene = read_folder(masks, scene, "segment" if without_masks == "segment" else "leave out")
             scene = options.cut_down(scene)

@@ -15,6 +15,7 @@ from torchjoint.cloud.local import LocalFrame
 from torchjoint.config import VisibilityConfig
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Scene
+from torchjoint.scene.pose_warning import CONVENTIONS, PoseDoubt, PoseWarning
 from torchjoint.scene.subset import evenly_spaced_indices
 from torchjoint.views.color_agreement import color_agreement
 from torchjoint.views.edge_alignment import EdgeAlignment, combined, edge_correlations
@@ -42,22 +43,6 @@ AGREEING_SHARE = 0.75
 #: poses in reversed order, or half a metre off, have at least .84 and at most .59. If even the residual in shifted
 #: images is below the third number, the scene has too little contrast to judge.
 CHANCE_SHARE, CHANCE_CORRELATION, LEAST_CONTRAST = 0.8, 0.6, 0.03
-
-
-#: What poses may be instead of world to camera in OpenCV's axes, in words.
-OTHERS = {
-    "inverted": "inverted: expected world_to_camera, but they fit better as camera-to-world",
-    "axes": "to be in OpenGL axes (y up, z backwards): expected OpenCV axes (y down, z forwards)",
-    "inverted axes": "to be camera-to-world in OpenGL axes: expected world_to_camera in OpenCV axes",
-}
-
-
-class PoseWarning(UserWarning):
-    """The poses or intrinsics look wrong."""
-
-
-class PoseDoubt(PoseWarning):
-    """The same, of something that right poses or intrinsics can have, too: a cropped image, or few edges."""
 
 
 class Agreement(NamedTuple):
@@ -88,7 +73,7 @@ class _Look(NamedTuple):
     """The result of the comparison of one frame."""
 
     given: Agreement
-    others: dict[str, Agreement]  #: with the poses read as in OTHERS
+    others: dict[str, Agreement]  #: with the poses read as in CONVENTIONS
     off_center: float
     edges: Tensor | None
 
@@ -136,7 +121,7 @@ class PoseCheck:
         if not self._looks:
             return None
         given = _combined([look.given for look in self._looks])
-        others = {kind: _combined([look.others[kind] for look in self._looks]) for kind in OTHERS}
+        others = {kind: _combined([look.others[kind] for look in self._looks]) for kind in CONVENTIONS}
         found = _complaints(given, others, max(look.off_center for look in self._looks))
         with one_thread_per_operation():
             found |= _edge_complaints(combined([look.edges for look in self._looks if look.edges is not None]))
@@ -158,7 +143,7 @@ class PoseCheck:
         if math.isnan(given.depth_residual) and math.isnan(given.color_residual):  # no other check finds small errors
             local = replace(frame, world_to_camera=self._local.pose(frame.world_to_camera))
             edges = edge_correlations(self._cloud, local, self._spacing, self._config)
-        return _Look(given, dict(zip(OTHERS, others, strict=True)), _off_center(frame), edges)
+        return _Look(given, dict(zip(CONVENTIONS, others, strict=True)), _off_center(frame), edges)
 
 
 def frames_to_check(scene: Scene) -> dict[int, Frame]:
@@ -232,7 +217,7 @@ def _complaints(given: Agreement, others: dict[str, Agreement], off_center: floa
     if better:
         found = min(better, key=lambda kind: _residuals(others[kind]))
         complaints["convention"] = (
-            f"the poses look {OTHERS[found]} (as given: {given}; read like this: {others[found]})"
+            f"the poses look {CONVENTIONS[found]} (as given: {given}; read like this: {others[found]})"
         )
     elif given.in_view == 0:
         complaints["view"] = "no point of the cloud is in view of the checked frames: wrong poses, units or axes?"
