@@ -75,6 +75,27 @@ def test_points_that_are_nan_or_infinite(tmp_path, run, suffix):
     assert len(tj.load_scene(cloud, drop_invalid=True).points) == 355
 
 
+@pytest.mark.filterwarnings("ignore:of 7 columns")
+@pytest.mark.parametrize("suffix", [".npy", ".txt", ".bin"])
+def test_columns_by_letters(tmp_path, run, suffix):
+    cloud, label = tmp_path / f"cloud{suffix}", np.arange(400)[:, None] % 5
+    rows = np.concatenate([label, POINTS.numpy(), (COLORS * 255).numpy()], 1).astype("<f4")
+    {".npy": lambda: np.save(cloud, rows), ".txt": lambda: np.savetxt(cloud, rows), ".bin": lambda: rows.tofile(cloud)}[
+        suffix
+    ]()
+    read = read_cloud_file(cloud, "lxyzrgb")
+    torch.testing.assert_close(read.points.float(), POINTS)
+    torch.testing.assert_close(read.colors, COLORS)
+    assert read_cloud_file(cloud, "nnnxyzl").normals.tolist() == rows[:, :3].tolist()
+    run("superpoints", cloud, "-o", tmp_path / "a.npy", "--no-picture", "--columns", "lxyzrgb")
+    assert np.load(tmp_path / "a.npy").tolist() == tj.superpoints(read.points, read.colors).tolist()
+    for wrong, message in (("xyzrgb", "expected rows of"), ("xyzrgll", "expected x, y, z, and r, g, b")):
+        with pytest.raises(ValueError, match=message):
+            read_cloud_file(cloud, wrong)
+    with pytest.raises(ValueError, match=r"for columns 'xyz'"):
+        read_cloud_file(write(tmp_path / "b.ply"), "xyz")
+
+
 def test_a_mesh(tmp_path, run):
     import open3d
 

@@ -29,7 +29,7 @@ def superpoints(
     preset: str = "default",
     set: tuple[str, ...] = (),
     viewpoint: tuple[float, float, float] | None = None,
-    columns: int | None = None,
+    columns: str | None = None,
     drop_invalid: bool = False,
     picture: bool = True,
     overwrite: bool = False,
@@ -49,7 +49,8 @@ def superpoints(
         preset: default, scan or segmentator, or a YAML file of your own.
         set: single parameters: --set scale=2 color_weight=0.5; `torchjoint parameters --superpoints` lists them.
         viewpoint: x y z of the sensor, metres; normals then point outward, so that convex and concave edges differ.
-        columns: numbers per point in a .bin file; default: 4, or 5 for .pcd.bin.
+        columns: numbers per point in a .bin file; default: 4, or 5 for .pcd.bin. Or a letter for each column of a .bin,
+            .npy, .xyz or .txt file: x y z, r g b, nnn (a normal), any other to leave it out: xyzrgbl.
         drop_invalid: leave out the points that are NaN or infinite, and tell their number; in a .npy their label
             is -1. Else they are an error.
         picture: write a picture of the cloud and its superpoints next to OUT (not if OUT is .las or .laz).
@@ -87,7 +88,7 @@ def superpoints(
     png = out.with_suffix(".png")
     _check_output(out, png if picture else None, overwrite)
     config = SuperpointsConfig.from_preset(preset).set(set)
-    read = read_cloud_file(cloud, columns, "keep")
+    read = read_cloud_file(cloud, int(columns) if columns and columns.isdecimal() else columns, "keep")
     valid = valid_points(read.points, str(cloud), "drop" if drop_invalid else "refuse")
     mesh = read.faces if config.weight == "segmentator" else None
     colors, normals = (None if of is None else of[valid] for of in (read.colors, read.normals))

@@ -24,6 +24,10 @@ MOST_COLUMNS = 16
 #: Another row length is more plausible if it reduces the median step between points below this share.
 MUCH = 0.25
 
+#: Letters of columns: positions, colours, normals; and the suffixes of files of rows, which may have them.
+GROUPS = ("xyz", "rgb", "n")
+LETTERED = (".npy", ".xyz", ".txt", ".bin")
+
 #: What :func:`read_mesh` reads.
 MESHES = (".ply", ".pcd", ".las", ".laz", ".e57")
 SUFFIXES = (*MESHES, ".npy", ".npz", ".bin", ".xyz", ".txt")
@@ -38,7 +42,7 @@ class CloudFile(NamedTuple):
     faces: Tensor | None = None  #: [F, 3] int64, triangles of a mesh
 
 
-def read_cloud_file(path: Path, columns: int | None = None, invalid: Invalid = "refuse") -> CloudFile:
+def read_cloud_file(path: Path, columns: int | str | None = None, invalid: Invalid = "refuse") -> CloudFile:
     """Reads a cloud; the suffix of the file gives its format.
 
     * .ply, .pcd: positions; colours and normals, if any; the triangles of a .ply mesh;
@@ -51,7 +55,8 @@ def read_cloud_file(path: Path, columns: int | None = None, invalid: Invalid = "
 
     Args:
         path: of the file.
-        columns: numbers in a row of a .bin file, if other than above.
+        columns: numbers in a row of a .bin file, if other than above. Or a letter for each number in a row of a .bin,
+            .npy, .xyz or .txt file: x y z, r g b, nnn (a normal); others are left out: "xyzrgbl".
         invalid: what becomes of points that are NaN or infinite; a mesh with such points loses its triangles.
 
     Raises:
@@ -65,23 +70,28 @@ def read_cloud_file(path: Path, columns: int | None = None, invalid: Invalid = "
     return CloudFile(read.points[valid], colors, normals)
 
 
-def _read(path: Path, columns: int | None) -> CloudFile:
+def _read(path: Path, columns: int | str | None) -> CloudFile:
     """The cloud with its invalid points."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise ValueError(f"{path}: expected a file that ends in {', '.join(SUFFIXES)}")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud")
+    if isinstance(columns, str) and suffix not in LETTERED:
+        raise ValueError(f"{path}: expected a file that ends in {', '.join(LETTERED)}, for columns {columns!r}")
     if suffix in MESHES:
         return CloudFile(*read_mesh(path))
-    if columns is not None and (suffix != ".bin" or columns < 3):
+    if isinstance(columns, int) and (suffix != ".bin" or columns < 3):
         raise ValueError(f"{path}: expected at least 3 columns, and a file that ends in .bin, got {columns} columns")
     if suffix == ".bin":
+        if isinstance(columns, str):
+            return _from_letters(read_scan(path, len(columns), "keep").numpy(), columns, path)
         return CloudFile(_read_bin(path, columns)[:, :3])
     try:
         if suffix == ".npz":
             return _from_archive(path)
-        return _from_rows(read_array(path).numpy() if suffix == ".npy" else np.loadtxt(path, ndmin=2))
+        rows = read_array(path).numpy() if suffix == ".npy" else np.loadtxt(path, ndmin=2)
+        return _from_letters(rows, columns, path) if isinstance(columns, str) else _from_rows(rows)
     except (ValueError, KeyError, OSError, EOFError, TypeError) as error:
         raise ValueError(f"{path}: not a whole {suffix} cloud: {error}") from error
 
@@ -153,9 +163,23 @@ def _from_rows(rows: npt.NDArray[Any]) -> CloudFile:
     if rows.shape[1] > used:
         what = "x y z" if colors is None else "x y z and colours"
         warnings.warn(
-            f"of {rows.shape[1]} columns, the first {used} are read, {what}; the rest is left out", stacklevel=2
+            f"of {rows.shape[1]} columns, the first {used} are read, {what}; the rest is left out (--columns xyz... names "
+            "what is read)",
+            stacklevel=2,
         )
     return CloudFile(values[:, :3], None if colors is None else unit_colors(colors.float()))
+
+
+def _from_letters(rows: npt.NDArray[Any], letters: str, path: Path) -> CloudFile:
+    """Rows whose columns have a letter each."""
+    if rows.ndim != 2 or rows.shape[1] != len(letters):
+        raise ValueError(f"expected rows of {len(letters)} numbers, {letters!r}, got shape {list(rows.shape)}")
+    values = torch.from_numpy(np.ascontiguousarray(rows)).to(torch.float64)
+    x, r, n = ([place for one in group for place, letter in enumerate(letters) if letter == one] for group in GROUPS)
+    if len(x) != 3 or len(r) not in (0, 3) or len(n) not in (0, 3):
+        raise ValueError(f"{path}: columns: expected x, y, z, and r, g, b or nnn if there are any, got {letters!r}")
+    colors, normals = (values[:, places].float() if places else None for places in (r, n))
+    return CloudFile(values[:, x], None if colors is None else unit_colors(colors), normals)
 
 
 def unit_colors(colors: Tensor) -> Tensor:
