@@ -163,8 +163,8 @@ def _from_rows(rows: npt.NDArray[Any]) -> CloudFile:
     if rows.shape[1] > used:
         what = "x y z" if colors is None else "x y z and colours"
         warnings.warn(
-            f"of {rows.shape[1]} columns, the first {used} are read, {what}; the rest is left out (--columns xyz... names "
-            "what is read)",
+            f"of {rows.shape[1]} columns, the first {used} are read, {what}; the rest is left out; --columns "
+            "xyz... names others",
             stacklevel=2,
         )
     return CloudFile(values[:, :3], None if colors is None else unit_colors(colors.float()))
