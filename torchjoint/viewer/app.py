@@ -17,7 +17,7 @@ from torchjoint.viewer.cameras import Cameras, viewpoint
 from torchjoint.viewer.cloud import CloudView
 from torchjoint.viewer.html import PREFIX, image_html, note_html, panel_html, table_html
 from torchjoint.viewer.model import Model
-from torchjoint.viewer.panel import Panel
+from torchjoint.viewer.panel import RESET, Panel
 from torchjoint.viewer.pick import pick_point
 from torchjoint.viewer.selection import export_selected
 from torchjoint.viewer.server import start_server
@@ -60,12 +60,12 @@ class Viewer:
         self.model = Model(result, self._shown.edits(result, granularity), upward)
         self._lock = threading.RLock()  # viser calls the functions below on several threads
         self._order, self._can_save = "points", True
-        self.server, distance, self.url = start_server(result.scene, upward, host, port)
+        self.server, self._distance, self.url = start_server(result.scene, upward, host, port)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), self.model.point_colors())
         self._has_frames = len(result.scene.frames) > 0
         with self._lock:
             self._add_panel()
-            self._connect_scene(distance)
+            self._connect_scene()
         self._count_frames()
 
     @property
@@ -110,7 +110,7 @@ class Viewer:
         """Ends the page."""
         self.server.stop()
 
-    def _add_panel(self, frame: int = 0, cameras: bool = True) -> None:
+    def _add_panel(self, frame: int = 0, cameras: bool = False) -> None:
         """Builds a new panel, and connects its elements to their actions."""
         panel = self._panel = Panel(self.server.gui, self.model, self._shown, frame, cameras)
 
@@ -124,7 +124,7 @@ class Viewer:
         panel.correct.on_click(then(self._on_correct))
         panel.export.on_click(then(self._on_export))
         panel.save.on_click(then(self._on_save))
-        panel.clear.on_click(then(lambda: self._select(())))
+        panel.view.on_click(lambda event: self._guarded(self._on_view, event.client))
         panel.size.on_update(lambda _: self._cloud.resize(panel.size.value))
         if panel.level is not None:
             panel.level.on_update(then(self._on_level))
@@ -137,9 +137,9 @@ class Viewer:
             panel.stand.on_click(lambda event: self._stand_at(self._frame_index(), event.client))
         self._draw()
 
-    def _connect_scene(self, distance: float) -> None:
+    def _connect_scene(self) -> None:
         if self._has_frames:
-            self._cameras = Cameras(self.server, self.result.scene, 0.02 * distance, self._stand_at)
+            self._cameras = Cameras(self.server, self.result.scene, 0.02 * self._distance)
             self._cameras.mark(0)
 
         for modifier in (None, "shift"):
@@ -204,6 +204,15 @@ class Viewer:
         self.replace(result)
         self._count_frames()
         self._say(f"{result.num_point_segments} segments; not written to OUT: run `segment` with --set to write this")
+
+    def _on_view(self, client: Any) -> None:
+        if self._panel.view.value != RESET:
+            self._select(())
+            return
+        first = self.server.initial_camera
+        with client.atomic():
+            client.camera.up_direction, client.camera.fov = self.model.up, first.fov
+            client.camera.position, client.camera.look_at = first.position, first.look_at
 
     def _on_mode(self) -> None:
         self.model.mode = self._panel.mode.value
