@@ -1,6 +1,7 @@
 """What the viewer shows, without a browser: levels, corrections and undo, colours, the table, clicks in the cloud."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -137,6 +138,70 @@ def test_the_selection_as_coco(model, tmp_path):
     found = json.loads(export_selected(model, tmp_path, "COCO").read_text())["annotations"]
     assert {one["segment_id"] for one in found} == keys
     assert all(one["in_cloud"] for one in found)
+
+
+def tree():
+    """A result of five pieces that merge one after the other, the last two only near the root."""
+    merges = torch.tensor([[0, 1], [2, 3], [1, 2], [3, 4]])
+    hierarchy = Hierarchy(torch.arange(5), merges, torch.tensor([0.1, 0.2, 0.3, 0.9], dtype=torch.float64))
+    return tj.Result.of(
+        tj.Segmentation(torch.tensor([0, 0, 1, 1, 2]), (), hierarchy=hierarchy), tj.Scene(torch.rand(5, 3))
+    )
+
+
+def levels_of(parts):
+    """A granularity for each level of `tree`, from fine to coarse."""
+    found = {len(np.unique(parts.level(step / 100))): step / 100 for step in range(101)}
+    return [found[count] for count in (5, 4, 3, 2, 1)]
+
+
+def test_a_name_stays_with_its_segment_and_finer_ones():
+    model = Model(tree(), Edits(5), UP)
+    finest, _, fine, coarse, whole = levels_of(model.parts)
+    model.set_granularity(fine)
+    model.select((2,))
+    model.name("chair")
+    assert model.names() == {2: "chair"}
+    for level, names in ((coarse, {}), (whole, {}), (finest, {2: "chair", 3: "chair"}), (None, {2: "chair"})):
+        model.set_granularity(level)
+        assert model.names() == names
+    # The name of a part counts more than that of the whole, whichever came first; "" takes a name away.
+    model.set_granularity(finest)
+    model.select((3,))
+    model.name("seat")
+    model.set_granularity(coarse)
+    model.select((0,))
+    model.name("furniture")
+    model.set_granularity(finest)
+    assert model.names() == {0: "furniture", 1: "furniture", 2: "chair", 3: "seat"}
+    model.select((3,))
+    model.name("")
+    assert model.names() == {0: "furniture", 1: "furniture", 2: "chair"}
+
+
+def test_a_join_takes_the_name_along_and_a_level_is_kept(tmp_path):
+    model = Model(tree(), Edits(5), UP)
+    fine = levels_of(model.parts)[2]
+    model.set_granularity(fine)
+    model.select((0,))
+    model.name("table")
+    model.select((0, 4))
+    model.join()
+    assert model.names() == {0: "table"}
+    model.set_granularity(0.0)
+    write_edits(tmp_path, model.edits)
+    assert read_edits(tmp_path, 5) == model.edits
+    assert edited(model.result, replace(model.edits, granularity=fine)).segment_names == {0: "table"}
+
+
+def test_names_of_an_older_file(tmp_path):
+    parts = Parts(tree())
+    fine, coarse = levels_of(parts)[2:4]
+    text = '{"pieces": 5, "granularity": %s, "edits": [{"kind": "name", "pieces": [2], "name": "chair"}]}'
+    (tmp_path / "edits.json").write_text(text % fine)
+    edits = read_edits(tmp_path, 5)
+    assert parts.names(edits) == {2: "chair"}
+    assert parts.names(replace(edits, granularity=coarse)) == {}
 
 
 def test_what_one_click_did_is_undone_at_once(model):

@@ -28,7 +28,8 @@ _SEND = (
 #: It hides the text field and the ends of sliders, over which their handles lie, and moves tooltips beside the panel.
 STYLE = (
     f"<style>.mantine-Flex-root:has(input[value^='{PREFIX}']),.mantine-Slider-markWrapper,.mantine-Tooltip-arrow"
-    "{display:none}.mantine-Tooltip-tooltip{translate:-21rem 2rem}</style>"
+    "{display:none}.mantine-Tooltip-tooltip{translate:-22rem 2rem}"
+    ".mantine-Notification-description{white-space:normal;overflow-wrap:anywhere}</style>"
 )
 #: Style of text, with the margin of viser's own elements.
 _TEXT = "font-size:12px;padding:0 8px"
@@ -93,12 +94,12 @@ def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
     for row in rows:
         size = " × ".join(f"{value:.2f}" for value in row.size)
         name = f" <b>{escape(row.name)}</b>" if row.name else ""
-        seen = "" if row.frames is None else f", seen in {row.frames} frames"
+        seen = "" if row.frames is None or len(rows) == 1 else f", seen in {row.frames} frames"
         parts.append(f"<div>segment <b>{row.key}</b>{name}: {row.points} points, {size} m{seen}</div>")
     if len(rows) == 1 and frames:
         listed = ", ".join(f"{escape(printable(name))} ({pixels} px)" for name, pixels in frames)
         parts.append(
-            f'<details{" open" if len(frames) < 3 else ""}><summary>frames that see it</summary>'
+            f"<details{' open' if len(frames) < 3 else ''}><summary>seen in {len(frames)} frames</summary>"
             f'<div style="max-height:120px;overflow-y:auto">{listed}</div></details>'
         )
     return f'<div id="tj-panel" style="{_TEXT}">{"".join(parts)}</div>'

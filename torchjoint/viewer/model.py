@@ -40,7 +40,7 @@ class Model:
         self.edits = edits
         self.selected: tuple[int, ...] = ()  # first pieces of segments
         self.mode: Mode = "segments"
-        self._table = self.parts.table(edits)
+        self._table, self._names = self.parts.table(edits), self.parts.names(edits)
         self._before: list[tuple[Edit, ...]] = []  # the corrections before each change, for undo
         self._measures = Measures(self.parts, up)
         self._measures.of_table(self._table)
@@ -97,7 +97,7 @@ class Model:
 
     def names(self) -> dict[int, str]:
         """Names by segment."""
-        return self.edits.names(self._table)
+        return self._names
 
     # Changes
 
@@ -141,8 +141,8 @@ class Model:
         segment = self._the_selected("name")
         if len(name) > LONGEST:
             raise ValueError(f"name: expected at most {LONGEST} characters, got {len(name)}")
-        step, steps = Edit("name", (segment,), name), self.edits.steps
-        if self._before and steps and steps[-1].kind == "name" and steps[-1].pieces == step.pieces:
+        step, steps = Edit("name", (segment,), name, self.edits.granularity), self.edits.steps
+        if self._before and steps and steps[-1] == replace(step, name=steps[-1].name):
             self._edit(replace(self.edits, steps=(*steps[:-1], step)))  # replaces the name while the user types
         else:
             self._add(step)
@@ -167,7 +167,7 @@ class Model:
     def _edit(self, edits: Edits) -> None:
         before = self._table
         self._table = self.parts.table(edits)  # raises before anything changes
-        self.edits = edits
+        self.edits, self._names = edits, self.parts.names(edits)
         if not np.array_equal(before, self._table):
             self.selected = tuple(dict.fromkeys(int(self._table[segment]) for segment in self.selected))
             self._measures.of_table(self._table)
