@@ -8,6 +8,7 @@ import json
 import shutil
 import time
 import warnings
+import zipfile
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ import torchjoint as tj
 from torchjoint.datasets.files import clouds
 from torchjoint.results.folder import write_result
 from torchjoint.results.label_colors import label_colors
+from torchjoint.scene.camera import camera_center
+from torchjoint.viewer.pick import pick_point
 
 pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
 sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need playwright")
@@ -79,7 +82,7 @@ def pixels(page):
     """The page left of the panel, [H, W, 3]."""
     shot = np.array(Image.open(io.BytesIO(page.screenshot())).convert("RGB")).astype(int)
     shot[:170, :330] = 255  # viser's note that there is no GPU
-    return shot[:, :860]
+    return shot[:, :940]
 
 
 def drawn(page):
@@ -160,7 +163,7 @@ def test_a_click_in_the_cloud_lights_the_segment_everywhere(viewer, page):
     wait(lambda: len(np.unique(viewer.model.table)) == viewer.result.num_point_segments)
 
 
-def test_a_click_in_the_image_and_in_the_table(viewer, page):
+def test_a_click_in_the_image_and_in_the_table(viewer, page, tmp_path):
     labels = viewer.result.images[0]
     middle = int(labels[60, 80])
     box = page.locator("#tj-image").bounding_box()
@@ -175,13 +178,103 @@ def test_a_click_in_the_image_and_in_the_table(viewer, page):
     page.get_by_role("button", name="Save corrections").click()
     wait(lambda: (viewer.folder / "edits.json").is_file())
     assert list(tj.load_result(viewer.folder).segment_names.values()) == ["<b>mug</b>"]
-    page.get_by_role("button", name="PLY").click()
-    file = viewer.folder / "selection" / f"{other}.ply"
-    wait(file.is_file)
-    points = clouds.read_cloud_file(file).points
-    assert len(points) == int((viewer.result.points == other).sum())
-    page.get_by_role("button", name="PNG").click()
-    wait((viewer.folder / "selection" / f"{other}-masks").is_dir)
+    before = sorted(viewer.folder.iterdir())
+    cloud = download(page, "PLY", tmp_path)
+    assert cloud.name == f"{other}.ply"
+    np.testing.assert_array_equal(clouds.read_cloud_file(cloud).points, scene_points(viewer, other))
+    with zipfile.ZipFile(download(page, "PNG", tmp_path)) as masks:
+        seen = {name: labels.numpy() == other for name, labels in zip(viewer.result.names, viewer.result.images)}
+        assert sorted(masks.namelist()) == sorted(f"{name}.png" for name, mask in seen.items() if mask.any())
+        for file in masks.namelist():
+            mask = np.array(Image.open(io.BytesIO(masks.read(file))))
+            np.testing.assert_array_equal(mask, seen[file.removesuffix(".png")] * 255)
+    assert sorted(viewer.folder.iterdir()) == before  # nothing lands beside the result
+    page.get_by_role("button", name="Clear selection").click()
+    wait(lambda: "Click a segment" in panel(page))
+    page.get_by_role("button", name="COCO").click()
+    wait(lambda: "export: select a segment first" in page.inner_text("body"))
+
+
+def download(page, kind, folder):
+    with page.expect_download() as coming:
+        page.get_by_role("button", name=kind).click()
+    wait(lambda: "Received" in page.inner_text("body"))
+    coming.value.save_as(folder / coming.value.suggested_filename)
+    return folder / coming.value.suggested_filename
+
+
+def scene_points(viewer, label):
+    return viewer.result.scene.points[viewer.result.points == label]
+
+
+def test_the_panel_stands_beside_the_cloud(viewer, page):
+    page.set_viewport_size({"width": 1400, "height": 900})
+    wait(lambda: camera(viewer).image_height == 900)
+    left = page.locator("#tj-panel").bounding_box()["x"]
+    assert camera(viewer).image_width <= left
+    u, v, _ = on_screen(viewer, viewer.result.scene.points.numpy())
+    assert np.abs(np.median([u, v], axis=1) - [camera(viewer).image_width / 2, 450]).max() < 30
+    table = page.locator("#tj-table").locator("xpath=..").bounding_box()
+    assert table["y"] + table["height"] < 900
+    page.set_viewport_size({"width": 1000, "height": 700})
+    wait(lambda: camera(viewer).image_height == 700)
+    page.get_by_label("Collapse panel area").click()
+    wait(lambda: camera(viewer).image_width > 940)
+
+
+def test_a_click_goes_through_a_camera(viewer, page):
+    page.get_by_role("checkbox", name="Cameras").check()
+    wait(lambda: viewer._cameras._mark.visible)
+    before = np.asarray(camera(viewer).position)
+    hits = []
+    for frame in viewer.result.scene.frames:
+        apex = camera_center(frame.world_to_camera).numpy()
+        (u,), (v,), _ = on_screen(viewer, apex[None])
+        point = pick_point(viewer.result.scene.points.numpy(), before, apex - before, 0.5 * viewer._cloud.size)
+        if point is not None and 20 < u < 930 and 180 < v < 980:
+            hits.append(((float(u), float(v)), int(viewer.model.table[viewer.model.parts.of_point[point]])))
+    assert hits
+    time.sleep(1)  # until the cameras are drawn
+    for place, segment in hits:
+        page.get_by_role("button", name="Clear selection").click()
+        wait(lambda: not viewer.model.selected)
+        page.mouse.click(*place)
+        wait(lambda: viewer.model.selected)
+        assert viewer.model.selected == (segment,)
+    np.testing.assert_allclose(camera(viewer).position, before, atol=1e-6)
+
+
+def test_reset_view(viewer, page):
+    def view():
+        return np.concatenate([camera(viewer).position, camera(viewer).wxyz, [camera(viewer).fov]])
+
+    before = view()
+    page.get_by_role("button", name="Stand at this camera").click()
+    wait(lambda: np.abs(view() - before).max() > 0.1)
+    page.get_by_role("button", name="Reset view").click()
+    wait(lambda: np.abs(view() - before).max() < 1e-3)
+
+
+def test_a_name_stays_where_it_belongs(viewer, page):
+    segment, place = visible_segments(viewer)[1]
+    page.mouse.click(*place)
+    wait(lambda: f"segment {viewer.model.key(segment)}:" in panel(page))
+    named = viewer.model.table[viewer.model.parts.of_point] == segment
+    page.locator("xpath=//*[text()='Name']/following::input[1]").fill("chair")
+    wait(lambda: "chair" in page.inner_text("#tj-table"))
+    slider = page.get_by_role("slider").first
+    slider.focus()
+    slider.press("Home")
+    wait(lambda: viewer.model.edits.granularity == 0)
+    wait(lambda: f"{len(np.unique(viewer.model.table))} segments" in page.inner_text("body"))
+    assert not named[viewer.model.table[viewer.model.parts.of_point] == viewer.model.selected[0]].all()
+    wait(lambda: "chair" not in page.inner_text("body"))
+    slider.press("End")
+    wait(lambda: "chair" in page.inner_text("#tj-table"))
+    (found,) = {*viewer.model.names().values()}
+    assert found == "chair"
+    of_point = viewer.model.table[viewer.model.parts.of_point]
+    np.testing.assert_array_equal(np.isin(of_point, [*viewer.model.names()]), named)
 
 
 def test_split_name_undo_and_the_cameras(viewer, page):
@@ -208,7 +301,7 @@ def test_split_name_undo_and_the_cameras(viewer, page):
     wait(lambda: "expected one selected segment, got 0" in page.inner_text("body"))
     wait(lambda: name.input_value() == "")
     before = pixels(page)
-    page.get_by_role("checkbox", name="Cameras").uncheck()
+    page.get_by_role("checkbox", name="Cameras").check()
     wait(lambda: (np.abs(pixels(page) - before).max(2) > 60).sum() > 300)
 
 
@@ -227,7 +320,7 @@ def test_the_granularity_slider_and_the_frame_slider(viewer, page):
     segment, place = fresh[0]
     wait(lambda: np.abs(color_at(page, place) - colors[segment]).max() < 12)
     image = page.get_attribute("#tj-image", "alt")
-    frames = page.get_by_role("slider").nth(2)
+    frames = page.get_by_role("slider").nth(1)
     frames.focus()
     frames.press("ArrowRight")
     wait(lambda: page.get_attribute("#tj-image", "alt") == viewer.result.names[1] != image)

@@ -128,14 +128,14 @@ def test_both_parts_of_a_split_are_selected_and_written(model, tmp_path):
     assert model.selected == (segment,)
 
 
-def test_the_selection_as_coco(model, tmp_path):
+def test_the_selection_as_coco(model):
     pytest.importorskip("pycocotools", reason="COCO needs pycocotools")
     (segment,) = largest(model, 1)
     model.select((segment,))
     model.split()
     keys = {model.key(part) for part in model.selected}
     assert max(keys) >= model.result.num_point_segments  # one of both is new
-    found = json.loads(export_selected(model, tmp_path, "COCO").read_text())["annotations"]
+    found = json.loads(export_selected(model, "COCO")[1])["annotations"]
     assert {one["segment_id"] for one in found} == keys
     assert all(one["in_cloud"] for one in found)
 

@@ -122,7 +122,7 @@ class Viewer:
         panel.name.on_update(then(self._on_name))
         panel.search.on_update(then(self._draw_table))
         panel.correct.on_click(then(self._on_correct))
-        panel.export.on_click(then(self._on_export))
+        panel.export.on_click(lambda event: self._guarded(self._on_export, event.client))
         panel.save.on_click(then(self._on_save))
         panel.view.on_click(lambda event: self._guarded(self._on_view, event.client))
         panel.size.on_update(lambda _: self._cloud.resize(panel.size.value))
@@ -154,12 +154,14 @@ class Viewer:
     # Reactions to events
 
     def _guarded(self, action: Any, *arguments: Any) -> None:
-        """Runs an action, one at a time; shows the message of a ValueError on the page."""
+        """Runs an action, one at a time; shows the message of an error on the page."""
         with self._lock:
             try:
                 action(*arguments)
-            except (ValueError, OSError, ModuleNotFoundError) as error:
-                self._say(str(error), "red")
+            except Exception as error:
+                self._say(str(error) or repr(error), "red")
+                if not isinstance(error, (ValueError, OSError, ModuleNotFoundError)):
+                    raise  # a mistake of the program: with its place, in the terminal
 
     def _say(self, text: str, color: str = "green") -> None:
         for client in self.server.get_clients().values():
@@ -256,10 +258,9 @@ class Viewer:
         write_edits(self.folder, self.model.edits)
         self._say(f"{len(self.model.edits.steps)} corrections saved to {self.folder / 'edits.json'}")
 
-    def _on_export(self) -> None:
-        assert self.folder is not None  # without a folder there is no button
-        file = export_selected(self.model, self.folder / "selection", self._panel.export.value)
-        self._say(f"written: {file}")
+    def _on_export(self, client: Any) -> None:
+        self._say(f"{self._panel.export.value}: the download comes ...", "blue")
+        client.send_file_download(*export_selected(self.model, self._panel.export.value), save_immediately=True)
 
     def _stand_at(self, index: int, client: Any) -> None:
         view = viewpoint(self.result.scene.frames[index])

@@ -42,7 +42,7 @@ class Panel:
             )
         with gui.add_folder("Selection"):
             self.selection = gui.add_html(panel_html((), ()))
-            self._add_buttons(gui, shown.folder is not None)
+            self._add_buttons(gui, shown.folder is not None, not shown.is_running)
         with gui.add_folder("Segments"):
             self.search = gui.add_text("Search", "", hint="a part of a name, or an id")
             self.table = gui.add_html("")
@@ -67,7 +67,7 @@ class Panel:
             self.stand = gui.add_button("Stand at this camera", color="gray")
             self.cameras = gui.add_checkbox("Cameras", cameras, hint="draw them in the cloud")
 
-    def _add_buttons(self, gui: Any, can_save: bool) -> None:
+    def _add_buttons(self, gui: Any, can_save: bool, can_export: bool) -> None:
         self.name = gui.add_text("Name", "", hint="of the selected segment", visible=can_save)
         self.correct = gui.add_button_group(
             "Correct",
@@ -78,7 +78,7 @@ class Panel:
         self.export = gui.add_button_group(
             "Export",
             ("PLY", "PNG", "COCO"),
-            visible=can_save,
-            hint="write the points, masks, or masks as JSON of the selected segments to the folder `selection`",
+            visible=can_export,
+            hint="download the points, the masks (ZIP), or the masks as JSON of the selected segments",
         )
         self.save = gui.add_button("Save corrections", visible=can_save, hint="to edits.json; the labels stay")
