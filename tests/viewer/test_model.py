@@ -17,6 +17,7 @@ from torchjoint.viewer.cloud import blocks_of
 from torchjoint.viewer.model import Model
 from torchjoint.viewer.pick import pick_point
 from torchjoint.viewer.selection import export_selected
+from torchjoint.viewer.shading import Shading
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -314,6 +315,34 @@ def test_what_is_selected_is_lit_and_the_rest_fades(model):
     plain = model.result.scene.frames[index].image.permute(1, 2, 0).numpy() * 255
     changed = np.abs(model.painted(index, 0.5).astype(int) - plain).max(2) > 1
     assert changed[seen].mean() > 0.9
+
+
+def test_light_shows_walls_and_floor_and_edges_are_dark():
+    steps = torch.linspace(0, 1, 30)
+    u, v = (one.flatten() for one in torch.meshgrid(steps, steps, indexing="ij"))
+    zero = torch.zeros_like(u)
+    faces = [torch.stack(face, 1) for face in ((u, v, zero), (u, zero - 1, v + 1), (zero - 1, u, v + 1))]
+    shading = Shading(torch.cat(faces), UP)
+    flat = shading.of(np.zeros(2700, dtype=np.int64)).reshape(3, 900)
+    assert flat.std(1).max() < 0.01
+    assert np.diff(np.sort(flat.mean(1))).min() > 0.05  # three shades
+    labels = (u.repeat(3) > 0.5).numpy().astype(np.int64)
+    changed = shading.of(labels).reshape(3, 900) < 0.8 * flat
+    near = (u - 0.5).abs().numpy() < 0.02  # the two rows at the edge
+    assert changed[:, near].all()
+    assert not changed[:, (u - 0.5).abs().numpy() > 0.1].any()
+
+
+def test_only_labels_are_shaded(model):
+    flat = model.point_colors().astype(float)
+    model.shading = Shading(model.result.scene.points, UP)
+    shaded = model.point_colors()
+    factor = shaded / np.maximum(flat, 1)
+    assert (shaded.max(1) < flat.max(1)).mean() > 0.9
+    assert np.ptp(np.where(flat > 60, factor, np.nan), axis=1)[(flat > 60).all(1)].max() < 0.03  # the hue stays
+    model.mode = "colours"
+    own = model.result.scene.colors.numpy() * 255
+    np.testing.assert_array_equal(model.point_colors(), own.round().astype(np.uint8))
 
 
 @pytest.mark.parametrize("mode", ["segments", "colours", "confidence", "initial"])

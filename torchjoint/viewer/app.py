@@ -21,6 +21,7 @@ from torchjoint.viewer.panel import RESET, Panel
 from torchjoint.viewer.pick import pick_point
 from torchjoint.viewer.selection import export_selected
 from torchjoint.viewer.server import start_server
+from torchjoint.viewer.shading import Shading
 from torchjoint.viewer.shown import Shown
 
 
@@ -66,7 +67,7 @@ class Viewer:
         with self._lock:
             self._add_panel()
             self._connect_scene()
-        self._count_frames()
+        self._work_behind()
 
     @property
     def result(self) -> Result:
@@ -95,7 +96,7 @@ class Viewer:
             self._shown = shown
             self.model = self.model.of_result(result, edits)
             self._add_panel(*((self._frame_index(), self._panel.cameras.value) if self._has_frames else ()))
-        self._count_frames()
+        self._work_behind()
 
     def tell(self, note: str) -> None:
         """Writes a line at the top of the panel of a run that is not finished."""
@@ -204,7 +205,7 @@ class Viewer:
         result = self._shown.run.compute(values)
         self._can_save = False
         self.replace(result)
-        self._count_frames()
+        self._work_behind()
         self._say(f"{result.num_point_segments} segments; not written to OUT: run `segment` with --set to write this")
 
     def _on_view(self, client: Any) -> None:
@@ -295,14 +296,19 @@ class Viewer:
         painted = self.model.painted(index, self._panel.opacity.value)
         self._panel.image.content = image_html(painted, self.result.names[index])
 
-    def _count_frames(self) -> None:
-        """Counts the pixels of the segments in each frame in the background; the page can already be used."""
-        model = self.model
-        if self._shown.is_running:  # labelling all frames is most of a run's work
-            return
+    def _work_behind(self) -> None:
+        """Shades the points and counts each frame's pixels in the background; the page can already be used."""
+        model, is_running = self.model, self._shown.is_running
 
-        def read() -> None:
-            model.read_frames()
-            self._guarded(self._draw_lists)
+        def work() -> None:
+            if model.shading is None:
+                self._guarded(self._shade, Shading(model.result.scene.points, model.up))
+            if not is_running:  # labelling all frames is most of a run's work
+                model.read_frames()
+                self._guarded(self._draw_lists)
 
-        threading.Thread(target=read, daemon=True).start()
+        threading.Thread(target=work, daemon=True).start()
+
+    def _shade(self, shading: Shading) -> None:
+        self.model.shading = shading
+        self._cloud.recolor(self.model.point_colors())
