@@ -12,6 +12,7 @@ from torch.nn.functional import normalize
 
 from torchjoint.results.edits import write_edits
 from torchjoint.results.result import Result
+from torchjoint.results.shading import Shading
 from torchjoint.results.upright import up_direction
 from torchjoint.viewer.cameras import Cameras, viewpoint
 from torchjoint.viewer.cloud import CloudView
@@ -21,7 +22,6 @@ from torchjoint.viewer.panel import RESET, Panel
 from torchjoint.viewer.pick import pick_point
 from torchjoint.viewer.selection import export_selected
 from torchjoint.viewer.server import start_server
-from torchjoint.viewer.shading import Shading
 from torchjoint.viewer.shown import Shown
 
 

@@ -14,9 +14,9 @@ from torchjoint.results.label_colors import label_colors
 from torchjoint.results.overlays import borders
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
+from torchjoint.results.shading import Shading
 from torchjoint.results.splits import place_to_split
 from torchjoint.viewer.measures import Measures, Row
-from torchjoint.viewer.shading import Shading
 
 Bytes = npt.NDArray[np.uint8]
 Mode = Literal["segments", "colours", "confidence", "initial", "truth"]

@@ -1,4 +1,4 @@
-"""How bright each point is drawn: in the light by its normal, and dark at the edges of its segment."""
+"""How bright each point is drawn: lit by its normal, and dark at the edges of its segment (output after step 8)."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ class Shading:
     Args:
         points: [N, 3] metres.
         up: [3] upward direction, unit length.
+
+    Attributes:
+        light: [N] brightness of each point without edges, 0 to 1.
     """
 
     def __init__(self, points: Tensor, up: npt.NDArray[np.float64]) -> None:
@@ -34,12 +37,12 @@ class Shading:
         lit = (estimate_normals(points, near) @ light).abs().numpy()
         near = near.numpy()
         lit = np.mean([lit, *(lit[of_all] for of_all in near.T)], axis=0)  # noise of the normals would be speckles
-        self._light = (GRAZED + (1 - GRAZED) * lit).astype(np.float32)
+        self.light = (GRAZED + (1 - GRAZED) * lit).astype(np.float32)
         self._near, self._labels = near[:, :EDGE], np.empty(0, dtype=np.int64)
 
     def of(self, labels: Table) -> npt.NDArray[np.float32]:
         """[N] the brightness of each point, 0 to 1; `labels`: [N], edges are where they change."""
         if not np.array_equal(labels, self._labels):  # a click does not change them
             self._labels, is_edge = labels, (labels[self._near] != labels[:, None]).any(1)
-            self._shades = np.where(is_edge, DARK * self._light, self._light)
+            self._shades = np.where(is_edge, DARK * self.light, self.light)
         return self._shades
