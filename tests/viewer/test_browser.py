@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -451,6 +452,55 @@ def test_the_static_page(browser, out, run, tmp_path):
     heights = tj.load_result(out).scene.points.numpy() @ up
     assert np.corrcoef(shown, heights)[0, 1] > 0.9999
     before = pixels(page)
-    page.click("text=colours")
-    wait(lambda: (np.abs(pixels(page) - before).max(2) > 30).sum() > 3000)
+    page.select_option("#mode", "colours")
+    wait(lambda: (np.abs(pixels(page)[:600] - before[:600]).max(2) > 30).sum() > 3000)
+    page.select_option("#mode", "segments")
+    result = tj.load_result(out)
+    picture = page.locator("canvas.picture").first
+    wait(lambda: picture.evaluate("e => e.height") == 120)
+    row, column = 60, 80
+    label = int(result.images[0][row, column])
+    picture.click(position={"x": column + 0.5, "y": row + 0.5})
+    wait(lambda: page.inner_text("#told") == f"segment {label}")
+    # What is lit in a picture and in the cloud is the segment.
+    wait(lambda: lit(page, 1) > 50)
+    seen = result.images[1].numpy() == label
+    inside = ~ndimage.binary_dilation(seen ^ ndimage.binary_erosion(seen), iterations=2)
+    found = colorful(page, 1)
+    assert found[seen & inside].mean() > 0.95
+    assert found[~seen & inside].mean() < 0.05
+    colors = page.evaluate("Array.from(document.querySelector('.js-plotly-plot')._fullData[0].marker.color)")
+    pale = np.array([min(map(int, color[4:-1].split(","))) > 199 for color in colors])
+    np.testing.assert_array_equal(pale, result.points.numpy() != label)
+    # A click in the cloud selects the segment of the point below.
+    page.click("#clear")
+    wait(lambda: "Click a segment" in page.inner_text("#told"))
+    names = page.evaluate("[...document.querySelector('.js-plotly-plot')._fullData[0].text]")
+    assert names == [f"segment {one}" for one in result.points.tolist()]
+    page.mouse.move(448, 330)
+    page.mouse.move(450, 332)
+    page.locator(".hovertext text").first.wait_for()
+    hovered = page.locator(".hovertext text").first.text_content()
+    page.mouse.click(450, 332)
+    wait(lambda: page.inner_text("#told") == hovered)
+    # Another level has other segments.
+    assert f"{result.num_point_segments} segments" in page.inner_text("#count")
+    page.locator("#level").focus()
+    page.keyboard.press("End")
+    finest = result.at(1.0).num_point_segments
+    wait(lambda: page.inner_text("#count") == f"{finest} segments")
+    names = page.evaluate("[...document.querySelector('.js-plotly-plot')._fullData[0].text]")
+    assert len(set(zip(names, result.at(1.0).points.tolist(), strict=True))) == finest == len(set(names))
     page.close()
+
+
+def colorful(page, index):
+    """[H, W] where a picture of the static page is lit: its colours differ from the faded photo's."""
+    code = "([i]) => pictures[i].canvas.getContext('2d').getImageData(0, 0, 160, 120).data.join()"
+    shown = np.array(page.evaluate(code, [index]).split(","), dtype=float).reshape(120, 160, 4)[..., :3]
+    photo = np.array(page.evaluate("([i]) => pictures[i].photo.join()", [index]).split(","), dtype=float)
+    return np.abs(shown - (0.5 * photo.reshape(120, 160, 4)[..., :3] + 64)).max(2) > 2
+
+
+def lit(page, index):
+    return int(colorful(page, index).sum())

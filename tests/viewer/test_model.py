@@ -10,6 +10,7 @@ import torch
 import torchjoint as tj
 from torchjoint.results.edits import Edit, Edits, read_edits, write_edits
 from torchjoint.results.parts import Parts, edited
+from torchjoint.results.shading import Shading
 from torchjoint.results.splits import place_to_split
 from torchjoint.scene import Hierarchy
 from torchjoint.segments.choice import METHODS
@@ -17,7 +18,6 @@ from torchjoint.viewer.cloud import blocks_of
 from torchjoint.viewer.model import Model
 from torchjoint.viewer.pick import pick_point
 from torchjoint.viewer.selection import export_selected
-from torchjoint.viewer.shading import Shading
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -94,7 +94,17 @@ level.addEventListener("input", () => {
   paint();
 });
 clear.addEventListener("click", () => select(-1));
-plot.on("plotly_click", (event) => select(now().ids[pieces[event.points[0].pointNumber]]));
+// Plotly's own click also comes when the cloud is turned: only a press that does not move counts.
+let under = null; // the point under the mouse
+let pressed = null;
+plot.on("plotly_hover", (event) => (under = event.points[0].pointNumber));
+plot.on("plotly_unhover", () => (under = null));
+plot.addEventListener("pointerdown", (event) => (pressed = [event.clientX, event.clientY]), true);
+window.addEventListener("pointerup", (event) => {
+  const moved = pressed === null || Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 4;
+  pressed = null;
+  if (!moved && under !== null) select(now().ids[pieces[under]]);
+}, true);
 paint();
 Promise.all(Array.from(document.querySelectorAll("canvas.picture"), readPicture)).then((read) => {
   pictures = read;

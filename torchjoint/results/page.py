@@ -75,7 +75,8 @@ def write_page(path: Path, result: Result, up: Tensor | None = None, edits: Edit
     write_text(
         path,
         f'<!DOCTYPE html><html><head><meta charset="utf-8"><title>{name}{count}, {points}</title></head>'
-        '<body style="margin:0;font-family:sans-serif"><div style="padding:6px;display:flex;gap:16px">'
+        '<body style="margin:0;font-family:sans-serif">'
+        '<div style="padding:6px;display:flex;flex-wrap:wrap;gap:2px 16px;white-space:nowrap">'
         f'<span>{name}<span id="count">{count}</span>, {points}</span>'
         f'<label>Colour by <select id="mode">{modes}</select></label>'
         f'<label{" hidden" if len(levels) == 1 else ""}>coarse <input id="level" type="range" min="0" '
