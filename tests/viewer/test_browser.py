@@ -5,6 +5,7 @@ Chromium is the system's (Debian's package `chromium`), driven by Playwright. It
 
 import io
 import json
+import re
 import shutil
 import time
 import warnings
@@ -186,7 +187,7 @@ def test_a_click_in_the_image_and_in_the_table(viewer, page, tmp_path):
     assert list(tj.load_result(viewer.folder).segment_names.values()) == ["<b>mug</b>"]
     before = sorted(viewer.folder.iterdir())
     cloud = download(page, "PLY", tmp_path)
-    assert cloud.name == f"{other}.ply"
+    assert re.fullmatch(rf"{other}-_b_mug_b_-\w{{12}}\.ply", cloud.name)  # no name leaves the folder of downloads
     np.testing.assert_array_equal(clouds.read_cloud_file(cloud).points, scene_points(viewer, other))
     with zipfile.ZipFile(download(page, "PNG", tmp_path)) as masks:
         seen = {
@@ -483,6 +484,10 @@ def test_the_static_page(browser, out, run, tmp_path):
     hovered = page.locator(".hovertext text").first.text_content()
     page.mouse.click(450, 332)
     wait(lambda: page.inner_text("#told") == hovered)
+    page.mouse.down()  # turning the cloud selects nothing
+    page.mouse.move(500, 360, steps=4)
+    page.mouse.up()
+    assert page.inner_text("#told") == hovered
     # Another level has other segments.
     assert f"{result.num_point_segments} segments" in page.inner_text("#count")
     page.locator("#level").focus()

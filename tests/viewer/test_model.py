@@ -136,8 +136,16 @@ def test_the_selection_as_coco(model):
     model.split()
     keys = {model.key(part) for part in model.selected}
     assert max(keys) >= model.result.num_point_segments  # one of both is new
-    found = json.loads(export_selected(model, "COCO")[1])["annotations"]
+    first, second = model.selected
+    model.select((first,))
+    model.name("seat")
+    model.select((first, second))
+    name, content = export_selected(model, "COCO")
+    assert name == f"{model.key(first)}-seat-{model.key(second)}.json"
+    found = json.loads(content)["annotations"]
     assert {one["segment_id"] for one in found} == keys
+    assert {one.get("segment_name") for one in found if one["segment_id"] == model.key(first)} == {"seat"}
+    assert not any("segment_name" in one for one in found if one["segment_id"] != model.key(first))
     assert all(one["in_cloud"] for one in found)
 
 
@@ -285,6 +293,10 @@ def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
         ('{"pieces": PIECES, "granularity": NaN, "edits": []}', "granularity: expected a number from 0"),
         ('{"pieces": PIECES, "granularity": true, "edits": []}', "granularity: expected a number from 0"),
         ('{"pieces": PIECES, "granularity": "0.5", "edits": []}', "granularity: expected a number from 0"),
+        (
+            '{"pieces": PIECES, "granularity": 0, "edits": [{"kind": "name", "pieces": [0], "granularity": 2}]}',
+            "granularity: expected a number from 0",
+        ),
     ],
 )
 def test_damaged_corrections(model, tmp_path, text, message):

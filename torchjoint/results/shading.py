@@ -32,11 +32,11 @@ class Shading:
     """
 
     def __init__(self, points: Tensor, up: npt.NDArray[np.float64]) -> None:
-        near = nearest_neighbors(points, NORMAL).indices
+        indices = nearest_neighbors(points, NORMAL).indices
         light = torch.from_numpy(np.array(LIGHT) @ np.concatenate([level_axes(up), up[None]])).float()
-        lit = (estimate_normals(points, near) @ light).abs().numpy()
-        near = near.numpy()
-        lit = np.mean([lit, *(lit[of_all] for of_all in near.T)], axis=0)  # noise of the normals would be speckles
+        lit = (estimate_normals(points, indices) @ light).abs().numpy()
+        near = indices.numpy()
+        lit = sum((lit[column] for column in near.T), lit) / (1 + near.shape[1])  # else noise would be speckles
         self.light = (GRAZED + (1 - GRAZED) * lit).astype(np.float32)
         self._near, self._labels = near[:, :EDGE], np.empty(0, dtype=np.int64)
 

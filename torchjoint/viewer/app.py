@@ -257,7 +257,7 @@ class Viewer:
         if not self._can_save:
             raise ValueError("save: expected the parameters of the result on disk, got others")
         write_edits(self.folder, self.model.edits)
-        self._say(f"{len(self.model.edits.steps)} corrections saved to {self.folder / 'edits.json'}")
+        self._say(f"corrections saved: {len(self.model.edits.steps)}, in {self.folder / 'edits.json'}")
 
     def _on_export(self, client: Any) -> None:
         self._say(f"{self._panel.export.value}: the download comes ...", "blue")

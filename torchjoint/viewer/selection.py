@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.exports.coco import export_coco
-from torchjoint.runtime.files import frame_files
+from torchjoint.runtime.files import file_name, frame_files
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.viewer.model import Model
 
@@ -26,7 +26,7 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
 
     * PLY: one cloud of the selected points in their own colours; its property `label` is the displayed id;
     * PNG: a ZIP file with a mask for each frame that sees a selected segment, 255 = selected;
-    * COCO: COCO's JSON of the selected segments in all frames, with the displayed ids.
+    * COCO: COCO's JSON of the selected segments in all frames, with the displayed ids and the names.
 
     Raises:
         ValueError: nothing is selected, or an unknown kind, or masks of segments that no frame sees.
@@ -34,8 +34,9 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     """
     if not model.selected:
         raise ValueError("export: select a segment first")
-    name = "-".join(str(model.key(segment)) for segment in model.selected[:5])
-    name += f"-and-{len(model.selected) - 5}-more" if len(model.selected) > 5 else ""
+    called = {model.key(segment): model.names().get(segment, "") for segment in model.selected}
+    name = file_name("-".join(f"{key}-{name}" if name else str(key) for key, name in [*called.items()][:5]))
+    name += f"-and-{len(called) - 5}-more" if len(called) > 5 else ""
     result, keys = model.result, _keys_of_pieces(model)
     labels = torch.from_numpy(keys[model.parts.of_point])
     if kind == "PLY":
@@ -48,7 +49,7 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     images = LazySequence(len(result.images), lambda index: _labels(model, keys, index))
     if kind == "PNG":
         return f"{name}-masks.zip", _masks(images, result.names)
-    selection = replace(result, points=labels, images=images, hierarchy=None, piece_images=())
+    selection = replace(result, points=labels, images=images, hierarchy=None, piece_images=(), segment_names=called)
     return _written(f"{name}.json", lambda file: export_coco(file, selection))
 
 
