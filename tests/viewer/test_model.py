@@ -1,6 +1,7 @@
 """What the viewer shows, without a browser: levels, corrections and undo, colours, the table, clicks in the cloud."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import torch
 import torchjoint as tj
 from torchjoint.results.edits import Edit, Edits, read_edits, write_edits
 from torchjoint.results.parts import Parts, edited
+from torchjoint.results.shading import Shading
 from torchjoint.results.splits import place_to_split
 from torchjoint.scene import Hierarchy
 from torchjoint.segments.choice import METHODS
@@ -127,16 +129,88 @@ def test_both_parts_of_a_split_are_selected_and_written(model, tmp_path):
     assert model.selected == (segment,)
 
 
-def test_the_selection_as_coco(model, tmp_path):
+def test_the_selection_as_coco(model):
     pytest.importorskip("pycocotools", reason="COCO needs pycocotools")
     (segment,) = largest(model, 1)
     model.select((segment,))
     model.split()
     keys = {model.key(part) for part in model.selected}
     assert max(keys) >= model.result.num_point_segments  # one of both is new
-    found = json.loads(export_selected(model, tmp_path, "COCO").read_text())["annotations"]
+    first, second = model.selected
+    model.select((first,))
+    model.name("seat")
+    model.select((first, second))
+    name, content = export_selected(model, "COCO")
+    assert name == f"{model.key(first)}-seat-{model.key(second)}.json"
+    found = json.loads(content)["annotations"]
     assert {one["segment_id"] for one in found} == keys
+    assert {one.get("segment_name") for one in found if one["segment_id"] == model.key(first)} == {"seat"}
+    assert not any("segment_name" in one for one in found if one["segment_id"] != model.key(first))
     assert all(one["in_cloud"] for one in found)
+
+
+def tree():
+    """A result of five pieces that merge one after the other, the last two only near the root."""
+    merges = torch.tensor([[0, 1], [2, 3], [1, 2], [3, 4]])
+    hierarchy = Hierarchy(torch.arange(5), merges, torch.tensor([0.1, 0.2, 0.3, 0.9], dtype=torch.float64))
+    return tj.Result.of(
+        tj.Segmentation(torch.tensor([0, 0, 1, 1, 2]), (), hierarchy=hierarchy), tj.Scene(torch.rand(5, 3))
+    )
+
+
+def levels_of(parts):
+    """A granularity for each level of `tree`, from fine to coarse."""
+    found = {len(np.unique(parts.level(step / 100))): step / 100 for step in range(101)}
+    return [found[count] for count in (5, 4, 3, 2, 1)]
+
+
+def test_a_name_stays_with_its_segment_and_finer_ones():
+    model = Model(tree(), Edits(5), UP)
+    finest, _, fine, coarse, whole = levels_of(model.parts)
+    model.set_granularity(fine)
+    model.select((2,))
+    model.name("chair")
+    assert model.names() == {2: "chair"}
+    for level, names in ((coarse, {}), (whole, {}), (finest, {2: "chair", 3: "chair"}), (None, {2: "chair"})):
+        model.set_granularity(level)
+        assert model.names() == names
+    # The name of a part counts more than that of the whole, whichever came first; "" takes a name away.
+    model.set_granularity(finest)
+    model.select((3,))
+    model.name("seat")
+    model.set_granularity(coarse)
+    model.select((0,))
+    model.name("furniture")
+    model.set_granularity(finest)
+    assert model.names() == {0: "furniture", 1: "furniture", 2: "chair", 3: "seat"}
+    model.select((3,))
+    model.name("")
+    assert model.names() == {0: "furniture", 1: "furniture", 2: "chair"}
+
+
+def test_a_join_takes_the_name_along_and_a_level_is_kept(tmp_path):
+    model = Model(tree(), Edits(5), UP)
+    fine = levels_of(model.parts)[2]
+    model.set_granularity(fine)
+    model.select((0,))
+    model.name("table")
+    model.select((0, 4))
+    model.join()
+    assert model.names() == {0: "table"}
+    model.set_granularity(0.0)
+    write_edits(tmp_path, model.edits)
+    assert read_edits(tmp_path, 5) == model.edits
+    assert edited(model.result, replace(model.edits, granularity=fine)).segment_names == {0: "table"}
+
+
+def test_names_of_an_older_file(tmp_path):
+    parts = Parts(tree())
+    fine, coarse = levels_of(parts)[2:4]
+    text = '{"pieces": 5, "granularity": %s, "edits": [{"kind": "name", "pieces": [2], "name": "chair"}]}'
+    (tmp_path / "edits.json").write_text(text % fine)
+    edits = read_edits(tmp_path, 5)
+    assert parts.names(edits) == {2: "chair"}
+    assert parts.names(replace(edits, granularity=coarse)) == {}
 
 
 def test_what_one_click_did_is_undone_at_once(model):
@@ -219,6 +293,10 @@ def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
         ('{"pieces": PIECES, "granularity": NaN, "edits": []}', "granularity: expected a number from 0"),
         ('{"pieces": PIECES, "granularity": true, "edits": []}', "granularity: expected a number from 0"),
         ('{"pieces": PIECES, "granularity": "0.5", "edits": []}', "granularity: expected a number from 0"),
+        (
+            '{"pieces": PIECES, "granularity": 0, "edits": [{"kind": "name", "pieces": [0], "granularity": 2}]}',
+            "granularity: expected a number from 0",
+        ),
     ],
 )
 def test_damaged_corrections(model, tmp_path, text, message):
@@ -249,6 +327,34 @@ def test_what_is_selected_is_lit_and_the_rest_fades(model):
     plain = model.result.scene.frames[index].image.permute(1, 2, 0).numpy() * 255
     changed = np.abs(model.painted(index, 0.5).astype(int) - plain).max(2) > 1
     assert changed[seen].mean() > 0.9
+
+
+def test_light_shows_walls_and_floor_and_edges_are_dark():
+    steps = torch.linspace(0, 1, 30)
+    u, v = (one.flatten() for one in torch.meshgrid(steps, steps, indexing="ij"))
+    zero = torch.zeros_like(u)
+    faces = [torch.stack(face, 1) for face in ((u, v, zero), (u, zero - 1, v + 1), (zero - 1, u, v + 1))]
+    shading = Shading(torch.cat(faces), UP)
+    flat = shading.of(np.zeros(2700, dtype=np.int64)).reshape(3, 900)
+    assert flat.std(1).max() < 0.01
+    assert np.diff(np.sort(flat.mean(1))).min() > 0.05  # three shades
+    labels = (u.repeat(3) > 0.5).numpy().astype(np.int64)
+    changed = shading.of(labels).reshape(3, 900) < 0.8 * flat
+    near = (u - 0.5).abs().numpy() < 0.02  # the two rows at the edge
+    assert changed[:, near].all()
+    assert not changed[:, (u - 0.5).abs().numpy() > 0.1].any()
+
+
+def test_only_labels_are_shaded(model):
+    flat = model.point_colors().astype(float)
+    model.shading = Shading(model.result.scene.points, UP)
+    shaded = model.point_colors()
+    factor = shaded / np.maximum(flat, 1)
+    assert (shaded.max(1) < flat.max(1)).mean() > 0.9
+    assert np.ptp(np.where(flat > 60, factor, np.nan), axis=1)[(flat > 60).all(1)].max() < 0.03  # the hue stays
+    model.mode = "colours"
+    own = model.result.scene.colors.numpy() * 255
+    np.testing.assert_array_equal(model.point_colors(), own.round().astype(np.uint8))
 
 
 @pytest.mark.parametrize("mode", ["segments", "colours", "confidence", "initial"])

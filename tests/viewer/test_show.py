@@ -86,7 +86,7 @@ def test_a_page_for_the_network_says_so(run, out, monkeypatch, capsys):
     from torchjoint.viewer.app import Viewer
 
     monkeypatch.setattr(Viewer, "wait", lambda viewer: viewer.stop())
-    monkeypatch.setattr(Viewer, "_count_frames", lambda viewer: None)
+    monkeypatch.setattr(Viewer, "_work_behind", lambda viewer: None)
     run("show", out, "--no-open-browser", "--port", 8990)
     assert "--host" not in capsys.readouterr().out
     run("show", out, "--no-open-browser", "--port", 8990, "--host", "0.0.0.0")

@@ -15,10 +15,10 @@ from torch import Tensor
 from torchjoint.cli._demo_scene import SOURCE, demo_scene
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
-from torchjoint.results.edits import read_edits
+from torchjoint.results.edits import Edits, read_edits
 from torchjoint.results.folder import read_source
 from torchjoint.results.loading import load_result
-from torchjoint.results.parts import Parts, edited
+from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
 from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
@@ -120,10 +120,9 @@ def _write_static(
 ) -> None:
     from torchjoint.results.page import write_page
 
-    if folder is not None:
-        edits = read_edits(folder, Parts(result).count)
-        result = edited(result, edits if granularity is None else replace(edits, granularity=granularity))
-    shown = write_page(page, result, up)
+    count = Parts(result).count
+    edits = Edits(count) if folder is None else read_edits(folder, count)
+    shown = write_page(page, result, up, edits if granularity is None else replace(edits, granularity=granularity))
     print(page if shown == len(result.points) else f"{page}: {shown} of {len(result.points)} points")
 
 

@@ -1,7 +1,7 @@
 """Corrections by hand (output after step 8): segments joined, split and named. They lie on top of the labels.
 
-An edit names a segment by one of its pieces, so it means the same at every level. edits.json holds the edits; the
-labels on disk stay as they are.
+An edit names a segment by one of its pieces, so it means the same at every level. A name also has the level at which it
+was given: it belongs to that segment and to finer ones. edits.json holds the edits; the labels on disk stay the same.
 """
 
 from __future__ import annotations
@@ -35,11 +35,13 @@ class Edit:
             a name; "" removes its name.
         pieces: one piece, the two of a join, or the three of a split at a merge.
         name: of a segment.
+        granularity: the level at which the name was given; None: the labels of the result.
     """
 
     kind: Literal["join", "split", "name"]
     pieces: tuple[int, ...]
     name: str = ""
+    granularity: float | None = None
 
 
 @dataclass(frozen=True)
@@ -78,11 +80,6 @@ class Edits:
                 table = split(table, step.pieces, hierarchy)
         return table
 
-    def names(self, table: Table) -> dict[int, str]:
-        """The names of segments, by the segment's number in `table`; of two names of one segment, the later one."""
-        names = {int(table[step.pieces[0]]): step.name for step in self.steps if step.kind == "name"}
-        return {segment: name for segment, name in names.items() if name}
-
 
 def first_pieces(table: Table) -> Table:
     """Numbers each segment by its first piece: [P] any numbers -> [P]."""
@@ -92,7 +89,9 @@ def first_pieces(table: Table) -> Table:
 
 def write_edits(folder: Path, edits: Edits) -> None:
     """Writes edits.json into a result's folder; the file is replaced as a whole."""
-    steps = [asdict(step) if step.name else {"kind": step.kind, "pieces": step.pieces} for step in edits.steps]
+    steps = [
+        asdict(step) if step.kind == "name" else {"kind": step.kind, "pieces": step.pieces} for step in edits.steps
+    ]
     lines = ",\n".join(json.dumps(step, ensure_ascii=False) for step in steps)
     head = f'"pieces": {edits.num_pieces}, "granularity": {json.dumps(edits.granularity)}'
     write_text(folder / FILE, f'{{{head}, "edits": [\n{lines}\n]}}\n')
@@ -109,9 +108,9 @@ def read_edits(folder: Path, num_pieces: int) -> Edits:
         return Edits(num_pieces)
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
-        steps = tuple(_parse(step, num_pieces) for step in record["edits"])
-        if (granularity := record["granularity"]) is not None:
-            check_granularity(granularity)
+        granularity = _level(record["granularity"])
+        # In files of 0.1.0 a name has no level of its own: the level of the file was the last to be seen.
+        steps = tuple(_parse({"granularity": granularity, **step}, num_pieces) for step in record["edits"])
         found = _integer(record["pieces"])
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{file}: not a list of edits: {error!r}") from error
@@ -128,7 +127,13 @@ def _parse(step: Mapping[str, Any], num_pieces: int) -> Edit:
         raise ValueError(f"expected pieces below {num_pieces}, got {dict(step)}")
     if not isinstance(name, str) or printable(name) != name:
         raise ValueError(f"name: expected a text, got {name!r}")
-    return Edit(kind, pieces, name)
+    return Edit(kind, pieces, name, _level(step["granularity"])) if kind == "name" else Edit(kind, pieces)
+
+
+def _level(value: Any) -> float | None:
+    if value is not None:
+        check_granularity(value)
+    return None if value is None else float(value)
 
 
 def _integer(value: object) -> int:

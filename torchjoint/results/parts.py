@@ -57,6 +57,20 @@ class Parts:
         """
         return edits.apply(self.level(edits.granularity), self.result.hierarchy)
 
+    def names(self, edits: Edits) -> dict[int, str]:
+        """The names of segments after the edits, by the number of a segment in :meth:`table`.
+
+        A name belongs to the segment that got it, at its level and after all edits, and to the segments within it. Of
+        several names, that of the smallest named segment counts, then the latest.
+        """
+        steps = [step for step in edits.steps if step.kind == "name"]
+        levels = {level: self.table(replace(edits, granularity=level)) for level in {one.granularity for one in steps}}
+        named = [(levels[step.granularity] == levels[step.granularity][step.pieces[0]], step.name) for step in steps]
+        table, names = self.table(edits), dict[int, str]()
+        for pieces, name in sorted(named, key=lambda one: -int(one[0].sum())):
+            names.update(dict.fromkeys(np.setdiff1d(table[pieces], table[~pieces]).tolist(), name))
+        return {segment: name for segment, name in names.items() if name}
+
     def level(self, granularity: float | None) -> Table:
         """[P] the segment of each piece at a level, without edits; None: as on disk."""
         hierarchy = self.result.hierarchy
@@ -80,7 +94,7 @@ def edited(result: Result, edits: Edits) -> Result:
     parts = Parts(result)
     table = parts.table(edits)
     firsts, of_piece = np.unique(table, return_inverse=True)  # ascending: in the order of first appearance
-    names = {int(np.searchsorted(firsts, first)): name for first, name in edits.names(table).items()}
+    names = {int(np.searchsorted(firsts, first)): name for first, name in parts.names(edits).items()}
     segments = torch.from_numpy(of_piece.astype(np.int64))
     pieces = None if result.hierarchy is None else result.piece_images
     images = LevelImages(result.images, result.num_point_segments, segments, len(firsts), pieces)

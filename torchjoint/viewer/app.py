@@ -12,12 +12,13 @@ from torch.nn.functional import normalize
 
 from torchjoint.results.edits import write_edits
 from torchjoint.results.result import Result
+from torchjoint.results.shading import Shading
 from torchjoint.results.upright import up_direction
 from torchjoint.viewer.cameras import Cameras, viewpoint
 from torchjoint.viewer.cloud import CloudView
 from torchjoint.viewer.html import PREFIX, image_html, note_html, panel_html, table_html
 from torchjoint.viewer.model import Model
-from torchjoint.viewer.panel import Panel
+from torchjoint.viewer.panel import RESET, Panel
 from torchjoint.viewer.pick import pick_point
 from torchjoint.viewer.selection import export_selected
 from torchjoint.viewer.server import start_server
@@ -60,13 +61,13 @@ class Viewer:
         self.model = Model(result, self._shown.edits(result, granularity), upward)
         self._lock = threading.RLock()  # viser calls the functions below on several threads
         self._order, self._can_save = "points", True
-        self.server, distance, self.url = start_server(result.scene, upward, host, port)
+        self.server, self._distance, self.url = start_server(result.scene, upward, host, port)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), self.model.point_colors())
         self._has_frames = len(result.scene.frames) > 0
         with self._lock:
             self._add_panel()
-            self._connect_scene(distance)
-        self._count_frames()
+            self._connect_scene()
+        self._work_behind()
 
     @property
     def result(self) -> Result:
@@ -95,7 +96,7 @@ class Viewer:
             self._shown = shown
             self.model = self.model.of_result(result, edits)
             self._add_panel(*((self._frame_index(), self._panel.cameras.value) if self._has_frames else ()))
-        self._count_frames()
+        self._work_behind()
 
     def tell(self, note: str) -> None:
         """Writes a line at the top of the panel of a run that is not finished."""
@@ -110,7 +111,7 @@ class Viewer:
         """Ends the page."""
         self.server.stop()
 
-    def _add_panel(self, frame: int = 0, cameras: bool = True) -> None:
+    def _add_panel(self, frame: int = 0, cameras: bool = False) -> None:
         """Builds a new panel, and connects its elements to their actions."""
         panel = self._panel = Panel(self.server.gui, self.model, self._shown, frame, cameras)
 
@@ -122,9 +123,9 @@ class Viewer:
         panel.name.on_update(then(self._on_name))
         panel.search.on_update(then(self._draw_table))
         panel.correct.on_click(then(self._on_correct))
-        panel.export.on_click(then(self._on_export))
+        panel.export.on_click(lambda event: self._guarded(self._on_export, event.client))
         panel.save.on_click(then(self._on_save))
-        panel.clear.on_click(then(lambda: self._select(())))
+        panel.view.on_click(lambda event: self._guarded(self._on_view, event.client))
         panel.size.on_update(lambda _: self._cloud.resize(panel.size.value))
         if panel.level is not None:
             panel.level.on_update(then(self._on_level))
@@ -137,9 +138,9 @@ class Viewer:
             panel.stand.on_click(lambda event: self._stand_at(self._frame_index(), event.client))
         self._draw()
 
-    def _connect_scene(self, distance: float) -> None:
+    def _connect_scene(self) -> None:
         if self._has_frames:
-            self._cameras = Cameras(self.server, self.result.scene, 0.02 * distance, self._stand_at)
+            self._cameras = Cameras(self.server, self.result.scene, 0.02 * self._distance)
             self._cameras.mark(0)
 
         for modifier in (None, "shift"):
@@ -154,12 +155,14 @@ class Viewer:
     # Reactions to events
 
     def _guarded(self, action: Any, *arguments: Any) -> None:
-        """Runs an action, one at a time; shows the message of a ValueError on the page."""
+        """Runs an action, one at a time; shows the message of an error on the page."""
         with self._lock:
             try:
                 action(*arguments)
-            except (ValueError, OSError, ModuleNotFoundError) as error:
-                self._say(str(error), "red")
+            except Exception as error:
+                self._say(str(error) or repr(error), "red")
+                if not isinstance(error, (ValueError, OSError, ModuleNotFoundError)):
+                    raise  # a mistake of the program: with its place, in the terminal
 
     def _say(self, text: str, color: str = "green") -> None:
         for client in self.server.get_clients().values():
@@ -202,8 +205,17 @@ class Viewer:
         result = self._shown.run.compute(values)
         self._can_save = False
         self.replace(result)
-        self._count_frames()
+        self._work_behind()
         self._say(f"{result.num_point_segments} segments; not written to OUT: run `segment` with --set to write this")
+
+    def _on_view(self, client: Any) -> None:
+        if self._panel.view.value != RESET:
+            self._select(())
+            return
+        first = self.server.initial_camera
+        with client.atomic():
+            client.camera.up_direction, client.camera.fov = self.model.up, first.fov
+            client.camera.position, client.camera.look_at = first.position, first.look_at
 
     def _on_mode(self) -> None:
         self.model.mode = self._panel.mode.value
@@ -245,12 +257,11 @@ class Viewer:
         if not self._can_save:
             raise ValueError("save: expected the parameters of the result on disk, got others")
         write_edits(self.folder, self.model.edits)
-        self._say(f"{len(self.model.edits.steps)} corrections saved to {self.folder / 'edits.json'}")
+        self._say(f"corrections saved: {len(self.model.edits.steps)}, in {self.folder / 'edits.json'}")
 
-    def _on_export(self) -> None:
-        assert self.folder is not None  # without a folder there is no button
-        file = export_selected(self.model, self.folder / "selection", self._panel.export.value)
-        self._say(f"written: {file}")
+    def _on_export(self, client: Any) -> None:
+        self._say(f"{self._panel.export.value}: the download comes ...", "blue")
+        client.send_file_download(*export_selected(self.model, self._panel.export.value), save_immediately=True)
 
     def _stand_at(self, index: int, client: Any) -> None:
         view = viewpoint(self.result.scene.frames[index])
@@ -285,14 +296,19 @@ class Viewer:
         painted = self.model.painted(index, self._panel.opacity.value)
         self._panel.image.content = image_html(painted, self.result.names[index])
 
-    def _count_frames(self) -> None:
-        """Counts the pixels of the segments in each frame in the background; the page can already be used."""
-        model = self.model
-        if self._shown.is_running:  # labelling all frames is most of a run's work
-            return
+    def _work_behind(self) -> None:
+        """Shades the points and counts each frame's pixels in the background; the page can already be used."""
+        model, is_running = self.model, self._shown.is_running
 
-        def read() -> None:
-            model.read_frames()
-            self._guarded(self._draw_lists)
+        def work() -> None:
+            if model.shading is None:
+                self._guarded(self._shade, Shading(model.result.scene.points, model.up))
+            if not is_running:  # labelling all frames is most of a run's work
+                model.read_frames()
+                self._guarded(self._draw_lists)
 
-        threading.Thread(target=read, daemon=True).start()
+        threading.Thread(target=work, daemon=True).start()
+
+    def _shade(self, shading: Shading) -> None:
+        self.model.shading = shading
+        self._cloud.recolor(self.model.point_colors())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,28 +42,25 @@ def start(scene: Scene, up: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.flo
 
 
 class Cameras:
-    """The drawn cameras: grey ones, evenly selected from the frames, which can be clicked, and that of the shown image.
+    """The drawn cameras, hidden at first: grey ones, evenly selected from the frames, and that of the shown image.
+
+    None of them can be clicked: a click goes through it to the segment behind.
 
     Args:
         server: viser.ViserServer.
         scene: the scene with the frames.
         size: of a drawn camera, metres.
-        on_click: called with the frame's index and the browser's client.
     """
 
-    def __init__(self, server: Any, scene: Scene, size: float, on_click: Callable[[int, Any], None]) -> None:
+    def __init__(self, server: Any, scene: Scene, size: float) -> None:
         self._server, self._frames, self._size = server, scene.frames, size
-        self._is_visible = True
-        self._handles = []
-        for index in evenly_spaced_indices(len(scene.frames), MOST):
-            handle = self._add(f"/cameras/{index}", index, size, (90, 90, 90))
-            handle.on_click(lambda event, index=index: on_click(index, event.client))
-            self._handles.append(handle)
+        self._is_visible = False
+        shown = evenly_spaced_indices(len(scene.frames), MOST)
+        self._handles = [self._add(f"/cameras/{index}", index, size, (90, 90, 90)) for index in shown]
 
     def mark(self, index: int) -> None:
         """Marks the camera of the frame whose image is shown."""
         self._mark = self._add("/camera", index, 1.6 * self._size, (230, 90, 0))  # replaces the object of the same name
-        self._mark.visible = self._is_visible
 
     def show(self, is_visible: bool) -> None:
         """Shows or hides all cameras."""
@@ -83,4 +79,5 @@ class Cameras:
             color=color,
             wxyz=view.wxyz,
             position=view.position,
+            visible=self._is_visible,
         )

@@ -25,7 +25,12 @@ _SEND = (
     "i,'" + PREFIX + "'+line+' '+Date.now());"
     "i.dispatchEvent(new Event('input',{bubbles:true}));"
 )
-HIDE_FIELD = f"<style>.mantine-Flex-root:has(input[value^='{PREFIX}']){{display:none}}</style>"
+#: It hides the text field and the ends of sliders, over which their handles lie, and moves tooltips beside the panel.
+STYLE = (
+    f"<style>.mantine-Flex-root:has(input[value^='{PREFIX}']),.mantine-Slider-markWrapper,.mantine-Tooltip-arrow"
+    "{display:none}.mantine-Tooltip-tooltip{translate:-22rem 2rem}"
+    ".mantine-Notification-description{white-space:normal;overflow-wrap:anywhere}</style>"
+)
 #: Style of text, with the margin of viser's own elements.
 _TEXT = "font-size:12px;padding:0 8px"
 NOTHING = "Click a segment in the cloud or in the image; hold shift to select several."
@@ -43,7 +48,8 @@ def image_html(image: Bytes, caption: str) -> str:
         f"+Math.floor((event.clientY-r.top)/r.height*{image.shape[0]})+' '+(event.shiftKey?1:0);"
     )
     return (
-        f'<img id="tj-image" alt="{caption}" title="{caption}" src="data:image/jpeg;base64,{data}" '
+        f'<div style="{_TEXT}">{caption}</div>'  # a tooltip would cover what is aimed at
+        f'<img id="tj-image" alt="{caption}" src="data:image/jpeg;base64,{data}" '
         f'style="width:100%;cursor:crosshair;display:block;margin-bottom:8px" onclick="{position}{_SEND}">'
     )
 
@@ -69,7 +75,7 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
     note = f"{len(rows)} of {count} segments" if len(rows) < count else f"{count} segments"
     return (
         f'<div style="{_TEXT}">{note}; sizes in metres</div>'
-        '<div style="max-height:260px;overflow-y:auto;padding:0 5px">'
+        '<div style="max-height:200px;overflow-y:auto;padding:0 5px">'
         '<table id="tj-table" style="font-size:12px;width:100%">'
         f"<thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
     )
@@ -88,9 +94,12 @@ def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
     for row in rows:
         size = " × ".join(f"{value:.2f}" for value in row.size)
         name = f" <b>{escape(row.name)}</b>" if row.name else ""
-        seen = "" if row.frames is None else f", seen in {row.frames} frames"
+        seen = "" if row.frames is None or len(rows) == 1 else f", seen in {row.frames} frames"
         parts.append(f"<div>segment <b>{row.key}</b>{name}: {row.points} points, {size} m{seen}</div>")
     if len(rows) == 1 and frames:
-        listed = ", ".join(f"{escape(printable(name))} ({pixels} px)" for name, pixels in frames[:8])
-        parts.append(f"<div>{listed}{', ...' if len(frames) > 8 else ''}</div>")
+        listed = ", ".join(f"{escape(printable(name))} ({pixels} px)" for name, pixels in frames)
+        parts.append(
+            f"<details{' open' if len(frames) < 3 else ''}><summary>seen in {len(frames)} frames</summary>"
+            f'<div style="max-height:120px;overflow-y:auto">{listed}</div></details>'
+        )
     return f'<div id="tj-panel" style="{_TEXT}">{"".join(parts)}</div>'

@@ -14,6 +14,7 @@ from torchjoint.results.label_colors import label_colors
 from torchjoint.results.overlays import borders
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
+from torchjoint.results.shading import Shading
 from torchjoint.results.splits import place_to_split
 from torchjoint.viewer.measures import Measures, Row
 
@@ -32,6 +33,9 @@ class Model:
         result: the result as on disk, without corrections.
         edits: corrections to start with.
         up: [3] upward direction, unit length.
+
+    Attributes:
+        shading: of the points, once it is computed; without it colours are flat.
     """
 
     def __init__(self, result: Result, edits: Edits, up: npt.NDArray[np.float64]) -> None:
@@ -40,7 +44,8 @@ class Model:
         self.edits = edits
         self.selected: tuple[int, ...] = ()  # first pieces of segments
         self.mode: Mode = "segments"
-        self._table = self.parts.table(edits)
+        self.shading: Shading | None = None
+        self._table, self._names = self.parts.table(edits), self.parts.names(edits)
         self._before: list[tuple[Edit, ...]] = []  # the corrections before each change, for undo
         self._measures = Measures(self.parts, up)
         self._measures.of_table(self._table)
@@ -57,6 +62,7 @@ class Model:
             same = np.array_equal(parts.of_point, self.parts.of_point)
             edits = self.edits if same else replace(self.edits, num_pieces=parts.count, steps=())
         model = Model(result, edits, self.up)
+        model.shading = self.shading
         model.mode = self.mode if self.mode in model.modes else "segments"
         here, there = self._table[self.parts.of_point], model.table[parts.of_point]
         same_place = [int(np.bincount(there[here == segment]).argmax()) for segment in self.selected]
@@ -97,7 +103,7 @@ class Model:
 
     def names(self) -> dict[int, str]:
         """Names by segment."""
-        return self.edits.names(self._table)
+        return self._names
 
     # Changes
 
@@ -141,8 +147,8 @@ class Model:
         segment = self._the_selected("name")
         if len(name) > LONGEST:
             raise ValueError(f"name: expected at most {LONGEST} characters, got {len(name)}")
-        step, steps = Edit("name", (segment,), name), self.edits.steps
-        if self._before and steps and steps[-1].kind == "name" and steps[-1].pieces == step.pieces:
+        step, steps = Edit("name", (segment,), name, self.edits.granularity), self.edits.steps
+        if self._before and steps and steps[-1] == replace(step, name=steps[-1].name):
             self._edit(replace(self.edits, steps=(*steps[:-1], step)))  # replaces the name while the user types
         else:
             self._add(step)
@@ -167,7 +173,7 @@ class Model:
     def _edit(self, edits: Edits) -> None:
         before = self._table
         self._table = self.parts.table(edits)  # raises before anything changes
-        self.edits = edits
+        self.edits, self._names = edits, self.parts.names(edits)
         if not np.array_equal(before, self._table):
             self.selected = tuple(dict.fromkeys(int(self._table[segment]) for segment in self.selected))
             self._measures.of_table(self._table)
@@ -186,14 +192,17 @@ class Model:
         return np.asarray(colors.numpy() * 255, dtype=np.float64)
 
     def point_colors(self) -> Bytes:
-        """[N, 3] RGB of each point; unselected points are faded."""
-        scene = self.result.scene
-        if self.mode == "colours" and scene.colors is not None:
-            colors = scene.colors.numpy() * 255.0
-        elif self.mode == "truth" and scene.truth is not None and scene.truth.points is not None:
+        """[N, 3] RGB of each point, unselected points faded. All but the cloud's own colours are shaded."""
+        scene, labels = self.result.scene, self._table[self.parts.of_point]
+        if self.mode == "truth" and scene.truth is not None and scene.truth.points is not None:
+            labels = scene.truth.points.numpy()
             colors = label_colors(scene.truth.points).numpy() * 255.0
         else:
             colors = self.piece_colors()[self.parts.of_point]
+        if self.mode == "colours" and scene.colors is not None:
+            colors = scene.colors.numpy() * 255.0
+        elif self.shading is not None:
+            colors = colors * self.shading.of(labels)[:, None]
         if self.selected:
             lit = np.isin(self._table, self.selected)[self.parts.of_point]
             colors = np.where(lit[:, None], colors, FADED * colors + (1 - FADED) * PALE)

@@ -5,9 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from torchjoint.results.folder import read_granularity
-from torchjoint.viewer.html import HIDE_FIELD, PREFIX, panel_html
+from torchjoint.viewer.html import PREFIX, STYLE, panel_html
 from torchjoint.viewer.model import Model
 from torchjoint.viewer.shown import Shown
+
+#: The buttons of the group "View".
+RESET, CLEAR = "Reset view", "Clear selection"
 
 
 class Panel:
@@ -21,12 +24,14 @@ class Panel:
         cameras: whether cameras are drawn.
     """
 
-    def __init__(self, gui: Any, model: Model, shown: Shown, frame: int = 0, cameras: bool = True) -> None:
+    def __init__(self, gui: Any, model: Model, shown: Shown, frame: int = 0, cameras: bool = False) -> None:
         gui.reset()
-        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()  # beside the cloud, not over it; it can be collapsed
         self.bridge = gui.add_text("events", PREFIX)  # the messages of the elements of html.py
-        gui.add_html(HIDE_FIELD)
+        gui.add_html(STYLE)
         self.note = gui.add_html("", visible=shown.is_running)
+        self.view = gui.add_button_group("View", (RESET, CLEAR))
         self.mode = gui.add_dropdown("Colour by", model.modes, initial_value=model.mode)
         self.level: Any = None
         if model.result.hierarchy is not None:
@@ -35,23 +40,22 @@ class Panel:
             self.level = gui.add_slider(
                 "Granularity", min=0.0, max=1.0, step=0.01, initial_value=at, hint="0: coarse, 1: fine"
             )
-        self.size = gui.add_slider("Point size", min=0.2, max=4.0, step=0.1, initial_value=1.0)
-        if len(model.result.scene.frames):
-            self.cameras = gui.add_checkbox("Cameras", cameras, hint="click a camera to see its view")
-            self._add_image(gui, len(model.result.scene.frames), frame)
         with gui.add_folder("Selection"):
             self.selection = gui.add_html(panel_html((), ()))
-            self._add_buttons(gui, shown.folder is not None)
+            self._add_buttons(gui, shown.folder is not None, not shown.is_running)
+        with gui.add_folder("Segments"):
+            self.search = gui.add_text("Search", "", hint="a part of a name, or an id")
+            self.table = gui.add_html("")
+        if len(model.result.scene.frames):
+            self._add_image(gui, len(model.result.scene.frames), frame, cameras)
+        self.size = gui.add_slider("Point size", min=0.2, max=4.0, step=0.1, initial_value=1.0)
         self.parameters: dict[str, Any] = {}
         if shown.run is not None:
             with gui.add_folder("Parameters"):
                 self.parameters = {name: gui.add_number(name, value) for name, value in shown.run.parameters.items()}
                 self.compute = gui.add_button("Compute again")
-        with gui.add_folder("Segments"):
-            self.search = gui.add_text("Search", "", hint="a part of a name, or an id")
-            self.table = gui.add_html("")
 
-    def _add_image(self, gui: Any, count: int, frame: int) -> None:
+    def _add_image(self, gui: Any, count: int, frame: int, cameras: bool) -> None:
         with gui.add_folder("Images"):
             self.frame = gui.add_slider(
                 "Frame", min=0, max=max(count - 1, 1), step=1, initial_value=frame, visible=count > 1
@@ -60,9 +64,10 @@ class Panel:
                 "Labels", min=0.0, max=1.0, step=0.05, initial_value=0.5, hint="0: the image alone, 1: the labels alone"
             )
             self.image = gui.add_html("")
-            self.stand = gui.add_button("Stand at this camera")
+            self.stand = gui.add_button("Stand at this camera", color="gray")
+            self.cameras = gui.add_checkbox("Cameras", cameras, hint="draw them in the cloud")
 
-    def _add_buttons(self, gui: Any, can_save: bool) -> None:
+    def _add_buttons(self, gui: Any, can_save: bool, can_export: bool) -> None:
         self.name = gui.add_text("Name", "", hint="of the selected segment", visible=can_save)
         self.correct = gui.add_button_group(
             "Correct",
@@ -73,8 +78,7 @@ class Panel:
         self.export = gui.add_button_group(
             "Export",
             ("PLY", "PNG", "COCO"),
-            visible=can_save,
-            hint="write the points, masks, or masks as JSON of the selected segments to the folder `selection`",
+            visible=can_export,
+            hint="download the points, the masks (ZIP), or the masks as JSON of the selected segments",
         )
         self.save = gui.add_button("Save corrections", visible=can_save, hint="to edits.json; the labels stay")
-        self.clear = gui.add_button("Clear selection")

@@ -58,7 +58,7 @@ def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int
         server = viser.ViserServer(host=host, port=port, label="torchjoint", verbose=False)
     if not guards:
         server.stop()
-        raise RuntimeError(f"the viewer: expected viser 1.0 or 1.1, got {viser.__version__}, whose page is open to all")
+        raise RuntimeError(f"the viewer: expected viser 1.1, got {viser.__version__}, whose page is open to all")
     server.scene.set_up_direction(tuple(up))
     position, target = start(scene, up)
     server.initial_camera.position, server.initial_camera.look_at = position, target

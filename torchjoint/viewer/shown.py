@@ -16,7 +16,7 @@ class Shown:
     """The folder and the run of a shown result.
 
     Attributes:
-        folder: for corrections (edits.json) and exported selections; None: the result cannot be corrected.
+        folder: for corrections (edits.json); None: the result cannot be corrected.
         run: the run that made the result, if it is still in memory; its parameters can then be changed on the page.
         is_running: whether the run is not finished, so that segments will change.
     """

@@ -17,7 +17,7 @@ def export_coco(path: Path, result: Result) -> None:
     """Writes one JSON file; an annotation's `segment_id` is the label, the same in all images and in the cloud.
 
     `in_cloud` is False for a segment of an image that has no points. All annotations have category 1, "object". `score`
-    is the confidence in the segment, where the result has one.
+    is the confidence in the segment, where the result has one; `segment_name` is the name that it got by hand.
 
     Raises:
         ModuleNotFoundError: pycocotools is not installed.
@@ -25,7 +25,7 @@ def export_coco(path: Path, result: Result) -> None:
     """
     if not len(result.images):
         raise ValueError("--format coco: expected a result with images, got none")
-    count, files = result.num_point_segments, frame_files(result.names)
+    count, files, names = result.num_point_segments, frame_files(result.names), result.segment_names
     scores = [] if result.confidence is None else result.confidence.tolist()
     of_images = parallel_map(lambda index: list(masks_of(result.images[index])), range(len(result.images)))
     images: list[dict[str, Any]] = []
@@ -44,6 +44,7 @@ def export_coco(path: Path, result: Result) -> None:
                     "bbox": mask.box,
                     "iscrowd": 0,
                     "segment_id": mask.segment,
+                    **({"segment_name": names[mask.segment]} if names.get(mask.segment) else {}),
                     "in_cloud": mask.segment < count,
                     **({"score": round(scores[mask.segment], 4)} if mask.segment < len(scores) else {}),
                 }

@@ -1,0 +1,112 @@
+// The page of a result: it paints the cloud and its pictures at the chosen level, and lights up what is clicked.
+"use strict";
+
+const data = JSON.parse(document.getElementById("data").textContent);
+const plot = document.querySelector(".js-plotly-plot");
+const [mode, level, told, clear] = ["mode", "level", "told", "clear"].map((id) => document.getElementById(id));
+const unpack = ([kind, text]) => new globalThis[kind](Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
+const pieces = unpack(data.pieces); // of the points
+const light = unpack(data.light); // of the points, 0 to 255
+const palette = unpack(data.palette); // RGB of each id
+const own = Object.fromEntries(Object.entries(data.own).map(([name, colors]) => [name, unpack(colors)])); // RGB of points
+const levels = data.levels.map((one) => ({ ids: unpack(one.ids), count: one.count, names: one.names }));
+let selected = null; // an id
+let pictures = [];
+
+const now = () => levels[level.value];
+const called = (id) => `segment ${id}${now().names[id] ? ` ${now().names[id]}` : ""}`;
+
+function paintCloud() {
+  const { ids } = now();
+  const colors = own[mode.value];
+  const paint = Array.from(pieces, (piece, point) => {
+    const id = ids[piece];
+    const [from, at] = colors ? [colors, 3 * point] : [palette, 3 * id];
+    const shade = mode.value === "colours" ? 1 : light[point] / 255;
+    const rgb = [0, 1, 2].map((k) => from[at + k] * shade);
+    const faded = selected === null || selected === id ? rgb : rgb.map((value) => 0.15 * value + 200);
+    return `rgb(${faded.map(Math.round).join()})`;
+  });
+  const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;"); // Plotly reads tags
+  const text = Array.from(ids, (id) => plain(called(id)));
+  Plotly.restyle(plot, { "marker.color": [paint], text: [Array.from(pieces, (piece) => text[piece])] });
+}
+
+function paintPicture({ canvas, photo, labels }) {
+  const { width, height } = canvas;
+  const context = canvas.getContext("2d");
+  const image = new ImageData(new Uint8ClampedArray(photo), width, height);
+  const idOf = (pixel) => (labels[pixel] < 0 ? -1 : now().ids[labels[pixel]]);
+  for (let pixel = 0; pixel < labels.length; pixel++) {
+    const id = idOf(pixel);
+    const shown = id >= 0 && (selected === null || id === selected);
+    const painted = shown && (mode.value !== "colours" || selected !== null);
+    const ends = [pixel % width < width - 1 ? idOf(pixel + 1) : id, pixel + width < labels.length ? idOf(pixel + width) : id];
+    const border = ends.some((end) => end !== id && (selected === null || [id, end].includes(selected)));
+    for (let k = 0; k < 3; k++) {
+      const value = photo[4 * pixel + k];
+      const faded = selected === null || shown ? value : 0.5 * value + 64;
+      const color = painted ? 0.5 * (value + palette[3 * id + k]) : faded;
+      image.data[4 * pixel + k] = border && (mode.value !== "colours" || selected !== null) ? 255 : color;
+    }
+  }
+  context.putImageData(image, 0, 0);
+}
+
+function paint() {
+  told.textContent = selected === null ? "Click a segment in the cloud or in a picture." : called(selected);
+  clear.hidden = selected === null;
+  document.getElementById("count").textContent = `${now().count} segments`;
+  paintCloud();
+  pictures.forEach(paintPicture);
+}
+
+function select(id) {
+  selected = id === selected || id < 0 ? null : id; // a second click clears
+  paint();
+}
+
+async function pixelsOf(image, canvas) {
+  await image.decode();
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  context.drawImage(image, 0, 0);
+  return context.getImageData(0, 0, canvas.width, canvas.height).data;
+}
+
+async function readPicture(canvas) {
+  const [photo, coded] = canvas.querySelectorAll("img");
+  [canvas.width, canvas.height] = [photo.width, photo.height];
+  const code = await pixelsOf(coded, canvas); // the piece + 1 in red, green and blue, lowest byte first
+  const labels = Int32Array.from({ length: code.length / 4 }, (_, pixel) => {
+    const [red, green, blue] = code.subarray(4 * pixel, 4 * pixel + 3);
+    return red + 256 * green + 65536 * blue - 1;
+  });
+  canvas.addEventListener("click", (event) => {
+    const pixel = Math.floor(event.offsetY) * canvas.width + Math.floor(event.offsetX);
+    select(labels[pixel] < 0 ? -1 : now().ids[labels[pixel]]);
+  });
+  return { canvas, labels, photo: await pixelsOf(photo, canvas) };
+}
+
+mode.addEventListener("change", paint);
+level.addEventListener("input", () => {
+  selected = null;
+  paint();
+});
+clear.addEventListener("click", () => select(-1));
+// Plotly's own click also comes when the cloud is turned: only a press that does not move counts.
+let under = null; // the point under the mouse
+let pressed = null;
+plot.on("plotly_hover", (event) => (under = event.points[0].pointNumber));
+plot.on("plotly_unhover", () => (under = null));
+plot.addEventListener("pointerdown", (event) => (pressed = [event.clientX, event.clientY]), true);
+window.addEventListener("pointerup", (event) => {
+  const moved = pressed === null || Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 4;
+  pressed = null;
+  if (!moved && under !== null) select(now().ids[pieces[under]]);
+}, true);
+paint();
+Promise.all(Array.from(document.querySelectorAll("canvas.picture"), readPicture)).then((read) => {
+  pictures = read;
+  pictures.forEach(paintPicture);
+});
