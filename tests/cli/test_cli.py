@@ -204,7 +204,7 @@ def test_demo(monkeypatch, tmp_path, capsys, run, scene_of):
     assert (tmp_path / "demo" / "overview.png").is_file()
     assert "against the truth, in 3D: covering 0." in capsys.readouterr().out
     run("show", tmp_path / "demo", "--truth", "--static", tmp_path / "page.html")  # the scene is made again
-    assert '"label":"truth"' in (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "<option>truth</option>" in (tmp_path / "page.html").read_text(encoding="utf-8")
     with pytest.raises(SystemExit, match="demo: exists already"):
         run("demo", "-o", tmp_path / "demo", *SMALL)
 
