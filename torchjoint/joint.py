@@ -344,10 +344,12 @@ class JointSegmenter(nn.Module):
                 found = label_points(self.method, cloud, state)
             if not images:
                 return Segmentation(found.given, (), seconds=dict(self.stopwatch.seconds), hierarchy=found.hierarchy)
-            labels = label_images(seen, found.of_graph, self.config, self.stopwatch, progress=progress)
+            labels, known = label_images(
+                seen, found.of_graph, self.config, self.stopwatch, found.graph_hierarchy, progress=progress
+            )
         pieces: Sequence[Tensor] = ()
         if found.graph_hierarchy is not None and found.piece_number is not None:
-            pieces = PieceImages(labels, seen, found.graph_hierarchy, self.config)
+            pieces = PieceImages(labels, seen, found.graph_hierarchy, self.config, known)
             pieces = LevelImages(pieces, len(found.piece_number), found.piece_number, len(found.piece_number))
         return Segmentation(
             points=found.given,

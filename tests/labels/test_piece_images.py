@@ -4,7 +4,8 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.labels import geodesic, piece_images
+from torchjoint.labels import geodesic
+from torchjoint.labels.geodesic import PieceNumbers, propagate, propagate_pieces
 from torchjoint.labels.piece_images import piece_image
 
 LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
@@ -48,19 +49,25 @@ def test_pieces_lie_inside_the_segments_of_the_images(result):
         assert len(pieces[own].unique()) > len(labels[own].unique())
 
 
-def test_paths_lead_to_pieces_as_to_labels(scene_of, monkeypatch):
-    """Also where paths are equally cheap: only pixels of removed specks need the nearest point of their segment."""
-    corrected = []
-
-    def nearest(seen, pieces_there, of_piece, row, column, segment):
-        corrected.append(len(row))
-        return segment
-
-    monkeypatch.setattr(piece_images, "_nearest_of_segment", nearest)
-    monkeypatch.setattr(geodesic, "MIN_POINTS", 1)
-    result = tj.JointSegmenter(LEARNED)(scene_of(3).scene)
-    assert len(result.piece_images[:]) == 6
-    assert corrected == [0] * 6
+@pytest.mark.parametrize("least", [1, geodesic.MIN_POINTS])
+def test_pieces_are_propagated_with_their_labels(scene_of, monkeypatch, least):
+    """Also where paths are equally cheap: the labels are those that segments give, without specks the pieces, too."""
+    monkeypatch.setattr(geodesic, "MIN_POINTS", least)
+    segmenter, scene = tj.JointSegmenter(LEARNED), scene_of(3).scene
+    segmenter(scene)
+    hierarchy = segmenter.method.segment(segmenter.cloud.graph, segmenter.state)
+    of_piece = hierarchy.segments_of_pieces(hierarchy.default)
+    of_point, count = of_piece[hierarchy.piece], int(of_piece.max()) + 1
+    numbers = PieceNumbers.of(hierarchy)
+    for seen in segmenter.state.observations[:]:
+        there = of_point[seen.visible.point]
+        expected, next_free = propagate(seen, there, count, LEARNED)
+        labels, free, pieces = propagate_pieces(seen, there, count, numbers, LEARNED)
+        assert torch.equal(labels, expected)
+        assert free == next_free
+        alone = piece_image(seen, expected.long(), hierarchy.piece, of_piece, LEARNED)
+        assert float((pieces != alone).float().mean()) < 0.01
+        assert least > 1 or torch.equal(pieces, alone)
 
 
 def test_levels_of_a_scene_are_nested(result):

@@ -226,15 +226,23 @@ def test_gaps_are_closed() -> None:
     levels=st.sampled_from([1, 3, 1000]),
     weights=st.sampled_from([(0.0, 0.0), (3.0, 0.0), (0.0, 2.5), (100.0, 50.0), (1000.0, 1000.0)]),
     min_markers=st.sampled_from([1, 2, 4]),
+    num_groups=st.sampled_from([0, 1, 2, 3]),
 )
 def test_spread_labels(
-    seed: int, height: int, width: int, levels: int, weights: tuple[float, float], min_markers: int
+    seed: int, height: int, width: int, levels: int, weights: tuple[float, float], min_markers: int, num_groups: int
 ) -> None:
+    """If groups ascend, the groups of the result are what the groups of the markers give."""
     generator = torch.Generator().manual_seed(seed)
     markers = integers(generator, -20, 4, height, width).clamp(min=-1).int()
     image = torch.randint(0, levels + 1, (4, height, width), generator=generator) / levels
-    arguments = (markers, image[:3], image[3], *weights, min_markers)
-    assert_same((ops.propagate_labels(*arguments),), (propagate_labels_reference(*arguments),))
+    groups = integers(generator, 0, num_groups, 5).sort().values.int() if num_groups else None
+    arguments = (image[:3], image[3], *weights, min_markers)
+    labels = ops.propagate_labels(markers, *arguments, groups)
+    assert_same((labels,), (propagate_labels_reference(markers, *arguments, groups),))
+    if groups is not None:
+        of_groups = torch.where(markers < 0, -1, groups[markers.clamp(min=0).long()])
+        coarse = torch.where(labels < 0, -1, groups[labels.clamp(min=0).long()])
+        assert_same((coarse,), (ops.propagate_labels(of_groups, *arguments),))
 
 
 def test_spread_labels_by_hand() -> None:

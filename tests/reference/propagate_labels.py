@@ -15,7 +15,7 @@ from torchjoint.ops.propagate_labels import propagate_labels
 
 EXAMPLE: dict[str, Any] = {
     "markers": LABELS, "colors": torch.rand(3, 3, 4), "boundary": torch.rand(3, 4), "color_weight": 9.0,
-    "boundary_weight": 2.0, "min_markers": 2,
+    "boundary_weight": 2.0, "min_markers": 2, "groups": torch.arange(9, dtype=torch.int32) // 2,
 }  # fmt: skip
 ERRORS = [
     ({"markers": LABELS.long()}, TypeError, "markers: expected dtype torch.int32, got torch.int64"),
@@ -24,6 +24,13 @@ ERRORS = [
     ({"boundary": torch.ones(3)}, ValueError, "boundary: expected shape [H, W] = [3, 4], got [3]"),
     ({"boundary": torch.full((3, 4), 1.5)}, ValueError, "boundary: expected numbers in [0, 1], got 1.5"),
     ({"color_weight": -1.0}, ValueError, "color_weight: expected a number >= 0, got -1.0"),
+    ({"groups": torch.arange(9)}, TypeError, "groups: expected dtype torch.int32, got torch.int64"),
+    (
+        {"groups": torch.zeros(1, dtype=torch.int32)},
+        ValueError,
+        "groups: expected one for each label of a marker, got 1",
+    ),
+    ({"groups": torch.full((9,), -1).int()}, ValueError, "groups: expected numbers >= 0, got a negative one"),
     ({"boundary_weight": 1001.0}, ValueError, "boundary_weight: expected 0 to 1000, got 1001"),
 ]
 REFUSED = [
@@ -41,13 +48,14 @@ def propagate_labels_reference(
     color_weight: float,
     boundary_weight: float,
     min_markers: int = 1,
+    groups: Tensor | None = None,
 ) -> Tensor:
     """What :func:`torchjoint.ops.propagate_labels` computes; the arguments are not checked."""
     image = colors, boundary, color_weight, boundary_weight
     if not (markers >= 0).any():
         return markers.clone()
     labels = _cheapest_labels(markers, *image)
-    parts = _connected_parts(labels)
+    parts = _connected_parts(labels if groups is None else groups[labels.long()])
     stays = [sum(bool(markers[pixel] >= 0) for pixel in part) >= min_markers for part in parts]
     if not any(stays):
         return labels

@@ -100,10 +100,11 @@ class LabelPropagation {
     spread();
   }
 
-  // Labels the connected parts that contain fewer markers than `least` again, from the other parts.
-  void settle_specks(const int32_t* markers, int64_t least) {
+  // Labels the connected parts that contain fewer markers than `least` again, from the other parts. Labels of one group
+  // are in one part; without groups each label is one.
+  void settle_specks(const int32_t* markers, int64_t least, const int32_t* groups) {
     std::vector<int32_t> root;
-    const Array<int32_t> part = parts(root);
+    const Array<int32_t> part = parts(root, groups);
     std::vector<int64_t> count(root.size());
     for_each_pixel([&](int64_t pixel, int64_t here) {
       if (markers[pixel] >= 0) ++count[root[part[here]]];
@@ -183,15 +184,19 @@ class LabelPropagation {
     }
   }
 
-  // A number for each pixel. Pixels are connected by one label (8-neighbourhood) if their numbers have one root.
-  Array<int32_t> parts(std::vector<int32_t>& parent) const {
+  // A number for each pixel. Pixels are connected by one group (8-neighbourhood) if their numbers have one root.
+  Array<int32_t> parts(std::vector<int32_t>& parent, const int32_t* groups) const {
     Array<int32_t> part(path_.size());
     const auto find = [&](int32_t number) {
       while (parent[number] != number) number = parent[number] = parent[parent[number]];
       return number;
     };
+    const auto group = [&](int64_t pixel) {
+      const int32_t label = label_of(path_[pixel]);
+      return groups != nullptr && label >= 0 ? groups[label] : label;
+    };
     for_each_pixel([&](int64_t, int64_t here) {
-      const auto same = [&](int64_t there) { return label_of(path_[there]) == label_of(path_[here]); };
+      const auto same = [&](int64_t there) { return group(there) == group(here); };
       const int64_t left = here - 1, above = here - stride_, corner = above + 1;
       // Pixels above are already in one part with their own neighbours, so at most two of the four need a test.
       int64_t first = same(left) ? left : above - 1;
@@ -220,7 +225,7 @@ class LabelPropagation {
 };
 
 Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tensor& boundary, double color_weight,
-                        double boundary_weight, int64_t min_markers) {
+                        double boundary_weight, int64_t min_markers, const std::optional<Tensor>& groups) {
   const Tensor marker = checked_array(markers, ScalarType::Int, {-1, -1}, "markers");
   const int64_t height = marker.size(0), width = marker.size(1), num_pixels = height * width;
   check_image_size(height, width);
@@ -241,6 +246,15 @@ Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tenso
 
   Tensor labels = torch::stable::new_empty(marker, {height, width}, ScalarType::Int);
   const int32_t* const given = marker.const_data_ptr<int32_t>();
+  std::optional<Tensor> group;
+  if (groups) {
+    group = checked_array(*groups, ScalarType::Int, {-1}, "groups");
+    const int32_t* const number = group->const_data_ptr<int32_t>();
+    check(num_pixels == 0 || *std::max_element(given, given + num_pixels) < group->size(0),
+          "groups: expected one for each label of a marker, got ", group->size(0));
+    check(std::all_of(number, number + group->size(0), [](int32_t one) { return one >= 0; }),
+          "groups: expected numbers >= 0, got a negative one");
+  }
   int32_t* const out = labels.mutable_data_ptr<int32_t>();
   if (std::all_of(given, given + num_pixels, [](int32_t label) { return label < 0; })) {
     std::copy_n(given, num_pixels, out);
@@ -249,7 +263,8 @@ Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tenso
   LabelPropagation propagation(height, width, {static_cast<float>(color_weight), static_cast<float>(boundary_weight)});
   propagation.set_costs(color.const_data_ptr<float>(), boundaries.const_data_ptr<float>());
   propagation.run(given);
-  if (min_markers > 1) propagation.settle_specks(given, min_markers);
+  if (min_markers > 1)
+    propagation.settle_specks(given, min_markers, group ? group->const_data_ptr<int32_t>() : nullptr);
   propagation.copy_labels(out);
   return labels;
 }
@@ -259,7 +274,7 @@ Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tenso
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def(
       "propagate_labels(Tensor markers, Tensor colors, Tensor boundary, float color_weight, float boundary_weight,"
-      " int min_markers=1) -> Tensor");
+      " int min_markers=1, Tensor? groups=None) -> Tensor");
 }
 
 STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("propagate_labels", TORCH_BOX(&propagate_labels)); }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,6 +13,7 @@ from torchjoint.config import Config
 from torchjoint.images.smoothing import smooth
 from torchjoint.labels._tables import by_first_appearance, look_up
 from torchjoint.labels.markers import nearest_labels, without_outvoted
+from torchjoint.scene import Hierarchy
 from torchjoint.views.observation import Observation
 
 #: Path cost of a boundary of strength 1, in units of the cost of an RGB distance of 1. Boundaries add little to
@@ -33,6 +35,26 @@ UNSEEN = 30.0
 SPARSE = 0.1
 
 
+class PieceNumbers(NamedTuple):
+    """The pieces of a hierarchy, numbered in the order of their segments.
+
+    So of equally cheap paths the one from the lowest piece is one from the lowest segment.
+    """
+
+    of_point: Tensor  #: [N] int64, number of each point's piece
+    segment: Tensor  #: [P] int32, segment of each number, ascending
+    piece: Tensor  #: [P] int64, piece of each number
+
+    @classmethod
+    def of(cls, hierarchy: Hierarchy) -> PieceNumbers:
+        """The numbers of the pieces, with the segments of the default level."""
+        segment = hierarchy.segments_of_pieces(hierarchy.default)
+        piece = torch.argsort(segment, stable=True)
+        number = torch.empty_like(piece)
+        number[piece] = torch.arange(len(piece))
+        return cls(number[hierarchy.piece], segment[piece].to(torch.int32), piece)
+
+
 def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config: Config) -> tuple[Tensor, int]:
     """Geodesic label propagation, steps 7 and 8 in one: each pixel gets the label of the point with the cheapest path.
 
@@ -49,11 +71,39 @@ def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config
     Returns:
         ([H, W] int32, the next free id); pixels that are -1 in the initial labels stay -1.
     """
-    height, width = seen.labels.shape
     colors, boundary, color_weight, boundary_weight = path_costs(seen, config)
-    markers = without_outvoted(nearest_labels(seen.visible, point_labels, (height, width)), colors, color_weight)
+    markers = _markers(seen, point_labels, colors, color_weight)
     labels = ops.propagate_labels(markers, colors, boundary, color_weight, boundary_weight, MIN_POINTS)
     return _keep_unseen(labels, markers >= 0, seen.labels, num_segments)
+
+
+def propagate_pieces(
+    seen: Observation, point_labels: Tensor, num_segments: int, pieces: PieceNumbers, config: Config
+) -> tuple[Tensor, int, Tensor]:
+    """As :func:`propagate`, of the pieces of a hierarchy: the same labels, and the piece in each pixel.
+
+    Returns:
+        ([H, W] int32 labels, the next free id, [H, W] int64 pieces). A pixel's piece is a piece of its segment; -1 in
+        pixels without a 3D segment.
+    """
+    colors, boundary, color_weight, boundary_weight = path_costs(seen, config)
+    has_marker = _markers(seen, point_labels, colors, color_weight) >= 0
+    markers = nearest_labels(
+        seen.visible, pieces.of_point[seen.visible.point], (has_marker.shape[0], has_marker.shape[1])
+    )
+    markers = markers.masked_fill_(~has_marker, -1)
+    costs = colors, boundary, color_weight, boundary_weight
+    found = ops.propagate_labels(markers, *costs, MIN_POINTS, pieces.segment).to(torch.int64)
+    labels = torch.where(found < 0, -1, pieces.segment[found.clamp(min=0)])
+    labels, next_free = _keep_unseen(labels, has_marker, seen.labels, num_segments)
+    has_segment = (labels >= 0) & (labels < num_segments)
+    return labels, next_free, torch.where(has_segment, pieces.piece[found.clamp(min=0)], -1)
+
+
+def _markers(seen: Observation, point_labels: Tensor, colors: Tensor, color_weight: float) -> Tensor:
+    """The labels [H, W] int32 of the pixels with points, -1 where there is none or the labels around it contradict."""
+    height, width = seen.labels.shape
+    return without_outvoted(nearest_labels(seen.visible, point_labels, (height, width)), colors, color_weight)
 
 
 def path_costs(seen: Observation, config: Config) -> tuple[Tensor, Tensor, float, float]:

@@ -7,21 +7,27 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchjoint.config import Config
-from torchjoint.labels.geodesic import propagate
+from torchjoint.labels.geodesic import PieceNumbers, propagate, propagate_pieces
 from torchjoint.labels.joint_ids import private_id_offsets
 from torchjoint.labels.mask_labels import label_masks
 from torchjoint.labels.segment_refinement import cut
 from torchjoint.runtime.packing import Packed, pack
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.scene import LabelImages
+from torchjoint.scene import Hierarchy, LabelImages
 from torchjoint.views.observation import Observation
 from torchjoint.views.observations import Observations
 
 
 def label_images(
-    seen: Observations, point_labels: Tensor, config: Config, stopwatch: Stopwatch, *, progress: bool = False
-) -> LabelImages:
+    seen: Observations,
+    point_labels: Tensor,
+    config: Config,
+    stopwatch: Stopwatch,
+    hierarchy: Hierarchy | None = None,
+    *,
+    progress: bool = False,
+) -> tuple[LabelImages, dict[int, Packed]]:
     """The final labels of all images, in one id space with the points.
 
     Args:
@@ -29,21 +35,33 @@ def label_images(
         point_labels: [N] int64, 3D labels of all points.
         config: the refinement, and the image graph.
         stopwatch: records the seconds of each image.
+        hierarchy: the levels of the points, if there are any; `point_labels` are of the default level.
         progress: show a progress bar.
+
+    Returns:
+        the labels; and, with a hierarchy, the piece in each pixel, packed, by index, of the frames without masks.
     """
+    numbers = None if hierarchy is None else PieceNumbers.of(hierarchy)
+    known: dict[int, Packed] = {}
     sizes = torch.bincount(point_labels)
     bar = tqdm(total=len(seen), desc="images", unit="frame", disable=not progress)
 
-    def refine(observation: Observation) -> tuple[Packed, int]:
+    def refine(index: int) -> tuple[Packed, int]:
+        observation = seen[index]
         with stopwatch("image labels"):
-            refined, next_free = label_image(observation, point_labels, sizes, config)
+            if numbers is None or observation.masks is not None:
+                refined, next_free = label_image(observation, point_labels, sizes, config)
+            else:
+                there = point_labels[observation.visible.point]
+                refined, next_free, pieces = propagate_pieces(observation, there, len(sizes), numbers, config)
+                known[index] = pack(pieces)
         bar.update()
         return pack(refined), next_free
 
     with bar:
-        refined = parallel_map(refine, seen)
+        refined = parallel_map(refine, range(len(seen)))
     offsets = private_id_offsets([next_free for _, next_free in refined], seen, len(sizes))
-    return LabelImages([image for image, _ in refined], len(sizes), offsets)
+    return LabelImages([image for image, _ in refined], len(sizes), offsets), known
 
 
 def label_image(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, config: Config) -> tuple[Tensor, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import overload
 
 import torch
@@ -27,6 +27,7 @@ class PieceImages(Sequence[Tensor]):
         observations: the frames.
         hierarchy: all levels of the graph's points.
         config: the refinement, and the smoothing of the image graph.
+        known: pieces of images that are known already, by index.
     """
 
     def __init__(
@@ -35,13 +36,14 @@ class PieceImages(Sequence[Tensor]):
         observations: Observations,
         hierarchy: Hierarchy,
         config: Config,
+        known: Mapping[int, Packed] | None = None,
     ) -> None:
         self._images = images
         self._observations = observations[:]  # more may be added
         self._piece = hierarchy.piece
         self._of_piece = hierarchy.segments_of_pieces(hierarchy.default)
         self._config = config
-        self._known: dict[int, Packed] = {}
+        self._known: dict[int, Packed] = dict(known or {})
 
     def __len__(self) -> int:
         return len(self._images)

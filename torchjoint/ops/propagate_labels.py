@@ -18,6 +18,7 @@ def propagate_labels(
     color_weight: float,
     boundary_weight: float,
     min_markers: int = 1,
+    groups: Tensor | None = None,
 ) -> Tensor:
     """Geodesic label propagation: give each pixel the label of the marker with the cheapest path to the pixel.
 
@@ -39,6 +40,9 @@ def propagate_labels(
         color_weight: cost of an RGB distance of 1, pixels; 0 to 1000.
         boundary_weight: cost of a boundary strength of 1, pixels; 0 to 1000.
         min_markers: smallest number of markers in a connected part of one label; 0 and 1 allow any.
+        groups: optional ``[L]`` int32 >= 0, the group of each label 0 ... L - 1; a connected part is then of one group
+            instead of one label. If groups ascend, the groups of the result are the labels that the groups of the
+            markers would give.
 
     Returns:
         ``[H, W]`` int32; a copy of ``markers`` if there are no markers at all. No gradient flows through it.
@@ -63,7 +67,9 @@ def propagate_labels(
     check_number("color_weight", color_weight, (int, float))
     check_number("boundary_weight", boundary_weight, (int, float))
     check_number("min_markers", min_markers, (int,))
-    arguments = (markers, colors, boundary, float(color_weight), float(boundary_weight), min_markers)
+    if groups is not None:
+        check_array("groups", groups, torch.int32, (None,), "[L]")
+    arguments = (markers, colors, boundary, float(color_weight), float(boundary_weight), min_markers, groups)
     return cast(Tensor, call(torch.ops.torchjoint.propagate_labels.default, *arguments))
 
 
