@@ -357,3 +357,10 @@ class TestFingerprint:
         """Of a file that stands alone its folder counts, which is the whole disk for a missing one right below /."""
         with pytest.raises(FileNotFoundError, match="/nowhere does not exist"):
             fingerprint(Path("/nowhere"))
+
+
+def test_a_pose_without_its_image_is_told(tmp_path, synthetic):
+    folder = write_folder(tmp_path / "scene", synthetic)
+    (folder / "frame-000010.color.png").unlink()
+    with pytest.warns(UserWarning, match=r"1 of 6 poses have no colour image and are left out: frame-000010"):
+        assert len(tj.load_scene(folder).frames) == 5

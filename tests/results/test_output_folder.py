@@ -160,3 +160,12 @@ def test_own_files_are_all_that_a_run_writes(out):
         write(partial, NEW)
         seen.update(out.parent.iterdir(), out.iterdir() if out.exists() else ())
     assert seen <= own_files(out)
+
+
+def test_corrections_by_hand_are_not_overwritten(tmp_path):
+    out = tmp_path / "out"
+    assert run(out)
+    (out / "edits.json").write_text("by hand")
+    with pytest.raises(FileExistsError, match=r"edits\.json: has corrections by hand; move or delete it"):
+        run(out, overwrite=True, key="other")
+    assert (out / "edits.json").read_text() == "by hand"

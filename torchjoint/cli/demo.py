@@ -29,11 +29,11 @@ def demo(
         show: show the run, and then the result, in the browser, as `torchjoint segment --show` does.
     """
     view = live_view(show)
-    clock = Stopwatch()
-    with clock("generate"):
-        synthetic, config = demo_scene(), parameters.config()
+    clock, config = Stopwatch(), parameters.config()
     with output_folder(out, SOURCE, overwrite=overwrite) as partial:
         assert partial is not None  # it is None only if a key is given
+        with clock("generate"):
+            synthetic = demo_scene()
         with printed_log(), clock("segment"):
             segmenter = JointSegmenter(config, allow_import=True)
             result = segmenter(synthetic.scene, progress=sys.stderr.isatty(), on_frames=view)

@@ -57,7 +57,7 @@ def show(
         raise ValueError("--up: expected a direction, got 0 0 0")
     direction = None if up is None else torch.tensor(up, dtype=torch.float64)
     if not out.exists():
-        raise FileNotFoundError(f"out: {out} does not exist")
+        raise FileNotFoundError(f"{out} does not exist; expected a result, or a cloud with labels")
     is_folder = not out.is_file()
     result = _read(out, truth)
     if granularity is not None:

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from torchjoint.results.edits import FILE as EDITS
 from torchjoint.runtime.files import no_link, write_text
 from torchjoint.runtime.locks import lock
 
@@ -189,6 +190,8 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
         return
     if not overwrite:
         raise FileExistsError(f"{out}: exists already; choose another folder, or --overwrite")
+    if (out / EDITS).exists():
+        raise FileExistsError(f"{out / EDITS}: has corrections by hand; move or delete it, then start again")
     if content and not (out / "run.yaml").is_file():
         raise FileExistsError(f"{out}: expected a result of torchjoint, which has a run.yaml; it is not overwritten")
     if places.inside and not os.access(out, os.W_OK | os.X_OK):

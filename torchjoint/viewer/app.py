@@ -260,7 +260,8 @@ class Viewer:
         self._say(f"corrections saved: {len(self.model.edits.steps)}, in {self.folder / 'edits.json'}")
 
     def _on_export(self, client: Any) -> None:
-        self._say(f"{self._panel.export.value}: the download comes ...", "blue")
+        if self.model.selected:
+            self._say(f"{self._panel.export.value}: the download comes ...", "blue")
         client.send_file_download(*export_selected(self.model, self._panel.export.value), save_immediately=True)
 
     def _stand_at(self, index: int, client: Any) -> None:

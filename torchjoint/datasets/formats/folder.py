@@ -12,6 +12,7 @@ cloud.truth.npy                ground-truth instances of the points, integers [N
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -51,6 +52,13 @@ def read_frames(path: Path) -> Sequence[Frame]:
     if len(set(stems)) < len(stems):
         twice = next(stem for stem in stems if stems.count(stem) > 1)
         raise ValueError(f"{path}: frame {twice!r} has two colour images")
+    lost = {file.name.split(".")[0] for file in path.glob("frame-*.pose.txt")}.difference(stems)
+    if lost:
+        warnings.warn(
+            f"{path}: {len(lost)} of {len(lost) + len(stems)} poses have no colour image and are left out: {min(lost)}"
+            f"{', ...' if len(lost) > 1 else ''}",
+            stacklevel=2,
+        )
     for file in colors:
         if not _beside(file, ".pose.txt").is_file():
             raise FileNotFoundError(f"{_beside(file, '.pose.txt')}: missing; every colour frame needs its pose")

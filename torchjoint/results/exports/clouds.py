@@ -9,17 +9,19 @@ import numpy as np
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.result import Result
 from torchjoint.runtime.extras import needed_for
-from torchjoint.runtime.files import atomic_write, frame_files
+from torchjoint.runtime.files import atomic_write, file_name, frame_files
 from torchjoint.runtime.threads import on_cpu
 
 
 @on_cpu()
 def export_ply(folder: Path, result: Result) -> None:
-    """Writes ID.ply for each segment of the cloud, with the points' own colours, if there are any."""
+    """Writes ID.ply, or ID-NAME.ply, for each segment of the cloud, with its points' own colours, if there are any."""
     folder.mkdir()
     for segment in result.points[result.points >= 0].unique().tolist():
         cloud = result.cloud(segment)
-        write_cloud(folder / f"{segment:06d}.ply", cloud.points, cloud.colors)
+        name = result.segment_names.get(segment)
+        stem = f"{segment:06d}" if name is None else file_name(f"{segment:06d}-{name}")
+        write_cloud(folder / f"{stem}.ply", cloud.points, cloud.colors)
 
 
 @on_cpu()
