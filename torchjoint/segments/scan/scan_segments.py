@@ -6,6 +6,8 @@ is allowed at its range. The segments are the connected components of the edges 
 
 from __future__ import annotations
 
+from typing import Literal
+
 import torch
 from torch import Tensor
 
@@ -31,7 +33,9 @@ JOINING_GAP = 2.0
 RINGS_IN_GAP = 4
 
 
-def segment_scan(points: Tensor, config: ScanConfig | None = None) -> Tensor:
+def segment_scan(
+    points: Tensor, config: ScanConfig | None = None, rings: Rings | Literal["search"] | None = "search"
+) -> Tensor:
     """Segments one scan of a LiDAR, without training, colours or normals.
 
     Points on the ground (:func:`~torchjoint.segments.scan.ground_growth.grow_ground`) are one segment. All other points
@@ -43,6 +47,7 @@ def segment_scan(points: Tensor, config: ScanConfig | None = None) -> Tensor:
     Args:
         points: [N, 3] metres, z up, the sensor at the origin.
         config: see :class:`ScanConfig`.
+        rings: of the scan; None: it has none; "search": they are searched for.
 
     Returns:
         [N] int64 labels 0, 1, 2, ... in the order of their first points. The labels do not depend on the number of
@@ -53,21 +58,24 @@ def segment_scan(points: Tensor, config: ScanConfig | None = None) -> Tensor:
     """
     config = config or ScanConfig()
     with torch.no_grad(), one_thread_per_operation():
-        return components(*scan_graph(as_points(points), config), config)
+        points = as_points(points)
+        rings = find_rings(points) if rings == "search" else rings
+        return components(*scan_graph(points, config, rings), config)
 
 
-def scan_graph(points: Tensor, config: ScanConfig) -> tuple[Tensor, Tensor, Tensor]:
+def scan_graph(points: Tensor, config: ScanConfig, rings: Rings | None) -> tuple[Tensor, Tensor, Tensor]:
     """The graph of the points that do not belong to the ground.
 
     Args:
         points: [N, 3] metres, z up, the sensor at the origin.
         config: see :class:`ScanConfig`.
+        rings: of the scan; None: it has none.
 
     Returns:
         [2, E] int64 edges; [E] float32 weights; [N] bool, True for ground.
     """
     height = height_over_ground(points)
-    drawn = with_near_rings(points, find_rings(points), config)
+    drawn = with_near_rings(points, rings, config)
     standing = torch.nonzero(height >= GROUND_HEIGHT).flatten()
     edges = standing[undirected_edges(nearest_neighbors(drawn[standing], NEIGHBORS).indices)]
     weight = gap_weights(drawn, edges, config)
