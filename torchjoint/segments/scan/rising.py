@@ -19,7 +19,9 @@ OVERHANG = 2.5
 FAR = 1e4
 
 
-def something_rises(seen: Directions, height: Tensor, which: Tensor, object_height: float) -> Tensor:
+def something_rises(
+    seen: Directions, height: Tensor, which: Tensor, object_height: float, used: Tensor | None = None
+) -> Tensor:
     """Whether something rises from points: whether a higher point lies in the same cell or in one of the 8 around it.
 
     The higher point must be more than `object_height` and less than `OVERHANG` above the point. The cells divide the
@@ -30,6 +32,7 @@ def something_rises(seen: Directions, height: Tensor, which: Tensor, object_heig
         height: [N] float64 metres, above any reference.
         which: [M] int64, the points to test.
         object_height: metres.
+        used: [N] bool, the points that may be the higher ones; None: all.
 
     Returns:
         [M] bool.
@@ -40,7 +43,8 @@ def something_rises(seen: Directions, height: Tensor, which: Tensor, object_heig
     ring = ring - ring.min() + 1
     height = height.clamp(-FAR / 4, FAR / 4)
     rows = int(ring.max()) + 2
-    place = ((column * rows + ring) * FAR + height).sort().values
+    place = (column * rows + ring) * FAR + height
+    place = (place if used is None else place[used]).sort().values
     low = height[which]
     rises = torch.zeros(len(which), dtype=torch.bool)
     for side in (-1, 0, 1):

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.cloud.graph import undirected_edges
-from torchjoint.cloud.neighbors import nearest_neighbors
+from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors
 from torchjoint.config import ScanConfig
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene.checks import as_points
@@ -34,7 +34,10 @@ RINGS_IN_GAP = 4
 
 
 def segment_scan(
-    points: Tensor, config: ScanConfig | None = None, rings: Rings | Literal["search"] | None = "search"
+    points: Tensor,
+    config: ScanConfig | None = None,
+    rings: Rings | Literal["search"] | None = "search",
+    spacing: Tensor | None = None,
 ) -> Tensor:
     """Segments one scan of a LiDAR, without training, colours or normals.
 
@@ -48,6 +51,7 @@ def segment_scan(
         points: [N, 3] metres, z up, the sensor at the origin.
         config: see :class:`ScanConfig`.
         rings: of the scan; None: it has none; "search": they are searched for.
+        spacing: [N] metres, mean distance to the nearest neighbours; None: it is computed.
 
     Returns:
         [N] int64 labels 0, 1, 2, ... in the order of their first points. The labels do not depend on the number of
@@ -60,26 +64,33 @@ def segment_scan(
     with torch.no_grad(), one_thread_per_operation():
         points = as_points(points)
         rings = find_rings(points) if rings == "search" else rings
-        return components(*scan_graph(points, config, rings), config)
+        if spacing is None:
+            spacing = nearest_neighbors(points, SPACING_NEIGHBORS).spacing
+        return components(*scan_graph(points, config, rings, spacing), config)
 
 
-def scan_graph(points: Tensor, config: ScanConfig, rings: Rings | None) -> tuple[Tensor, Tensor, Tensor]:
+def scan_graph(points: Tensor, config: ScanConfig, rings: Rings | None, spacing: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """The graph of the points that do not belong to the ground.
 
     Args:
         points: [N, 3] metres, z up, the sensor at the origin.
         config: see :class:`ScanConfig`.
         rings: of the scan; None: it has none.
+        spacing: [N] metres, mean distance to the nearest neighbours.
 
     Returns:
         [2, E] int64 edges; [E] float32 weights; [N] bool, True for ground.
     """
-    height = height_over_ground(points)
+    seen = directions(points)
+    # Points that stand alone are outliers, or carry no evidence: they are no ground, and do not rise from it.
+    used = spacing <= config.gap + config.gap_growth * seen.range
+    used = used if bool(used.any()) else None
+    height = height_over_ground(points, used)
     drawn = with_near_rings(points, rings, config)
     standing = torch.nonzero(height >= GROUND_HEIGHT).flatten()
     edges = standing[undirected_edges(nearest_neighbors(drawn[standing], NEIGHBORS).indices)]
     weight = gap_weights(drawn, edges, config)
-    on_ground = grow_ground(points, height, directions(points), edges[:, weight <= 1], config)
+    on_ground = grow_ground(points, height, seen, edges[:, weight <= 1], config, used)
     above = ~on_ground[edges].any(0)
     return edges[:, above], weight[above], on_ground
 
