@@ -29,6 +29,9 @@ NEIGHBORS = 12
 #: another object: a small segment that stands far from all others keeps its own label.
 JOINING_GAP = 2.0
 
+#: Largest mean distance of a point of the ground to its nearest neighbours, in allowed gaps.
+GROUND_GAP = 0.5
+
 #: The part of the allowed gap that grows with range must span at least this many steps between rings.
 RINGS_IN_GAP = 4
 
@@ -82,17 +85,20 @@ def scan_graph(points: Tensor, config: ScanConfig, rings: Rings | None, spacing:
         [2, E] int64 edges; [E] float32 weights; [N] bool, True for ground.
     """
     seen = directions(points)
-    # Points that stand alone are outliers, or carry no evidence: they are no ground, and do not rise from it.
-    used = spacing <= config.gap + config.gap_growth * seen.range
-    used = used if bool(used.any()) else None
-    height = height_over_ground(points, used)
+    # Points that stand alone may be outliers. The ground is denser than what rises from it far away.
+    alone = spacing / (config.gap + config.gap_growth * seen.range)
+    height = height_over_ground(points, _or_all(alone <= GROUND_GAP))
     drawn = with_near_rings(points, rings, config)
     standing = torch.nonzero(height >= GROUND_HEIGHT).flatten()
     edges = standing[undirected_edges(nearest_neighbors(drawn[standing], NEIGHBORS).indices)]
     weight = gap_weights(drawn, edges, config)
-    on_ground = grow_ground(points, height, seen, edges[:, weight <= 1], config, used)
+    on_ground = grow_ground(points, height, seen, edges[:, weight <= 1], config, _or_all(alone <= 1))
     above = ~on_ground[edges].any(0)
     return edges[:, above], weight[above], on_ground
+
+
+def _or_all(used: Tensor) -> Tensor | None:
+    return used if bool(used.any()) else None
 
 
 def with_near_rings(points: Tensor, rings: Rings | None, config: ScanConfig) -> Tensor:
