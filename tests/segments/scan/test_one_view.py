@@ -122,8 +122,8 @@ def test_depth_images_and_fused_clouds_are_none(shared):
 def test_the_unit_and_the_order_change_nothing():
     points = street((0.0, 0.0, 0.0))
     found = dependence_on_range(points)
-    assert dependence_on_range(points * 10) == pytest.approx(found, abs=1e-3)
-    assert dependence_on_range(points.flip(0)) == pytest.approx(found, abs=1e-3)
+    assert dependence_on_range(points * 10) == pytest.approx(found, abs=0.02)
+    assert dependence_on_range(points.flip(0)) == pytest.approx(found, abs=0.02)
 
 
 @pytest.mark.parametrize(

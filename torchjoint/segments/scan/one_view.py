@@ -21,8 +21,9 @@ from torchjoint.segments.scan.recognition import Rings, find_rings
 
 #: Size of the cells in which points are counted, degrees of azimuth and elevation: several steps of any sensor.
 CELL = (5.0, 2.0)
-#: Smallest number of points in such a cell, and of cells: fewer have no telling mean.
-LEAST_POINTS, LEAST_CELLS = 8, 20
+#: Smallest number of points in such a cell, of such cells, and smallest share of the points in them. With fewer points,
+#: only the cells that happen to be full would count.
+LEAST_POINTS, LEAST_CELLS, LEAST_SHARE = 8, 20, 0.5
 #: Two points that follow each other in azimuth have nearly the same direction if they are in a row of elevations of
 #: this height and at most this far apart, degrees.
 ROW, BESIDE = 0.4, 0.5
@@ -33,8 +34,9 @@ DIFFERENCE = 0.3
 MOST = 0.38
 #: Largest unevenness (:func:`_unevenness`): scans have .1 to .36, ten aligned sweeps in open places .57 and more.
 LARGEST_UNEVENNESS = 0.45
-#: Smallest ratio of far to near ranges (95 % and 5 % quantiles). A depth image of a table has about 2, streets 5 to 7.
-LEAST_DEPTH = 3.0
+#: Smallest ratio of far ranges (95 % quantile) to the depth of low points below the sensor (5 % quantile of heights).
+#: Scans of streets and halls have 10 and more, rooms and table-tops at most 6.
+LEAST_REACH = 8.0
 
 
 def dependence_on_range(points: Tensor) -> float:
@@ -54,9 +56,9 @@ def dependence_on_range(points: Tensor) -> float:
     with torch.no_grad(), one_thread_per_operation():
         seen = directions(points)
         ordered = seen.range.log().sort().values
-        near, far = (float(ordered[round(share * (len(ordered) - 1))]) for share in (0.05, 0.95))
-        below = float(points[:, 2].kthvalue(1 + len(points) // 20).values)
-        if far - near < math.log(LEAST_DEPTH) or below >= 0:
+        far = math.exp(ordered[round(0.95 * (len(ordered) - 1))])
+        depth = -float(points[:, 2].kthvalue(1 + len(points) // 20).values)
+        if depth <= 0 or far < LEAST_REACH * depth:
             return math.inf
         return _growth(seen) + _contradiction(seen, ordered)
 
@@ -73,7 +75,9 @@ def _growth(seen: Directions) -> float:
     used = torch.nonzero(number >= LEAST_POINTS).flatten()
     reach = torch.bincount(cell, weights=seen.range.log())[used] / number[used]
     row, number = used // columns, number[used].double()
-    if len(used) < LEAST_CELLS or _unevenness(number, row) > LARGEST_UNEVENNESS:
+    if len(used) < LEAST_CELLS or float(number.sum()) < LEAST_SHARE * len(cell):
+        return math.inf
+    if _unevenness(number, row) > LARGEST_UNEVENNESS:
         return math.inf
     equal = torch.ones_like(number)
     reach, count = (_centered(values, row, equal) for values in (reach, number.log()))

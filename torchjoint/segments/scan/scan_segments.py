@@ -30,7 +30,7 @@ NEIGHBORS = 12
 JOINING_GAP = 2.0
 
 #: Largest mean distance of a point of the ground to its nearest neighbours, in allowed gaps.
-GROUND_GAP = 0.5
+GROUND_GAP = 0.6
 
 #: The part of the allowed gap that grows with range must span at least this many steps between rings.
 RINGS_IN_GAP = 4
