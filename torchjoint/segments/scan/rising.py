@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.threads import parallel_map
 from torchjoint.segments.scan.directions import Directions
 
 #: Width of a cell in azimuth, radians (1 degree). Its length is about this share of its distance from the sensor.
@@ -14,6 +15,9 @@ CELL = math.radians(1.0)
 
 #: Metres. A point higher than this above another one hangs over it (tree crowns, signs) and does not rise from it.
 OVERHANG = 2.5
+
+#: Number of points that are tested at a time, on one thread.
+BLOCK = 1 << 13
 
 #: Larger than any height, metres: one sorted tensor holds all cells, one after the other, at offsets of FAR.
 FAR = 1e4
@@ -45,13 +49,16 @@ def something_rises(
     rows = int(ring.max()) + 2
     place = (column * rows + ring) * FAR + height
     place = (place if used is None else place[used]).sort().values
-    low = height[which]
-    rises = torch.zeros(len(which), dtype=torch.bool)
-    for side in (-1, 0, 1):
-        beside = (column[which] + side) % num_columns * rows
-        for away in (-1, 0, 1):
-            start = (beside + ring[which] + away) * FAR + low
-            found = torch.searchsorted(place, start + object_height, right=True).clamp(max=len(place) - 1)
-            over = place[found] - start
-            rises |= (over > object_height) & (over < OVERHANG)
-    return rises
+
+    def rise(some: Tensor) -> Tensor:
+        rises, low = torch.zeros(len(some), dtype=torch.bool), height[some]
+        for side in (-1, 0, 1):
+            beside = (column[some] + side) % num_columns * rows
+            for away in (-1, 0, 1):
+                start = (beside + ring[some] + away) * FAR + low
+                found = torch.searchsorted(place, start + object_height, right=True).clamp(max=len(place) - 1)
+                over = place[found] - start
+                rises |= (over > object_height) & (over < OVERHANG)
+        return rises
+
+    return torch.cat(parallel_map(rise, which.split(BLOCK)))

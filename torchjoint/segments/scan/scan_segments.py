@@ -17,7 +17,7 @@ from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors
 from torchjoint.config import ScanConfig
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene.checks import as_points
-from torchjoint.segments.scan.directions import directions
+from torchjoint.segments.scan.directions import directions, ranges
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, height_over_ground
 from torchjoint.segments.scan.ground_growth import grow_ground
 from torchjoint.segments.scan.recognition import Rings, find_rings
@@ -136,7 +136,7 @@ def gap_weights(points: Tensor, edges: Tensor, config: ScanConfig) -> Tensor:
     u, v = edges
     x, y, z = (points[u].double() - points[v].double()).unbind(1)
     length = ((x.square() + y.square()) + z.square()).sqrt()
-    reach = directions(points).range
+    reach = ranges(points)
     return (length / (config.gap + config.gap_growth * torch.minimum(reach[u], reach[v]))).float()
 
 
