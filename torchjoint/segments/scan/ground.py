@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene.checks import as_points
 from torchjoint.segments.scan.directions import Directions, directions
 
@@ -104,7 +104,7 @@ def height_over_ground(points: Tensor, used: Tensor | None = None) -> Tensor:
         profile = _without_bumps(ground_profile(Directions(*(values[some] for values in seen)), height[some]))
         place = _column_place(seen.azimuth, profile.num_columns) - 0.5  # a column's profile holds at its middle
         before = place.floor()
-        left, right = (profile.at(before.long() + side, seen.distance) for side in (0, 1))
+        left, right = parallel_map(lambda side: profile.at(before.long() + side, seen.distance), (0, 1))
         return height - (left + (place - before) * (right - left))
 
 

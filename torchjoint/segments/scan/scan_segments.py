@@ -12,6 +12,8 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.cloud._vectors import rows_of
+from torchjoint.cloud.edge_weights import map_edges
 from torchjoint.cloud.graph import undirected_edges
 from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors
 from torchjoint.config import ScanConfig
@@ -133,11 +135,15 @@ def gap_weights(points: Tensor, edges: Tensor, config: ScanConfig) -> Tensor:
     Returns:
         [E] float32.
     """
-    u, v = edges
-    x, y, z = (points[u].double() - points[v].double()).unbind(1)
-    length = ((x.square() + y.square()) + z.square()).sqrt()
     reach = ranges(points)
-    return (length / (config.gap + config.gap_growth * torch.minimum(reach[u], reach[v]))).float()
+
+    def weight(some: Tensor) -> Tensor:
+        u, v = some
+        x, y, z = (rows_of(points, u).double() - rows_of(points, v).double()).unbind(1)
+        length = ((x.square() + y.square()) + z.square()).sqrt()
+        return (length / (config.gap + config.gap_growth * torch.minimum(reach[u], reach[v]))).float()
+
+    return map_edges(weight, edges)
 
 
 def components(edges: Tensor, weight: Tensor, on_ground: Tensor, config: ScanConfig) -> Tensor:
