@@ -74,7 +74,9 @@ def segment_scan(
         return components(*scan_graph(points, config, rings, spacing), config)
 
 
-def scan_graph(points: Tensor, config: ScanConfig, rings: Rings | None, spacing: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def scan_graph(
+    points: Tensor, config: ScanConfig, rings: Rings | None, spacing: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
     """The graph of the points that do not belong to the ground.
 
     Args:
