@@ -21,6 +21,7 @@ from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.joint import JointSegmenter
 from torchjoint.scene import Frame
 from torchjoint.segments.scan import scan_segments
+from torchjoint.segments.scan.recognition import find_rings
 from torchjoint.views.projection import in_any_view
 
 #: Number of places along the line between two points at which the boundary is looked at.
@@ -85,7 +86,7 @@ def seen_edges(points: Tensor, frame: Frame, edges: Tensor, weight: Tensor, conf
 
 def differences(sweep: streets.Sweep, frame: Frame, config: Config) -> dict[str, tuple[float, float]]:
     """F and best IoU without images, and the differences of all changes."""
-    edges, weight, on_ground = scan_segments.scan_graph(sweep.points, config.scan)
+    edges, weight, on_ground = scan_segments.scan_graph(sweep.points, config.scan, find_rings(sweep.points))
     seen = seen_edges(sweep.points, frame, edges, weight, config)
 
     def score(weights: Tensor) -> streets.Score:

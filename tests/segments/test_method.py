@@ -121,11 +121,11 @@ class TestLine:
 
     def test_of_a_scan(self, caplog, street):
         found = self.line(caplog, AUTO, street)
-        assert found == f"points: {len(street)} of a turning LiDAR with about 33 rings; step 6 by method scan"
+        assert found == f"points: {len(street)} of a turning LiDAR with about 33 rings (certain); step 6 by method scan"
 
     def test_of_what_is_only_said_to_be_a_scan(self, caplog, room):
         found = self.line(caplog, AUTO.set(["point_segments.method=scan"]), room.points)
-        assert found == "points: 6000, no rings of a LiDAR found; step 6 by method scan"
+        assert found == "points: 6000, no scan of a LiDAR recognised; step 6 by method scan"
 
     def test_of_another_cloud(self, caplog, room):
         found = self.line(caplog, AUTO, room.points)
@@ -146,6 +146,6 @@ def test_the_command_line_prints_it(run, tmp_path, capsys, shared):
     scan_file, settings = shared / "data/kitti/training/velodyne/000001.bin", ["point_segments.method=auto"]
     settings.append("boundary.detector=gradient")
     run("segment", scan_file, "-o", tmp_path / "out", "--in-view", "--set", *settings)
-    line = r"torchjoint: points: 18608 of a turning LiDAR with about 4\d rings; step 6 by method scan\n"
+    line = r"torchjoint: points: 18608 of a turning LiDAR with about 4\d rings \(certain\); step 6 by method scan\n"
     assert re.search(line, capsys.readouterr().err)
     assert not logging.getLogger("torchjoint").handlers

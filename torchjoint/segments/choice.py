@@ -11,13 +11,13 @@ from torchjoint.segments.learned.method import Learned
 from torchjoint.segments.method import Method
 from torchjoint.segments.paper import Paper
 from torchjoint.segments.scan.method import Scan
-from torchjoint.segments.scan.recognition import find_rings
+from torchjoint.segments.scan.one_view import look_for_scan
 
 METHODS: dict[str, type[Method]] = {method.name: method for method in (Learned, Scan, Paper)}
 
 
 def choose_method(config: Config, points: Tensor) -> Method:
-    """Makes the method that the config names. "auto" is scan for a scan of a turning LiDAR, else learned.
+    """Makes the method that the config names. "auto" is scan for a scan of a LiDAR, else learned.
 
     A model's file is method learned with this model.
 
@@ -27,7 +27,8 @@ def choose_method(config: Config, points: Tensor) -> Method:
     """
     name = config.point_segments.method
     if name == "auto":
-        name = "learned" if find_rings(points.float()) is None else "scan"
+        evidence = look_for_scan(points.float())
+        return Scan(config, evidence) if evidence.is_scan else Learned(config)
     return METHODS.get(name, Learned)(config)
 
 

@@ -35,6 +35,13 @@ class TestRising:
     def test_across_the_seam(self):
         assert self.rises([[-10.0, 0.01, -1.7], [-10, -0.01, -0.7]]) == [True, False]
 
+    def test_only_used_points_rise(self):
+        points = torch.tensor([[10.0, 0, -1.7], [10, 0, -1.2]])
+        seen, which = directions(points), torch.tensor([0])
+        for used in ([True, True], [True, False]):
+            found = something_rises(seen, points[:, 2].double(), which, 0.25, torch.tensor(used))
+            assert found.tolist() == [used[1]]
+
     def test_of_some_points(self):
         points = torch.tensor([[10.0, 0, -1.7], [10, 0, -1.2], [10, 0, -0.7]])
         found = something_rises(directions(points), points[:, 2].double(), torch.tensor([2, 0]), 0.25)

@@ -44,6 +44,23 @@ def test_boxes_on_the_ground():
     assert mean_best_iou(labels, what) > 0.9
 
 
+@pytest.mark.parametrize("share", [0.01, 0.05])
+def test_outliers_do_not_lower_the_ground(share):
+    points, what = scan(*BOXES)
+    low, high = points.amin(0), points.amax(0)
+    low[2] = -10.0  # most outliers are below the ground
+    count = round(share * len(points))
+    outliers = low + (high - low) * torch.rand(count, 3, generator=torch.Generator().manual_seed(0))
+    labels = segment_scan(torch.cat([points, outliers]))[: len(points)]
+    assert mean_best_iou(labels, what) > mean_best_iou(segment_scan(points), what) - 0.05
+
+
+def test_points_that_stand_alone_are_not_used_unless_all_do():
+    points, _ = scan(*BOXES)
+    alone = torch.full((len(points),), 1e3)
+    assert torch.equal(segment_scan(points, spacing=alone), segment_scan(points, spacing=alone * 0))
+
+
 def test_rings_are_drawn_together():
     points = torch.tensor([[10.0, 0, 0], [0, 10 * math.cos(0.2), -10 * math.sin(0.2)]])
     assert with_near_rings(points, None, ScanConfig()) is points

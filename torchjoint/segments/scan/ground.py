@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene.checks import as_points
 from torchjoint.segments.scan.directions import Directions, directions
 
@@ -77,7 +77,7 @@ class Profile(NamedTuple):
         return self.height[below] + share * (self.height[above] - self.height[below])
 
 
-def height_over_ground(points: Tensor) -> Tensor:
+def height_over_ground(points: Tensor, used: Tensor | None = None) -> Tensor:
     """Heights of the points of a scan above the ground.
 
     Each cell of azimuth and elevation contributes its lowest point. A profile follows each column of cells outward. It
@@ -89,6 +89,7 @@ def height_over_ground(points: Tensor) -> Tensor:
 
     Args:
         points: [N, 3] metres, z up, the sensor at the origin.
+        used: [N] bool, the points that may be ground, at least one; None: all.
 
     Returns:
         [N] float64 metres.
@@ -99,10 +100,11 @@ def height_over_ground(points: Tensor) -> Tensor:
     points = as_points(points)
     with torch.no_grad(), one_thread_per_operation():
         seen, height = directions(points), points[:, 2].double()
-        profile = _without_bumps(ground_profile(seen, height))
+        some = slice(None) if used is None else torch.nonzero(used).flatten()
+        profile = _without_bumps(ground_profile(Directions(*(values[some] for values in seen)), height[some]))
         place = _column_place(seen.azimuth, profile.num_columns) - 0.5  # a column's profile holds at its middle
         before = place.floor()
-        left, right = (profile.at(before.long() + side, seen.distance) for side in (0, 1))
+        left, right = parallel_map(lambda side: profile.at(before.long() + side, seen.distance), (0, 1))
         return height - (left + (place - before) * (right - left))
 
 

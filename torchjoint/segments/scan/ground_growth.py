@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import ScanConfig
+from torchjoint.runtime.threads import num_threads
 from torchjoint.segments.scan.directions import Directions
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, MAX_SLOPE
 from torchjoint.segments.scan.rising import something_rises
@@ -32,7 +33,9 @@ SHARE = 0.8
 ROUNDS = 12
 
 
-def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor, config: ScanConfig) -> Tensor:
+def grow_ground(
+    points: Tensor, height: Tensor, seen: Directions, edges: Tensor, config: ScanConfig, used: Tensor | None = None
+) -> Tensor:
     """Which points of a scan belong to the ground.
 
     1. Points lower than GROUND_HEIGHT above the profiles.
@@ -47,6 +50,7 @@ def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor,
         seen: directions of the points.
         edges: [2, E] int64, pairs of points that are connected.
         config: object_height.
+        used: [N] bool, the points that may rise from others; None: all.
 
     Returns:
         [N] bool, True for ground.
@@ -55,27 +59,32 @@ def grow_ground(points: Tensor, height: Tensor, seen: Directions, edges: Tensor,
     if config.object_height == 0:
         return on_ground
     standing = torch.nonzero(~on_ground).flatten()
-    flat = standing[~something_rises(seen, points[:, 2].double(), standing, config.object_height)]
+    flat = standing[~something_rises(seen, points[:, 2].double(), standing, config.object_height, used)]
     on_ground[flat[height[flat] < config.object_height]] = True
     flat = flat[~on_ground[flat]]
     patch = _patches(flat, edges, len(points))
     place: NDArray[np.float64] = points.double().numpy()
     hop = (HOP_GROWTH * seen.distance).clamp(min=HOP).numpy()
     slope = math.tan(math.radians(MAX_SLOPE))
+    left, new = flat[~on_ground[flat]].numpy(), torch.nonzero(on_ground).flatten().numpy()
+    way, nearest = np.full(len(left), np.inf), np.zeros(len(left), dtype=np.int64)
     for _ in range(ROUNDS):
-        left = flat[~on_ground[flat]].numpy()
-        ground = torch.nonzero(on_ground).flatten().numpy()
-        if len(left) == 0 or len(ground) == 0:
+        if len(left) == 0 or len(new) == 0:
             break
-        way, nearest = cKDTree(place[ground, :2]).query(place[left, :2])
-        step = np.abs(place[left, 2] - place[ground[nearest], 2])
+        # Only ground that was added in the last round may be nearer than what was found before.
+        tree = cKDTree(place[new, :2], balanced_tree=False, compact_nodes=False)
+        found, which = tree.query(place[left, :2], workers=num_threads())
+        nearer = found < way
+        way, nearest = np.where(nearer, found, way), np.where(nearer, new[which], nearest)
+        step = np.abs(place[left, 2] - place[nearest, 2])
         near, fits = way <= hop[left], step <= GROUND_HEIGHT + slope * way
         of_patch = patch[left]
         num_near = np.bincount(of_patch[near], minlength=len(flat))
         joins = (num_near > 0) & (np.bincount(of_patch[near & fits], minlength=len(flat)) >= SHARE * num_near)
-        if not joins.any():
-            break
-        on_ground[torch.from_numpy(left[joins[of_patch]])] = True
+        stays = ~joins[of_patch]
+        new = left[~stays]
+        on_ground[torch.from_numpy(new)] = True
+        left, way, nearest = left[stays], way[stays], nearest[stays]
     return on_ground
 
 

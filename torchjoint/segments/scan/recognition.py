@@ -81,8 +81,13 @@ def find_rings(points: Tensor) -> Rings | None:
         counts = _histograms(window[used], elevation[used])
         if int((counts.sum(1) >= LEAST_IN_WINDOW).sum()) < LEAST_WINDOWS:
             return None
-        step = _ring_step(_pair_density(counts))
-        if step is None or not all(_has_step(_pair_density(half), step) for half in _halves(counts)):
+        # Found window by window, once for all windows and for the halves.
+        length = counts.shape[1] + round(LARGEST_STEP / BIN)  # differences do not wrap around
+        power = torch.fft.rfft(torch.stack([counts, _smooth(counts)], dim=1), n=length).abs().square()
+        size = counts.sum(1)
+        step = _ring_step(_pair_density(power, size, length))
+        halves = (slice(None, _middle(size)), slice(_middle(size), None))
+        if step is None or not all(_has_step(_pair_density(power[half], size[half], length), step) for half in halves):
             return None
         number = _count_rings(window, elevation, step)
         return Rings(math.radians(step), number) if NUM_RINGS[0] <= number <= NUM_RINGS[1] else None
@@ -100,21 +105,25 @@ def _histograms(window: Tensor, elevation: Tensor) -> Tensor:
     return torch.bincount(window * num_bins + bins, minlength=WINDOWS * num_bins).view(WINDOWS, -1).double()
 
 
-def _pair_density(counts: Tensor) -> Tensor:
-    """Density of pairs [D] at each difference, in bins; 1 = as for independent elevations, 0 = too few pairs."""
-    num_lags = round(LARGEST_STEP / BIN)
+def _smooth(counts: Tensor) -> Tensor:
+    """The mean of each bin and of those around it."""
     half = round(AROUND / BIN / 2)
-    smooth = torch.nn.functional.avg_pool1d(counts[:, None], 2 * half + 1, 1, half)[:, 0]
-    pairs, expected = (_autocorrelation(values, num_lags) for values in (counts, smooth))
-    pairs[0] -= counts.sum()  # a point is no pair with itself
+    total = torch.nn.functional.pad(counts, (half + 1, half)).cumsum(1)  # exact: they are whole numbers
+    return (total[:, 2 * half + 1 :] - total[:, : -2 * half - 1]) / (2 * half + 1)
+
+
+def _pair_density(power: Tensor, size: Tensor, length: int) -> Tensor:
+    """Density of pairs [D] at each difference, in bins; 1 = as for independent elevations, 0 = too few pairs.
+
+    Args:
+        power: [R, 2, F] of R windows, their numbers of points and the same smoothed.
+        size: [R] number of points in each window.
+        length: of the padded rows.
+    """
+    num_lags = round(LARGEST_STEP / BIN)
+    pairs, expected = torch.fft.irfft(power.sum(0), n=length)[:, :num_lags]
+    pairs[0] -= size.sum()  # a point is no pair with itself
     return torch.where(expected >= LEAST_PAIRS, pairs / expected.clamp(min=1.0), 0.0)
-
-
-def _autocorrelation(rows: Tensor, num_lags: int) -> Tensor:
-    """[num_lags]: for each lag, the sum over all rows of the products of two entries with this distance."""
-    size = rows.shape[1] + num_lags
-    power = torch.fft.rfft(rows, n=size).abs().square().sum(0)
-    return torch.fft.irfft(power, n=size)[:num_lags]
 
 
 def _ring_step(density: Tensor) -> float | None:
@@ -132,11 +141,10 @@ def _ring_step(density: Tensor) -> float | None:
     return (FIRST + top) * BIN
 
 
-def _halves(counts: Tensor) -> tuple[Tensor, Tensor]:
-    """The first windows, which together have half of the points, and the remaining windows."""
-    done = counts.sum(1).cumsum(0)
-    middle = int((done < done[-1] / 2).sum()) + 1
-    return counts[:middle], counts[middle:]
+def _middle(size: Tensor) -> int:
+    """The number of the first windows that together have half of the points."""
+    done = size.cumsum(0)
+    return int((done < done[-1] / 2).sum()) + 1
 
 
 def _has_step(density: Tensor, step: float) -> bool:

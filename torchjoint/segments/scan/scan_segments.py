@@ -6,16 +6,20 @@ is allowed at its range. The segments are the connected components of the edges 
 
 from __future__ import annotations
 
+from typing import Literal
+
 import torch
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.cloud._vectors import rows_of
+from torchjoint.cloud.edge_weights import map_edges
 from torchjoint.cloud.graph import undirected_edges
-from torchjoint.cloud.neighbors import nearest_neighbors
+from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors
 from torchjoint.config import ScanConfig
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene.checks import as_points
-from torchjoint.segments.scan.directions import directions
+from torchjoint.segments.scan.directions import directions, ranges
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, height_over_ground
 from torchjoint.segments.scan.ground_growth import grow_ground
 from torchjoint.segments.scan.recognition import Rings, find_rings
@@ -27,11 +31,19 @@ NEIGHBORS = 12
 #: another object: a small segment that stands far from all others keeps its own label.
 JOINING_GAP = 2.0
 
+#: Largest mean distance of a point of the ground to its nearest neighbours, in allowed gaps.
+GROUND_GAP = 0.6
+
 #: The part of the allowed gap that grows with range must span at least this many steps between rings.
 RINGS_IN_GAP = 4
 
 
-def segment_scan(points: Tensor, config: ScanConfig | None = None) -> Tensor:
+def segment_scan(
+    points: Tensor,
+    config: ScanConfig | None = None,
+    rings: Rings | Literal["search"] | None = "search",
+    spacing: Tensor | None = None,
+) -> Tensor:
     """Segments one scan of a LiDAR, without training, colours or normals.
 
     Points on the ground (:func:`~torchjoint.segments.scan.ground_growth.grow_ground`) are one segment. All other points
@@ -43,6 +55,8 @@ def segment_scan(points: Tensor, config: ScanConfig | None = None) -> Tensor:
     Args:
         points: [N, 3] metres, z up, the sensor at the origin.
         config: see :class:`ScanConfig`.
+        rings: of the scan; None: it has none; "search": they are searched for.
+        spacing: [N] metres, mean distance to the nearest neighbours; None: it is computed.
 
     Returns:
         [N] int64 labels 0, 1, 2, ... in the order of their first points. The labels do not depend on the number of
@@ -53,27 +67,42 @@ def segment_scan(points: Tensor, config: ScanConfig | None = None) -> Tensor:
     """
     config = config or ScanConfig()
     with torch.no_grad(), one_thread_per_operation():
-        return components(*scan_graph(as_points(points), config), config)
+        points = as_points(points)
+        rings = find_rings(points) if rings == "search" else rings
+        if spacing is None:
+            spacing = nearest_neighbors(points, SPACING_NEIGHBORS).spacing
+        return components(*scan_graph(points, config, rings, spacing), config)
 
 
-def scan_graph(points: Tensor, config: ScanConfig) -> tuple[Tensor, Tensor, Tensor]:
+def scan_graph(
+    points: Tensor, config: ScanConfig, rings: Rings | None, spacing: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
     """The graph of the points that do not belong to the ground.
 
     Args:
         points: [N, 3] metres, z up, the sensor at the origin.
         config: see :class:`ScanConfig`.
+        rings: of the scan; None: it has none.
+        spacing: [N] metres, mean distance to the nearest neighbours.
 
     Returns:
         [2, E] int64 edges; [E] float32 weights; [N] bool, True for ground.
     """
-    height = height_over_ground(points)
-    drawn = with_near_rings(points, find_rings(points), config)
+    seen = directions(points)
+    # Points that stand alone may be outliers. The ground is denser than what rises from it far away.
+    alone = spacing / (config.gap + config.gap_growth * seen.range)
+    height = height_over_ground(points, _or_all(alone <= GROUND_GAP))
+    drawn = with_near_rings(points, rings, config)
     standing = torch.nonzero(height >= GROUND_HEIGHT).flatten()
     edges = standing[undirected_edges(nearest_neighbors(drawn[standing], NEIGHBORS).indices)]
     weight = gap_weights(drawn, edges, config)
-    on_ground = grow_ground(points, height, directions(points), edges[:, weight <= 1], config)
+    on_ground = grow_ground(points, height, seen, edges[:, weight <= 1], config, _or_all(alone <= 1))
     above = ~on_ground[edges].any(0)
     return edges[:, above], weight[above], on_ground
+
+
+def _or_all(used: Tensor) -> Tensor | None:
+    return used if bool(used.any()) else None
 
 
 def with_near_rings(points: Tensor, rings: Rings | None, config: ScanConfig) -> Tensor:
@@ -108,11 +137,15 @@ def gap_weights(points: Tensor, edges: Tensor, config: ScanConfig) -> Tensor:
     Returns:
         [E] float32.
     """
-    u, v = edges
-    x, y, z = (points[u].double() - points[v].double()).unbind(1)
-    length = ((x.square() + y.square()) + z.square()).sqrt()
-    reach = directions(points).range
-    return (length / (config.gap + config.gap_growth * torch.minimum(reach[u], reach[v]))).float()
+    reach = ranges(points)
+
+    def weight(some: Tensor) -> Tensor:
+        u, v = some
+        x, y, z = (rows_of(points, u).double() - rows_of(points, v).double()).unbind(1)
+        length = ((x.square() + y.square()) + z.square()).sqrt()
+        return (length / (config.gap + config.gap_growth * torch.minimum(reach[u], reach[v]))).float()
+
+    return map_edges(weight, edges)
 
 
 def components(edges: Tensor, weight: Tensor, on_ground: Tensor, config: ScanConfig) -> Tensor:
