@@ -1,7 +1,7 @@
 """Times method scan on LiDAR sweeps: `python benchmarks/lidar.py DATA [--travel PYTHON]`.
 
-DATA has semantickitti/*.bin, vod/cloud.ply and argo/cloud.ply, or some of them. Given are the medians of whole runs, from
-the points to their labels without images, by the clock and of the processors, and the memory that the runs add. PYTHON
+DATA has semantickitti/*.bin, vod/cloud.ply and argo/cloud.ply, or some of them. Given are the medians of whole runs,
+from the points to their labels without images, by the clock and of the processors, and the memory they add. PYTHON
 is the interpreter of an environment with `pip install travel-seg`, which is run as a program; without it, or where it
 is absent, TRAVEL has no row.
 """

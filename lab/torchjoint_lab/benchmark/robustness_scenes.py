@@ -65,7 +65,7 @@ def _sweep(path: Path) -> Scene:
     return Scene(sweep.points, name=path.stem, truth=Truth(sweep.instance))
 
 
-def _argo(folder: Path) -> list[tuple[str, Callable[[], Scene]]]:
+def _labelled_clouds(folder: Path) -> list[tuple[str, Callable[[], Scene]]]:
     return [(path.stem, partial(_labelled_cloud, path)) for path in sorted(folder.glob("*.ply"))]
 
 
@@ -83,7 +83,8 @@ RECORDED = {
     "mosd": ("mosd", _mosd),
     "recorded-kitchen": ("kitchen", _recordings),
     "semantickitti": ("semantickitti", _semantickitti),
-    "argo": ("argo", _argo),
+    "vod": ("vod", _labelled_clouds),
+    "argo": ("argo", _labelled_clouds),
 }
 KINDS = (*GENERATED, *RECORDED)
 

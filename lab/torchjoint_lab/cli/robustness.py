@@ -30,9 +30,9 @@ def robustness(
 
     Args:
         out: folder of table.md, which grows scene by scene, and of runs/.
-        data: folder with ycb/, mosd/, kitchen/, semantickitti/ and argo/, or some of them.
+        data: folder with ycb/, mosd/, kitchen/, semantickitti/, vod/ and argo/, or some of them.
         kinds: kinds of scenes: table, shelf, bin, desk, kitchen, room, workshop (generated), ycb, mosd,
-            recorded-kitchen, semantickitti, argo; default: those that are generated, and those that DATA has.
+            recorded-kitchen, semantickitti, vod, argo; default: those that are generated, and those that DATA has.
         disturbances: names, such as half-points light-0.25; default: all. A wrong name lists them.
         scenes: at most so many scenes of each kind.
         runs: number of runs of each scene and disturbance.

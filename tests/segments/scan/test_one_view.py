@@ -68,7 +68,7 @@ def test_a_noisy_scan_without_rings():
     assert "(likely" in str(found)
 
 
-@pytest.mark.parametrize("x, y", [(1.5, 0.0), (0.0, 0.6), (2.0, 1.0)])
+@pytest.mark.parametrize(("x", "y"), [(1.5, 0.0), (0.0, 0.6), (2.0, 1.0)])
 def test_two_sensors(x, y):
     assert look_for_scan(street((x, y, 0.0), (-x, -y, -0.1))).is_scan
 
