@@ -24,7 +24,7 @@ class PointSegmentsConfig(Stage):
     method: str = parameter(
         "auto", "learned: regions merge where a trained model says that they belong to one object; scan: ground and "
         "objects of one LiDAR scan (z up, sensor at the origin), without evidence from images; paper: as in the paper, "
-        "with the parameters of stage paper; auto: scan if the rings of a turning LiDAR are recognised in the cloud, "
+        "with the parameters of stage paper; auto: scan if the cloud is recognised as a scan of one or more LiDARs, "
         "else learned; NAME.npz: learned, with this model of torchjoint-lab train-boundary-model",
         choices=("auto", "learned", "scan", "paper", "NAME.npz"),
     )  # fmt: skip
