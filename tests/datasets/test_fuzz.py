@@ -56,6 +56,7 @@ def test_damaged_files_give_clear_errors(name, tmp_path):
     assert read_all(path) is not None
 
 
+@pytest.mark.filterwarnings("ignore:.*poses have no colour image")
 @pytest.mark.parametrize("name", samples.FORMATS)
 def test_missing_files_give_clear_errors(name, tmp_path):
     path = samples.write(name, tmp_path / "sample")

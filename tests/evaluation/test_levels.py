@@ -109,13 +109,14 @@ class TestCommands:
     def test_show_makes_a_page_of_another_level(self, out, run, monkeypatch, tmp_path):
         shown = []
         monkeypatch.setattr(
-            "torchjoint.results.page.write_page", lambda path, result, up: shown.append(result.points) or 0
+            "torchjoint.results.page.write_page",
+            lambda path, result, up, edits: shown.append((result.points, edits.granularity)) or 0,
         )
         result = read_result(out)
         run("show", out, "--static", tmp_path / "page.html")
         run("show", out, "--static", tmp_path / "page.html", "--granularity", 0.2)
-        assert torch.equal(shown[0], result.points)
-        assert torch.equal(shown[1], result.at(0.2).points)
+        assert [level for _, level in shown] == [None, 0.2]
+        assert all(torch.equal(points, result.points) for points, _ in shown)
         with pytest.raises(SystemExit, match="--granularity: expected a number from 0"):
             run("show", out, "--granularity", 2)
 

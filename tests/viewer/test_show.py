@@ -71,7 +71,7 @@ def test_errors(run, out, tmp_path, arguments, message):
 
 
 def test_what_is_not_there_is_told(run, tmp_path):
-    with pytest.raises(SystemExit, match=r"out: .*nothing does not exist"):
+    with pytest.raises(SystemExit, match=r"nothing does not exist; expected a result"):
         run("show", tmp_path / "nothing")
 
 
