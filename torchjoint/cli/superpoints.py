@@ -18,7 +18,6 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.oversegmentation import superpoints as segment
 from torchjoint.runtime.files import atomic_write
 from torchjoint.scene import Scene
-from torchjoint.scene.checks import valid_points
 from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.run import is_las
 
@@ -88,22 +87,22 @@ def superpoints(
     png = out.with_suffix(".png")
     _check_output(out, png if picture else None, overwrite)
     config = SuperpointsConfig.from_preset(preset).set(set)
-    read = read_cloud_file(cloud, int(columns) if columns and columns.isdecimal() else columns, "keep")
-    valid = valid_points(read.points, str(cloud), "drop" if drop_invalid else "refuse")
+    row = int(columns) if columns and columns.isdecimal() else columns
+    read = read_cloud_file(cloud, row, "keep" if drop_invalid else "refuse")
     mesh = read.faces if config.weight == "segmentator" else None
-    colors, normals = (None if of is None else of[valid] for of in (read.colors, read.normals))
-    if mesh is not None:
-        mesh = (valid.cumsum(0) - 1)[mesh[valid[mesh].all(1)]]
-    scene = Scene(read.points[valid], colors=colors, normals=normals)
-    labels = segment(
-        scene.points,
-        scene.colors,
-        scene.normals if mesh is None else None,
+    of_rows = segment(
+        read.points,
+        read.colors,
+        read.normals if mesh is None else None,
         faces=mesh,
         viewpoint=None if viewpoint is None else torch.tensor(viewpoint, dtype=torch.float64),
+        drop_invalid=drop_invalid,
         preset=config,
     )
-    _write(out, scene, labels, valid)
+    valid = of_rows >= 0
+    colors, normals = (None if of is None else of[valid] for of in (read.colors, read.normals))
+    scene, labels = Scene(read.points[valid], colors=colors, normals=normals), of_rows[valid]
+    _write(out, scene, labels, of_rows)
     print(f"{len(labels)} points in {int(labels.max()) + 1} superpoints: {out}")
     if picture:
         _write_picture(png, scene, labels)
@@ -120,7 +119,7 @@ def _check_output(out: Path, png: Path | None, overwrite: bool) -> None:
             raise FileExistsError(f"{file}: exists already; choose another name with -o, or --overwrite")
 
 
-def _write(out: Path, scene: Scene, labels: Tensor, valid: Tensor) -> None:
+def _write(out: Path, scene: Scene, labels: Tensor, of_rows: Tensor) -> None:
     from torchjoint.results.label_colors import label_colors
 
     if out.suffix == ".ply":
@@ -131,7 +130,7 @@ def _write(out: Path, scene: Scene, labels: Tensor, valid: Tensor) -> None:
         arrays["colors"] = scene.colors.numpy()
     with atomic_write(out) as partial:
         if out.suffix == ".npy":
-            np.save(partial, torch.full((len(valid),), -1).masked_scatter_(valid, labels).numpy())
+            np.save(partial, of_rows.numpy())
         else:
             np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]
 
