@@ -10,7 +10,7 @@ from folder_files import write_folder
 
 import torchjoint as tj
 from torchjoint.datasets.files.ply import read_ply
-from torchjoint.results.mask_report import write_mask_report
+from torchjoint.results.inputs import write_inputs
 from torchjoint.scene import LabelImages
 
 EVERYTHING = tj.masks.from_stack(torch.ones(1, 120, 160, dtype=torch.bool))
@@ -30,7 +30,7 @@ def scene_with(synthetic, *masks):
 def report(tmp_path, scene, images, count=3):
     points = torch.arange(len(scene.points)) % count
     segmentation = tj.Segmentation(points, LabelImages(images), names=tuple("abcdef"[: len(images)]))
-    write_mask_report(tmp_path, scene, segmentation)
+    write_inputs(tmp_path, scene, segmentation)
     return json.loads((tmp_path / "masks.json").read_text())
 
 
@@ -74,7 +74,7 @@ def test_a_mask_over_nothing_has_no_segment(tmp_path, synthetic):
 
 
 def test_without_masks_there_is_no_file(tmp_path, synthetic):
-    write_mask_report(tmp_path, synthetic.scene, tj.JointSegmenter()(synthetic.scene))
+    write_inputs(tmp_path, synthetic.scene, tj.JointSegmenter()(synthetic.scene))
     assert not (tmp_path / "masks.json").exists()
 
 

@@ -28,7 +28,6 @@ from torchjoint.results.inputs import CAMERAS, read_inputs, read_names, write_in
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.manifest import FILE as MANIFEST
 from torchjoint.results.manifest import Check, unchecked, write_manifest
-from torchjoint.results.mask_report import write_mask_report
 from torchjoint.results.objects import write_segments
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import frame_files
@@ -94,7 +93,6 @@ def write_result(
     last_label = _write_label_images(folder / "images", result)
     if result.hierarchy is not None:
         write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.piece_images)
-    write_mask_report(folder, scene, result)
     write_inputs(folder, scene, result)
     if len(scene.frames):
         scene = replace(scene, frames=read_inputs(folder, result.names))  # faster to read than the recording

@@ -17,11 +17,12 @@ from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_image
 from torchjoint.results.manifest import Check, unchecked
+from torchjoint.results.mask_report import MaskFates, compare_masks, write_mask_report
 from torchjoint.results.overlays import overlay
 from torchjoint.runtime.files import file_name, frame_files, write_text
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.scene import Frame, Scene, Segmentation
+from torchjoint.scene import Frame, Masks, Scene, Segmentation
 
 CAMERAS, INPUTS, OVERLAYS = "cameras.json", "inputs", "images_color"
 #: Quality of the JPEG files.
@@ -29,7 +30,9 @@ QUALITY = 90
 
 
 def write_inputs(folder: Path, scene: Scene, result: Segmentation) -> None:
-    """Writes cameras, images, and images under the colours of their labels; equal results give equal bytes.
+    """Writes cameras, images, images under the colours of their labels, and what became of masks.
+
+    Equal results give equal bytes. Each frame is read once.
 
     Args:
         folder: the result.
@@ -41,20 +44,23 @@ def write_inputs(folder: Path, scene: Scene, result: Segmentation) -> None:
         (folder / part).mkdir()
     num_point_segments, files = result.num_point_segments, frame_files(result.names)
 
-    def write(index: int) -> dict[str, Any]:
-        frame = scene.frames[index]
-        painted = overlay(frame.image, result.images[index], num_point_segments)
+    def write(index: int) -> tuple[dict[str, Any], MaskFates | None]:
+        frame, labels = scene.frames[index], result.images[index]
+        painted = overlay(frame.image, labels, num_point_segments)
         _save(folder / INPUTS / f"{files[index]}.jpg", frame.image)
         _save(folder / OVERLAYS / f"{files[index]}.jpg", painted)
-        return {
+        camera = {
             "name": result.names[index] or files[index],
             "size": list(frame.size),
             "intrinsics": frame.intrinsics.tolist(),
             "world_to_camera": frame.world_to_camera.tolist(),
         }
+        masks = frame.masks
+        return camera, compare_masks(masks, labels, num_point_segments) if isinstance(masks, Masks) else None
 
-    cameras = parallel_map(write, range(len(files)))
-    lines = ",\n".join(json.dumps(camera) for camera in cameras)
+    written = parallel_map(write, range(len(files)))
+    write_mask_report(folder, result.names, [fates for _, fates in written])
+    lines = ",\n".join(json.dumps(camera) for camera, _ in written)
     write_text(folder / CAMERAS, f'{{"frames": [\n{lines}\n]}}\n')
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,8 +14,7 @@ from torch import Tensor
 
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.threads import parallel_map
-from torchjoint.scene import Masks, Scene, Segmentation
+from torchjoint.scene import Masks
 from torchjoint.scene.level_images import LevelImages
 
 FILE = "masks.json"
@@ -22,32 +22,32 @@ FILE = "masks.json"
 FOUND = 0.5
 
 
-class _Frame(NamedTuple):
-    masks: list[dict[str, Any]]
-    shown: Tensor  # [S] pixels of each segment of the cloud in a frame with masks
-    masked: Tensor  # [S] those of them that lie in a mask
+class MaskFates(NamedTuple):
+    """What became of the masks of one frame."""
+
+    masks: list[dict[str, Any]]  #: a record for each mask
+    shown: Tensor  #: [S] pixels of each segment of the cloud
+    masked: Tensor  #: [S] those of them that lie in a mask
 
 
-def write_mask_report(folder: Path, scene: Scene, result: Segmentation) -> None:
+def write_mask_report(folder: Path, names: Sequence[str], found: Sequence[MaskFates | None]) -> None:
     """Writes masks.json, unless no frame has masks.
 
     `frames` has, for each mask of a frame, its id, name and score, its segment with their IoU in the frame, and its
     area in pixels. `segments` has, for each segment of the cloud that these frames show, the share of its pixels that
     lie in masks, the number of frames in which it is a mask (IoU >= 0.5), and how often these masks have each name.
+
+    Args:
+        folder: the result.
+        names: of the frames.
+        found: :func:`compare_masks` of each frame, None without masks.
     """
-    count = result.num_point_segments
-
-    def look(index: int) -> _Frame | None:
-        masks = scene.frames[index].masks
-        return _frame(masks, result.images[index], count) if isinstance(masks, Masks) else None
-
-    found = parallel_map(look, range(len(scene.frames)))
     (folder / FILE).unlink(missing_ok=True)
     if not any(found):
         return
     frames: list[dict[str, Any]] = [
         {"name": name or f"{index:06d}", "masks": one.masks}
-        for index, (name, one) in enumerate(zip(result.names, found, strict=True))
+        for index, (name, one) in enumerate(zip(names, found, strict=True))
         if one is not None
     ]
     shown, masked = (sum(getattr(one, name) for one in found if one is not None) for name in ("shown", "masked"))
@@ -55,15 +55,15 @@ def write_mask_report(folder: Path, scene: Scene, result: Segmentation) -> None:
     times = Counter(mask["segment"] for mask in good)
     segments = []
     for segment in torch.nonzero(torch.as_tensor(shown)).flatten().tolist():
-        names = Counter(mask["name"] for mask in good if mask["segment"] == segment and mask["name"])
+        called = Counter(mask["name"] for mask in good if mask["segment"] == segment and mask["name"])
         share = round(int(masked[segment]) / int(shown[segment]), 4)
-        segments.append({"id": segment, "masked": share, "frames": times[segment], "names": dict(names.most_common())})
+        segments.append({"id": segment, "masked": share, "frames": times[segment], "names": dict(called.most_common())})
     lines = [",\n".join(json.dumps(record) for record in records) for records in (frames, segments)]
     write_text(folder / FILE, f'{{"frames": [\n{lines[0]}\n], "segments": [\n{lines[1]}\n]}}\n')
 
 
-def _frame(masks: Masks, labels: Tensor, num_segments: int) -> _Frame:
-    """Compares the masks of a frame with its labels [H, W]."""
+def compare_masks(masks: Masks, labels: Tensor, num_segments: int) -> MaskFates:
+    """Compares the masks of a frame with its final labels [H, W]; the first `num_segments` labels are of the cloud."""
     num_labels = max(int(labels.max()) + 1, num_segments)
     of_pixel = labels.flatten() + 1  # 0: none
     pixels = torch.bincount(of_pixel, minlength=num_labels + 1)
@@ -89,7 +89,7 @@ def _frame(masks: Masks, labels: Tensor, num_segments: int) -> _Frame:
                 "pixels": area,
             }
         )
-    return _Frame(records, pixels[1 : num_segments + 1], covered[1 : num_segments + 1])
+    return MaskFates(records, pixels[1 : num_segments + 1], covered[1 : num_segments + 1])
 
 
 def count_masks(folder: Path) -> tuple[int, int] | None:
