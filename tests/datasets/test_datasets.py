@@ -14,7 +14,7 @@ import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import fingerprint, read_array, read_cloud, read_depth, read_image
 from torchjoint.datasets.formats.folder import read_frames
-from torchjoint.datasets.fusion import _finds_a_wall, fuse_cloud
+from torchjoint.datasets.fusion import _check_open3d, fuse_cloud
 from torchjoint.datasets.recording import invert_pose
 from torchjoint.results.output_folder import output_folder, own_files
 
@@ -88,7 +88,7 @@ def test_a_version_of_open3d_that_fuses_nothing(monkeypatch, synthetic):
             pass
 
     monkeypatch.setattr(pipelines.integration, "ScalableTSDFVolume", Volume)
-    _finds_a_wall.cache_clear()
+    _check_open3d.cache_clear()
     with pytest.raises(ModuleNotFoundError, match=r"another Open3D: .* finds no surface even in a flat wall; install"):
         fuse_cloud(synthetic.scene.frames)
 

@@ -131,10 +131,10 @@ class TestARun:
         for name in ("points.npz", "run.yaml"):
             (other / name).write_bytes((out / name).read_bytes())
         (other / "masks.json").write_text('{"frames": [], "segments": [{"id": 100000, "masked": 1}]}')
-        from torchjoint.results.mask_report import only_masked
+        from torchjoint.results.mask_report import select_masked
 
         with pytest.raises(ValueError, match=r"masks\.json: not the masks of this result"):
-            only_masked(other, tj.load_result(out))
+            select_masked(other, tj.load_result(out))
         (other / "masks.json").unlink()
         with pytest.raises(FileNotFoundError, match="expected a result of a recording with masks"):
-            only_masked(other, tj.load_result(out))
+            select_masked(other, tj.load_result(out))

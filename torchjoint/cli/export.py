@@ -11,7 +11,7 @@ import tyro
 
 from torchjoint.results.exports import FORMATS, SUFFIXES
 from torchjoint.results.loading import load_result
-from torchjoint.results.mask_report import only_masked as with_masks_only
+from torchjoint.results.mask_report import select_masked
 from torchjoint.results.result import Result
 
 
@@ -40,7 +40,7 @@ def export(
         raise ValueError("--only-masked: expected no --granularity, because masks are compared with the stored level")
     loaded = load_result(result, edits=not only_masked)
     if only_masked:
-        loaded = with_masks_only(result, loaded)
+        loaded = select_masked(result, loaded)
     if granularity is not None:
         loaded = loaded.at(granularity)
     suffix = SUFFIXES.get(format, "")

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.scene import Cloud
-from torchjoint.scene.checks import valid_points
+from torchjoint.scene.checks import kept_points
 
 
 def split_batch(
@@ -73,7 +73,7 @@ def without_invalid(
         raise TypeError(f"points: expected a torch.Tensor, got {type(points).__name__}")
     if points.ndim != 2:
         raise ValueError(f"points: expected shape [N, 3], got {list(points.shape)}")
-    num_points, valid = len(points), valid_points(points, "points", "drop")
+    num_points, valid = len(points), kept_points(points, "points", "drop")
     first = torch.cat([torch.zeros(1, dtype=torch.int64), valid.cumsum(0)])  # kept points before each point
     graphs = []
     for name, given in (("edges", edges), ("faces", faces)):

@@ -69,7 +69,7 @@ def fuse_cloud(
 
     _check_unit(frames)
     warn_of_poses(frames)
-    _finds_a_wall()
+    _check_open3d()
     origin = _origin(frames, voxel_size)
     volume = pipelines.integration.ScalableTSDFVolume(
         voxel_length=voxel_size,
@@ -115,8 +115,12 @@ def fuse_cloud(
 
 
 @cache
-def _finds_a_wall() -> None:
-    """Fuses a flat wall, because Open3D 0.20.0 finds no surface in anything."""
+def _check_open3d() -> None:
+    """Fuses a flat wall, because Open3D 0.20.0 finds no surface in anything.
+
+    Raises:
+        ModuleNotFoundError: this version finds none.
+    """
     import open3d
 
     volume = open3d.pipelines.integration.ScalableTSDFVolume(

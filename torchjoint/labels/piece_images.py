@@ -68,7 +68,9 @@ class PieceImages(Sequence[Tensor]):
 
 
 def piece_image(seen: Observation, labels: Tensor, piece: Tensor, of_piece: Tensor, config: Config) -> Tensor:
-    """The piece in each pixel. It is always a piece of the pixel's segment.
+    """The piece in each pixel of a frame with masks. It is always a piece of the pixel's segment.
+
+    Frames without masks get their pieces with their labels (:func:`~torchjoint.labels.geodesic.propagate_pieces`).
 
     It is the piece of the point with the cheapest path to the pixel, as in geodesic label propagation. So pieces also
     meet at edges of the image. If this point is not in the segment of the pixel's final label, the nearest visible

@@ -104,7 +104,7 @@ def count_masks(folder: Path) -> tuple[int, int] | None:
     return sum(iou >= FOUND for iou in masks), len(masks)
 
 
-def only_masked(folder: Path, result: Result) -> Result:
+def select_masked(folder: Path, result: Result) -> Result:
     """The result with only those segments of the cloud that lie in masks with at least half of their pixels.
 
     The other segments are -1 in points and images; ids stay. There are no levels any more.

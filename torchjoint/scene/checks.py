@@ -38,7 +38,7 @@ def as_points(points: Tensor, name: str = "points") -> Tensor:
     return points
 
 
-def valid_points(points: Tensor, name: str, invalid: Invalid) -> Tensor:
+def kept_points(points: Tensor, name: str, invalid: Invalid) -> Tensor:
     """Which points [N, 3] are kept, [N] bool.
 
     Args:

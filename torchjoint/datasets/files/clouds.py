@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_array, read_mesh
 from torchjoint.runtime.archives import read_archive
-from torchjoint.scene.checks import Invalid, valid_points
+from torchjoint.scene.checks import Invalid, kept_points
 
 #: Row lengths that are tried for a LiDAR scan; rows that are examined, and the fewest rows that allow a decision.
 COLUMNS, ROWS, LEAST_ROWS = (3, 4, 5, 6, 7), 1 << 16, 100
@@ -63,7 +63,7 @@ def read_cloud_file(path: Path, columns: int | str | None = None, invalid: Inval
         FileNotFoundError, ValueError: the message names the file and its error.
     """
     read = _read(path, columns)
-    valid = valid_points(read.points, str(path), invalid)
+    valid = kept_points(read.points, str(path), invalid)
     if bool(valid.all()):
         return read
     colors, normals = (None if of is None else of[valid] for of in (read.colors, read.normals))
@@ -136,7 +136,7 @@ def read_scan(path: Path, columns: int, invalid: Invalid = "refuse") -> Tensor:
     if size == 0 or size % (4 * columns):
         raise ValueError(f"{path}: expected rows of {columns} float32, {4 * columns} bytes each, got {size} bytes")
     rows = torch.from_numpy(np.fromfile(path, dtype="<f4").reshape(-1, columns))
-    return rows[valid_points(rows[:, :3], str(path), invalid)]
+    return rows[kept_points(rows[:, :3], str(path), invalid)]
 
 
 def _from_archive(path: Path) -> CloudFile:

@@ -23,7 +23,7 @@ from torchjoint.datasets.files import las
 from torchjoint.datasets.files.e57 import read_e57
 from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.ply import Ply, read_ply
-from torchjoint.scene.checks import Invalid, valid_points
+from torchjoint.scene.checks import Invalid, kept_points
 
 #: Larger images are rejected before they are decoded.
 MAX_PIXELS = 64_000_000
@@ -99,7 +99,7 @@ def read_cloud(path: Path, invalid: Invalid = "refuse") -> tuple[Tensor, Tensor 
         FileNotFoundError, ValueError: the message names the file and its error.
     """
     points, colors, normals, _ = read_mesh(path)
-    valid = valid_points(points, str(path), invalid)
+    valid = kept_points(points, str(path), invalid)
     colors, normals = (None if of is None else of[valid] for of in (colors, normals))
     return points[valid], colors, normals
 
