@@ -77,21 +77,24 @@ def _read(path: Path, columns: int | str | None) -> CloudFile:
         raise ValueError(f"{path}: expected a file that ends in {', '.join(SUFFIXES)}")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud")
-    if isinstance(columns, str) and suffix not in LETTERED:
-        raise ValueError(f"{path}: expected a file that ends in {', '.join(LETTERED)}, for columns {columns!r}")
+    if isinstance(columns, str):
+        if suffix not in LETTERED:
+            raise ValueError(f"{path}: expected a file that ends in {', '.join(LETTERED)}, for columns {columns!r}")
+        if [columns.count(letter) for letter in "xyz"] != [1, 1, 1] or not _is_whole(columns):
+            raise ValueError(f"columns: expected x, y, z, and r, g, b or nnn if there are any, got {columns!r}")
     if suffix in MESHES:
         return CloudFile(*read_mesh(path))
     if isinstance(columns, int) and (suffix != ".bin" or columns < 3):
         raise ValueError(f"{path}: expected at least 3 columns, and a file that ends in .bin, got {columns} columns")
     if suffix == ".bin":
         if isinstance(columns, str):
-            return _from_letters(read_scan(path, len(columns), "keep").numpy(), columns, path)
+            return _from_letters(read_scan(path, len(columns), "keep").numpy(), columns)
         return CloudFile(_read_bin(path, columns)[:, :3])
     try:
         if suffix == ".npz":
             return _from_archive(path)
         rows = read_array(path).numpy() if suffix == ".npy" else np.loadtxt(path, ndmin=2)
-        return _from_letters(rows, columns, path) if isinstance(columns, str) else _from_rows(rows)
+        return _from_letters(rows, columns) if isinstance(columns, str) else _from_rows(rows)
     except (ValueError, KeyError, OSError, EOFError, TypeError) as error:
         raise ValueError(f"{path}: not a whole {suffix} cloud: {error}") from error
 
@@ -170,14 +173,17 @@ def _from_rows(rows: npt.NDArray[Any]) -> CloudFile:
     return CloudFile(values[:, :3], None if colors is None else unit_colors(colors.float()))
 
 
-def _from_letters(rows: npt.NDArray[Any], letters: str, path: Path) -> CloudFile:
+def _is_whole(letters: str) -> bool:
+    """Whether colours and normals have three columns each, if any."""
+    return [letters.count(letter) for letter in "rgb"] in ([0] * 3, [1] * 3) and letters.count("n") in (0, 3)
+
+
+def _from_letters(rows: npt.NDArray[Any], letters: str) -> CloudFile:
     """Rows whose columns have a letter each."""
     if rows.ndim != 2 or rows.shape[1] != len(letters):
         raise ValueError(f"expected rows of {len(letters)} numbers, {letters!r}, got shape {list(rows.shape)}")
     values = torch.from_numpy(np.ascontiguousarray(rows)).to(torch.float64)
     x, r, n = ([place for one in group for place, letter in enumerate(letters) if letter == one] for group in GROUPS)
-    if len(x) != 3 or len(r) not in (0, 3) or len(n) not in (0, 3):
-        raise ValueError(f"{path}: columns: expected x, y, z, and r, g, b or nnn if there are any, got {letters!r}")
     colors, normals = (values[:, places].float() if places else None for places in (r, n))
     return CloudFile(values[:, x], None if colors is None else unit_colors(colors), normals)
 
