@@ -9,6 +9,7 @@ from PIL import Image
 
 import torchjoint as tj
 from torchjoint.results.folder import write_result
+from torchjoint.results.label_colors import label_colors
 from torchjoint.results.oriented_box import oriented_box
 from torchjoint.results.overlays import overlay
 from torchjoint.results.upright import up_direction, view_from_above
@@ -94,10 +95,16 @@ def test_overlays_can_be_looked_at(out, result):
     assert painted.shape == (120, 160, 3)
     assert painted.std() > 20  # not black
     labels = torch.tensor([[-1, -1, 0, 0]])
-    one = overlay(torch.full((3, 1, 4), 0.5), labels, 1)
-    assert one[:, 0, 0].tolist() == [0.5] * 3
-    assert one[:, 0, 1].tolist() == [1.0] * 3  # the border
-    assert one[:, 0, 2].tolist() != [0.5] * 3
+    one = overlay(torch.full((1, 4, 3), 128, dtype=torch.uint8), labels, 1)
+    assert one[0, 0].tolist() == [128] * 3
+    assert one[0, 1].tolist() == [255] * 3  # the border
+    color = (255 * label_colors(torch.tensor([0]), 1)).round()
+    assert one[0, 2].tolist() == ((128 + color[0]) // 2).tolist()
+
+
+def test_colors_of_images_are_of_their_labels():
+    labels = torch.randint(-1, 6, (4, 9))
+    assert torch.equal(label_colors(labels, 3)[2], label_colors(labels[2], 3))
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.4, 1.3])

@@ -97,7 +97,7 @@ def write_result(
     if len(scene.frames):
         scene = replace(scene, frames=read_inputs(folder, result.names))  # faster to read than the recording
     write_segments(folder, scene, result)
-    overview(scene, result).savefig(folder / "overview.png", dpi=100)
+    overview(scene, result).savefig(folder / "overview.png", dpi=100, pil_kwargs={"compress_level": 3})
     record = _run_record(scene, result, config, source, granularity, last_label)
     if fingerprint is not None:
         record["fingerprint"] = fingerprint

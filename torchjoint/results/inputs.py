@@ -46,9 +46,9 @@ def write_inputs(folder: Path, scene: Scene, result: Segmentation) -> None:
 
     def write(index: int) -> tuple[dict[str, Any], MaskFates | None]:
         frame, labels = scene.frames[index], result.images[index]
-        painted = overlay(frame.image, labels, num_point_segments)
-        _save(folder / INPUTS / f"{files[index]}.jpg", frame.image)
-        _save(folder / OVERLAYS / f"{files[index]}.jpg", painted)
+        pixels = (frame.image * 255).round().to(torch.uint8).permute(1, 2, 0).contiguous()
+        _save(folder / INPUTS / f"{files[index]}.jpg", pixels)
+        _save(folder / OVERLAYS / f"{files[index]}.jpg", overlay(pixels, labels, num_point_segments))
         camera = {
             "name": result.names[index] or files[index],
             "size": list(frame.size),
@@ -113,6 +113,5 @@ def _read_cameras(folder: Path) -> dict[str, dict[str, Any]]:
         raise ValueError(f"{file}: not the cameras of these images: {error!r}") from error
 
 
-def _save(file: Path, image: Tensor) -> None:
-    pixels = (image * 255).round().to(torch.uint8).permute(1, 2, 0).contiguous().numpy()
-    Image.fromarray(pixels).save(file, quality=QUALITY)
+def _save(file: Path, pixels: Tensor) -> None:
+    Image.fromarray(pixels.numpy()).save(file, quality=QUALITY)
