@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
 
 import numpy as np
 import torch
@@ -12,7 +11,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchjoint.datasets.depth_agreement import warn_of_poses
-from torchjoint.runtime.extras import needed_for
+from torchjoint.datasets.volume import Volume
 from torchjoint.scene import Frame
 from torchjoint.scene.camera import camera_center
 from torchjoint.scene.subset import evenly_spaced_indices
@@ -56,26 +55,17 @@ def fuse_cloud(
         to a file and read back.
 
     Raises:
-        ModuleNotFoundError: Open3D is not installed, or is a version that fuses nothing.
-        ValueError: no frame has depth, or it has another unit, or it gives no surface.
+        ValueError: no frame has depth, or it has another unit, or it gives no surface, or one that is too large.
 
     Warns:
         PoseWarning: the poses do not fit, and another convention does.
     """
     if not 1e-4 <= voxel_size <= 10:
         raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
-    with needed_for("fusing a cloud from depth images", "Open3D", "torchjoint[open3d]"):
-        from open3d import camera, geometry, pipelines
-
     _check_unit(frames)
     warn_of_poses(frames)
-    _check_open3d()
     origin = _origin(frames, voxel_size)
-    volume = pipelines.integration.ScalableTSDFVolume(
-        voxel_length=voxel_size,
-        sdf_trunc=4 * voxel_size,
-        color_type=pipelines.integration.TSDFVolumeColorType.RGB8,
-    )
+    volume = Volume(voxel_size, FAR)
     fused = 0
     for index in tqdm(
         range(len(frames)), desc="fuse", unit="frame", disable=None if progress is None else not progress
@@ -84,60 +74,19 @@ def fuse_cloud(
         if frame.depth is None:
             continue
         fused += 1
-        color = np.ascontiguousarray((frame.image * 255).round().to(torch.uint8).permute(1, 2, 0).numpy())
-        image = geometry.RGBDImage.create_from_color_and_depth(
-            geometry.Image(color),
-            geometry.Image(frame.depth.contiguous().numpy()),
-            depth_scale=1.0,
-            depth_trunc=FAR,
-            convert_rgb_to_intensity=False,
-        )
-        k = frame.intrinsics
-        intrinsic = camera.PinholeCameraIntrinsic(
-            frame.size[1], frame.size[0], float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
-        )
-        pose = frame.world_to_camera.clone()
+        color = (frame.image * 255).round().to(torch.uint8).permute(1, 2, 0)
+        pose = frame.world_to_camera.double().clone()
         pose[:3, 3] += pose[:3, :3] @ origin
-        volume.integrate(image, intrinsic, pose.numpy())
+        volume.integrate(frame.depth, color, frame.intrinsics.double(), pose)
     if fused == 0:
         raise ValueError("frames: none has a depth image, and there is no cloud.ply: there is no cloud to segment")
-    cloud = volume.extract_point_cloud()
-    points, colors = np.asarray(cloud.points).astype(np.float32), np.asarray(cloud.colors).astype(np.float32)
+    points, colors = volume.surface()
     if len(points) == 0:
         raise ValueError(f"depth: the {fused} depth images give no surface; wrong poses?")
-    order = np.lexsort(points.T)
-    sorted_points = torch.from_numpy(points[order])
-    return (
-        sorted_points.double() + origin if origin.any() else sorted_points,
-        # A cloud's file has 8 bits per colour: a cloud that is read back must be the same.
-        (torch.from_numpy(colors[order]).clamp(0, 1) * 255).round().double().div(255).float(),
-    )
-
-
-@cache
-def _check_open3d() -> None:
-    """Fuses a flat wall, because Open3D 0.20.0 finds no surface in anything.
-
-    Raises:
-        ModuleNotFoundError: this version finds none.
-    """
-    import open3d
-
-    volume = open3d.pipelines.integration.ScalableTSDFVolume(
-        voxel_length=0.1, sdf_trunc=0.4, color_type=open3d.pipelines.integration.TSDFVolumeColorType.RGB8
-    )
-    image = open3d.geometry.RGBDImage.create_from_color_and_depth(
-        open3d.geometry.Image(np.zeros((32, 32, 3), np.uint8)),
-        open3d.geometry.Image(np.ones((32, 32), np.float32)),
-        depth_scale=1.0,
-        convert_rgb_to_intensity=False,
-    )
-    volume.integrate(image, open3d.camera.PinholeCameraIntrinsic(32, 32, 16.0, 16.0, 16.0, 16.0), np.eye(4))
-    if not len(volume.extract_point_cloud().points):
-        raise ModuleNotFoundError(
-            f"fusing a cloud from depth images needs another Open3D: {open3d.__version__} finds no surface even in a "
-            "flat wall; install 0.19 (Python 3.11 or 3.12), or give the recording a cloud.ply"
-        )
+    points = points.float()
+    order = torch.from_numpy(np.lexsort(points.T.numpy()))
+    # A cloud's file has 8 bits per colour: a cloud that is read back must be the same.
+    return points[order].double() + origin if origin.any() else points[order], (colors[order].round() / 255).float()
 
 
 def _check_unit(frames: Sequence[Frame]) -> None:

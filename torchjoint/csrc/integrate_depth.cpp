@@ -1,0 +1,114 @@
+// Adds a depth image to the sums of a truncated signed distance volume (Curless and Levoy 1996). The sums are of whole
+// numbers, and one thread handles a block, so they depend neither on the threads nor on the order of the images.
+#include "common.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace torchjoint {
+namespace {
+
+constexpr int64_t kSide = 8, kVoxels = kSide * kSide * kSide, kBlocksAtOnce = 16;
+// A cell has the sums of distances, of weights and of three colours.
+constexpr int64_t kChannels = 5;
+// A distance of one truncation is kUnit. With at most kMaxWeight images the sums fit 32 bits.
+constexpr double kUnit = 1 << 14;
+constexpr int32_t kMaxWeight = 1 << 16;
+
+// The nearest whole number. std::floor would be a call without newer processors' instructions.
+inline int32_t rounded(double value) {
+  const double up = value + 0.5;
+  const auto whole = static_cast<int32_t>(up);
+  return whole - (whole > up);
+}
+
+struct View {
+  double rows[12], fx, fy, cx, cy, voxel_size, truncation, far;
+  const float* depth;
+  const uint8_t* color;
+  int64_t height, width;
+
+  double along(int axis, double x, double y, double z) const {
+    const double* row = rows + 4 * axis;
+    return ((row[0] * x + row[1] * y) + row[2] * z) + row[3];
+  }
+
+  void add(double x, double y, double z, int32_t* cell) const {
+    const double away = along(2, x, y, z);
+    if (!(away > 0)) return;  // also skips NaN
+    const double right = along(0, x, y, z) / away, down = along(1, x, y, z) / away;
+    const double column = fx * right + cx + 0.5, row = fy * down + cy + 0.5;
+    if (!(column >= 0 && column < static_cast<double>(width) && row >= 0 && row < static_cast<double>(height))) return;
+    const int64_t pixel = static_cast<int64_t>(row) * width + static_cast<int64_t>(column);
+    const double measured = depth[pixel];
+    if (!(measured > 0 && measured <= far)) return;
+    const double distance = (measured - away) * std::sqrt(1 + (right * right + down * down));  // along the ray
+    if (!(distance > -truncation) || cell[1] >= kMaxWeight) return;
+    cell[0] += rounded(std::min(1.0, distance / truncation) * kUnit);
+    cell[1] += 1;
+    for (int64_t channel = 0; channel < 3; ++channel) cell[2 + channel] += color[3 * pixel + channel];
+  }
+
+  void add_block(const int64_t* block, int32_t* cell) const {
+    const auto place = [&](int axis, int64_t i) {
+      return (static_cast<double>(block[axis] * kSide + i) + 0.5) * voxel_size;
+    };
+    for (int64_t i = 0; i < kSide; ++i)
+      for (int64_t j = 0; j < kSide; ++j)
+        for (int64_t k = 0; k < kSide; ++k, cell += kChannels) add(place(0, i), place(1, j), place(2, k), cell);
+  }
+};
+
+void integrate_depth(const Tensor& sums, const Tensor& row, const Tensor& block, const Tensor& depth,
+                     const Tensor& color, const Tensor& intrinsics, const Tensor& world_to_camera, double voxel_size,
+                     double truncation, double far) {
+  checked_array(sums, ScalarType::Int, {-1, kVoxels, kChannels}, "sums");
+  check(sums.is_contiguous(), "sums: expected a contiguous tensor, because it is changed in place");
+  const Tensor rows = checked_array(row, ScalarType::Long, {-1}, "row");
+  const Tensor blocks = checked_array(block, ScalarType::Long, {rows.size(0), 3}, "block");
+  const Tensor image = checked_array(depth, ScalarType::Float, {-1, -1}, "depth");
+  const Tensor colors = checked_array(color, ScalarType::Byte, {image.size(0), image.size(1), 3}, "color");
+  const Tensor matrix = checked_array(intrinsics, ScalarType::Double, {3, 3}, "intrinsics");
+  const Tensor pose = checked_array(world_to_camera, ScalarType::Double, {4, 4}, "world_to_camera");
+  check(voxel_size > 0, "voxel_size: expected a number > 0, got ", voxel_size);
+  check(truncation > 0, "truncation: expected a number > 0, got ", truncation);
+  const int64_t* to = rows.const_data_ptr<int64_t>();
+  const int64_t* at = blocks.const_data_ptr<int64_t>();
+  for (int64_t b = 0; b < rows.size(0); ++b) {
+    check_index(to[b], sums.size(0), "row", b);
+    check(b == 0 || to[b] > to[b - 1], "row: expected ascending numbers, got ", to[b], " at ", b);
+    for (int axis = 0; axis < 3; ++axis)
+      check(std::abs(at[3 * b + axis]) <= kMaxCount, "block: expected numbers of 32 bits, got ", at[3 * b + axis]);
+  }
+
+  const double* k = matrix.const_data_ptr<double>();
+  View view{{},
+            k[0],
+            k[4],
+            k[2],
+            k[5],
+            voxel_size,
+            truncation,
+            far,
+            image.const_data_ptr<float>(),
+            colors.const_data_ptr<uint8_t>(),
+            image.size(0),
+            image.size(1)};
+  std::copy_n(pose.const_data_ptr<double>(), 12, view.rows);
+  int32_t* const cells = sums.mutable_data_ptr<int32_t>();
+  torch::stable::parallel_for(0, rows.size(0), kBlocksAtOnce, [&](int64_t begin, int64_t end) {
+    for (int64_t b = begin; b < end; ++b) view.add_block(at + 3 * b, cells + to[b] * kVoxels * kChannels);
+  });
+}
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
+  m.def(
+      "integrate_depth(Tensor(a!) sums, Tensor row, Tensor block, Tensor depth, Tensor color, Tensor intrinsics,"
+      " Tensor world_to_camera, float voxel_size, float truncation, float far) -> ()");
+}
+
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("integrate_depth", TORCH_BOX(&integrate_depth)); }
+
+}  // namespace torchjoint

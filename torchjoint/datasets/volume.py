@@ -1,0 +1,154 @@
+"""A truncated signed distance volume into which depth images are fused (Curless and Levoy 1996)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchjoint.ops.integrate_depth import CHANNELS, SIDE, UNIT, integrate_depth
+
+#: Most blocks of a volume: 5 GB.
+MOST_BLOCKS = 2**19
+#: Blocks whose surface is extracted at once.
+AT_ONCE = 2048
+#: Values farther from the surface, in units of the truncation, give no surface.
+SURFACE = 0.98
+#: Bits of a block's coordinate in its key.
+_BITS = 21
+_STEPS = torch.tensor([1 << 2 * _BITS, 1 << _BITS, 1])
+
+
+class Volume:
+    """Blocks of 8 x 8 x 8 voxels near the surface, which are found by their position.
+
+    Each image adds whole numbers to the sums of the blocks that it sees, so the volume does not depend on the order of
+    the images.
+
+    Args:
+        voxel_size: length of a voxel's side, metres.
+        far: depth beyond this, metres, is ignored.
+    """
+
+    def __init__(self, voxel_size: float, far: float) -> None:
+        self.voxel_size, self.far = voxel_size, far
+        self.truncation = SIDE / 2 * voxel_size
+        self._key = torch.zeros(0, dtype=torch.int64)  # [B] ascending: the blocks
+        self._row = torch.zeros(0, dtype=torch.int64)  # [B] the row of each block in the sums
+        self._sums = torch.zeros(0, SIDE**3, CHANNELS, dtype=torch.int32)
+
+    def integrate(self, depth: Tensor, color: Tensor, intrinsics: Tensor, world_to_camera: Tensor) -> None:
+        """Adds an image.
+
+        Args:
+            depth: [H, W] float32 metres; values that are not positive and finite measured nothing.
+            color: [H, W, 3] uint8 RGB.
+            intrinsics: [3, 3] float64 pixels.
+            world_to_camera: [4, 4] float64.
+
+        Raises:
+            ValueError: the volume becomes too large, or a point is too far from the origin.
+        """
+        key = self._blocks_near(depth, intrinsics, world_to_camera)
+        if not len(key):
+            return
+        self._add(key)
+        row, order = self._row[torch.searchsorted(self._key, key)].sort()
+        camera = (intrinsics, world_to_camera)
+        integrate_depth(
+            *(self._sums, row, _position(key[order]), depth, color), *camera, self.voxel_size, self.truncation, self.far
+        )
+
+    def surface(self) -> tuple[Tensor, Tensor]:
+        """Returns the points where the distance changes its sign between neighbouring voxels, and their colours.
+
+        Returns:
+            points [N, 3] float64 metres, and colours [N, 3] float64 in [0, 255], in an order that the volume determines.
+        """
+        parts = [self._crossings(key) for key in self._key.split(AT_ONCE)]
+        if not parts:
+            return torch.zeros(0, 3, dtype=torch.float64), torch.zeros(0, 3, dtype=torch.float64)
+        points, colors = (torch.cat(part) for part in zip(*parts, strict=True))
+        return points, colors
+
+    def _blocks_near(self, depth: Tensor, intrinsics: Tensor, world_to_camera: Tensor) -> Tensor:
+        """The keys, ascending, of all blocks that are not farther than the truncation from a measured point."""
+        # So many pixels apart, neighbouring rays are at most half a block apart where depth is used.
+        step = max(1, min(4, int(self.truncation * float(intrinsics[0, 0].abs()) / self.far)))
+        z = depth[::step, ::step].double()
+        v, u = torch.nonzero((z > 0) & (z <= self.far), as_tuple=True)
+        z = z[v, u]
+        pixels = torch.stack([u * step, v * step, torch.ones_like(u)]).double()
+        rays = torch.linalg.solve(intrinsics, pixels)
+        points = (z * rays).T - world_to_camera[:3, 3]
+        # A block is as long as two truncations: a point is near two blocks along each axis.
+        low = ((points @ world_to_camera[:3, :3] - self.truncation) / (SIDE * self.voxel_size)).floor()
+        if len(low) and not float(low.abs().max()) < 2 ** (_BITS - 1) - 1:
+            raise ValueError(
+                f"world_to_camera: expected points at most {2 ** (_BITS - 1) * SIDE * self.voxel_size:.4g} m from the "
+                f"first camera for voxels of {self.voxel_size:g} m, got others; choose a larger voxel_size"
+            )
+        first = ((low.long() + 2 ** (_BITS - 1)) * _STEPS).sum(1).unique()
+        corners = torch.cartesian_prod(*[torch.arange(2)] * 3)
+        return (first[:, None] + (corners * _STEPS).sum(1)).flatten().unique()
+
+    def _add(self, key: Tensor) -> None:
+        """Adds those of these blocks that are not there yet."""
+        new = key[~self._find(key)[1]]
+        total = len(self._key) + len(new)
+        if total > MOST_BLOCKS:
+            raise ValueError(
+                f"voxel_size: the surface needs more than {MOST_BLOCKS} blocks of {SIDE}^3 voxels of "
+                f"{self.voxel_size:g} m; choose a larger one"
+            )
+        if total > len(self._sums):
+            grown = torch.zeros(max(total, 2 * len(self._sums)), *self._sums.shape[1:], dtype=torch.int32)
+            grown[: len(self._sums)] = self._sums
+            self._sums = grown
+        row = torch.arange(len(self._key), total)
+        self._key, order = torch.cat([self._key, new]).sort()
+        self._row = torch.cat([self._row, row])[order]
+
+    def _find(self, key: Tensor) -> tuple[Tensor, Tensor]:
+        """The places of blocks among the keys, and whether they are there."""
+        if not len(self._key):
+            return torch.zeros_like(key), torch.zeros_like(key, dtype=torch.bool)
+        place = torch.searchsorted(self._key, key).clamp(max=len(self._key) - 1)
+        return place, self._key[place] == key
+
+    def _crossings(self, key: Tensor) -> tuple[Tensor, Tensor]:
+        """The surface's points, and their colours, between voxels of these blocks and the next ones along each axis."""
+        cells = self._cells(key)
+        found: list[tuple[Tensor, Tensor]] = []
+        for axis in range(3):
+            beyond = self._cells(key + _STEPS[axis]).narrow(axis + 1, 0, 1)
+            following = torch.cat([cells.narrow(axis + 1, 1, SIDE - 1), beyond], axis + 1)
+            here, there = _distance(cells), _distance(following)
+            crossing = (here.abs() < SURFACE) & (there.abs() < SURFACE) & ((here < 0) != (there < 0))
+            block, *inside = torch.nonzero(crossing, as_tuple=True)
+            share = (here[crossing].abs() / (here[crossing] - there[crossing]).abs())[:, None]
+            voxel = SIDE * _position(key[block]) + torch.stack(inside, 1)
+            center = (voxel + 0.5) * self.voxel_size
+            center[:, axis] += self.voxel_size * share[:, 0]
+            found.append((center, torch.lerp(_color(cells[crossing]), _color(following[crossing]), share)))
+        points, colors = (torch.cat(part) for part in zip(*found, strict=True))
+        return points, colors
+
+    def _cells(self, key: Tensor) -> Tensor:
+        """The sums of blocks, [K, 8, 8, 8, 5] float64; 0 for blocks that are not there."""
+        place, there = self._find(key)
+        cells = self._sums[self._row[place]].double() * there[:, None, None]
+        return cells.view(-1, SIDE, SIDE, SIDE, CHANNELS)
+
+
+def _position(key: Tensor) -> Tensor:
+    """The positions [K, 3] of blocks in units of their length."""
+    return (key[:, None] // _STEPS) % (1 << _BITS) - 2 ** (_BITS - 1)
+
+
+def _distance(cells: Tensor) -> Tensor:
+    """The mean distance of voxels to the surface, in units of the truncation; infinite where nothing was measured."""
+    return torch.where(cells[..., 1] > 0, cells[..., 0] / (UNIT * cells[..., 1].clamp(min=1)), torch.inf)
+
+
+def _color(cells: Tensor) -> Tensor:
+    return cells[:, 2:] / cells[:, 1:2]
