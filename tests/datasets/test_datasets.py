@@ -14,7 +14,7 @@ import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import fingerprint, read_array, read_cloud, read_depth, read_image
 from torchjoint.datasets.formats.folder import read_frames
-from torchjoint.datasets.fusion import _check_open3d, fuse_cloud
+from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.datasets.recording import invert_pose
 from torchjoint.results.output_folder import output_folder, own_files
 
@@ -73,24 +73,6 @@ def test_a_cloud_is_fused_and_kept(tmp_path, synthetic):
     # The fused cloud lies on what the sensor measured: most points are near one of the synthetic cloud's.
     distance = torch.cdist(scene.points, synthetic.scene.points).amin(1)
     assert distance.median() < 0.06
-
-
-def test_a_version_of_open3d_that_fuses_nothing(monkeypatch, synthetic):
-    from open3d import geometry, pipelines
-
-    class Volume:
-        """As in Open3D 0.20.0."""
-
-        def __init__(self, **_):
-            self.extract_point_cloud = geometry.PointCloud
-
-        def integrate(self, *_):
-            pass
-
-    monkeypatch.setattr(pipelines.integration, "ScalableTSDFVolume", Volume)
-    _check_open3d.cache_clear()
-    with pytest.raises(ModuleNotFoundError, match=r"another Open3D: .* finds no surface even in a flat wall; install"):
-        fuse_cloud(synthetic.scene.frames)
 
 
 def test_a_fused_cloud_is_found_in_the_cache(tmp_path, synthetic, monkeypatch):

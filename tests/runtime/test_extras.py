@@ -12,15 +12,13 @@ import torch
 from torchjoint_lab.synthetic.models import load_parts
 
 import torchjoint as tj
-from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.page import write_page
 from torchjoint.runtime.extras import needed_for
 
 #: What each missing module stops, and the extra that brings it.
 MISSING = {
-    "open3d": (lambda path, result: fuse_cloud([]), "Open3D", "open3d"),
-    "open3d.io": (lambda path, result: load_parts(path, None, None), "Open3D", "open3d"),
+    "open3d": (lambda path, result: load_parts(path, None, None), "Open3D", "open3d"),
     "torchmetrics": (lambda path, result: tj.metrics.ObjectsAndPartsMetric, "torchmetrics", "metrics"),
     "plotly": (lambda path, result: write_page(path, result), "plotly", "viewer"),
     "laspy": (lambda path, result: export_las(path, result), "laspy", "export"),

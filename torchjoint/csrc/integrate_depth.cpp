@@ -41,7 +41,7 @@ struct View {
     if (!(column >= 0 && column < static_cast<double>(width) && row >= 0 && row < static_cast<double>(height))) return;
     const int64_t pixel = static_cast<int64_t>(row) * width + static_cast<int64_t>(column);
     const double measured = depth[pixel];
-    if (!(measured > 0 && measured <= far)) return;
+    if (!(measured > 0 && measured <= far && measured - away > -truncation)) return;
     const double distance = (measured - away) * std::sqrt(1 + (right * right + down * down));  // along the ray
     if (!(distance > -truncation) || cell[1] >= kMaxWeight) return;
     cell[0] += rounded(std::min(1.0, distance / truncation) * kUnit);

@@ -62,7 +62,7 @@ class Volume:
         """Returns the points where the distance changes its sign between neighbouring voxels, and their colours.
 
         Returns:
-            points [N, 3] float64 metres, and colours [N, 3] float64 in [0, 255], in an order that the volume determines.
+            points [N, 3] float64 metres, and colours [N, 3] float64 in [0, 255]; their order depends on the volume alone.
         """
         parts = [self._crossings(key) for key in self._key.split(AT_ONCE)]
         if not parts:
@@ -75,11 +75,10 @@ class Volume:
         # So many pixels apart, neighbouring rays are at most half a block apart where depth is used.
         step = max(1, min(4, int(self.truncation * float(intrinsics[0, 0].abs()) / self.far)))
         z = depth[::step, ::step].double()
-        v, u = torch.nonzero((z > 0) & (z <= self.far), as_tuple=True)
-        z = z[v, u]
-        pixels = torch.stack([u * step, v * step, torch.ones_like(u)]).double()
-        rays = torch.linalg.solve(intrinsics, pixels)
-        points = (z * rays).T - world_to_camera[:3, 3]
+        row, column = torch.nonzero((z > 0) & (z <= self.far), as_tuple=True)
+        z = z[row, column]
+        x, y = ((step * at - k[2]) / k[i] * z for i, (k, at) in enumerate(zip(intrinsics, (column, row), strict=False)))
+        points = torch.stack([x, y, z], 1) - world_to_camera[:3, 3]
         # A block is as long as two truncations: a point is near two blocks along each axis.
         low = ((points @ world_to_camera[:3, :3] - self.truncation) / (SIDE * self.voxel_size)).floor()
         if len(low) and not float(low.abs().max()) < 2 ** (_BITS - 1) - 1:
@@ -87,7 +86,7 @@ class Volume:
                 f"world_to_camera: expected points at most {2 ** (_BITS - 1) * SIDE * self.voxel_size:.4g} m from the "
                 f"first camera for voxels of {self.voxel_size:g} m, got others; choose a larger voxel_size"
             )
-        first = ((low.long() + 2 ** (_BITS - 1)) * _STEPS).sum(1).unique()
+        first = ((low.long() + 2 ** (_BITS - 1)) * _STEPS).sum(1).unique_consecutive().unique()
         corners = torch.cartesian_prod(*[torch.arange(2)] * 3)
         return (first[:, None] + (corners * _STEPS).sum(1)).flatten().unique()
 
@@ -127,7 +126,7 @@ class Volume:
             block, *inside = torch.nonzero(crossing, as_tuple=True)
             share = (here[crossing].abs() / (here[crossing] - there[crossing]).abs())[:, None]
             voxel = SIDE * _position(key[block]) + torch.stack(inside, 1)
-            center = (voxel + 0.5) * self.voxel_size
+            center = (voxel.double() + 0.5) * self.voxel_size
             center[:, axis] += self.voxel_size * share[:, 0]
             found.append((center, torch.lerp(_color(cells[crossing]), _color(following[crossing]), share)))
         points, colors = (torch.cat(part) for part in zip(*found, strict=True))
