@@ -62,7 +62,7 @@ class Volume:
         """Returns the points where the distance changes its sign between neighbouring voxels, and their colours.
 
         Returns:
-            points [N, 3] float64 metres, and colours [N, 3] float64 in [0, 255]; their order depends on the volume alone.
+            points [N, 3] metres, and colours [N, 3] in [0, 255]. Their order depends on the volume alone; float64.
         """
         parts = [self._crossings(key) for key in self._key.split(AT_ONCE)]
         if not parts:
