@@ -1,4 +1,4 @@
-"""Times fusing depth images to a cloud, against Open3D: `python benchmarks/fusion.py RECORDING [--voxel-size 0.02 ...]`.
+"""Times fusing depth images, against Open3D: `python benchmarks/fusion.py RECORDING [--voxel-size 0.02 ...]`.
 
 RECORDING has depth images and no cloud, such as the kitchen of 7-Scenes. Both get the same decoded images, in turn.
 """
