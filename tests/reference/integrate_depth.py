@@ -56,12 +56,13 @@ def integrate_depth_reference(
         for number, inside in enumerate(itertools.product(range(8), repeat=3)):
             place = [(8 * c + i + 0.5) * voxel_size for c, i in zip(corner, inside, strict=True)]
             x, y, z = (((r[0] * place[0] + r[1] * place[1]) + r[2] * place[2]) + r[3] for r in pose[:3])
-            if z <= 0:
+            if not z > 0:
                 continue
             x, y = x / z, y / z
-            column, line = math.floor(fx * x + cx + 0.5), math.floor(fy * y + cy + 0.5)
+            column, line = fx * x + cx + 0.5, fy * y + cy + 0.5
             if not (0 <= line < depth.shape[0] and 0 <= column < depth.shape[1]):
                 continue
+            line, column = int(line), int(column)
             measured = float(depth[line, column])
             distance = (measured - z) * math.sqrt(1 + (x * x + y * y))
             if not 0 < measured <= far or not distance > -truncation or sums[to, number, 1] >= 2**16:

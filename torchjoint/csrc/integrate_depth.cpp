@@ -22,6 +22,11 @@ inline int32_t rounded(double value) {
   return whole - (whole > up);
 }
 
+// Adds as two's complement does: sums that no image made may overflow.
+inline void increase(int32_t& sum, int32_t value) {
+  sum = static_cast<int32_t>(static_cast<uint32_t>(sum) + static_cast<uint32_t>(value));
+}
+
 struct View {
   double rows[12], fx, fy, cx, cy, voxel_size, truncation, far;
   const float* depth;
@@ -44,9 +49,9 @@ struct View {
     if (!(measured > 0 && measured <= far && measured - away > -truncation)) return;
     const double distance = (measured - away) * std::sqrt(1 + (right * right + down * down));  // along the ray
     if (!(distance > -truncation) || cell[1] >= kMaxWeight) return;
-    cell[0] += rounded(std::min(1.0, distance / truncation) * kUnit);
-    cell[1] += 1;
-    for (int64_t channel = 0; channel < 3; ++channel) cell[2 + channel] += color[3 * pixel + channel];
+    increase(cell[0], rounded(std::min(1.0, distance / truncation) * kUnit));
+    increase(cell[1], 1);
+    for (int64_t channel = 0; channel < 3; ++channel) increase(cell[2 + channel], color[3 * pixel + channel]);
   }
 
   void add_block(const int64_t* block, int32_t* cell) const {
@@ -78,7 +83,8 @@ void integrate_depth(const Tensor& sums, const Tensor& row, const Tensor& block,
     check_index(to[b], sums.size(0), "row", b);
     check(b == 0 || to[b] > to[b - 1], "row: expected ascending numbers, got ", to[b], " at ", b);
     for (int axis = 0; axis < 3; ++axis)
-      check(std::abs(at[3 * b + axis]) <= kMaxCount, "block: expected numbers of 32 bits, got ", at[3 * b + axis]);
+      check(at[3 * b + axis] >= -kMaxCount && at[3 * b + axis] <= kMaxCount, "block: expected numbers of 32 bits, got ",
+            at[3 * b + axis]);
   }
 
   const double* k = matrix.const_data_ptr<double>();
