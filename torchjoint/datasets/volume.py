@@ -22,7 +22,7 @@ class Volume:
     """Blocks of 8 x 8 x 8 voxels near the surface, which are found by their position.
 
     Each image adds whole numbers to the sums of the blocks that it sees, so the volume does not depend on the order of
-    the images.
+    the images, as long as at most 2^16 of them see one voxel; it ignores further ones.
 
     Args:
         voxel_size: length of a voxel's side, metres.
@@ -49,38 +49,33 @@ class Volume:
             ValueError: the volume becomes too large, or a point is too far from the origin.
         """
         key = self._blocks_near(depth, intrinsics, world_to_camera)
-        if not len(key):
-            return
         self._add(key)
         row, order = self._row[torch.searchsorted(self._key, key)].sort()
-        camera = (intrinsics, world_to_camera)
-        integrate_depth(
-            *(self._sums, row, _position(key[order]), depth, color), *camera, self.voxel_size, self.truncation, self.far
-        )
+        image, lengths = (depth, color, intrinsics, world_to_camera), (self.voxel_size, self.truncation, self.far)
+        integrate_depth(self._sums, row, _position(key[order]), *image, *lengths)
 
     def surface(self) -> tuple[Tensor, Tensor]:
         """Returns the points where the distance changes its sign between neighbouring voxels, and their colours.
 
         Returns:
-            points [N, 3] metres, and colours [N, 3] in [0, 255]. Their order depends on the volume alone; float64.
+            points [N, 3] metres and colours [N, 3] in [0, 255], float64. Their order depends on the volume alone.
         """
-        parts = [self._crossings(key) for key in self._key.split(AT_ONCE)]
-        if not parts:
-            return torch.zeros(0, 3, dtype=torch.float64), torch.zeros(0, 3, dtype=torch.float64)
-        points, colors = (torch.cat(part) for part in zip(*parts, strict=True))
+        points, colors = torch.cat([self._crossings(key) for key in self._key.split(AT_ONCE)]).split(3, 1)
         return points, colors
 
     def _blocks_near(self, depth: Tensor, intrinsics: Tensor, world_to_camera: Tensor) -> Tensor:
         """The keys, ascending, of all blocks that are not farther than the truncation from a measured point."""
         # So many pixels apart, neighbouring rays are at most half a block apart where depth is used.
-        step = max(1, min(4, int(self.truncation * float(intrinsics[0, 0].abs()) / self.far)))
+        fx, fy, cx, cy = (float(intrinsics[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        step = max(1, min(4, int(self.truncation * min(abs(fx), abs(fy)) / self.far)))
         z = depth[::step, ::step].double()
         row, column = torch.nonzero((z > 0) & (z <= self.far), as_tuple=True)
         z = z[row, column]
-        x, y = ((step * at - k[2]) / k[i] * z for i, (k, at) in enumerate(zip(intrinsics, (column, row), strict=False)))
-        points = torch.stack([x, y, z], 1) - world_to_camera[:3, 3]
+        seen = torch.stack([(step * column.double() - cx) / fx * z, (step * row.double() - cy) / fy * z, z], 1)
+        # Not a matrix product, whose bits differ between machines.
+        points = ((seen - world_to_camera[:3, 3])[:, :, None] * world_to_camera[:3, :3]).sum(1)
         # A block is as long as two truncations: a point is near two blocks along each axis.
-        low = ((points @ world_to_camera[:3, :3] - self.truncation) / (SIDE * self.voxel_size)).floor()
+        low = ((points - self.truncation) / (SIDE * self.voxel_size)).floor()
         if len(low) and not float(low.abs().max()) < 2 ** (_BITS - 1) - 1:
             raise ValueError(
                 f"world_to_camera: expected points at most {2 ** (_BITS - 1) * SIDE * self.voxel_size:.4g} m from the "
@@ -100,7 +95,8 @@ class Volume:
                 f"{self.voxel_size:g} m; choose a larger one"
             )
         if total > len(self._sums):
-            grown = torch.zeros(max(total, 2 * len(self._sums)), *self._sums.shape[1:], dtype=torch.int32)
+            length = min(max(total, 2 * len(self._sums)), MOST_BLOCKS)
+            grown = torch.zeros(length, *self._sums.shape[1:], dtype=torch.int32)
             grown[: len(self._sums)] = self._sums
             self._sums = grown
         row = torch.arange(len(self._key), total)
@@ -114,12 +110,12 @@ class Volume:
         place = torch.searchsorted(self._key, key).clamp(max=len(self._key) - 1)
         return place, self._key[place] == key
 
-    def _crossings(self, key: Tensor) -> tuple[Tensor, Tensor]:
-        """The surface's points, and their colours, between voxels of these blocks and the next ones along each axis."""
+    def _crossings(self, key: Tensor) -> Tensor:
+        """The surface's points and colours, [N, 6], between voxels of these blocks and the next ones along each axis."""
         cells = self._cells(key)
-        found: list[tuple[Tensor, Tensor]] = []
+        found = []
         for axis in range(3):
-            beyond = self._cells(key + _STEPS[axis]).narrow(axis + 1, 0, 1)
+            beyond = self._cells(key + _STEPS[axis], axis)
             following = torch.cat([cells.narrow(axis + 1, 1, SIDE - 1), beyond], axis + 1)
             here, there = _distance(cells), _distance(following)
             crossing = (here.abs() < SURFACE) & (there.abs() < SURFACE) & ((here < 0) != (there < 0))
@@ -128,15 +124,17 @@ class Volume:
             voxel = SIDE * _position(key[block]) + torch.stack(inside, 1)
             center = (voxel.double() + 0.5) * self.voxel_size
             center[:, axis] += self.voxel_size * share[:, 0]
-            found.append((center, torch.lerp(_color(cells[crossing]), _color(following[crossing]), share)))
-        points, colors = (torch.cat(part) for part in zip(*found, strict=True))
-        return points, colors
+            color = torch.lerp(_color(cells[crossing]), _color(following[crossing]), share)
+            found.append(torch.cat([center, color], 1))
+        return torch.cat(found)
 
-    def _cells(self, key: Tensor) -> Tensor:
-        """The sums of blocks, [K, 8, 8, 8, 5] float64; 0 for blocks that are not there."""
+    def _cells(self, key: Tensor, first: int | None = None) -> Tensor:
+        """Sums of blocks, [K, 8, 8, 8, 5] float64; 0 for missing ones; `first`: of the first voxels along this axis."""
         place, there = self._find(key)
-        cells = self._sums[self._row[place]].double() * there[:, None, None]
-        return cells.view(-1, SIDE, SIDE, SIDE, CHANNELS)
+        cells = self._sums.view(-1, SIDE, SIDE, SIDE, CHANNELS)
+        if first is not None:
+            cells = cells.narrow(first + 1, 0, 1)
+        return cells[self._row[place]].double() * there[:, None, None, None, None]
 
 
 def _position(key: Tensor) -> Tensor:

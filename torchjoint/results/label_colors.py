@@ -19,8 +19,9 @@ def label_colors(labels: Tensor, num_point_segments: int | None = None) -> Tenso
     Returns:
         [..., 3] float32 RGB in [0, 1].
     """
-    if labels.numel() > (num_labels := int(labels.max()) + 2 if labels.numel() else 0):  # an image: a table is faster
-        return label_colors(torch.arange(-1, num_labels - 1), num_point_segments)[labels + 1]
+    num_colors = max(int(labels.max()), -1) + 2 if labels.numel() else 0
+    if labels.numel() > num_colors:  # an image: a table is faster
+        return label_colors(torch.arange(-1, num_colors - 1), num_point_segments)[labels.clamp(min=-1) + 1]
     from matplotlib.colors import hsv_to_rgb
 
     ids = labels.clamp(min=0).double().numpy()
