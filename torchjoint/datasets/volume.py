@@ -111,7 +111,7 @@ class Volume:
         return place, self._key[place] == key
 
     def _crossings(self, key: Tensor) -> Tensor:
-        """The surface's points and colours, [N, 6], between voxels of these blocks and the next ones along each axis."""
+        """Points of the surface and their colours, [N, 6], between voxels of these blocks and the next on each axis."""
         cells = self._cells(key)
         found = []
         for axis in range(3):
