@@ -92,7 +92,8 @@ def operator_case(index: int, seed: int) -> str:
     rng = np.random.default_rng([seed, index])
     known = operators()
     operator = known[rng.integers(len(known))]
-    arguments, values_only = dict(operator.example), bool(rng.integers(2))
+    # Copies, as an operator may change its arguments, and several threads call this at once.
+    arguments, values_only = copies(operator.example), bool(rng.integers(2))
     for name, value in arguments.items():
         if rng.random() < 0.4:
             change = changed_tensor if isinstance(value, torch.Tensor) else changed_number
@@ -103,8 +104,7 @@ def operator_case(index: int, seed: int) -> str:
         except (*CLEAR, RuntimeError, NotImplementedError, IndexError):
             return "torch.ops: error"
         return "torch.ops: result"
-    # An operator may change its arguments; then they are compared, too.
-    given = {name: value.clone() if isinstance(value, torch.Tensor) else value for name, value in arguments.items()}
+    given = copies(arguments)
     try:
         result = operator.function(**arguments)
     except CLEAR as error:
@@ -119,6 +119,10 @@ def operator_case(index: int, seed: int) -> str:
     return "wrapper: result of the twin"
 
 
+def copies(arguments: dict[str, Any]) -> dict[str, Any]:
+    return {name: value.clone() if isinstance(value, torch.Tensor) else value for name, value in arguments.items()}
+
+
 def compare(operator: str, result: Any, expected: Any) -> None:
     pairs = zip(
         result if isinstance(result, tuple) else (result,),
@@ -129,9 +133,9 @@ def compare(operator: str, result: Any, expected: Any) -> None:
         if isinstance(one, torch.Tensor):
             if one.is_floating_point():
                 if not torch.allclose(one, other.to(one.dtype), equal_nan=True, rtol=1e-4, atol=1e-5):
-                    raise FindingError(f"{operator}: {one.tolist()} instead of {other.tolist()}")
+                    raise FindingError(f"{operator}: {one} instead of {other}")
             elif not torch.equal(one, other.to(one.dtype)):
-                raise FindingError(f"{operator}: {one.tolist()} instead of {other.tolist()}")
+                raise FindingError(f"{operator}: {one} instead of {other}")
         elif isinstance(one, (list, tuple)):
             compare(operator, tuple(one), tuple(other))
         elif one is not other and not math.isclose(one, other, rel_tol=1e-6, abs_tol=1e-9):
