@@ -69,7 +69,7 @@ def test_bad_frames(change, error, message):
     [
         ({"points": torch.zeros(0, 3)}, ValueError, "points: expected at least one point, got an empty cloud"),
         ({"points": torch.zeros(5, 2)}, ValueError, r"points: expected shape \[N, 3\], got \[5, 2\]"),
-        ({"points": torch.zeros(5, 3) / 0}, ValueError, "points: expected finite values, got 15 NaN or infinite of 15"),
+        ({"points": torch.zeros(5, 3) / 0}, ValueError, "points: 5 of 5 points are NaN or infinite"),
         ({"points": [[0, 0, 0]]}, TypeError, "points: expected a torch.Tensor, got list"),
         ({"points": torch.zeros(5, 3).long()}, TypeError, "points: expected a floating dtype, got torch.int64"),
         ({"points": torch.zeros(5, 3), "colors": torch.zeros(4, 3)}, ValueError, r"colors: expected shape \[5, 3\]"),

@@ -68,7 +68,7 @@ class Panel:
             self.cameras = gui.add_checkbox("Cameras", cameras, hint="draw them in the cloud")
 
     def _add_buttons(self, gui: Any, can_save: bool, can_export: bool) -> None:
-        self.name = gui.add_text("Name", "", hint="of the selected segment", visible=can_save)
+        self.name = gui.add_text("Name", "", hint="of the selected segment; Save keeps it", visible=can_save)
         self.correct = gui.add_button_group(
             "Correct",
             ("Join", "Split", "Undo"),
