@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from torchjoint_lab.synthetic import MASK_LEVELS, make_network_masks, with_network_masks
+from torchjoint_lab.synthetic import MASK_LEVELS, known_things, make_network_masks, with_network_masks
 from torchjoint_lab.synthetic.mask_errors import jittered, merged, split
 from torchjoint_lab.synthetic.network_masks import _kept
 
@@ -165,3 +165,24 @@ def test_an_image_of_void_alone_has_no_masks_but_fragments():
     void = torch.full(SIZE, -1)
     assert len(make_network_masks(void, "perfect")) == 0
     assert len(make_network_masks(void, "hard")) > 0
+
+
+def test_a_detector_masks_some_things_and_nothing_else(scene):
+    known = known_things(scene, 0.5, seed=3)
+    instances, size = torch.unique(scene.truth.points[scene.truth.points >= 0], return_counts=True)
+    things = instances[size < len(scene.points) / 10]
+    assert len(known) == (len(things) + 1) // 2
+    assert torch.isin(known, things).all()
+    assert torch.equal(known_things(scene, 1.0), things)
+    masked = with_network_masks(scene, "perfect", 3, share=0.5)
+    for frame, labels in zip(masked.frames, scene.truth.images, strict=True):
+        assert torch.equal(frame.masks.covered(), torch.isin(labels, known))
+    assert not torch.equal(known, known_things(scene, 0.5, seed=4))
+    with pytest.raises(ValueError, match=r"share: expected a number in \(0, 1\], got 0"):
+        with_network_masks(scene, "hard", share=0)
+    with pytest.raises(ValueError, match="scene: expected true labels of the points, got none"):
+        known_things(replace(scene, truth=None), 0.5)
+
+
+def test_the_void_has_no_masks_of_a_detector():
+    assert len(make_network_masks(torch.full(SIZE, -1), "hard", void=False)) == 0

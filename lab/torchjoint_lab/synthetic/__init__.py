@@ -10,7 +10,7 @@ workshops, LiDAR streets); :func:`domain_settings` returns the difficulties that
 from torchjoint.synthetic import SyntheticScene
 from torchjoint_lab.synthetic.domains import make_domain_scene
 from torchjoint_lab.synthetic.hard_rooms import make_scene
-from torchjoint_lab.synthetic.network_masks import MASK_LEVELS, make_network_masks, with_network_masks
+from torchjoint_lab.synthetic.network_masks import MASK_LEVELS, known_things, make_network_masks, with_network_masks
 from torchjoint_lab.synthetic.settings import DOMAINS, DomainSettings, domain_settings
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "DomainSettings",
     "SyntheticScene",
     "domain_settings",
+    "known_things",
     "make_domain_scene",
     "make_network_masks",
     "make_scene",

@@ -43,10 +43,12 @@ _SMALLEST_DROP = 1.8
 _LEAST_AREA = 60.0
 #: Area of a fragment of the void, as a share of the image.
 _FRAGMENT = 0.04
+#: A detector knows only things with less than this share of the cloud's points: no walls, no floor.
+_LARGEST_THING = 0.1
 
 
 @one_thread_per_operation()
-def make_network_masks(labels: Tensor, level: str, seed: int = 0, index: int = 0) -> Masks:
+def make_network_masks(labels: Tensor, level: str, seed: int = 0, index: int = 0, void: bool = True) -> Masks:
     """Masks of one image as a network gives them.
 
     "perfect" has one mask for each instance, and none on the void. In "sam-like" and "hard", masks are dropped (small
@@ -60,6 +62,7 @@ def make_network_masks(labels: Tensor, level: str, seed: int = 0, index: int = 0
         level: "perfect", "sam-like" or "hard".
         seed: decides the errors, together with `index`.
         index: number of the image.
+        void: whether the void gets masks, too, as from networks that segment everything.
 
     Returns:
         the masks. Scores are 1 if they are perfect; else they grow with the overlap of the mask and an instance.
@@ -82,14 +85,14 @@ def make_network_masks(labels: Tensor, level: str, seed: int = 0, index: int = 0
         masks = [number == instance for instance in range(count)]
         scores = np.ones(count)
     else:
-        masks = _with_errors(rng, number, count, errors)
+        masks = _with_errors(rng, number, count, errors if void else errors._replace(fragments=0.0))
         scores = np.array([_score(rng, mask, number) for mask in masks])
     order = rng.permutation(len(masks))
     stack = np.stack([masks[i] for i in order]) if len(order) else np.zeros((0, *labels.shape), dtype=bool)
     return Masks.from_stack(torch.from_numpy(stack), torch.from_numpy(scores[order].astype(np.float32)))
 
 
-def with_network_masks(scene: Scene, level: str, seed: int = 0) -> Scene:
+def with_network_masks(scene: Scene, level: str, seed: int = 0, share: float = 1.0) -> Scene:
     """The scene with frames that carry :func:`make_network_masks` of their true images, and no other segmentation.
 
     Frames of a list or a tuple get their masks at once; those of any other sequence when they are read.
@@ -98,6 +101,8 @@ def with_network_masks(scene: Scene, level: str, seed: int = 0) -> Scene:
         scene: with a true image for each frame.
         level: "perfect", "sam-like" or "hard".
         seed: decides the errors, together with the number of the frame in this scene.
+        share: of the things that get masks; less than 1 as from a detector, which leaves all the rest without masks
+            (:func:`known_things`).
 
     Raises:
         TypeError: not a scene.
@@ -109,15 +114,39 @@ def with_network_masks(scene: Scene, level: str, seed: int = 0) -> Scene:
     if len(truths) != len(scene.frames):
         raise ValueError(f"scene: expected a true image for each of {len(scene.frames)} frames, got {len(truths)}")
     make_network_masks(torch.full((1, 1), -1), level, seed)  # wrong arguments must not wait for the first frame
-    frames: Sequence[Frame] = _MaskedFrames(scene.frames, truths, level, seed)
+    known = None if share == 1 else known_things(scene, share, seed)
+    frames: Sequence[Frame] = _MaskedFrames(scene.frames, truths, level, seed, known)
     return replace(scene, frames=tuple(frames) if isinstance(scene.frames, (list, tuple)) else frames)
+
+
+def known_things(scene: Scene, share: float, seed: int = 0) -> Tensor:
+    """The true instances [K] int64 that a detector knows: some of those with less than a tenth of the points.
+
+    Args:
+        scene: with true labels of the points.
+        share: of these instances, in (0, 1]; rounded up.
+        seed: decides which.
+
+    Raises:
+        ValueError: a share outside (0, 1], or a scene without true labels of the points.
+    """
+    if not 0 < share <= 1:
+        raise ValueError(f"share: expected a number in (0, 1], got {share!r}")
+    if scene.truth is None or scene.truth.points is None:
+        raise ValueError("scene: expected true labels of the points, got none")
+    instances, size = torch.unique(scene.truth.points[scene.truth.points >= 0], return_counts=True)
+    things = instances[size < _LARGEST_THING * len(scene.points)]
+    order = np.random.default_rng(np.random.SeedSequence([seed, 7])).permutation(len(things))
+    return things[torch.from_numpy(order[: int(np.ceil(share * len(things)))])].sort().values
 
 
 class _MaskedFrames(Sequence[Frame]):
     """Frames whose masks are made at each access."""
 
-    def __init__(self, frames: Sequence[Frame], truths: Sequence[Tensor], level: str, seed: int) -> None:
-        self._frames, self._truths, self._level, self._seed = frames, truths, level, seed
+    def __init__(
+        self, frames: Sequence[Frame], truths: Sequence[Tensor], level: str, seed: int, known: Tensor | None
+    ) -> None:
+        self._frames, self._truths, self._level, self._seed, self._known = frames, truths, level, seed, known
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -130,7 +159,10 @@ class _MaskedFrames(Sequence[Frame]):
         if isinstance(index, slice):
             return [self[i] for i in range(len(self))[index]]
         place = range(len(self))[index]
-        masks = make_network_masks(self._truths[place], self._level, self._seed, place)
+        labels, known = self._truths[place], self._known
+        if known is not None:
+            labels = torch.where(torch.isin(labels, known), labels, -1)
+        masks = make_network_masks(labels, self._level, self._seed, place, void=known is None)
         return replace(self._frames[place], labels=None, masks=masks, mask_scores=None)
 
 

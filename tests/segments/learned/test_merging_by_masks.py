@@ -12,8 +12,9 @@ from torchjoint_lab.synthetic import with_network_masks
 import torchjoint as tj
 from torchjoint.scene import Hierarchy, Masks
 from torchjoint.segments.learned import mask_majority
-from torchjoint.segments.learned.mask_counts import masks_of_pieces
+from torchjoint.segments.learned.mask_counts import MaskCounts, masks_of_pieces
 from torchjoint.segments.learned.mask_majority import move_to_majority
+from torchjoint.segments.learned.mask_merging import MaskLinkage
 from torchjoint.views.observation import Observation
 
 
@@ -99,6 +100,18 @@ def test_parts_that_do_not_touch_join_in_one_mask() -> None:
 
 
 @pytest.mark.slow
+def test_only_crumbs_in_masks_join_their_neighbour() -> None:
+    # Pieces: a wall, and three crumbs beside it, which one frame sees. A mask has the wall, the whole first crumb and
+    # 4 of 10 points of the second; another mask has nearly only the third.
+    size = torch.tensor([1000, 10, 10, 10])
+    in_mask = torch.tensor([[0, 1, 2, 3], [0, 0, 0, 1], [500, 10, 4, 9]])
+    in_frame = torch.tensor([[0, 1, 2, 3], [0, 0, 0, 0], [500, 10, 10, 10]])
+    masks = MaskCounts(in_mask, in_frame, torch.tensor([256, 256]), torch.tensor([0, 0]))
+    ends = torch.tensor([[0, 0, 0], [1, 2, 3]])
+    joined, _ = MaskLinkage(masks, size).crumbs(torch.arange(4), ends, torch.ones(3))
+    assert joined.tolist() == [[0], [1]]
+
+
 def test_frames_in_any_order_and_in_parts_give_the_same_labels(scene_of) -> None:
     scene = with_network_masks(scene_of(seed=0).scene, "hard", seed=3)
     whole = tj.JointSegmenter()(scene)

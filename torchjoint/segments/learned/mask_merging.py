@@ -28,7 +28,7 @@ APART_WEIGHT = 0.6
 #: merging, and the factor on the masks' noise, which is the share of votes against the regions of the first merging.
 LEAST_PRIOR_WEIGHT, FIRST_PRIOR_WEIGHT, PRIOR_WEIGHT_OF_NOISE = 0.05, 0.1, 2.0
 #: A region of fewer points is joined to a neighbour, unless a mask confirms it. Networks do not detect smaller objects
-#: reliably, and inexact outlines leave small remains.
+#: reliably, and inexact outlines leave small remains. Regions that most views show without a mask stay.
 MIN_SIZE = 50
 #: A mask contains a region if at least this many of the region's points lie in it. Fewer are mostly seen through a gap.
 MIN_POINTS = 3
@@ -80,11 +80,12 @@ class MaskLinkage:
         return torch.stack([key // num_regions, key % num_regions])
 
     def crumbs(self, of_piece: Tensor, ends: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
-        """The merges of small regions that no mask confirms with a neighbour; arguments as :meth:`merges`."""
+        """The merges with a neighbour of small regions in masks, unless a mask confirms them; arguments as `merges`."""
         tables = size, in_mask, in_frame, *_ = self._tables(of_piece)
         best = torch.zeros(len(size), dtype=torch.float64)
         best.scatter_reduce_(0, in_mask[0], overlaps(self.masks, in_mask, in_frame), "amax")
-        stays = best >= CONFIRMED
+        in_masks, in_view = (sum_by(table[0], table[2], len(size)) for table in (in_mask, in_frame))
+        stays = (best >= CONFIRMED) | (2 * in_masks < in_view)
         return mask_merges(ends, cost, *tables, APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE)
 
     def _tables(self, of_piece: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
