@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from torchjoint.config import Config, SuperpointsConfig
     from torchjoint.datasets import load_scene
     from torchjoint.joint import JointSegmenter
+    from torchjoint.live import LiveResult, LiveSegmenter
     from torchjoint.oversegmentation import Superpoints, superpoints
     from torchjoint.recordings.batch import BatchReport, batch
     from torchjoint.recordings.options import RecordingOptions
@@ -35,6 +36,8 @@ __all__ = [
     "Hierarchy",
     "JointSegmenter",
     "LabelImages",
+    "LiveResult",
+    "LiveSegmenter",
     "Masks",
     "PoseWarning",
     "RecordingOptions",
@@ -64,6 +67,7 @@ _HOMES = {
         "config": "Config SuperpointsConfig",
         "datasets": "load_scene",
         "joint": "JointSegmenter",
+        "live": "LiveResult LiveSegmenter",
         "oversegmentation": "Superpoints superpoints",
         "recordings": "BatchReport RecordingOptions batch",
         "results.loading": "load_result",

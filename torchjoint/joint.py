@@ -22,7 +22,7 @@ from tqdm import tqdm
 from torchjoint.cloud.local import warn_of_rounding, without_copies
 from torchjoint.cloud.prepared import PreparedCloud
 from torchjoint.config import Config, evidence_differences
-from torchjoint.images.segmenter import ImageSegmenter
+from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
 from torchjoint.labels.image_labels import label_images
 from torchjoint.labels.piece_images import PieceImages
 from torchjoint.results.checkpoint import Checkpoint
@@ -287,17 +287,21 @@ class JointSegmenter(nn.Module):
     @on_cpu()
     def add(self, frames: Sequence[Frame]) -> None:
         """As :meth:`update`, but without a check of poses, for example because :meth:`begin` has checked them."""
-        cloud, state, method = self.cloud, self.state, self.method
-        if not state.observations and frames:
+        if not self.state.observations and frames:
             self._tell_unused(frames[0])
         with one_thread_per_operation():
             for _, same_size in groupby(frames, key=lambda frame: frame.size):
-                batch = parallel_map(method.developed, list(same_size))
-                segments = self.image_segmenter(batch, self.stopwatch)
-                seen = parallel_map(
-                    lambda item: method.observe(*item, cloud, self.stopwatch), zip(batch, segments, strict=True)
-                )
-                add_evidence(state, seen)
+                batch = parallel_map(self.method.developed, list(same_size))
+                self.observe(batch, self.image_segmenter(batch, self.stopwatch))
+
+    def observe(self, developed: Sequence[Frame], segments: Sequence[ImageSegments]) -> None:
+        """Steps 4 and 5 of :meth:`add`, for frames that the method has developed, and their segments."""
+        cloud, method = self.cloud, self.method
+        with one_thread_per_operation():
+            seen = parallel_map(
+                lambda item: method.observe(*item, cloud, self.stopwatch), zip(developed, segments, strict=True)
+            )
+            add_evidence(self.state, seen)
 
     def _tell_unused(self, frame: Frame) -> None:
         """Logs that images do not affect the segments of the points; warns if frames have masks or labels for this."""

@@ -8,6 +8,7 @@ COMMANDS = {
     "demo": Command("torchjoint.cli.demo:demo", "segments a generated room, and scores it; needs no data"),
     "segment": Command("torchjoint.cli.segment:segment", "segments a recording: posed frames, with or without a cloud"),
     "batch": Command("torchjoint.cli.batch:batch", "segments any number of recordings over many workers"),
+    "live": Command("torchjoint.cli.live:live", "plays a recording with depth, and segments what was seen so far"),
     "superpoints": Command("torchjoint.cli.superpoints:superpoints", "cuts a cloud of any size into superpoints"),
     "evaluate": Command("torchjoint.cli.evaluate:evaluate", "scores results against ground truth"),
     "show": Command("torchjoint.cli.show:show", "shows a result in the browser"),

@@ -62,9 +62,9 @@ def fuse_cloud(
     """
     if not 1e-4 <= voxel_size <= 10:
         raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
-    _check_unit(frames)
+    check_unit(frames)
     warn_of_poses(frames)
-    origin = _origin(frames, voxel_size)
+    origin = volume_origin(frames, voxel_size)
     volume = Volume(voxel_size, FAR)
     fused = 0
     for index in tqdm(
@@ -74,22 +74,34 @@ def fuse_cloud(
         if frame.depth is None:
             continue
         fused += 1
-        color = (frame.image * 255).round().to(torch.uint8).permute(1, 2, 0)
-        pose = frame.world_to_camera.double().clone()
-        pose[:3, 3] += pose[:3, :3] @ origin
-        volume.integrate(frame.depth, color, frame.intrinsics.double(), pose)
+        add_frame(volume, frame, origin)
     if fused == 0:
         raise ValueError("frames: none has a depth image, and there is no cloud.ply: there is no cloud to segment")
-    points, colors = volume.surface()
+    points, colors = surface_cloud(volume, origin)
     if len(points) == 0:
         raise ValueError(f"depth: the {fused} depth images give no surface; wrong poses?")
+    return points, colors
+
+
+def add_frame(volume: Volume, frame: Frame, origin: Tensor) -> None:
+    """Adds a frame with depth to a volume whose origin is at `origin` [3] float64 in the world."""
+    assert frame.depth is not None
+    color = (frame.image * 255).round().to(torch.uint8).permute(1, 2, 0)
+    pose = frame.world_to_camera.double().clone()
+    pose[:3, 3] += pose[:3, :3] @ origin
+    volume.integrate(frame.depth, color, frame.intrinsics.double(), pose)
+
+
+def surface_cloud(volume: Volume, origin: Tensor) -> tuple[Tensor, Tensor]:
+    """The points and colours of the surface as :func:`fuse_cloud` returns them; there may be none."""
+    points, colors = volume.surface()
     points = points.float()
     order = torch.from_numpy(np.lexsort(points.T.numpy()))
     # A cloud's file has 8 bits per colour: a cloud that is read back must be the same.
     return points[order].double() + origin if origin.any() else points[order], (colors[order].round() / 255).float()
 
 
-def _check_unit(frames: Sequence[Frame]) -> None:
+def check_unit(frames: Sequence[Frame]) -> None:
     """Checks some depth images before all are fused, which takes long.
 
     Raises:
@@ -110,7 +122,7 @@ def _check_unit(frames: Sequence[Frame]) -> None:
     )
 
 
-def _origin(frames: Sequence[Frame], voxel_size: float) -> Tensor:
+def volume_origin(frames: Sequence[Frame], voxel_size: float) -> Tensor:
     """The origin of the volume in the world, [3] float64 metres: less than GRID voxels from a camera.
 
     So float32 is enough for coordinates in the volume, also far from the world's origin; near it, both coincide.

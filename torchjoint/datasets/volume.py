@@ -112,29 +112,32 @@ class Volume:
 
     def _crossings(self, key: Tensor) -> Tensor:
         """Points of the surface and their colours, [N, 6], between voxels of these blocks and the next on each axis."""
-        cells = self._cells(key)
-        found = []
+        row, found = self._row[self._find(key)[0]], []
+        sums = self._sums.view(-1, SIDE, SIDE, SIDE, CHANNELS)
+        here = _distance(sums[row])
         for axis in range(3):
-            beyond = self._cells(key + _STEPS[axis], axis)
-            following = torch.cat([cells.narrow(axis + 1, 1, SIDE - 1), beyond], axis + 1)
-            here, there = _distance(cells), _distance(following)
-            crossing = (here.abs() < SURFACE) & (there.abs() < SURFACE) & ((here < 0) != (there < 0))
+            place, there = self._find(key + _STEPS[axis])
+            next_row = self._row[place]
+            beyond = _distance(sums.narrow(axis + 1, 0, 1)[next_row])
+            beyond[~there] = torch.inf
+            following = torch.cat([here.narrow(axis + 1, 1, SIDE - 1), beyond], axis + 1)
+            crossing = (here.abs() < SURFACE) & (following.abs() < SURFACE) & ((here < 0) != (following < 0))
             block, *inside = torch.nonzero(crossing, as_tuple=True)
-            share = (here[crossing].abs() / (here[crossing] - there[crossing]).abs())[:, None]
-            voxel = SIDE * _position(key[block]) + torch.stack(inside, 1)
-            center = (voxel.double() + 0.5) * self.voxel_size
+            one, other = here[crossing], following[crossing]
+            share = (one.abs() / (one - other).abs())[:, None]
+            voxel = torch.stack(inside, 1)
+            center = ((SIDE * _position(key[block]) + voxel).double() + 0.5) * self.voxel_size
             center[:, axis] += self.voxel_size * share[:, 0]
-            color = torch.lerp(_color(cells[crossing]), _color(following[crossing]), share)
+            following_row = torch.where(voxel[:, axis] == SIDE - 1, next_row[block], row[block])
+            following_voxel = voxel.clone()
+            following_voxel[:, axis] = (voxel[:, axis] + 1) % SIDE
+            color = torch.lerp(
+                _color(sums[row[block], *voxel.unbind(1)]),
+                _color(sums[following_row, *following_voxel.unbind(1)]),
+                share,
+            )
             found.append(torch.cat([center, color], 1))
         return torch.cat(found)
-
-    def _cells(self, key: Tensor, first: int | None = None) -> Tensor:
-        """Sums of blocks, [K, 8, 8, 8, 5] float64; 0 for missing ones; `first`: of the first voxels along this axis."""
-        place, there = self._find(key)
-        cells = self._sums.view(-1, SIDE, SIDE, SIDE, CHANNELS)
-        if first is not None:
-            cells = cells.narrow(first + 1, 0, 1)
-        return cells[self._row[place]].double() * there[:, None, None, None, None]
 
 
 def _position(key: Tensor) -> Tensor:
@@ -144,8 +147,9 @@ def _position(key: Tensor) -> Tensor:
 
 def _distance(cells: Tensor) -> Tensor:
     """The mean distance of voxels to the surface, in units of the truncation; infinite where nothing was measured."""
-    return torch.where(cells[..., 1] > 0, cells[..., 0] / (UNIT * cells[..., 1].clamp(min=1)), torch.inf)
+    total, weight = cells[..., 0].double(), cells[..., 1].double()
+    return torch.where(weight > 0, total / (UNIT * weight), torch.inf)
 
 
 def _color(cells: Tensor) -> Tensor:
-    return cells[:, 2:] / cells[:, 1:2]
+    return cells[:, 2:].double() / cells[:, 1:2].double()

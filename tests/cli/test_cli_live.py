@@ -1,0 +1,62 @@
+"""torchjoint live: a recording is played, and its last result is written like that of segment."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from folder_files import write_folder
+
+import torchjoint as tj
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory, scene_of):
+    return write_folder(tmp_path_factory.mktemp("live") / "recording", scene_of(2), cloud=False)
+
+
+def test_the_last_result_is_written(recording, tmp_path, run, capsys):
+    run(
+        "live",
+        recording,
+        "-o",
+        tmp_path / "out",
+        "--rate",
+        "None",
+        "--voxel-size",
+        "0.05",
+        "--step",
+        "0",
+        "--every",
+        "1",
+    )
+    said = capsys.readouterr().out
+    frames = tj.load_scene(recording).frames
+    assert f"{len(frames)} frames, the slowest in" in said
+    assert f"0 dropped; {len(frames)} keyframes" in said
+    assert "things in" in said
+    result = tj.load_result(tmp_path / "out")
+    segmenter = tj.LiveSegmenter(voxel_size=0.05, step=0)
+    segmenter.update(list(frames))
+    expected = segmenter.result()
+    assert torch.equal(result.points, expected.segmentation.points)
+    assert torch.equal(result.scene.points, expected.cloud.points)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--rate", "0", "--rate: expected more than 0 and up to 1000 frames a second, or None, got 0.0"),
+        ("--every", "-1", "--every: expected a number of frames of at least 0, got -1"),
+        ("--voxel-size", "0", "voxel_size: expected 0.0001 to 10 metres, got 0.0"),
+    ],
+)
+def test_wrong_options_are_named(recording, tmp_path, run, option, value, message):
+    with pytest.raises(SystemExit, match=message):
+        run("live", recording, "-o", tmp_path / "out", option, value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_without_depth_is_named(tmp_path, scene_of, run):
+    folder = write_folder(tmp_path / "recording", scene_of(2), depth=False)
+    with pytest.raises(SystemExit, match="depth: the frames so far give no surface"):
+        run("live", folder, "-o", tmp_path / "out", "--rate", "None")

@@ -1,0 +1,63 @@
+"""Plays a recording as its camera took it, for live segmentation: what comes too late is dropped."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from torchjoint.live import LiveSegmenter
+from torchjoint.scene import Frame
+
+
+class Clock(NamedTuple):
+    """Seconds, and a way to wait."""
+
+    now: Callable[[], float] = time.monotonic
+    wait: Callable[[float], None] = time.sleep
+
+
+class Played(NamedTuple):
+    """What became of the frames, by their numbers."""
+
+    keyframes: list[int]
+    dropped: list[int]
+    seconds: list[float]  #: of each frame that was not dropped, to read and to add it
+
+
+def play(
+    frames: Sequence[Frame],
+    segmenter: LiveSegmenter,
+    rate: float | None = None,
+    told: Callable[[int], None] | None = None,
+    clock: Clock = Clock(),  # noqa: B008 (it has no state)
+) -> Played:
+    """Gives frames to a segmenter, none before its time.
+
+    Args:
+        frames: of the recording.
+        segmenter: gets the frames.
+        rate: frames a second of the camera; a frame that could only begin when the next one is due is dropped. None: no
+            frame is dropped, and none waits.
+        told: called with the number of frames so far after each of them, dropped or not; its time counts, too.
+        clock: another one for tests.
+    """
+    played = Played([], [], [])
+    start = clock.now()
+    for index in range(len(frames)):
+        began = clock.now()
+        early = 0.0 if rate is None else start + index / rate - began
+        if rate is not None and early <= -1 / rate:
+            played.dropped.append(index)
+        else:
+            if early > 0:
+                clock.wait(early)
+                began = clock.now()
+            before = len(segmenter.names)
+            segmenter.update(frames[index])
+            if len(segmenter.names) > before:
+                played.keyframes.append(index)
+            played.seconds.append(clock.now() - began)
+        if told is not None:
+            told(index + 1)
+    return played
