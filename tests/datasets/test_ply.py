@@ -202,3 +202,26 @@ def test_damage_is_an_error_or_leaves_the_size(tmp_path):
         else:
             assert len(spoiled) == len(whole)
             assert len(read.points) == 50
+
+
+def test_gaussian_splats_have_colours_and_no_normals(tmp_path):
+    names = ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "f_rest_0", "opacity", "scale_0", "rot_0")
+    rows = np.zeros((3, len(names)), dtype="<f4")
+    rows[:, :3] = np.arange(9).reshape(3, 3)
+    rows[:, 6:9] = [[0, 1, -1], [10, -10, 0], [0.5, 0.5, 0.5]]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "element vertex 3",
+        *(f"property float {name}" for name in names),
+    ]
+    path = tmp_path / "splats.ply"
+    path.write_bytes("\n".join([*lines, "end_header\n"]).encode() + rows.tobytes())
+    found = read_ply(path)
+    assert found.normals is None
+    # RGB = 1/2 + Y_0 f, with the constant spherical harmonic Y_0 = 1 / (2 sqrt(pi)) = 0.28209479.
+    expected = torch.tensor([[0.5, 0.78209479, 0.21790521], [1, 0, 0.5], [0.641047395] * 3])
+    assert torch.allclose(found.colors, expected, atol=1e-6)
+    rows[1, 5] = 1
+    path.write_bytes("\n".join([*lines, "end_header\n"]).encode() + rows.tobytes())
+    assert torch.equal(read_ply(path).normals, torch.from_numpy(rows[:, 3:6]))

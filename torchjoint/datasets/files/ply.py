@@ -25,6 +25,8 @@ Array = npt.NDArray[Any]
 #: Names of the list of a face's vertices.
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 _COLORS, _NORMALS = ("red", "green", "blue"), ("nx", "ny", "nz")
+#: Gaussian splats (Kerbl et al. 2023): the constant term of the colour's spherical harmonics, and this basis function.
+_HARMONICS, _CONSTANT = ("f_dc_0", "f_dc_1", "f_dc_2"), 0.5 / np.pi**0.5
 
 
 class Ply(NamedTuple):
@@ -120,12 +122,20 @@ def _assembled(elements: Mapping[str, Columns]) -> Ply:
     wanted: dict[str, tuple[tuple[str, ...], npt.DTypeLike, float]] = {
         "points": (tuple("xyz"), np.float32 if narrow else np.float64, 1)
     }
-    if vertex.has_numbers(_COLORS):
+    are_splats = not vertex.has_numbers(_COLORS) and vertex.has_numbers(_HARMONICS)
+    if are_splats:
+        wanted["colors"] = (_HARMONICS, np.float32, 1)
+    elif vertex.has_numbers(_COLORS):
         wanted["colors"] = (_COLORS, np.float32, _white([vertex.kinds[name] for name in _COLORS]))
     if vertex.has_numbers(_NORMALS):
         wanted["normals"] = (_NORMALS, np.float32, 1)
     made = {name: torch.from_numpy(array) for name, array in vertex.stacked(wanted).items()}
-    return Ply(made["points"], made.get("colors"), made.get("normals"), _faces(elements, vertex.rows))
+    colors, normals = made.get("colors"), made.get("normals")
+    if are_splats and colors is not None:
+        colors = (0.5 + _CONSTANT * colors).clamp(0, 1)
+    if normals is not None and not normals.any():
+        normals = None  # some programs, such as those for splats, write zeros where they have no normals
+    return Ply(made["points"], colors, normals, _faces(elements, vertex.rows))
 
 
 def _white(kinds: Sequence[np.dtype[Any]]) -> float:

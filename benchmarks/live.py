@@ -1,0 +1,53 @@
+"""Times live segmentation: `python benchmarks/live.py RECORDING`, of a recording with depth, such as the kitchen.
+
+The frames come one after the other, none waits. Results are computed between them, and are timed apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import report
+import torch
+
+import torchjoint as tj
+from torchjoint.runtime.peak_memory import peak_memory, reset_peak_memory
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recording", type=Path)
+    parser.add_argument("--results", type=int, default=4, help="number of results")
+    arguments = parser.parse_args()
+    frames = tj.load_scene(arguments.recording).frames
+    segmenter, rows, times = tj.LiveSegmenter(), [], []
+    reset_peak_memory()
+    for index in range(len(frames)):
+        frame = frames[index]
+        start = time.perf_counter()
+        segmenter.update(frame)
+        times.append(1000 * (time.perf_counter() - start))
+        if (index + 1) % (len(frames) // arguments.results) == 0:
+            start = time.perf_counter()
+            result = segmenter.result(images=False)
+            seconds = time.perf_counter() - start
+            so_far = torch.tensor(times)
+            sizes = f"{index + 1}", f"{len(segmenter.names)}", f"{len(result.cloud.points):,}"
+            speed = 1000 * len(times) / sum(times), float(so_far.quantile(0.95)), max(times)
+            rows.append([*sizes, *speed, seconds, (peak_memory() or 0) / 1000])
+            print(rows[-1], flush=True)
+    everything = tj.JointSegmenter()
+    everything.reset(result.cloud.points, result.cloud.colors)
+    everything.update(frames)
+    offline = everything.compute(images=False).points
+    covering = tj.metrics.segmentation_covering(result.segmentation.points, offline).symmetric
+    columns = {"frames": 0, "keyframes": 0, "points": 0, "frames / s": 1, "95 % of the frames, ms": 0}
+    columns |= {"slowest, ms": 0, "a result, s": 1, "peak memory, GB": 2}
+    about = f"Covering of the last result and that of all frames as keyframes: {covering:.2f}."
+    report.save("live", [report.Table(columns, rows)], about=about)
+
+
+if __name__ == "__main__":
+    main()
