@@ -17,7 +17,8 @@ PAGES = [*DOCUMENTS, "CONTRIBUTING.md", "SECURITY.md", "benchmarks/README.md", "
 
 PUBLIC = {
     "torchjoint": """
-        BatchReport Cloud Config Frame Hierarchy JointSegmenter LabelImages LiveResult LiveSegmenter Masks PoseWarning RecordingOptions Result
+        BatchReport Cloud Config Frame Hierarchy JointSegmenter LabelImages LiveResult LiveSegmenter Masks PoseWarning
+        RecordingOptions Result
         Scene Segmentation Superpoints SuperpointsConfig SyntheticScene Truth batch datasets load_result load_scene
         masks metrics ops superpoints synthetic transforms
     """,
