@@ -7,7 +7,8 @@ import math
 import torch
 from torch import Tensor
 
-from torchjoint.runtime.threads import parallel_map
+from torchjoint.ops.something_rises import something_rises as ops_something_rises
+from torchjoint.runtime.threads import all_threads
 from torchjoint.segments.scan.directions import Directions
 
 #: Width of a cell in azimuth, radians (1 degree). Its length is about this share of its distance from the sensor.
@@ -15,12 +16,6 @@ CELL = math.radians(1.0)
 
 #: Metres. A point higher than this above another one hangs over it (tree crowns, signs) and does not rise from it.
 OVERHANG = 2.5
-
-#: Number of points that are tested at a time, on one thread.
-BLOCK = 1 << 13
-
-#: Larger than any height, metres: one sorted tensor holds all cells, one after the other, at offsets of FAR.
-FAR = 1e4
 
 
 def something_rises(
@@ -43,22 +38,10 @@ def something_rises(
     """
     num_columns = round(2 * math.pi / CELL)
     column = ((seen.azimuth + math.pi) / (2 * math.pi) * num_columns).long() % num_columns
-    ring = (seen.distance.clamp(min=1e-3).log() / CELL).floor().long()
-    ring = ring - ring.min() + 1
-    height = height.clamp(-FAR / 4, FAR / 4)
-    rows = int(ring.max()) + 2
-    place = (column * rows + ring) * FAR + height
-    place = (place if used is None else place[used]).sort().values
-
-    def rise(some: Tensor) -> Tensor:
-        rises, low = torch.zeros(len(some), dtype=torch.bool), height[some]
-        for side in (-1, 0, 1):
-            beside = (column[some] + side) % num_columns * rows
-            for away in (-1, 0, 1):
-                start = (beside + ring[some] + away) * FAR + low
-                found = torch.searchsorted(place, start + object_height, right=True).clamp(max=len(place) - 1)
-                over = place[found] - start
-                rises |= (over > object_height) & (over < OVERHANG)
-        return rises
-
-    return torch.cat(parallel_map(rise, which.split(BLOCK)))
+    row = (seen.distance.clamp(min=1e-3).log() / CELL).floor().long()
+    row -= row.min()
+    used = torch.ones_like(column, dtype=torch.bool) if used is None else used
+    with all_threads():
+        return ops_something_rises(
+            column, row, height, used, which, num_columns, int(row.max()) + 1, object_height, OVERHANG
+        )
