@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from torchjoint import ops
 from torchjoint.config import ScanConfig
 from torchjoint.runtime.threads import num_threads
 from torchjoint.segments.scan.directions import Directions
+from torchjoint.segments.scan.gaps import Gaps
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, MAX_SLOPE
 from torchjoint.segments.scan.rising import something_rises
 
@@ -34,7 +34,7 @@ ROUNDS = 12
 
 
 def grow_ground(
-    points: Tensor, height: Tensor, seen: Directions, edges: Tensor, config: ScanConfig, used: Tensor | None = None
+    points: Tensor, height: Tensor, seen: Directions, gaps: Gaps, config: ScanConfig, used: Tensor | None = None
 ) -> Tensor:
     """Which points of a scan belong to the ground.
 
@@ -48,7 +48,7 @@ def grow_ground(
         points: [N, 3] metres, z up.
         height: [N] float64 metres above the profiles.
         seen: directions of the points.
-        edges: [2, E] int64, pairs of points that are connected.
+        gaps: which points are connected.
         config: object_height.
         used: [N] bool, the points that may rise from others; None: all.
 
@@ -62,12 +62,15 @@ def grow_ground(
     flat = standing[~something_rises(seen, points[:, 2].double(), standing, config.object_height, used)]
     on_ground[flat[height[flat] < config.object_height]] = True
     flat = flat[~on_ground[flat]]
-    patch = _patches(flat, edges, len(points))
+    among = torch.zeros_like(on_ground)
+    among[flat] = True
+    patch = gaps.components(among)[flat].numpy()
     place: NDArray[np.float64] = points.double().numpy()
     hop = (HOP_GROWTH * seen.distance).clamp(min=HOP).numpy()
     slope = math.tan(math.radians(MAX_SLOPE))
-    left, new = flat[~on_ground[flat]].numpy(), torch.nonzero(on_ground).flatten().numpy()
+    left, new = flat.numpy(), torch.nonzero(on_ground).flatten().numpy()
     way, nearest = np.full(len(left), np.inf), np.zeros(len(left), dtype=np.int64)
+    count = int(patch.max(initial=0)) + 1
     for _ in range(ROUNDS):
         if len(left) == 0 or len(new) == 0:
             break
@@ -78,21 +81,10 @@ def grow_ground(
         way, nearest = np.where(nearer, found, way), np.where(nearer, new[which], nearest)
         step = np.abs(place[left, 2] - place[nearest, 2])
         near, fits = way <= hop[left], step <= GROUND_HEIGHT + slope * way
-        of_patch = patch[left]
-        num_near = np.bincount(of_patch[near], minlength=len(flat))
-        joins = (num_near > 0) & (np.bincount(of_patch[near & fits], minlength=len(flat)) >= SHARE * num_near)
-        stays = ~joins[of_patch]
+        num_near = np.bincount(patch[near], minlength=count)
+        joins = (num_near > 0) & (np.bincount(patch[near & fits], minlength=count) >= SHARE * num_near)
+        stays = ~joins[patch]
         new = left[~stays]
         on_ground[torch.from_numpy(new)] = True
-        left, way, nearest = left[stays], way[stays], nearest[stays]
+        left, way, nearest, patch = left[stays], way[stays], nearest[stays], patch[stays]
     return on_ground
-
-
-def _patches(flat: Tensor, edges: Tensor, num_points: int) -> NDArray[np.int64]:
-    """The number of the connected component of each flat point, [N]; 0 for other points."""
-    number = torch.full((num_points,), -1)
-    number[flat] = torch.arange(len(flat))
-    ends = number[edges]
-    patch = torch.zeros(num_points, dtype=torch.int64)
-    patch[flat] = ops.connected_components(ends[:, (ends >= 0).all(dim=0)], len(flat))
-    return patch.numpy()
