@@ -32,7 +32,7 @@ class Scan(Method):
         self._evidence = evidence
 
     def build_graph(self, cloud: Cloud) -> tuple[PointGraph, None]:
-        """The points and their spacing."""
+        """The points alone."""
         return build_edgeless_graph(cloud), None
 
     def prepare(self, cloud: Cloud, merge_within: float) -> PreparedCloud:
