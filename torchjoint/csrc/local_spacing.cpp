@@ -10,7 +10,8 @@
 namespace torchjoint {
 namespace {
 
-constexpr int64_t kLeavesAtOnce = 64, kBeside = 2, kMostNeighbors = 8;
+constexpr int64_t kLeavesAtOnce = 64, kBeside = 1, kMostNeighbors = 8;
+constexpr double kMostly = 1.5;
 // Factor for limits, larger than their rounding errors.
 constexpr double kSlack = 1 + 1e-9;
 
@@ -202,26 +203,53 @@ class Spacing {
          other <= std::min(leaf + kBeside, leaves_.num_leaves() - 1); ++other) {
       near_.push_back(static_cast<int32_t>(other));
     }
-    int64_t left = 0;
-    int64_t points[Leaves::kLeafSize];
-    double largest = 0;
-    for (int64_t i = 0; i < size; ++i) {
-      double& found = found_[leaves_.index(leaf, i)] = mean_distance(leaf, i);
-      if (found == 0) continue;
-      points[left++] = i;
-      largest = std::max(largest, leaves_.squared_reach[leaf * Leaves::kLeafSize + i]);
+    int64_t left[Leaves::kLeafSize];
+    std::iota(left, left + size, 0);
+    int64_t num_left = measure_points(leaf, 0, left, size);
+    // If the mean distance is within reach, all distances are within `count` times the reach; mostly within fewer.
+    for (const double factor : {std::min(kMostly, static_cast<double>(count_)), static_cast<double>(count_)}) {
+      if (num_left == 0) return;
+      double largest = 0;
+      for (int64_t i = 0; i < num_left; ++i) largest = std::max(largest, squared_reach(leaf, left[i]));
+      leaves_.around(leaf, factor * factor * largest * kSlack, near_);
+      num_left = measure_points(leaf, factor, left, num_left);
     }
-    if (left == 0) return;
-    // If the mean distance is within reach, the sum is within so many.
-    leaves_.around(leaf, static_cast<double>(count_ * count_) * largest * kSlack, near_);
-    for (int64_t i = 0; i < left; ++i) found_[leaves_.index(leaf, points[i])] = mean_distance(leaf, points[i]);
   }
 
  private:
+  double squared_reach(int64_t leaf, int64_t i) const { return leaves_.squared_reach[leaf * Leaves::kLeafSize + i]; }
+
+  // Measures some points among the near leaves, which have all points within `factor` times the reach. Keeps those that
+  // may have nearer neighbours elsewhere; returns their number.
+  int64_t measure_points(int64_t leaf, double factor, int64_t* points, int64_t count) {
+    int64_t kept = 0;
+    for (int64_t i = 0; i < count; ++i) {
+      double farthest;
+      const double mean = found_[leaves_.index(leaf, points[i])] = mean_distance(leaf, points[i], farthest);
+      if (mean > 0 && farthest > factor * factor * squared_reach(leaf, points[i])) points[kept++] = points[i];
+    }
+    return kept;
+  }
+
+  // Whether a point has enough others within the share of its reach, by a fast test.
+  bool has_enough(int64_t leaf, int64_t i) const {
+    const double limit = share_ * share_ * squared_reach(leaf, i) / kSlack;
+    int64_t found = -1;  // not the point itself
+    for (const int32_t other : near_) {
+      double squared[Leaves::kLeafSize];
+      leaves_.measure(leaf, i, other, squared);
+      for (int64_t j = 0; j < Leaves::kLeafSize; ++j) found += j < leaves_.size(other) && squared[j] <= limit;
+      if (found >= count_) return true;
+    }
+    return false;
+  }
+
   // The mean distance to the nearest points in the near leaves: 0 if it is small, infinite beyond the point's reach.
-  double mean_distance(int64_t leaf, int64_t i) const {
+  // Also gives the largest of these distances, squared.
+  double mean_distance(int64_t leaf, int64_t i, double& farthest) const {
     constexpr double inf = std::numeric_limits<double>::infinity();
-    const double reach = std::sqrt(leaves_.squared_reach[leaf * Leaves::kLeafSize + i]);
+    if (has_enough(leaf, i)) return 0;
+    const double reach = std::sqrt(squared_reach(leaf, i));
     double nearest[kMostNeighbors];
     std::fill_n(nearest, count_, inf);
     double mean = inf;
@@ -229,18 +257,22 @@ class Spacing {
       double squared[Leaves::kLeafSize];
       leaves_.measure(leaf, i, other, squared);
       if (other == leaf) squared[i] = inf;
+      bool changed = false;
       for (int64_t j = 0; j < leaves_.size(other); ++j) {
         double value = squared[j];
         if (!(value < nearest[count_ - 1])) continue;
+        changed = true;
         for (int64_t k = 0; k < count_; ++k) {
           if (value < nearest[k]) std::swap(value, nearest[k]);
         }
       }
+      if (!changed) continue;
       double sum = 0;
       for (int64_t k = 0; k < count_; ++k) sum += std::sqrt(nearest[k]);
       mean = sum / static_cast<double>(count_);
       if (mean <= share_ * reach) return 0;
     }
+    farthest = nearest[count_ - 1];
     return mean <= reach ? mean : inf;
   }
 
