@@ -11,11 +11,9 @@ namespace {
 
 struct Edge {
   double weight;  // squared: of the distance, in gaps
-  int32_t u, v;   // u < v
+  int32_t u, v;  // u < v
 
-  bool operator<(const Edge& other) const {
-    return std::tie(weight, u, v) < std::tie(other.weight, other.u, other.v);
-  }
+  bool operator<(const Edge& other) const { return std::tie(weight, u, v) < std::tie(other.weight, other.u, other.v); }
 };
 
 struct Points {

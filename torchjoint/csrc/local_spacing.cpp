@@ -62,7 +62,7 @@ class Leaves {
   }
 
   Array<double> squared_reach;  // by leaf
-  Array<double> least;          // of the leaves' points
+  Array<double> least;  // of the leaves' points
 
  private:
   static constexpr int64_t kChildren = 8;

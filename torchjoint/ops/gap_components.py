@@ -28,7 +28,7 @@ def gap_components(
         joining: largest distance at which small components join others, in gaps; at least 1.
 
     Returns:
-        ``[N]`` int64 labels 0, 1, 2, ... in the order of their first points. The number of threads does not change them.
+        ``[N]`` int64 labels 0, 1, ... in the order of their first points. The number of threads does not change them.
 
     Raises:
         TypeError: an argument of the wrong type or dtype.

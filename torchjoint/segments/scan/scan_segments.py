@@ -54,18 +54,26 @@ def segment_scan(
     """
     config = config or ScanConfig()
     with torch.no_grad(), one_thread_per_operation():
-        points = as_points(points).float()
-        rings = find_rings(points) if rings == "search" else rings
-        seen, height = directions(points), points[:, 2].double()
-        gap = config.gap + config.gap_growth * seen.range
-        drawn = with_near_rings(points, seen, rings, config)
-        with all_threads():
-            spacing = local_spacing(points, gap, GROUND_GAP, SPACING_NEIGHBORS)
-        height = height - ground_below(seen, height, _or_all(spacing == 0))
-        gaps = Gaps.of(drawn, gap, torch.nonzero(height >= GROUND_HEIGHT).flatten())
-        on_ground = grow_ground(points, height, seen, gaps, config, _or_all(spacing < torch.inf))
+        gaps, on_ground = scan_gaps(points, config, rings)
         labels = gaps.components(~on_ground, config.min_size)
         return numbers_by_first_place(labels, int(labels.max()) + 1)[labels]
+
+
+def scan_gaps(points: Tensor, config: ScanConfig, rings: Rings | Literal["search"] | None) -> tuple[Gaps, Tensor]:
+    """The points over the profiles of the ground, with their neighbours; and [N] bool, all points on the ground.
+
+    Arguments and errors are those of :func:`segment_scan`.
+    """
+    points = as_points(points).float()
+    rings = find_rings(points) if rings == "search" else rings
+    seen, height = directions(points), points[:, 2].double()
+    gap = config.gap + config.gap_growth * seen.range
+    with all_threads():
+        spacing = local_spacing(points, gap, GROUND_GAP, SPACING_NEIGHBORS)
+    height = height - ground_below(seen, height, _or_all(spacing == 0))
+    drawn = with_near_rings(points, seen, rings, config)
+    gaps = Gaps.of(drawn, gap, torch.nonzero(height >= GROUND_HEIGHT).flatten())
+    return gaps, grow_ground(points, height, seen, gaps, config, _or_all(spacing < torch.inf))
 
 
 def _or_all(used: Tensor) -> Tensor | None:
