@@ -29,51 +29,37 @@ struct Points {
   }
 };
 
-// Appends the edges of at most `joining` gaps of a block of rows: those of at most one gap to `near`.
-template <typename Index>
-void find_edges(const Points& points, const Index* neighbors, int64_t count, double joining, int64_t block,
-                int64_t num_points, std::vector<Edge>& near, std::vector<Edge>& far) {
-  const int64_t last = std::min((block + 1) * kRowsPerBlock, num_points);
-  for (int64_t u = block * kRowsPerBlock; u < last; ++u) {
-    if (!points.used[u]) continue;
-    for (const Index* v = neighbors + u * count; v < neighbors + (u + 1) * count; ++v) {
-      if (!points.used[*v]) continue;
-      const double weight = points.weight(u, *v);
-      if (!(weight <= joining * joining)) continue;  // also skips NaN
-      const Edge edge{weight, static_cast<int32_t>(std::min<int64_t>(u, *v)),
-                      static_cast<int32_t>(std::max<int64_t>(u, *v))};
-      (weight <= 1 ? near : far).push_back(edge);
-    }
-  }
+bool has_small(UnionFind& components, int32_t a, int32_t b, int64_t min_size) {
+  return a != b && std::min(components.size(a), components.size(b)) < min_size;
 }
 
-void join(UnionFind& components, const Edge& edge, int64_t min_size) {
-  const int32_t a = components.find(edge.u), b = components.find(edge.v);
-  if (a != b && std::min(components.size(a), components.size(b)) < min_size) components.join(a, b);
-}
-
+// Most edges are within what is already connected, so their weights are not computed.
 template <typename Index>
 void connect(const Points& points, const Index* neighbors, int64_t count, int64_t min_size, double joining,
              UnionFind& components) {
-  const auto num_points = static_cast<int64_t>(components.num_nodes());
-  std::vector<std::vector<Edge>> near(num_blocks(num_points)), far(near.size());
-  torch::stable::parallel_for(0, static_cast<int64_t>(near.size()), 1, [&](int64_t begin, int64_t end) {
-    for (int64_t block = begin; block < end; ++block) {
-      find_edges(points, neighbors, count, joining, block, num_points, near[block], far[block]);
+  std::vector<Edge> far;
+  for (int32_t u = 0; u < static_cast<int32_t>(components.num_nodes()); ++u) {
+    if (!points.used[u]) continue;
+    for (const Index* v = neighbors + int64_t{u} * count; v < neighbors + int64_t{u + 1} * count; ++v) {
+      if (!points.used[*v]) continue;
+      const int32_t a = components.find(u), b = components.find(static_cast<int32_t>(*v));
+      if (a == b) continue;
+      const double weight = points.weight(u, *v);
+      if (weight <= 1) {
+        components.join(a, b);
+      } else if (min_size > 1 && weight <= joining * joining) {
+        far.push_back({weight, std::min(u, static_cast<int32_t>(*v)), std::max(u, static_cast<int32_t>(*v))});
+      }
     }
+  }
+  std::erase_if(far, [&](const Edge& edge) {
+    return !has_small(components, components.find(edge.u), components.find(edge.v), min_size);
   });
-  for (const auto& edges : near) {
-    for (const Edge& edge : edges) join(components, edge, kMaxCount);
+  std::sort(far.begin(), far.end());
+  for (const Edge& edge : far) {
+    const int32_t a = components.find(edge.u), b = components.find(edge.v);
+    if (has_small(components, a, b, min_size)) components.join(a, b);
   }
-  std::vector<Edge> left;
-  for (const auto& edges : far) {
-    for (const Edge& edge : edges) {
-      const int32_t a = components.find(edge.u), b = components.find(edge.v);
-      if (a != b && std::min(components.size(a), components.size(b)) < min_size) left.push_back(edge);
-    }
-  }
-  std::sort(left.begin(), left.end());
-  for (const Edge& edge : left) join(components, edge, min_size);
 }
 
 Tensor gap_components(const Tensor& points, const Tensor& gap, const Tensor& neighbors, const Tensor& used,

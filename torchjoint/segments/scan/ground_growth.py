@@ -76,9 +76,10 @@ def grow_ground(
             break
         # Only ground that was added in the last round may be nearer than what was found before.
         tree = cKDTree(place[new, :2], balanced_tree=False, compact_nodes=False)
-        found, which = tree.query(place[left, :2], workers=num_threads())
+        reach = float(hop[left].max()) * (1 + 1e-9)  # what is farther away is not near
+        found, which = tree.query(place[left, :2], distance_upper_bound=reach, workers=num_threads())
         nearer = found < way
-        way, nearest = np.where(nearer, found, way), np.where(nearer, new[which], nearest)
+        way, nearest[nearer] = np.minimum(found, way), new[which[nearer]]
         step = np.abs(place[left, 2] - place[nearest, 2])
         near, fits = way <= hop[left], step <= GROUND_HEIGHT + slope * way
         num_near = np.bincount(patch[near], minlength=count)
