@@ -8,7 +8,7 @@ namespace torchjoint {
 namespace {
 
 constexpr double kPi = std::numbers::pi;
-constexpr int64_t kPointsAtOnce = 1 << 13;
+constexpr int64_t kPointsAtOnce = 1 << 13, kColumnsAtOnce = 8;
 constexpr int32_t kNone = -1;
 
 struct Place {
@@ -50,9 +50,11 @@ class Ground {
     find_lowest(some, elevation);
     start_ = start_height(some);
     blind_ = blind_distance(some, elevation);
-    for_columns([&](int64_t column) { profiles_[column] = walk(column); });
+    for (int64_t column = 0; column < settings.num_columns; ++column) profiles_[column] = walk(column);
     std::vector<Profile> smooth(profiles_.size());
-    for_columns([&](int64_t column) { smooth[column] = without_bumps(column); });
+    torch::stable::parallel_for(0, settings.num_columns, kColumnsAtOnce, [&](int64_t begin, int64_t end) {
+      for (int64_t column = begin; column < end; ++column) smooth[column] = without_bumps(column);
+    });
     profiles_ = std::move(smooth);
   }
 
@@ -65,13 +67,6 @@ class Ground {
   }
 
  private:
-  template <typename Function>
-  void for_columns(const Function& function) const {
-    torch::stable::parallel_for(0, settings_.num_columns, 8, [&](int64_t begin, int64_t end) {
-      for (int64_t column = begin; column < end; ++column) function(column);
-    });
-  }
-
   double column_place(int64_t i) const {
     return (azimuth_[i] + kPi) / (2 * kPi) * static_cast<double>(settings_.num_columns);
   }

@@ -100,13 +100,11 @@ class Leaves {
     }
     const double scale = extent > 0 ? ((1 << kCurveBits) - 1) / extent : 0;
     std::vector<uint64_t> code(count);
-    torch::stable::parallel_for(0, count, 1 << 14, [&](int64_t begin, int64_t end) {
-      for (int64_t i = begin; i < end; ++i) {
-        for (int d = 0; d < 3; ++d) {
-          code[i] |= spread(static_cast<uint64_t>((points[3 * i + d] - low[d]) * scale)) << d;
-        }
+    for (int64_t i = 0; i < count; ++i) {
+      for (int d = 0; d < 3; ++d) {
+        code[i] |= spread(static_cast<uint64_t>((points[3 * i + d] - low[d]) * scale)) << d;
       }
-    });
+    }
     return sorted(code);
   }
 
