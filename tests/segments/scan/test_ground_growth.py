@@ -10,8 +10,7 @@ from torchjoint.config import ScanConfig
 from torchjoint.segments.scan import ground_growth
 from torchjoint.segments.scan.directions import directions
 from torchjoint.segments.scan.gaps import Gaps
-from torchjoint.segments.scan.ground_growth import grow_ground
-from torchjoint.segments.scan.rising import something_rises
+from torchjoint.segments.scan.ground_growth import grow_ground, rising
 from torchjoint.segments.scan.scan_segments import segment_scan
 
 
@@ -19,7 +18,7 @@ class TestRising:
     def rises(self, points, object_height=0.25):
         points = torch.tensor(points)
         which = torch.arange(len(points))
-        return something_rises(directions(points), points[:, 2].double(), which, object_height).tolist()
+        return rising(directions(points), points[:, 2].double(), which, object_height).tolist()
 
     def test_by_hand(self):
         # At 10 m: a wall's foot, its middle, its top; ground 1 m before it; a crown above the ground.
@@ -38,15 +37,15 @@ class TestRising:
         points = torch.tensor([[10.0, 0, -1.7], [10, 0, -1.2]])
         seen, which = directions(points), torch.tensor([0])
         for used in ([True, True], [True, False]):
-            found = something_rises(seen, points[:, 2].double(), which, 0.25, torch.tensor(used))
+            found = rising(seen, points[:, 2].double(), which, 0.25, torch.tensor(used))
             assert found.tolist() == [used[1]]
 
     def test_of_some_points(self):
         points = torch.tensor([[10.0, 0, -1.7], [10, 0, -1.2], [10, 0, -0.7]])
-        found = something_rises(directions(points), points[:, 2].double(), torch.tensor([2, 0]), 0.25)
+        found = rising(directions(points), points[:, 2].double(), torch.tensor([2, 0]), 0.25)
         assert found.tolist() == [False, True]
         none = torch.empty(0, dtype=torch.int64)
-        assert something_rises(directions(points), points[:, 2].double(), none, 0.25).shape == (0,)
+        assert rising(directions(points), points[:, 2].double(), none, 0.25).shape == (0,)
 
 
 class TestGrowth:

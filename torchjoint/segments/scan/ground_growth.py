@@ -2,7 +2,7 @@
 
 A profile (:mod:`torchjoint.segments.scan.ground`) holds for a whole column, and ends where something hides the ground.
 So a pavement beside a street, rough terrain and a slope behind a car lie a little above the profiles. Nothing rises
-from them, which tells them from objects (:mod:`torchjoint.segments.scan.rising`).
+from them, which tells them from objects (:func:`rising`).
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint.config import ScanConfig
-from torchjoint.runtime.threads import num_threads
+from torchjoint.ops.something_rises import something_rises
+from torchjoint.runtime.threads import all_threads, num_threads
 from torchjoint.segments.scan.directions import Directions
 from torchjoint.segments.scan.gaps import Gaps
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, MAX_SLOPE
-from torchjoint.segments.scan.rising import something_rises
 
 #: Largest horizontal distance from the ground to a patch that joins it: metres, and metres per metre of distance from
 #: the sensor, because rings on the ground are farther apart far from the sensor. The larger of the two counts.
@@ -31,6 +31,12 @@ SHARE = 0.8
 
 #: Largest number of rounds in which patches join the ground.
 ROUNDS = 12
+
+#: Width of a cell in azimuth, radians (1 degree). Its length is about this share of its distance from the sensor.
+CELL = math.radians(1.0)
+
+#: Metres. A point higher than this above another one hangs over it (tree crowns, signs) and does not rise from it.
+OVERHANG = 2.5
 
 
 def grow_ground(
@@ -59,7 +65,7 @@ def grow_ground(
     if config.object_height == 0:
         return on_ground
     standing = torch.nonzero(~on_ground).flatten()
-    flat = standing[~something_rises(seen, points[:, 2].double(), standing, config.object_height, used)]
+    flat = standing[~rising(seen, points[:, 2].double(), standing, config.object_height, used)]
     on_ground[flat[height[flat] < config.object_height]] = True
     flat = flat[~on_ground[flat]]
     among = torch.zeros_like(on_ground)
@@ -89,3 +95,30 @@ def grow_ground(
         on_ground[torch.from_numpy(new)] = True
         left, way, nearest, patch = left[stays], way[stays], nearest[stays], patch[stays]
     return on_ground
+
+
+def rising(seen: Directions, height: Tensor, which: Tensor, object_height: float, used: Tensor | None = None) -> Tensor:
+    """Whether something rises from points: whether a higher point lies in the same cell or in one of the 8 around it.
+
+    The higher point must be more than `object_height` and less than `OVERHANG` above the point. The cells divide the
+    plane by azimuth and by the logarithm of the horizontal distance.
+
+    Args:
+        seen: directions of N points.
+        height: [N] float64 metres, above any reference.
+        which: [M] int64, the points to test.
+        object_height: metres.
+        used: [N] bool, the points that may be the higher ones; None: all.
+
+    Returns:
+        [M] bool.
+    """
+    num_columns = round(2 * math.pi / CELL)
+    column = ((seen.azimuth + math.pi) / (2 * math.pi) * num_columns).long() % num_columns
+    row = (seen.distance.clamp(min=1e-3).log() / CELL).floor().long()
+    row -= row.min()
+    used = torch.ones_like(column, dtype=torch.bool) if used is None else used
+    with all_threads():
+        return something_rises(
+            column, row, height, used, which, num_columns, int(row.max()) + 1, object_height, OVERHANG
+        )
