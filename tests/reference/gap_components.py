@@ -18,13 +18,14 @@ ERRORS = [
     ({"points": POINTS.double()}, TypeError, "points: expected dtype torch.float32, got torch.float64"),
     ({"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [4, 2]"),
     ({"gap": GAP[:3]}, ValueError, "gap: expected shape [N] = [4], got [3]"),
+    ({"gap": -GAP}, ValueError, "gap: expected numbers >= 0, got -1 at 0"),
     ({"neighbors": NEIGHBORS + 2}, ValueError, "neighbors: expected numbers in [0, 4), got 4 at"),
     ({"neighbors": NEIGHBORS[:3]}, ValueError, "neighbors: expected shape [N, K] = [4, K], got [3, 2]"),
     ({"used": GAP}, TypeError, "used: expected dtype torch.bool, got torch.float64"),
     ({"min_size": -1}, ValueError, "min_size: expected a number >= 0, got -1"),
     ({"joining": 0.5}, ValueError, "joining: expected a number >= 1, got 0.5"),
 ]
-REFUSED = [{"points": POINTS.double()}, {"gap": GAP[:3]}, {"neighbors": NEIGHBORS[:3]}, {"min_size": -1}]
+REFUSED = [{"points": POINTS.double()}, {"gap": GAP[:3]}, {"neighbors": NEIGHBORS[:3]}, {"gap": -GAP}]
 
 
 def gap_components_reference(

@@ -21,7 +21,7 @@ def gap_components(
 
     Args:
         points: ``[N, 3]`` float32 metres.
-        gap: ``[N]`` float64 metres.
+        gap: ``[N]`` float64 metres, not negative.
         neighbors: ``[N, K]`` int32 or int64, neighbours of each point.
         used: ``[N]`` bool; other points are connected to nothing.
         min_size: smallest number of points of a component that joins no other.
