@@ -179,9 +179,10 @@ class JointSegmenter(nn.Module):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; make one: Scene(points, frames)")
         self._reset(scene.cloud)
         checked = frames_to_check(scene)
-        check = self._new_check(scene.name)
-        check.look_at(checked.values())
-        check.warn()
+        if checked:
+            check = self._new_check(scene.name)
+            check.look_at(checked.values())
+            check.warn()
         if checkpoint is not None:
             self.state = checkpoint.load(Observations(budget=self._memory, folder=self._spill)) or self.state
         return checked
@@ -256,11 +257,12 @@ class JointSegmenter(nn.Module):
             self._given = distinct.points
             self._method = self._make_method(self.config, distinct.points)
             self._cloud = self._method.prepare(distinct, self.merge_within).of_given(of_point)
-            warn_of_rounding(given.points, self._cloud.graph.spacing)
+            if self._cloud.graph.known_spacing is not None:
+                warn_of_rounding(given.points, self._cloud.graph.known_spacing)
             if logger.isEnabledFor(logging.INFO):
                 logger.info(describe(given, self._cloud.graph, self._method))
         self._state = self._no_evidence(Observations(budget=self._memory, folder=self._spill))
-        self._check = self._new_check()
+        self._check = None
 
     @torch.no_grad()
     @on_cpu()
@@ -279,8 +281,8 @@ class JointSegmenter(nn.Module):
             PoseWarning: the poses or intrinsics look wrong. It comes after some frames, or in :meth:`compute`.
         """
         frames = [frames] if isinstance(frames, Frame) else list(frames)
-        check = self._check or self._new_check()
-        check.look_as_they_come(frames)
+        self._check = self._check or self._new_check()
+        self._check.look_as_they_come(frames)
         self.add(frames)
 
     @torch.no_grad()
@@ -458,7 +460,6 @@ class JointSegmenter(nn.Module):
         )
         other._given, other._method, other._cloud = given, method, cloud
         other._state = self.state + self._no_evidence(Observations())  # a copy
-        other._check = other._new_check()
         return other
 
     def _no_evidence(self, observations: Observations) -> JointState:

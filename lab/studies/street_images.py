@@ -16,12 +16,15 @@ import torch
 from torch import Tensor
 from torchjoint_lab.synthetic import make_domain_scene
 
-from torchjoint.config import Config
+from torchjoint import ops
+from torchjoint.cloud.graph import undirected_edges
+from torchjoint.config import Config, ScanConfig
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.joint import JointSegmenter
+from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame
-from torchjoint.segments.scan import scan_segments
-from torchjoint.segments.scan.recognition import find_rings
+from torchjoint.segments.scan.gaps import JOINING_GAP
+from torchjoint.segments.scan.scan_segments import scan_gaps
 from torchjoint.views.projection import in_any_view
 
 #: Number of places along the line between two points at which the boundary is looked at.
@@ -84,13 +87,36 @@ def seen_edges(points: Tensor, frame: Frame, edges: Tensor, weight: Tensor, conf
     return Edges(weight, same, differ, torch.where(both, boundary, 0.0))
 
 
+def scan_graph(points: Tensor, config: ScanConfig) -> tuple[Tensor, Tensor, Tensor]:
+    """Edges [2, E] between points over the ground; their lengths in allowed gaps [E]; [N] bool, True for ground."""
+    with one_thread_per_operation():
+        gaps, on_ground = scan_gaps(points, config, "search")
+        u, v = undirected_edges(gaps.neighbors)
+        length = (gaps.points[u].double() - gaps.points[v].double()).norm(dim=1)
+        edges, weight = gaps.which[torch.stack([u, v])], (length / torch.minimum(gaps.gap[u], gaps.gap[v])).float()
+        above = ~on_ground[edges].any(0)
+        return edges[:, above], weight[above], on_ground
+
+
+def components(edges: Tensor, weight: Tensor, on_ground: Tensor, config: ScanConfig) -> Tensor:
+    """Labels [N]: components of edges of at most one gap, and the ground; small components are joined to others.
+
+    Felzenszwalb-Huttenlocher does both with k = 0 and weights max(0, w - 1).
+    """
+    near = weight <= JOINING_GAP
+    of_ground = torch.nonzero(on_ground).flatten()
+    chain = torch.stack([of_ground[:-1], of_ground[1:]])
+    excess = torch.cat([(weight[near] - 1).clamp(min=0), torch.zeros(chain.shape[1], dtype=torch.float32)])
+    return ops.felzenszwalb(torch.cat([edges[:, near], chain], 1), excess, len(on_ground), 0.0, config.min_size)
+
+
 def differences(sweep: streets.Sweep, frame: Frame, config: Config) -> dict[str, tuple[float, float]]:
     """F and best IoU without images, and the differences of all changes."""
-    edges, weight, on_ground = scan_segments.scan_graph(sweep.points, config.scan, find_rings(sweep.points))
+    edges, weight, on_ground = scan_graph(sweep.points, config.scan)
     seen = seen_edges(sweep.points, frame, edges, weight, config)
 
     def score(weights: Tensor) -> streets.Score:
-        return streets.judge(scan_segments.components(edges, weights, on_ground, config.scan), sweep)
+        return streets.judge(components(edges, weights, on_ground, config.scan), sweep)
 
     plain, found = score(weight), {}
     for name, change in CHANGES.items():

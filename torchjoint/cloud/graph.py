@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -25,19 +26,27 @@ PLANE_SHARE = 1.5
 PLANE_LIMITS = (40, 128)
 
 
-class PointGraph(NamedTuple):
+@dataclass(frozen=True)
+class PointGraph:
     """The cloud as a graph, with everything that does not depend on images."""
 
     points: Tensor  #: [N, 3] metres
     colors: Tensor | None  #: [N, 3] RGB in [0, 1]
     normals: Tensor  #: [N, 3] unit length, not yet oriented to the cameras
     has_given_normals: bool  #: whether the cloud has given normals; these are oriented, also without cameras
-    spacing: Tensor  #: [N] metres, mean distance to the nearest neighbours
+    known_spacing: Tensor | None  #: [N] metres; None: it is computed where it is first used
     edge_index: Tensor  #: [2, E] int64, each edge once
     adjacency: CsrAdjacency  #: CSR adjacency of the edges
     neighbors: Tensor  #: [N, K] int32, nearest first; planes are fitted to them
     scales: Scales | None = None  #: noise and spacing, method learned only
     wide_normals: Tensor | None = None  #: [N, 3] unit length, fitted to `neighbors`, method learned only
+
+    @cached_property
+    def spacing(self) -> Tensor:
+        """Mean distance of each point to its nearest neighbours, [N] metres."""
+        if self.known_spacing is not None:
+            return self.known_spacing
+        return nearest_neighbors(self.points, SPACING_NEIGHBORS).spacing
 
     @property
     def num_points(self) -> int:
@@ -89,15 +98,14 @@ def build_point_graph(cloud: Cloud, neighbors: int, normal_neighbors: int | Scal
 
 
 def build_edgeless_graph(cloud: Cloud) -> PointGraph:
-    """A graph with points and spacing only, for method scan, which reads neither edges nor normals."""
-    spacing = nearest_neighbors(cloud.points, SPACING_NEIGHBORS).spacing
+    """A graph with points only, for method scan, which reads neither edges nor normals."""
     no_edges = torch.empty(2, 0, dtype=torch.int64)
     return PointGraph(
         cloud.points,
         cloud.colors,
         torch.zeros_like(cloud.points),
         False,
-        spacing,
+        None,
         no_edges,
         CsrAdjacency.of(no_edges, len(cloud.points)),
         torch.empty(len(cloud.points), 0, dtype=torch.int32),

@@ -104,7 +104,8 @@ def order_of_points(points: Tensor) -> Tensor:
     The curve visits all cells of an octree (Z-order), so that neighbours are close to each other in memory, too.
     """
     rows = points.numpy()
-    low, extent = rows.min(0).astype(np.float64), float(np.ptp(rows, 0).max())
+    columns = np.ascontiguousarray(rows.T)  # several times as fast as the extremes of rows
+    low, extent = columns.min(1).astype(np.float64), float(np.ptp(columns, 1).max())
     scale = (2**_CURVE_BITS - 1) / extent if extent > 0 else 0.0
 
     def codes(start: int) -> npt.NDArray[np.int64]:

@@ -39,14 +39,16 @@ def local_cloud(cloud: Cloud, frame: LocalFrame, merge_within: float = 0.0) -> t
     """The cloud in float32 coordinates of a local frame, without copies, in an order that only its points decide.
 
     Args:
-        cloud: N points.
+        cloud: N distinct points.
         frame: the local frame.
         merge_within: metres; points in one cube with this side are merged; 0: only copies are merged.
 
     Returns:
         the cloud; and [N] int64, its point for each given point.
     """
-    local, of_point = without_copies(frame.cloud(cloud))
+    local, of_point = frame.cloud(cloud), None
+    if not torch.equal(local.points.double(), cloud.points.double()):
+        local, of_point = without_copies(local)  # rounding makes copies
     if merge_within > 0:
         merged = points_within(local.points, merge_within)
         local, of_point = merged_points(local, merged, int(merged.max()) + 1), composed(of_point, merged)

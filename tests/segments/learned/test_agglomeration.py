@@ -1,5 +1,7 @@
 """Step 6, method learned: merging by hand, the rounds, and the method as a whole with a model by hand."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torchjoint_lab.synthetic import make_domain_scene
@@ -184,7 +186,7 @@ class TestMethod:
             assert segmenter.compute().points.shape == (count,)
 
     def test_needs_the_scales(self, segmenter):
-        graph = segmenter.cloud.graph._replace(scales=None)
+        graph = replace(segmenter.cloud.graph, scales=None)
         with pytest.raises(ValueError, match="graph: method learned needs a graph that was built with the scales"):
             Learned(LEARNED).segment(graph, JointState.empty(graph.edge_index.shape[1], graph.num_points))
 

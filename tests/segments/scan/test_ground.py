@@ -7,8 +7,7 @@ import torch
 from lidar_scans import HEIGHT, scan
 
 import torchjoint.segments.scan.ground as module
-from torchjoint.segments.scan.directions import directions
-from torchjoint.segments.scan.ground import Profile, ground_profile, height_over_ground
+from torchjoint.segments.scan.ground import height_over_ground
 
 CAR = ((8.0, -1.0, -HEIGHT), (12.0, 1.0, -0.2))
 
@@ -73,36 +72,6 @@ def test_one_point_is_its_own_ground():
     assert height_over_ground(torch.tensor([[3.0, 4.0, -1.0]])).tolist() == [0.0]
     assert ground(torch.zeros(1, 3)).tolist() == [True]  # at the sensor
     assert height_over_ground(torch.tensor([[300.0, 0.0, -1.0]])).tolist() == [0.0]  # far, and nothing near
-
-
-def test_the_walk_by_hand(monkeypatch):
-    # One column of 90 degrees: start -2 (the median of one column's lowest), slopes up to 45 degrees.
-    for name, value in (("AZIMUTH_CELL", 90), ("ELEVATION_CELL", 1), ("MAX_SLOPE", 45), ("MAX_STEP", 0.1)):
-        monkeypatch.setattr(module, name, value)
-    points = torch.tensor([[4.0, 4, -2], [6, 6, -2], [6, 6, -1], [6.2, 6.2, 1.0], [9, 9, -0.5]]).double()
-    profile = ground_profile(directions(points), points[:, 2])
-    assert profile.column.tolist() == [0, 1, 2, 2, 2, 2, 3]
-    # Above the second: (6, 6, -1) is no farther, (6.2, 6.2, 1) too steep; (9, 9, -.5) rises 1.5 on 4.2 m.
-    assert profile.distance.tolist() == pytest.approx([0, 0, 0, 4 * 2**0.5, 6 * 2**0.5, 9 * 2**0.5, 0])
-    assert profile.height.tolist() == [-2, -2, -2, -2, -2, -0.5, -2]
-
-
-def test_between_the_places_of_a_profile_the_ground_is_straight():
-    column, distance = torch.tensor([0, 1, 1, 1, 2]), torch.tensor([0.0, 0, 10, 20, 0])
-    profile = Profile(column, distance.double(), torch.tensor([-3.0, -3, -2, -1, -3]).double(), 3)
-    at, far = torch.tensor([1, 1, 1, 1, 1, 4, -2, 0, 2]), torch.tensor([0.0, 5, 10, 15, 99, 15, 15, 7, 7]).double()
-    assert profile.at(at, far).tolist() == [-3, -2.5, -2, -1.5, -1, -1.5, -1.5, -3, -3]
-
-
-def test_a_bump_is_left_out(monkeypatch):
-    column = torch.arange(20)
-    height = torch.zeros(20).double()
-    height[7:9] = 0.5  # two columns of nine
-    profile = Profile(column, torch.full((20,), 30.0).double(), height, 20)
-    assert module._without_bumps(profile).column.tolist() == [*range(7), *range(9, 20)]
-    assert len(module._without_bumps(profile._replace(height=-height)).column) == 20  # a ditch is ground
-    monkeypatch.setattr(module, "MAX_BUMP", 0.6)
-    assert len(module._without_bumps(profile).column) == 20
 
 
 def test_turned_by_whole_columns_it_is_the_same():

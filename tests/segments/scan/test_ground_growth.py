@@ -9,18 +9,16 @@ from lidar_scans import HEIGHT, plane_hits, rays, scan
 from torchjoint.config import ScanConfig
 from torchjoint.segments.scan import ground_growth
 from torchjoint.segments.scan.directions import directions
-from torchjoint.segments.scan.ground_growth import grow_ground
-from torchjoint.segments.scan.rising import something_rises
+from torchjoint.segments.scan.gaps import Gaps
+from torchjoint.segments.scan.ground_growth import grow_ground, rising
 from torchjoint.segments.scan.scan_segments import segment_scan
-
-NO_EDGES = torch.empty(2, 0, dtype=torch.int64)
 
 
 class TestRising:
     def rises(self, points, object_height=0.25):
         points = torch.tensor(points)
         which = torch.arange(len(points))
-        return something_rises(directions(points), points[:, 2].double(), which, object_height).tolist()
+        return rising(directions(points), points[:, 2].double(), which, object_height).tolist()
 
     def test_by_hand(self):
         # At 10 m: a wall's foot, its middle, its top; ground 1 m before it; a crown above the ground.
@@ -39,15 +37,15 @@ class TestRising:
         points = torch.tensor([[10.0, 0, -1.7], [10, 0, -1.2]])
         seen, which = directions(points), torch.tensor([0])
         for used in ([True, True], [True, False]):
-            found = something_rises(seen, points[:, 2].double(), which, 0.25, torch.tensor(used))
+            found = rising(seen, points[:, 2].double(), which, 0.25, torch.tensor(used))
             assert found.tolist() == [used[1]]
 
     def test_of_some_points(self):
         points = torch.tensor([[10.0, 0, -1.7], [10, 0, -1.2], [10, 0, -0.7]])
-        found = something_rises(directions(points), points[:, 2].double(), torch.tensor([2, 0]), 0.25)
+        found = rising(directions(points), points[:, 2].double(), torch.tensor([2, 0]), 0.25)
         assert found.tolist() == [False, True]
         none = torch.empty(0, dtype=torch.int64)
-        assert something_rises(directions(points), points[:, 2].double(), none, 0.25).shape == (0,)
+        assert rising(directions(points), points[:, 2].double(), none, 0.25).shape == (0,)
 
 
 class TestGrowth:
@@ -57,9 +55,10 @@ class TestGrowth:
     def rough_ground(self, monkeypatch):
         monkeypatch.setattr(ground_growth, "GROUND_HEIGHT", 0.1)
 
-    def grown(self, points, height, edges=NO_EDGES, config=CONFIG):
+    def grown(self, points, height, gap=0.0, config=CONFIG):
         points = torch.tensor(points)
-        return grow_ground(points, torch.tensor(height).double(), directions(points), edges, config).tolist()
+        gaps = Gaps.of(points, torch.full((len(points),), gap, dtype=torch.float64), torch.arange(len(points)))
+        return grow_ground(points, torch.tensor(height).double(), directions(points), gaps, config).tolist()
 
     def test_low_points_from_which_nothing_rises(self):
         points = [[10.0, 0, -1.7], [10.0, 3, -1.5], [10, -3, -1.5], [10, -3, -1.0]]
@@ -72,10 +71,10 @@ class TestGrowth:
         points = [[10.0, 0, -1.7], [11.5, 0, -1.4], [13.0, 0, -1.1], [10, 5, -1.2]]
         assert self.grown(points, [0.0, 0.4, 0.7, 0.5]) == [True, True, True, False]
         # As one patch they join as well; with a step of .5 m none does.
-        edges = torch.tensor([[1], [2]])
-        assert self.grown(points, [0.0, 0.4, 0.7, 0.5], edges) == [True, True, True, False]
+        gap = 1.6
+        assert self.grown(points, [0.0, 0.4, 0.7, 0.5], gap) == [True, True, True, False]
         points[1][2] = points[2][2] = -1.2
-        assert self.grown(points, [0.0, 0.5, 0.5, 0.5], edges) == [True, False, False, False]
+        assert self.grown(points, [0.0, 0.5, 0.5, 0.5], gap) == [True, False, False, False]
 
     def test_nothing_to_grow_from(self):
         assert self.grown([[10.0, 0, -1]], [0.7]) == [False]

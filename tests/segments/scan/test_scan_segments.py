@@ -12,10 +12,12 @@ from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.datasets.files.clouds import read_scan
 from torchjoint.evaluation.scores import mean_scores, score
 from torchjoint.metrics import mean_best_iou
-from torchjoint.segments.scan import scan_segments
+from torchjoint.segments.scan import gaps, scan_segments
+from torchjoint.segments.scan.directions import directions
+from torchjoint.segments.scan.gaps import Gaps
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, height_over_ground
 from torchjoint.segments.scan.recognition import Rings
-from torchjoint.segments.scan.scan_segments import gap_weights, segment_scan, with_near_rings
+from torchjoint.segments.scan.scan_segments import segment_scan, with_near_rings
 from torchjoint.views.projection import in_any_view
 
 BOXES = (
@@ -26,12 +28,13 @@ BOXES = (
 )
 
 
-def test_weights_by_hand():
-    points = torch.tensor([[10.0, 0, 0], [10, 0, 0.4], [40, 0, 0], [40, 3, 0]])
-    edges = torch.tensor([[0, 2, 0], [1, 3, 2]])
-    weights = gap_weights(points, edges, ScanConfig(gap=0.2, gap_growth=0.02))
-    # .4 / (.2 + .2); 3 / (.2 + .8); 30 / (.2 + .2), by the nearer end
-    assert weights.tolist() == pytest.approx([1, 3, 75])
+def test_the_gap_is_that_of_the_nearer_end():
+    points = torch.tensor([[10.0, 0, 0], [10, 0, 0.375], [40, 0, 0], [40, 3, 0], [40, 4, 0]])
+    config = ScanConfig(gap=0.2, gap_growth=0.02)
+    found = Gaps.of(points, config.gap + config.gap_growth * directions(points).range, torch.arange(5))
+    # .375 / (.2 + .2) < 1 gap; 3 / (.2 + .8) = 3; 1 / (.2 + .02 * 40.1) < 1
+    assert found.components(torch.ones(5, dtype=torch.bool)).tolist() == [1, 1, 2, 3, 3]
+    assert found.components(torch.tensor([True, False, True, True, True])).tolist() == [1, 0, 3, 4, 4]
 
 
 def test_boxes_on_the_ground():
@@ -55,17 +58,22 @@ def test_outliers_do_not_lower_the_ground(share):
     assert mean_best_iou(labels, what) > mean_best_iou(segment_scan(points), what) - 0.05
 
 
-def test_points_that_stand_alone_are_not_used_unless_all_do():
+def test_points_that_stand_alone_are_not_used_unless_all_do(monkeypatch):
     points, _ = scan(*BOXES)
-    alone = torch.full((len(points),), 1e3)
-    assert torch.equal(segment_scan(points, spacing=alone), segment_scan(points, spacing=alone * 0))
+    found = []
+    for spacing in (torch.inf, 0.0):
+        alone = torch.full((len(points),), spacing, dtype=torch.float64)
+        monkeypatch.setattr(scan_segments, "local_spacing", lambda *_, alone=alone: alone)
+        found.append(segment_scan(points))
+    assert torch.equal(*found)
 
 
 def test_rings_are_drawn_together():
     points = torch.tensor([[10.0, 0, 0], [0, 10 * math.cos(0.2), -10 * math.sin(0.2)]])
-    assert with_near_rings(points, None, ScanConfig()) is points
-    assert with_near_rings(points, Rings(0.004, 64), ScanConfig()) is points  # .02 > 4 x .004
-    drawn = with_near_rings(points, Rings(0.01, 32), ScanConfig())  # to the half
+    seen = directions(points)
+    assert with_near_rings(points, seen, None, ScanConfig()) is points
+    assert with_near_rings(points, seen, Rings(0.004, 64), ScanConfig()) is points  # .02 > 4 x .004
+    drawn = with_near_rings(points, seen, Rings(0.01, 32), ScanConfig())  # to the half
     expected = torch.tensor([[10.0, 0, 0], [0, 10 * math.cos(0.1), -10 * math.sin(0.1)]])
     torch.testing.assert_close(drawn, expected)
 
@@ -87,7 +95,7 @@ def test_labels_are_numbered_by_first_points():
 
 
 def test_the_gap_parts_and_joins(monkeypatch):
-    monkeypatch.setattr(scan_segments, "NEIGHBORS", 40)  # enough to see each other across the gap
+    monkeypatch.setattr(gaps, "NEIGHBORS", 40)  # enough to see each other across the gap
 
     def two(apart):
         boxes = [((10.0, -1.0, -HEIGHT), (11.0, -apart / 2, 0)), ((10.0, apart / 2, -HEIGHT), (11.0, 1.0, 0))]
@@ -102,7 +110,7 @@ def test_the_gap_parts_and_joins(monkeypatch):
 def test_beams_whose_neighbours_are_their_own_are_joined(monkeypatch):
     # A pole-like box: five points a beam, beams .15 m apart at 12 m, neighbours fewer than a beam has.
     points, what = scan(((12.0, -0.25, -HEIGHT), (12.3, 0.25, 1.5)))
-    monkeypatch.setattr(scan_segments, "NEIGHBORS", 4)
+    monkeypatch.setattr(gaps, "NEIGHBORS", 4)
     labels = segment_scan(points)
     assert len(labels[(what == 1) & (height_over_ground(points) >= GROUND_HEIGHT)].unique()) == 1
 
@@ -114,9 +122,9 @@ def test_bits_join_what_is_near_and_only_that(monkeypatch):
     car = labels[: len(points)][what == 1].mode().values
     assert labels[-2] == car  # .6 m away: 1.7 gaps
     assert (labels == labels[-1]).sum() == 1
-    monkeypatch.setattr(scan_segments, "JOINING_GAP", 1)
+    monkeypatch.setattr(gaps, "JOINING_GAP", 1)
     assert segment_scan(torch.cat([points, near, far]))[-2] != car
-    monkeypatch.setattr(scan_segments, "JOINING_GAP", 1e3)
+    monkeypatch.setattr(gaps, "JOINING_GAP", 1e3)
     assert (segment_scan(torch.cat([points, near, far])) == car).sum() > 2
 
 

@@ -24,14 +24,5 @@ def directions(points: Tensor) -> Directions:
     """Spherical coordinates of points [N, 3], in metres, with the sensor at the origin and z up."""
     x, y, z = points.double().unbind(1)
     distance = (x.square() + y.square()).sqrt()
-    return Directions(torch.atan2(y, x), torch.atan2(z, distance), distance, _range(distance, z))
-
-
-def ranges(points: Tensor) -> Tensor:
-    """The ranges [N] of :func:`directions`, in a third of the time."""
-    x, y, z = points.double().unbind(1)
-    return _range((x.square() + y.square()).sqrt(), z)
-
-
-def _range(distance: Tensor, z: Tensor) -> Tensor:
-    return (distance.square() + z.square()).sqrt().clamp(min=LEAST_RANGE)
+    span = (distance.square() + z.square()).sqrt()
+    return Directions(torch.atan2(y, x), torch.atan2(z, distance), distance, span.clamp(min=LEAST_RANGE))

@@ -8,12 +8,12 @@ compared.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
+from torchjoint.ops.ground_heights import ground_heights
+from torchjoint.runtime.threads import all_threads, one_thread_per_operation
 from torchjoint.scene.checks import as_points
 from torchjoint.segments.scan.directions import Directions, directions
 
@@ -49,33 +49,6 @@ SIDES = 4
 #: ground. The share is less than 1, because the ground may rise.
 BLIND = 0.75
 
-#: Larger than any distance, metres: one sorted tensor holds all columns, one after the other, at offsets of FAR.
-FAR = 1e5
-
-
-class Profile(NamedTuple):
-    """The ground's height at some places of C columns, sorted by column, then by distance (the first is 0)."""
-
-    column: Tensor  #: [M] int64
-    distance: Tensor  #: [M] float64 metres from the sensor, horizontal
-    height: Tensor  #: [M] float64 metres above the sensor (negative below it)
-    num_columns: int  #: C, of all 360 degrees
-
-    def at(self, column: Tensor, distance: Tensor) -> Tensor:
-        """Heights [...] at distances in columns: linear between two places, constant beyond the last.
-
-        Args:
-            column: [...] int64, any integer; taken modulo C.
-            distance: [...] float64 metres.
-        """
-        column = column % self.num_columns
-        after = torch.searchsorted(self.column * FAR + self.distance, column * FAR + distance.clamp(max=FAR / 2))
-        below = torch.maximum(after - 1, torch.searchsorted(self.column, column))
-        above = torch.minimum(after, torch.searchsorted(self.column, column, right=True) - 1)
-        way = self.distance[above] - self.distance[below]
-        share = (distance - self.distance[below]) / torch.where(way > 0, way, torch.inf)
-        return self.height[below] + share * (self.height[above] - self.height[below])
-
 
 def height_over_ground(points: Tensor, used: Tensor | None = None) -> Tensor:
     """Heights of the points of a scan above the ground.
@@ -100,92 +73,27 @@ def height_over_ground(points: Tensor, used: Tensor | None = None) -> Tensor:
     points = as_points(points)
     with torch.no_grad(), one_thread_per_operation():
         seen, height = directions(points), points[:, 2].double()
-        some = slice(None) if used is None else torch.nonzero(used).flatten()
-        profile = _without_bumps(ground_profile(Directions(*(values[some] for values in seen)), height[some]))
-        place = _column_place(seen.azimuth, profile.num_columns) - 0.5  # a column's profile holds at its middle
-        before = place.floor()
-        left, right = parallel_map(lambda side: profile.at(before.long() + side, seen.distance), (0, 1))
-        return height - (left + (place - before) * (right - left))
+        return height - ground_below(seen, height, used)
 
 
-def ground_profile(seen: Directions, height: Tensor) -> Profile:
-    """Follows each column outward, over the lowest points of its cells.
+def ground_below(seen: Directions, height: Tensor, used: Tensor | None = None) -> Tensor:
+    """Heights [N] float64 of the ground at points: what :func:`height_over_ground` subtracts from their heights.
 
     Args:
         seen: directions of N points.
         height: [N] float64 metres above the sensor.
-
-    Returns:
-        one profile per column.
+        used: [N] bool, the points that may be ground, at least one; None: all.
     """
-    num_columns = max(1, round(360 / AZIMUTH_CELL))
-    column = _column_place(seen.azimuth, num_columns).long().clamp(max=num_columns - 1)
-    row = ((seen.elevation + math.pi / 2) / math.radians(ELEVATION_CELL)).long()
-    row -= row.min()
-    num_rows = int(row.max()) + 1
-    lowest = _lowest(height, row * num_columns + column, num_rows * num_columns)
-    exists = lowest < len(height)
-    place = lowest.clamp(max=len(height) - 1)
-    distances = seen.distance[place].view(num_rows, num_columns)
-    heights = height[place].view(num_rows, num_columns)
-    start = _start(seen.distance, height, column, num_columns)
-    blind = _blind_distance(seen.elevation, start)
-    taken = _walk(exists.view(num_rows, num_columns), distances, heights, start, blind)
-    distances = torch.cat([torch.zeros_like(distances[:1]), distances])
-    heights = torch.cat([torch.full_like(heights[:1], start), heights])
-    taken = torch.cat([torch.ones_like(taken[:1]), taken])
-    of_column, of_row = torch.nonzero(taken.T).unbind(1)
-    return Profile(of_column, distances[of_row, of_column], heights[of_row, of_column], num_columns)
-
-
-def _walk(exists: Tensor, distances: Tensor, heights: Tensor, start: float, blind: float) -> Tensor:
-    """[R, C] bool, the cells whose lowest points belong to the profiles; each step handles one row of all columns."""
-    slope = math.tan(math.radians(MAX_SLOPE))
-    taken = torch.zeros_like(exists)
-    distance, height = torch.full_like(distances[0], blind), torch.full_like(heights[0], start)
-    for row in range(len(exists)):
-        way = distances[row] - distance
-        step = (heights[row] - height).abs()
-        taken[row] = exists[row] & (way > 0) & (step <= MAX_STEP + slope * way)
-        distance = torch.where(taken[row], distances[row], distance)
-        height = torch.where(taken[row], heights[row], height)
-    return taken
-
-
-def _without_bumps(profile: Profile) -> Profile:
-    """Removes the places that are more than MAX_BUMP above the median of the neighbouring profiles."""
-    sides = torch.arange(-SIDES, SIDES + 1)[:, None]
-    around = profile.at(profile.column + sides, profile.distance.expand(len(sides), -1))
-    stays = profile.height - around.median(dim=0).values <= MAX_BUMP
-    return profile._replace(
-        column=profile.column[stays], distance=profile.distance[stays], height=profile.height[stays]
-    )
-
-
-def _column_place(azimuth: Tensor, num_columns: int) -> Tensor:
-    """[N] float64 in [0, num_columns]: the column, and the position within it as the fraction."""
-    return (azimuth + math.pi) / (2 * math.pi) * num_columns
-
-
-def _lowest(height: Tensor, cell: Tensor, num_cells: int) -> Tensor:
-    """[num_cells] int64, the lowest point of each cell (ties: the first point); N = none."""
-    lowest = torch.full((num_cells,), torch.inf, dtype=height.dtype).scatter_reduce(0, cell, height, "amin")
-    candidate = torch.where(height == lowest[cell], torch.arange(len(height)), len(height))
-    return torch.full((num_cells,), len(height)).scatter_reduce(0, cell, candidate, "amin")
-
-
-def _start(distance: Tensor, height: Tensor, column: Tensor, num_columns: int) -> float:
-    """The ground's height below the sensor: the median of the lowest points of the columns near it, else of all."""
-    near = distance <= max(NEAR, float(distance.min()))
-    lowest = torch.full((num_columns,), torch.inf, dtype=height.dtype)
-    lowest = lowest.scatter_reduce(0, column[near], height[near], "amin")
-    return float(lowest[lowest < torch.inf].median())
-
-
-def _blind_distance(elevation: Tensor, start: float) -> float:
-    """The distance below which no point is ground, because the lowest beam meets the ground farther out; metres.
-
-    Without it, the side of a car beside the sensor would be ground, from the lowest beam up.
-    """
-    lowest = float(elevation.kthvalue(1 + len(elevation) // 200).values)  # a few returns may come from below the ground
-    return BLIND * start / math.tan(lowest) if start < 0 and lowest < 0 else 0.0
+    with all_threads():
+        return ground_heights(
+            *(seen.azimuth, seen.elevation, seen.distance, height),
+            torch.ones(len(height), dtype=torch.bool) if used is None else used,
+            num_columns=max(1, round(360 / AZIMUTH_CELL)),
+            row_height=math.radians(ELEVATION_CELL),
+            slope=math.tan(math.radians(MAX_SLOPE)),
+            step=MAX_STEP,
+            bump=MAX_BUMP,
+            near=NEAR,
+            blind=BLIND,
+            sides=SIDES,
+        )

@@ -2,7 +2,7 @@
 
 A profile (:mod:`torchjoint.segments.scan.ground`) holds for a whole column, and ends where something hides the ground.
 So a pavement beside a street, rough terrain and a slope behind a car lie a little above the profiles. Nothing rises
-from them, which tells them from objects (:mod:`torchjoint.segments.scan.rising`).
+from them, which tells them from objects (:func:`rising`).
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from torchjoint import ops
 from torchjoint.config import ScanConfig
-from torchjoint.runtime.threads import num_threads
+from torchjoint.ops.something_rises import something_rises
+from torchjoint.runtime.threads import all_threads, num_threads
 from torchjoint.segments.scan.directions import Directions
+from torchjoint.segments.scan.gaps import Gaps
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, MAX_SLOPE
-from torchjoint.segments.scan.rising import something_rises
 
 #: Largest horizontal distance from the ground to a patch that joins it: metres, and metres per metre of distance from
 #: the sensor, because rings on the ground are farther apart far from the sensor. The larger of the two counts.
@@ -32,9 +32,15 @@ SHARE = 0.8
 #: Largest number of rounds in which patches join the ground.
 ROUNDS = 12
 
+#: Width of a cell in azimuth, radians (1 degree). Its length is about this share of its distance from the sensor.
+CELL = math.radians(1.0)
+
+#: Metres. A point higher than this above another one hangs over it (tree crowns, signs) and does not rise from it.
+OVERHANG = 2.5
+
 
 def grow_ground(
-    points: Tensor, height: Tensor, seen: Directions, edges: Tensor, config: ScanConfig, used: Tensor | None = None
+    points: Tensor, height: Tensor, seen: Directions, gaps: Gaps, config: ScanConfig, used: Tensor | None = None
 ) -> Tensor:
     """Which points of a scan belong to the ground.
 
@@ -48,7 +54,7 @@ def grow_ground(
         points: [N, 3] metres, z up.
         height: [N] float64 metres above the profiles.
         seen: directions of the points.
-        edges: [2, E] int64, pairs of points that are connected.
+        gaps: which points are connected.
         config: object_height.
         used: [N] bool, the points that may rise from others; None: all.
 
@@ -59,40 +65,60 @@ def grow_ground(
     if config.object_height == 0:
         return on_ground
     standing = torch.nonzero(~on_ground).flatten()
-    flat = standing[~something_rises(seen, points[:, 2].double(), standing, config.object_height, used)]
+    flat = standing[~rising(seen, points[:, 2].double(), standing, config.object_height, used)]
     on_ground[flat[height[flat] < config.object_height]] = True
     flat = flat[~on_ground[flat]]
-    patch = _patches(flat, edges, len(points))
+    among = torch.zeros_like(on_ground)
+    among[flat] = True
+    patch = gaps.components(among)[flat].numpy()
     place: NDArray[np.float64] = points.double().numpy()
     hop = (HOP_GROWTH * seen.distance).clamp(min=HOP).numpy()
     slope = math.tan(math.radians(MAX_SLOPE))
-    left, new = flat[~on_ground[flat]].numpy(), torch.nonzero(on_ground).flatten().numpy()
+    left, new = flat.numpy(), torch.nonzero(on_ground).flatten().numpy()
     way, nearest = np.full(len(left), np.inf), np.zeros(len(left), dtype=np.int64)
+    count = int(patch.max(initial=0)) + 1
     for _ in range(ROUNDS):
         if len(left) == 0 or len(new) == 0:
             break
         # Only ground that was added in the last round may be nearer than what was found before.
         tree = cKDTree(place[new, :2], balanced_tree=False, compact_nodes=False)
-        found, which = tree.query(place[left, :2], workers=num_threads())
+        reach = float(hop[left].max()) * (1 + 1e-9)  # what is farther away is not near
+        found, which = tree.query(place[left, :2], distance_upper_bound=reach, workers=num_threads())
         nearer = found < way
-        way, nearest = np.where(nearer, found, way), np.where(nearer, new[which], nearest)
+        way, nearest[nearer] = np.minimum(found, way), new[which[nearer]]
         step = np.abs(place[left, 2] - place[nearest, 2])
         near, fits = way <= hop[left], step <= GROUND_HEIGHT + slope * way
-        of_patch = patch[left]
-        num_near = np.bincount(of_patch[near], minlength=len(flat))
-        joins = (num_near > 0) & (np.bincount(of_patch[near & fits], minlength=len(flat)) >= SHARE * num_near)
-        stays = ~joins[of_patch]
+        num_near = np.bincount(patch[near], minlength=count)
+        joins = (num_near > 0) & (np.bincount(patch[near & fits], minlength=count) >= SHARE * num_near)
+        stays = ~joins[patch]
         new = left[~stays]
         on_ground[torch.from_numpy(new)] = True
-        left, way, nearest = left[stays], way[stays], nearest[stays]
+        left, way, nearest, patch = left[stays], way[stays], nearest[stays], patch[stays]
     return on_ground
 
 
-def _patches(flat: Tensor, edges: Tensor, num_points: int) -> NDArray[np.int64]:
-    """The number of the connected component of each flat point, [N]; 0 for other points."""
-    number = torch.full((num_points,), -1)
-    number[flat] = torch.arange(len(flat))
-    ends = number[edges]
-    patch = torch.zeros(num_points, dtype=torch.int64)
-    patch[flat] = ops.connected_components(ends[:, (ends >= 0).all(dim=0)], len(flat))
-    return patch.numpy()
+def rising(seen: Directions, height: Tensor, which: Tensor, object_height: float, used: Tensor | None = None) -> Tensor:
+    """Whether something rises from points: whether a higher point lies in the same cell or in one of the 8 around it.
+
+    The higher point must be more than `object_height` and less than `OVERHANG` above the point. The cells divide the
+    plane by azimuth and by the logarithm of the horizontal distance.
+
+    Args:
+        seen: directions of N points.
+        height: [N] float64 metres, above any reference.
+        which: [M] int64, the points to test.
+        object_height: metres.
+        used: [N] bool, the points that may be the higher ones; None: all.
+
+    Returns:
+        [M] bool.
+    """
+    num_columns = round(2 * math.pi / CELL)
+    column = ((seen.azimuth + math.pi) / (2 * math.pi) * num_columns).long() % num_columns
+    row = (seen.distance.clamp(min=1e-3).log() / CELL).floor().long()
+    row -= row.min()
+    used = torch.ones_like(column, dtype=torch.bool) if used is None else used
+    with all_threads():
+        return something_rises(
+            column, row, height, used, which, num_columns, int(row.max()) + 1, object_height, OVERHANG
+        )

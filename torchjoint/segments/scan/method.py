@@ -32,7 +32,7 @@ class Scan(Method):
         self._evidence = evidence
 
     def build_graph(self, cloud: Cloud) -> tuple[PointGraph, None]:
-        """The points and their spacing."""
+        """The points alone."""
         return build_edgeless_graph(cloud), None
 
     def prepare(self, cloud: Cloud, merge_within: float) -> PreparedCloud:
@@ -44,7 +44,7 @@ class Scan(Method):
 
     def segment(self, graph: PointGraph, state: JointState) -> Tensor:
         """Labels [N] int64 of the ground and of the objects on it."""
-        return segment_scan(graph.points, self.config.scan, self._found(graph).rings, graph.spacing)
+        return segment_scan(graph.points, self.config.scan, self._found(graph).rings)
 
     def measured(self, graph: PointGraph) -> str:
         """The rings of the scan, or how sure it is that it is one."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -94,7 +95,7 @@ def find_rings(points: Tensor) -> Rings | None:
 
 
 def _order_statistics(values: Tensor, shares: tuple[float, ...]) -> list[float]:
-    ordered = values.sort().values
+    ordered = np.sort(values.numpy())  # several times as fast as torch's
     return [float(ordered[round(share * (len(ordered) - 1))]) for share in shares]
 
 
@@ -156,7 +157,7 @@ def _has_step(density: Tensor, step: float) -> bool:
 
 def _count_rings(window: Tensor, elevation: Tensor, step: float) -> int:
     """The 90 % quantile, over the windows, of the number of groups of elevations; gaps exceed half a step."""
-    place = (window * 1000 + elevation).sort().values
+    place = torch.from_numpy(np.sort((window * 1000 + elevation).numpy()))
     new = torch.ones(len(place), dtype=torch.bool)
     new[1:] = place.diff() > step / 2
     of_window = torch.bincount(((place[new] + 500) / 1000).floor().long(), minlength=WINDOWS)
