@@ -139,10 +139,9 @@ class LiveSegmenter(nn.Module):
             if self._is_keyframe(frame.world_to_camera):
                 self._pose = frame.world_to_camera
                 self._compare(frame)
-                with one_thread_per_operation():
-                    developed = self._method.developed(frame)
-                    (segments,) = self.image_segmenter([developed], self.stopwatch)
-                    self._keyframes.append(_Keyframe.packed(developed, segments))
+                developed = self._method.developed(frame)
+                (segments,) = self.image_segmenter([developed], self.stopwatch)
+                self._keyframes.append(_Keyframe.packed(developed, segments))
 
     @torch.no_grad()
     @on_cpu()
