@@ -23,7 +23,7 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.labels.lasting_ids import Changes, LastingIds
 from torchjoint.runtime.packing import Packed, pack
 from torchjoint.runtime.stopwatch import Stopwatch
-from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
+from torchjoint.runtime.threads import on_cpu, parallel_map
 from torchjoint.scene import Cloud, Frame, Masks, Segmentation
 from torchjoint.scene.camera import camera_center
 from torchjoint.segments.learned.method import Learned

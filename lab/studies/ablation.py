@@ -83,7 +83,7 @@ SCAN = (
     Switch(
         "the distance limit for joining small segments",
         {},
-        constants={"torchjoint.segments.scan.scan_segments.JOINING_GAP": 1e6},
+        constants={"torchjoint.segments.scan.gaps.JOINING_GAP": 1e6},
     ),
     Switch("joining of small segments", {"scan.min_size": 0}),
     Switch("growth of the gap with distance", {"scan.gap_growth": 0}),

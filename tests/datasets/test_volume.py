@@ -82,6 +82,7 @@ def test_what_is_too_large_is_told(monkeypatch):
         fused([(torch.full((60, 80), 2.0), GREY, CAMERA, EYE)])
 
 
+@pytest.mark.slow  # Open3D takes seconds to import
 def test_the_surface_is_that_of_open3d(synthetic):
     pytest.importorskip("open3d")
     from open3d import camera, geometry, pipelines

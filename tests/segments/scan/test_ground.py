@@ -99,7 +99,7 @@ def test_threads_and_order_change_nothing(set_threads):
     [
         (torch.zeros(0, 3), "points: expected at least one point"),
         (torch.zeros(4, 2), r"points: expected shape \[N, 3\]"),
-        (torch.full((4, 3), torch.nan), "points: expected finite"),
+        (torch.full((4, 3), torch.nan), "points: 4 of 4 points are NaN"),
     ],
 )
 def test_bad_input(points, message):
