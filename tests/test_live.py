@@ -108,5 +108,13 @@ def test_wrong_input_is_named(frames):
         tj.LiveSegmenter(tj.Config.from_preset("paper"))
     with pytest.raises(ValueError, match="depth: the frames so far give no surface"):
         played([replace(frames[0], depth=None)]).result()
-    with pytest.raises(ValueError, match="depth: expected metres"):
-        tj.LiveSegmenter().update(replace(frames[0], depth=1000 * frames[0].depth))
+    in_millimetres = replace(frames[0], depth=1000 * frames[0].depth)
+    with pytest.raises(ValueError, match=r"depth: expected metres.* these are probably millimetres"):
+        played([in_millimetres]).result()
+    with pytest.raises(ValueError, match=r"depth: expected metres.* these are probably metres where"):
+        played([replace(frame, depth=frame.depth / 1000) for frame in frames] * 3, step=0)
+
+
+def test_an_image_that_measured_nothing_is_no_error(frames):
+    blind = replace(frames[1], depth=torch.zeros_like(frames[1].depth))
+    assert len(played([blind, frames[0], blind]).result(images=False).ids)

@@ -28,7 +28,7 @@ from torchjoint.scene import Cloud, Frame, Masks, Segmentation
 from torchjoint.scene.camera import camera_center
 from torchjoint.segments.learned.method import Learned
 
-#: The poses of this many keyframes with depth are compared.
+#: The depth of this many keyframes is checked, and compared at their poses. One image without depth is no error.
 COMPARED = 12
 #: Results are compared in cubes of this many voxels a side.
 CUBE = 2
@@ -122,14 +122,13 @@ class LiveSegmenter(nn.Module):
         A frame without depth adds only evidence.
 
         Raises:
-            ValueError: depth in another unit than metres; the surface has become too large; or a camera is too far from
-                the first one.
+            ValueError: the surface has become too large; a camera is too far from the first one; or, after some
+                keyframes, depth in another unit than metres.
 
         Warns:
             PoseWarning: the depth images do not agree at these poses; it comes after some keyframes.
         """
         frames = [frames] if isinstance(frames, Frame) else list(frames)
-        check_unit(frames)
         for frame in frames:
             if self._origin is None:
                 self._origin = volume_origin([frame], self._volume.voxel_size)
@@ -153,7 +152,7 @@ class LiveSegmenter(nn.Module):
 
         Raises:
             RuntimeError: no frame has come.
-            ValueError: the depth images give no surface, or no keyframe sees it.
+            ValueError: the depth images give no surface, or have another unit; or no keyframe sees it.
         """
         if self._origin is None:
             raise RuntimeError("LiveSegmenter: call update(frame) first")
@@ -161,6 +160,7 @@ class LiveSegmenter(nn.Module):
             points, colors = surface_cloud(self._volume, self._origin)
             keyframes = list(self._keyframes)
         if not len(points):
+            check_unit(self._to_compare or [])
             raise ValueError("depth: the frames so far give no surface; expected depth in metres, and right poses")
         segmenter = JointSegmenter(self.config, method=lambda config, _: Learned(config))
         segmenter.reset(points, colors)
@@ -186,6 +186,7 @@ class LiveSegmenter(nn.Module):
             return
         self._to_compare.append(frame)
         if len(self._to_compare) == COMPARED:
+            check_unit(self._to_compare)
             warn_of_poses(self._to_compare)
             self._to_compare = None
 
