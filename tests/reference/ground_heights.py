@@ -29,13 +29,22 @@ ERRORS = [
     ({"used": torch.zeros(4)}, TypeError, "used: expected dtype torch.bool, got torch.float32"),
     ({"used": torch.zeros(4, dtype=torch.bool)}, ValueError, "used: expected at least one point"),
     ({"num_columns": 0}, ValueError, "num_columns: expected a number > 0, got 0"),
-    ({"row_height": 0.0}, ValueError, "row_height: expected at least 1e-6, got 0"),
+    ({"row_height": 0.0}, ValueError, "row_height: expected a finite number >= 1e-6, got 0"),
     ({"num_columns": 10**6, "row_height": 1e-6}, ValueError, "row_height: expected fewer rows of cells"),
     ({"slope": "steep"}, TypeError, "slope: expected int or float, got str"),
+    ({"bump": NAN}, ValueError, "bump: expected a number >= 0, got nan"),
     ({"near": -1.0}, ValueError, "near: expected a number >= 0, got -1.0"),
     ({"sides": 7}, ValueError, "sides: expected a number in [0, 6], got 7"),
 ]
-REFUSED = [{"azimuth": AZIMUTH.float()}, {"height": HEIGHT[:1]}, {"used": torch.zeros(4)}, {"sides": -1}]
+REFUSED = [
+    {"azimuth": AZIMUTH.float()},
+    {"height": HEIGHT[:1]},
+    {"used": torch.zeros(4)},
+    {"sides": -1},
+    {"bump": -1e30},
+    {"bump": NAN},
+    {"row_height": math.inf},
+]
 
 Places = list[tuple[float, float]]
 

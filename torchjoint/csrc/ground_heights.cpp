@@ -163,7 +163,13 @@ Tensor ground_heights(const Tensor& azimuth, const Tensor& elevation, const Tens
   const Tensor heights = checked_array(height, ScalarType::Double, {count}, "height");
   const Tensor may = checked_array(used, ScalarType::Bool, {count}, "used");
   check(num_columns > 0 && num_columns <= kMaxCount, "num_columns: expected a number > 0, got ", num_columns);
-  check(row_height >= 1e-6, "row_height: expected at least 1e-6, got ", row_height);
+  check(row_height >= 1e-6 && std::isfinite(row_height), "row_height: expected a finite number >= 1e-6, got ",
+        row_height);
+  // The first place of each profile is at the median of the others beside it: it stays, as bump is not negative.
+  for (const auto& [name, value] : {std::pair{"slope", slope}, {"step", step}, {"bump", bump}, {"blind", blind}}) {
+    check(value >= 0 && std::isfinite(value), name, ": expected a finite number >= 0, got ", value);
+  }
+  check(near >= 0, "near: expected a number >= 0, got ", near);
   check(sides >= 0 && sides <= num_columns, "sides: expected a number in [0, ", num_columns, "], got ", sides);
   const double *a = turns.const_data_ptr<double>(), *e = rises.const_data_ptr<double>();
   const double *d = ways.const_data_ptr<double>(), *h = heights.const_data_ptr<double>();
