@@ -245,7 +245,7 @@ class TestCommand:
         expected = score(result.points, synthetic.point_labels)
         assert float(in_3d["f"]) == pytest.approx(expected.f, abs=1e-6)
         assert f"{expected.f:.3f}" in printed
-        ap = tj.metrics.scannet_average_precision(result.points, synthetic.point_labels)
+        ap = tj.metrics.scannet_average_precision(result.points, synthetic.point_labels, result.confidence)
         assert f"AP {ap.ap:.3f}, AP50 {ap.ap50:.3f}, AP25 {ap.ap25:.3f}" in printed
         assert float(in_2d["f"]) == pytest.approx(score_images(result.images, synthetic.image_labels).f, abs=1e-6)
         assert (tmp_path / "scores" / "scores.png").is_file()

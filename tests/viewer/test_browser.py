@@ -232,6 +232,20 @@ def test_the_panel_stands_beside_the_cloud(viewer, page):
     wait(lambda: camera(viewer).image_width > 940)
 
 
+def test_the_row_of_a_selected_segment_is_in_sight(viewer, page):
+    rows, _ = viewer.model.rows("", "points")
+    assert len(rows) > 6
+    of_last = next(segment for segment in np.unique(viewer.model.table) if viewer.model.key(segment) == rows[-1].key)
+    viewer.model.select((int(of_last),))
+    viewer._draw_lists()
+    row = page.locator(f"#tj-table tr[data-key='{rows[-1].key}']")
+    wait(lambda: "sticky" in (row.get_attribute("style") or ""))
+    listed, shown = page.locator("#tj-table").locator("xpath=..").bounding_box(), row.bounding_box()
+    assert listed["y"] <= shown["y"]
+    assert shown["y"] + shown["height"] <= listed["y"] + listed["height"] + 1
+    assert page.locator("#tj-table").bounding_box()["height"] > listed["height"]  # the list is longer than its window
+
+
 def test_a_click_goes_through_a_camera(viewer, page):
     page.get_by_role("checkbox", name="Cameras").check()
     wait(lambda: viewer._cameras._mark.visible)

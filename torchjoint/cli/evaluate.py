@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,9 +16,10 @@ from torchjoint.evaluation.evaluate import evaluate as evaluate_prediction
 from torchjoint.evaluation.evaluate import evaluate_levels, left_out
 from torchjoint.evaluation.levels import level_table, write_levels
 from torchjoint.evaluation.predictions import Prediction, is_result, read_prediction
+from torchjoint.evaluation.protocols import Name, counted, find_table
 from torchjoint.evaluation.scores import Scores
 from torchjoint.evaluation.table import Row, scene_table, write_csv, write_plot
-from torchjoint.scene import Scene
+from torchjoint.scene import Scene, Truth
 
 TABLE, PICTURE, LEVELS = "scores.csv", "scores.png", "levels.csv"
 
@@ -26,6 +28,8 @@ def evaluate(
     pred: tyro.conf.Positional[Path],
     scene: tyro.conf.Positional[Path],
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    protocol: Name | None = None,
+    label_table: Path | None = None,
     voxel_size: float = 0.02,
     overwrite: bool = False,
 ) -> None:
@@ -34,21 +38,30 @@ def evaluate(
     If all results have a hierarchy (method learned), all their levels are also scored.
 
     Args:
-        pred: a folder written by `torchjoint segment`; or point labels, .npy or .txt; or, for a data set, a folder of
-            such folders or files, named like the scenes.
+        pred: a folder written by `torchjoint segment`; or point labels, .npy or .txt; or instances as in ScanNet's
+            benchmark, .txt with predicted_masks/, or .npz with pred_masks; or, for a data set, a folder of such folders
+            or files, named like the scenes.
         scene: a scene with ground truth, or a data set of such scenes; docs/your_data.md lists the layouts.
+        protocol: for scans of ScanNet: which true instances count, those of the 18 classes of ScanNet v2, or of the 198
+            of ScanNet200; all others are void. Classes are not compared.
+        label_table: scannetv2-labels.combined.tsv; default: the one in SCENE, or in the two folders above.
         out: folder for scores.csv and scores.png, and for levels.csv if there are levels.
         voxel_size: metres, for fusing a cloud from depth; used only if PRED does not hold the cloud.
         overwrite: replace files in OUT.
     """
     if out is not None:
         check_output(out, (TABLE, PICTURE, LEVELS), overwrite)
+    if protocol is None and label_table is not None:
+        raise ValueError("--label-table: expected a --protocol, too")
+    table = (label_table or find_table(scene)) if protocol is not None else None
     scenes = list_scenes(scene)
     scored = _ScoreCollector()
     try:
         for name, path in tqdm(scenes.items(), desc="scenes", unit="scene", disable=len(scenes) == 1):
             found = pred if is_result(pred) and len(scenes) == 1 else _of_scene(pred, name)
             loaded = load_scene(path, cloud=_kept_cloud(found, voxel_size), voxel_size=voxel_size)
+            if protocol is not None and table is not None and loaded.truth is not None:
+                loaded = _with_truth_of(protocol, loaded, path, table)
             if loaded.truth is None and len(scenes) > 1:
                 scored.notes.append(f"{name}: has no ground truth and is left out")
             else:
@@ -76,7 +89,8 @@ class _ScoreCollector:
             self.notes.append(f"{name}: the result has only {partial}; these are scored")
         truth = scene.truth.points if scene.truth is not None else None
         if prediction.points is not None and truth is not None:
-            self.instances.update(prediction.points, truth[prediction.of_points])
+            found = prediction.points if prediction.instances is None else prediction.instances.points
+            self.instances.update(found, truth[prediction.of_points], prediction.scores)
 
     def report(self, out: Path | None) -> None:
         if not self.rows:
@@ -104,10 +118,17 @@ class _ScoreCollector:
 
 
 def _of_scene(pred: Path, name: str) -> Path:
-    for candidate in (pred / name, pred / f"{name}.npy", pred / f"{name}.txt"):
+    for candidate in (pred / name, *(pred / f"{name}{suffix}" for suffix in (".npy", ".txt", ".npz"))):
         if candidate.exists():
             return candidate
-    raise FileNotFoundError(f"{pred / name}: missing; expected a result (or {name}.npy, {name}.txt) for each scene")
+    raise FileNotFoundError(f"{pred / name}: missing; expected a result (or {name}.npy, .txt, .npz) for each scene")
+
+
+def _with_truth_of(protocol: Name, scene: Scene, path: Path, table: Path) -> Scene:
+    """The scene with the instances of the cloud that the protocol counts; images are not scored."""
+    if scene.truth is None or scene.truth.points is None:
+        raise ValueError(f"--protocol {protocol}: expected a scan of ScanNet with annotated vertices, got {path}")
+    return replace(scene, truth=Truth(counted(scene.truth.points, path, protocol, table)))
 
 
 def _kept_cloud(result: Path, voxel_size: float) -> Path | None:

@@ -17,7 +17,7 @@ from torchjoint.results.result import Result
 
 def export(
     result: tyro.conf.Positional[Path],
-    format: Literal["coco", "sam", "ply", "las", "npz"],
+    format: Literal["coco", "sam", "ply", "las", "npz", "scannet", "masks"],
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     granularity: float | None = None,
     only_masked: bool = False,
@@ -28,9 +28,12 @@ def export(
     Args:
         result: folder that `torchjoint segment` wrote.
         format: coco: COCO's JSON of instances, for all images; sam: a JSON for each image, as in SA-1B; ply: a cloud
-            for each segment; las: the cloud with the extra dimension `label`; npz: all labels as arrays. coco, sam
-            and las need `pip install 'torchjoint[export]'`.
-        out: file, or folder for sam and ply; default: RESULT-FORMAT in the current folder, with the format's suffix.
+            for each segment; las: the cloud with the extra dimension `label`; npz: all labels as arrays;
+            scannet: instances as its benchmark reads them, SCENE.txt and predicted_masks/; masks: the same as an
+            archive with pred_masks, pred_score and pred_classes. coco, sam and las need `pip install
+            'torchjoint[export]'`.
+        out: file, or folder for sam, ply and scannet; default: RESULT-FORMAT in the current folder, with the format's
+            suffix.
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); needs a result of method learned.
         only_masked: only what the masks of the run show: segments that lie in masks with at least half of their pixels.
             The others are -1, or left out. Corrections by hand are not in it.
@@ -60,11 +63,18 @@ def export(
 
 def _write_folder(out: Path, format: str, loaded: Result) -> None:
     """Writes a folder beside `out`, then renames it; an earlier folder is replaced if it holds nothing else."""
-    kind = ".json" if format == "sam" else ".ply"
-    if out.exists() and (not out.is_dir() or any(file.suffix != kind for file in out.iterdir())):
+    kind = {"sam": ".json", "ply": ".ply", "scannet": ".txt"}[format]
+    if out.exists() and not (out.is_dir() and all(_is_ours(file, kind) for file in out.iterdir())):
         raise FileExistsError(f"{out}: holds more than {kind} files and will not be overwritten")
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as temporary:
         FORMATS[format](Path(temporary) / "new", loaded)
         if out.exists():
             os.replace(out, Path(temporary) / "old")
         os.replace(Path(temporary) / "new", out)
+
+
+def _is_ours(file: Path, kind: str) -> bool:
+    """Whether an earlier export may have written a file, or a folder of ScanNet's masks."""
+    if kind == ".txt" and file.name == "predicted_masks" and file.is_dir():
+        return all(mask.suffix == kind for mask in file.iterdir())
+    return file.suffix == kind

@@ -39,11 +39,18 @@ def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
     numbers, segment_of_point = np.unique(segments, return_inverse=True)
     objects = np.full(len(numbers), -1, dtype=np.int64)
     for group in read_record(folder / f"{scan}{OBJECTS}", "segments of objects").records("segGroups"):
-        instance = group.values.get("objectId")
-        if type(instance) is not int or not 0 <= instance < 2**31:
-            raise ValueError(f"{group.name}: objectId: expected an integer >= 0")
-        objects[np.isin(numbers, _integers(group, "segments"))] = instance
+        objects[np.isin(numbers, _integers(group, "segments"))] = _object_id(group)
     return torch.from_numpy(objects[segment_of_point])
+
+
+def read_object_classes(folder: Path, scan: str) -> dict[int, str]:
+    """Reads the raw category of each annotated object, by its objectId.
+
+    Raises:
+        FileNotFoundError, ValueError: the message names the file and its error.
+    """
+    groups = read_record(folder / f"{scan}{OBJECTS}", "segments of objects").records("segGroups")
+    return {_object_id(group): group.text("label") for group in groups}
 
 
 def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Sequence[Tensor]:
@@ -107,6 +114,13 @@ def _read_member(file: Path, member: str) -> Tensor:
     ) as error:
         raise ValueError(f"{file}: {member} in it is damaged: {error}") from error
     return labels_of(decode_image(data, f"{file}, {member}"), f"{file}, {member}")
+
+
+def _object_id(group: Record) -> int:
+    instance = group.values.get("objectId")
+    if type(instance) is not int or not 0 <= instance < 2**31:
+        raise ValueError(f"{group.name}: objectId: expected an integer >= 0")
+    return instance
 
 
 def _integers(record: Record, key: str) -> npt.NDArray[np.int64]:

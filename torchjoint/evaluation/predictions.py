@@ -11,12 +11,13 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_array, read_label_image
+from torchjoint.evaluation.instances import Instances, is_listing, painted, read_instances
 from torchjoint.results.folder import read_points
 from torchjoint.results.hierarchy_files import FILE, read_hierarchy
 from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.scene import Hierarchy, Scene
+from torchjoint.scene import Hierarchy, Scene, Segmentation
 from torchjoint.scene.checks import as_labels
 
 #: Largest distance between a result's point and its scene point, metres.
@@ -31,6 +32,8 @@ class Prediction(NamedTuple):
     images: Sequence[Tensor]  #: label images [H, W]
     of_frames: Sequence[int]  #: indices of the scene's frames
     hierarchy: Hierarchy | None = None  #: all levels of the M points, if the method makes them
+    scores: Tensor | None = None  #: [S] float64, the confidence in each label
+    instances: Instances | None = None  #: masks that may overlap; the labels are then those of the best of them
 
 
 def is_result(path: Path) -> bool:
@@ -43,23 +46,29 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
 
     Args:
         path: a folder that `torchjoint segment` wrote; or the labels of all points, as a .npy of integers [N] or a .txt
-            with one number per line; or a folder with an image `images/NAME.png` for each frame NAME, which holds label
-            + 1 in 8 or 16 bits.
+            with one number per line; or instances as in ScanNet's benchmark, see
+            :mod:`torchjoint.evaluation.instances`; or a folder with an image `images/NAME.png` for each frame NAME,
+            which holds label + 1 in 8 or 16 bits.
         scene: the segmented scene.
 
     Raises:
         FileNotFoundError, ValueError, TypeError: the message names the file and its error.
     """
     if path.is_file():
+        if path.suffix == ".npz" or (path.suffix == ".txt" and is_listing(path)):
+            found = read_instances(path, len(scene.points))
+            labels = painted(found, len(scene.points))
+            return Prediction(labels, torch.arange(len(labels)), (), (), None, found.scores, found)
         labels = _read_labels(path)
         return Prediction(as_labels(labels, (len(scene.points),), str(path)), torch.arange(len(labels)), (), ())
     if not path.is_dir():
         raise FileNotFoundError(f"{path}: missing; expected a result of `torchjoint segment`, or labels")
-    points, of_points, hierarchy = None, torch.empty(0, dtype=torch.int64), None
+    points, of_points, hierarchy, scores = None, torch.empty(0, dtype=torch.int64), None, None
     if (path / "points.npz").is_file():
         result = read_points(path)
         points, of_points = result.labels, _places(result.points, scene.points, path / "points.npz")
         hierarchy = read_hierarchy(path, len(points)) if (path / FILE).is_file() else None
+        scores = Segmentation(points, (), hierarchy=hierarchy).confidence
     files = sorted((path / "images").glob("*.png")) if (path / "images").is_dir() else []
     if points is None and not files:
         raise FileNotFoundError(f"{path}: has neither points.npz nor images/*.png; expected a result")
@@ -69,7 +78,7 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
         raise ValueError(f"{unknown[0]}: the scene has no frame of that name; it has {', '.join(list(names)[:3])} ...")
     of_frames = [names[file.stem] for file in files]
     images = LazySequence(len(files), lambda index: read_label_image(files[index]) - 1)
-    return Prediction(points, of_points, images, of_frames, hierarchy)
+    return Prediction(points, of_points, images, of_frames, hierarchy, scores)
 
 
 def _frame_names(scene: Scene) -> dict[str, int]:
@@ -87,7 +96,7 @@ def _read_labels(path: Path) -> Tensor:
     if path.suffix == ".npy":
         return read_array(path)
     if path.suffix != ".txt":
-        raise ValueError(f"{path}: expected labels of points, .npy or .txt, or a result's folder")
+        raise ValueError(f"{path}: expected labels of points, .npy or .txt, instances, .npz or .txt, or a result")
     try:
         return torch.from_numpy(np.array(path.read_text(encoding="utf-8").split(), dtype=np.int64))
     except (ValueError, OverflowError) as error:

@@ -64,7 +64,8 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
     )
     lines = []
     for row in rows:
-        style = "background:#ffe08a;color:#000;" if row.key in selected else ""
+        # Where it would be scrolled away, a selected row stays at the edge of the list.
+        style = "background:#ffe08a;color:#000;position:sticky;top:0;bottom:0;" if row.key in selected else ""
         size = " × ".join(f"{value:.2f}" for value in row.size)
         cells = "".join(
             f"<td>{cell}</td>"

@@ -11,6 +11,7 @@ from pathlib import Path
 from torchjoint.results.exports.clouds import export_las, export_npz, export_ply
 from torchjoint.results.exports.coco import export_coco
 from torchjoint.results.exports.sam import export_sam
+from torchjoint.results.exports.scannet import export_masks, export_scannet
 from torchjoint.results.result import Result
 
 #: The export functions, by name of the format.
@@ -20,6 +21,8 @@ FORMATS: dict[str, Callable[[Path, Result], None]] = {
     "ply": export_ply,
     "las": export_las,
     "npz": export_npz,
+    "scannet": export_scannet,
+    "masks": export_masks,
 }
 #: Suffix of the file of a format; formats that are not listed write a folder.
-SUFFIXES = {"coco": ".json", "las": ".las", "npz": ".npz"}
+SUFFIXES = {"coco": ".json", "las": ".las", "npz": ".npz", "masks": ".npz"}
