@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -58,3 +61,26 @@ def check_output(out: Path, names: Iterable[str], overwrite: bool) -> None:
     for name in names:
         if (out / name).exists() and not overwrite:
             raise FileExistsError(f"{out / name}: exists already; choose another folder with -o, or --overwrite")
+
+
+@contextmanager
+def folder_of(out: Path, kind: str) -> Iterator[Path]:
+    """Yields the path of a new folder beside `out`, to be written; then it becomes `out`, and replaces an earlier one.
+
+    Raises:
+        FileExistsError: the earlier one holds more than files with the suffix `kind`, and folders of them.
+    """
+    if out.exists() and not (out.is_dir() and all(_is_kind(file, kind) for file in out.iterdir())):
+        raise FileExistsError(f"{out}: holds more than {kind} files and will not be overwritten")
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as temporary:
+        yield Path(temporary) / "new"
+        if out.exists():
+            os.replace(out, Path(temporary) / "old")
+        os.replace(Path(temporary) / "new", out)
+
+
+def _is_kind(file: Path, kind: str) -> bool:
+    """Whether an earlier run may have written a file, or the folder of ScanNet's masks."""
+    if file.is_dir():
+        return file.name == "predicted_masks" and all(mask.suffix == kind for mask in file.iterdir())
+    return file.suffix == kind

@@ -33,6 +33,7 @@ def batch(
     granularity: float | None = None,
     ignore_poses: bool = False,
     drop_invalid: bool = False,
+    least_opacity: float = 0.1,
 ) -> None:
     """Segments any number of recordings over many workers; each gets a result folder OUT/NAME.
 
@@ -58,6 +59,8 @@ def batch(
         ignore_poses: go on if the poses look wrong; else this is an error.
         drop_invalid: leave out the points of the cloud that are NaN or infinite, and tell their number; else they are
             an error.
+        least_opacity: of Gaussian splats (a .ply), 0 to 1: fainter ones are no part of the cloud. `torchjoint label`
+            gives them labels.
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5.
     """
     options = RecordingOptions(
@@ -71,6 +74,7 @@ def batch(
         time_limit,
         ignore_poses,
         drop_invalid,
+        least_opacity,
     )
     with printed_log():
         report = run_batch(

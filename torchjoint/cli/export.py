@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from torchjoint.cli.arguments import folder_of
 from torchjoint.results.exports import FORMATS, SUFFIXES
 from torchjoint.results.loading import load_result
 from torchjoint.results.mask_report import select_masked
-from torchjoint.results.result import Result
 
 
 def export(
@@ -57,24 +55,6 @@ def export(
     if suffix:
         FORMATS[format](out, loaded)
     else:
-        _write_folder(out, format, loaded)
+        with folder_of(out, {"sam": ".json", "ply": ".ply", "scannet": ".txt"}[format]) as folder:
+            FORMATS[format](folder, loaded)
     print(out)
-
-
-def _write_folder(out: Path, format: str, loaded: Result) -> None:
-    """Writes a folder beside `out`, then renames it; an earlier folder is replaced if it holds nothing else."""
-    kind = {"sam": ".json", "ply": ".ply", "scannet": ".txt"}[format]
-    if out.exists() and not (out.is_dir() and all(_is_ours(file, kind) for file in out.iterdir())):
-        raise FileExistsError(f"{out}: holds more than {kind} files and will not be overwritten")
-    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as temporary:
-        FORMATS[format](Path(temporary) / "new", loaded)
-        if out.exists():
-            os.replace(out, Path(temporary) / "old")
-        os.replace(Path(temporary) / "new", out)
-
-
-def _is_ours(file: Path, kind: str) -> bool:
-    """Whether an earlier export may have written a file, or a folder of ScanNet's masks."""
-    if kind == ".txt" and file.name == "predicted_masks" and file.is_dir():
-        return all(mask.suffix == kind for mask in file.iterdir())
-    return file.suffix == kind

@@ -32,6 +32,7 @@ def segment(
     granularity: float | None = None,
     ignore_poses: bool = False,
     drop_invalid: bool = False,
+    least_opacity: float = 0.1,
     masks: Path | None = None,
     without_masks: Literal["segment", "leave-out"] = "segment",
     memory: str | None = None,
@@ -60,6 +61,8 @@ def segment(
         ignore_poses: go on if the poses look wrong; else this is an error.
         drop_invalid: leave out the points of the cloud that are NaN or infinite, and tell their number; else they are
             an error.
+        least_opacity: of Gaussian splats (a .ply), 0 to 1: fainter ones are no part of the cloud. `torchjoint label`
+            gives them labels.
         granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5. All levels are always saved. Only
             point_segments.method learned has levels; auto chooses it unless the cloud is a scan.
         masks: masks of a network: a folder with NAME.png (labels, 0 = none), NAME.npz, NAME.json (SAM) or a folder NAME
@@ -85,6 +88,7 @@ def segment(
         time_limit,
         ignore_poses,
         drop_invalid,
+        least_opacity,
     )
     view = live_view(show)
     with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:

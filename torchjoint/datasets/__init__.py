@@ -24,6 +24,7 @@ def load_scene(
     topics: Mapping[str, str] | None = None,
     time_limit: float = 0.02,
     drop_invalid: bool = False,
+    least_opacity: float = 0.1,
 ) -> Scene:
     """Loads a scene; detects its format. Frames are read from disk on access.
 
@@ -40,6 +41,7 @@ def load_scene(
         time_limit: for a ROS recording: an image takes a depth image and a pose at most this many seconds away.
         drop_invalid: leave out the points of the cloud that are NaN or infinite, with a warning; else they are an
             error.
+        least_opacity: Gaussian splats whose opacity is smaller are no part of the cloud, in [0, 1].
 
     Returns:
         The scene; `scene.truth` holds the ground-truth instances, if the data set has any.
@@ -52,6 +54,8 @@ def load_scene(
         raise FileNotFoundError(f"scene: {path} does not exist")
     if not 0 < time_limit < float("inf"):
         raise ValueError(f"time_limit: expected more than 0 seconds, got {time_limit}")
+    if not 0 <= least_opacity <= 1:
+        raise ValueError(f"least_opacity: expected a number in [0, 1], got {least_opacity}")
     options = Options(
         None if cloud is None else Path(cloud),
         voxel_size,
@@ -59,6 +63,7 @@ def load_scene(
         dict(topics or {}),
         time_limit,
         "drop" if drop_invalid else "refuse",
+        least_opacity,
     )
     for module in FORMATS.values():
         if module.recognizes(path):

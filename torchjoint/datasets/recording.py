@@ -30,6 +30,7 @@ class Options:
     topics: Mapping[str, str] = field(default_factory=dict)  #: for a ROS recording: topics by role
     time_limit: float = 0.02  #: for a ROS recording: most seconds from an image to its depth and pose
     invalid: Invalid = "refuse"  #: what becomes of points of the cloud that are NaN or infinite
+    least_opacity: float = 0.1  #: of the cloud, if it consists of Gaussian splats
 
 
 def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:
@@ -40,7 +41,7 @@ def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, cloud
     """
     file = find_cloud(path, options, clouds)
     if file is not None:
-        points, colors, normals = read_cloud(file, options.invalid)
+        points, colors, normals = read_cloud(file, options.invalid, options.least_opacity)
         return Scene(points, frames, colors, normals, name=path.name)
     points, colors = fuse_or_recall(path, frames, options.voxel_size, options.progress)
     if options.cloud is not None:

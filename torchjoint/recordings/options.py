@@ -26,6 +26,7 @@ class RecordingOptions:
         time_limit: for a ROS recording: largest time from an image to its depth image and its pose, seconds.
         ignore_poses: go on if the poses look wrong; else this is an error.
         drop_invalid: leave out the points that are NaN or infinite; else they are an error.
+        least_opacity: Gaussian splats whose opacity is smaller are no part of the cloud, in [0, 1].
     """
 
     voxel_size: float = 0.02
@@ -38,6 +39,7 @@ class RecordingOptions:
     time_limit: float = 0.02
     ignore_poses: bool = False
     drop_invalid: bool = False
+    least_opacity: float = 0.1
 
     def check(self, config: Config) -> None:
         """Raises ValueError if an option is out of range, or does not fit the parameters."""
@@ -57,7 +59,9 @@ class RecordingOptions:
 
     def key(self) -> str:
         """The options that change the state of a run, as text."""
-        return f"{self.max_frames} {self.in_view} {self.thin} {self.merge_within} {self.drop_invalid}"
+        return (
+            f"{self.max_frames} {self.in_view} {self.thin} {self.merge_within} {self.drop_invalid} {self.least_opacity}"
+        )
 
     def cut_down(self, scene: Scene) -> Scene:
         """Selects the frames and points of a recording that are used."""

@@ -152,6 +152,7 @@ def _load(path: Path, partial: Path, options: RecordingOptions, progress: bool) 
         topics=dict(options.topics),
         time_limit=options.time_limit,
         drop_invalid=options.drop_invalid,
+        least_opacity=options.least_opacity,
     )
     if fused.is_file() and not is_whole:
         checksum.parent.mkdir(exist_ok=True)

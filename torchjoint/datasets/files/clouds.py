@@ -1,4 +1,4 @@
-"""Reads a single point cloud from a file: .ply, .pcd, .npy, .npz, .bin (KITTI), .xyz, .las, .laz, .e57."""
+"""Reads a single point cloud from a file: .ply, .pcd, .npy, .npz, .bin (KITTI), .xyz, .las, .laz, .e57, a mesh."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.readers import read_array, read_mesh
+from torchjoint.datasets.files import meshes
+from torchjoint.datasets.files.readers import opaque, read_array, read_mesh
 from torchjoint.runtime.archives import read_archive
 from torchjoint.scene.checks import Invalid, kept_points
 
@@ -29,7 +30,7 @@ GROUPS = ("xyz", "rgb", "n")
 LETTERED = (".npy", ".xyz", ".txt", ".bin")
 
 #: What :func:`read_mesh` reads.
-MESHES = (".ply", ".pcd", ".las", ".laz", ".e57")
+MESHES = (".ply", ".pcd", ".las", ".laz", ".e57", *meshes.SUFFIXES)
 SUFFIXES = (*MESHES, ".npy", ".npz", ".bin", ".xyz", ".txt")
 
 
@@ -40,12 +41,16 @@ class CloudFile(NamedTuple):
     colors: Tensor | None = None  #: [N, 3] RGB in [0, 1], or uint8
     normals: Tensor | None = None  #: [N, 3]
     faces: Tensor | None = None  #: [F, 3] int64, triangles of a mesh
+    opacities: Tensor | None = None  #: [N] in [0, 1], of Gaussian splats
 
 
-def read_cloud_file(path: Path, columns: int | str | None = None, invalid: Invalid = "refuse") -> CloudFile:
+def read_cloud_file(
+    path: Path, columns: int | str | None = None, invalid: Invalid = "refuse", least_opacity: float = 0.0
+) -> CloudFile:
     """Reads a cloud; the suffix of the file gives its format.
 
     * .ply, .pcd: positions; colours and normals, if any; the triangles of a .ply mesh;
+    * .obj, .glb, .gltf, .off, .stl: vertices, triangles; colours, if any;
     * .las, .laz (also COPC), .e57: positions, float64; colours, if any; all scans of an .e57, in its world frame;
     * .npz: array `points` and, if any, arrays `colors`, `normals`, `faces`;
     * .npy, .xyz, .txt: one row per point, x y z first; columns 4 to 6 are colours, if all are in 0-255 (or 0-1), else
@@ -58,12 +63,13 @@ def read_cloud_file(path: Path, columns: int | str | None = None, invalid: Inval
         columns: numbers in a row of a .bin file, if other than above. Or a letter for each number in a row of a .bin,
             .npy, .xyz or .txt file: x y z, r g b, nnn (a normal); others are left out: "xyzrgbl".
         invalid: what becomes of points that are NaN or infinite; a mesh with such points loses its triangles.
+        least_opacity: fainter Gaussian splats are left out, with a warning.
 
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
     read = _read(path, columns)
-    valid = kept_points(read.points, str(path), invalid)
+    valid = kept_points(read.points, str(path), invalid) & opaque(read.opacities, least_opacity, path)
     if bool(valid.all()):
         return read
     colors, normals = (None if of is None else of[valid] for of in (read.colors, read.normals))
@@ -150,7 +156,7 @@ def _from_archive(path: Path) -> CloudFile:
     for name in ("points", "colors", "normals"):
         if name in values and values[name].shape != (count, 3):
             raise ValueError(f"{name}: expected a row of three numbers for each point, got {[*values[name].shape]}")
-    return CloudFile(*(values.get(name) for name in CloudFile._fields))  # type: ignore[arg-type]
+    return CloudFile(values["points"], *map(values.get, ("colors", "normals", "faces")))
 
 
 def _from_rows(rows: npt.NDArray[Any]) -> CloudFile:

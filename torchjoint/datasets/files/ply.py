@@ -26,7 +26,8 @@ Array = npt.NDArray[Any]
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 _COLORS, _NORMALS = ("red", "green", "blue"), ("nx", "ny", "nz")
 #: Gaussian splats (Kerbl et al. 2023): the constant term of the colour's spherical harmonics, and this basis function.
-_HARMONICS, _CONSTANT = ("f_dc_0", "f_dc_1", "f_dc_2"), 0.5 / np.pi**0.5
+#: Their opacity is stored before a sigmoid.
+_HARMONICS, _CONSTANT, _OPACITY = ("f_dc_0", "f_dc_1", "f_dc_2"), 0.5 / np.pi**0.5, "opacity"
 
 
 class Ply(NamedTuple):
@@ -36,6 +37,7 @@ class Ply(NamedTuple):
     colors: Tensor | None  #: [N, 3] float32 RGB in [0, 1]
     normals: Tensor | None  #: [N, 3] float32
     faces: Tensor | None  #: [F, 3] int64; polygons are cut into triangles from their first vertex
+    opacities: Tensor | None = None  #: [N] float32 in [0, 1], of Gaussian splats
 
 
 def read_ply(path: Path) -> Ply:
@@ -125,6 +127,8 @@ def _assembled(elements: Mapping[str, Columns]) -> Ply:
     are_splats = not vertex.has_numbers(_COLORS) and vertex.has_numbers(_HARMONICS)
     if are_splats:
         wanted["colors"] = (_HARMONICS, np.float32, 1)
+        if vertex.has_numbers((_OPACITY,)):
+            wanted["opacities"] = ((_OPACITY,), np.float32, 1)
     elif vertex.has_numbers(_COLORS):
         wanted["colors"] = (_COLORS, np.float32, _white([vertex.kinds[name] for name in _COLORS]))
     if vertex.has_numbers(_NORMALS):
@@ -135,7 +139,8 @@ def _assembled(elements: Mapping[str, Columns]) -> Ply:
         colors = (0.5 + _CONSTANT * colors).clamp(0, 1)
     if normals is not None and not normals.any():
         normals = None  # some programs, such as those for splats, write zeros where they have no normals
-    return Ply(made["points"], colors, normals, _faces(elements, vertex.rows))
+    opacities = made["opacities"][:, 0].sigmoid() if "opacities" in made else None
+    return Ply(made["points"], colors, normals, _faces(elements, vertex.rows), opacities)
 
 
 def _white(kinds: Sequence[np.dtype[Any]]) -> float:

@@ -19,7 +19,7 @@ import torch
 from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 
-from torchjoint.datasets.files import las
+from torchjoint.datasets.files import las, meshes
 from torchjoint.datasets.files.e57 import read_e57
 from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.ply import Ply, read_ply
@@ -30,7 +30,7 @@ MAX_PIXELS = 64_000_000
 #: Folders with one of these files hold results, of one recording or of many. They are no part of a recording.
 RESULTS = frozenset({"run.yaml", "batch.yaml"})
 #: Suffixes of clouds that stand alone: no other file belongs to them.
-ALONE = (".ply", ".npy", ".npz", ".xyz", ".txt", *las.SUFFIXES, ".e57")
+ALONE = (".ply", ".npy", ".npz", ".xyz", ".txt", *las.SUFFIXES, ".e57", ".off", ".stl")
 
 
 def read_image(path: Path, camera_size: tuple[int, int] | None = None) -> Tensor:
@@ -84,12 +84,15 @@ def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
     return torch.from_numpy(values.reshape(shape))
 
 
-def read_cloud(path: Path, invalid: Invalid = "refuse") -> tuple[Tensor, Tensor | None, Tensor | None]:
+def read_cloud(
+    path: Path, invalid: Invalid = "refuse", least_opacity: float = 0.0
+) -> tuple[Tensor, Tensor | None, Tensor | None]:
     """Reads a PLY, PCD, LAS, LAZ or E57 file.
 
     Args:
         path: of the file.
         invalid: what becomes of points that are NaN or infinite.
+        least_opacity: fainter Gaussian splats are left out, with a warning.
 
     Returns:
         points [N, 3] float32 or float64, as in the file; colours [N, 3] in [0, 1] or None; normals [N, 3] or None (also
@@ -98,14 +101,32 @@ def read_cloud(path: Path, invalid: Invalid = "refuse") -> tuple[Tensor, Tensor 
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
-    points, colors, normals, _ = read_mesh(path)
-    valid = kept_points(points, str(path), invalid)
+    points, colors, normals, _, opacities = read_mesh(path)
+    valid = kept_points(points, str(path), invalid) & opaque(opacities, least_opacity, path)
     colors, normals = (None if of is None else of[valid] for of in (colors, normals))
     return points[valid], colors, normals
 
 
+def opaque(opacities: Tensor | None, least: float, path: Path) -> Tensor:
+    """Which Gaussian splats are visible enough to be a part of a surface: [N] bool, or True if there are no splats.
+
+    Raises:
+        ValueError: none of them is.
+    """
+    enough = torch.tensor(True) if opacities is None else opacities >= least
+    if not bool(enough.any()):
+        raise ValueError(f"{path}: all {len(enough)} splats are fainter than --least-opacity (least_opacity) {least:g}")
+    if not bool(enough.all()):
+        warnings.warn(
+            f"{path}: {int((~enough).sum())} of {len(enough)} splats are fainter than an opacity of {least:g} and are "
+            "left out; `torchjoint label` gives them the label of the nearest point",
+            stacklevel=3,
+        )
+    return enough
+
+
 def read_mesh(path: Path) -> Ply:
-    """Reads a file as :func:`read_cloud`, with the triangles of a PLY mesh; points may be NaN or infinite."""
+    """Reads a file as :func:`read_cloud`, with the triangles of a mesh; points may be NaN or infinite."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: missing; expected a point cloud")
     suffix = path.suffix.lower()
@@ -113,6 +134,8 @@ def read_mesh(path: Path) -> Ply:
         mesh = Ply(*las.read_las(path), None, None)
     elif suffix == ".e57":
         mesh = Ply(*read_e57(path), None, None)
+    elif suffix in meshes.SUFFIXES:
+        mesh = meshes.read_mesh_file(path)
     elif suffix == ".pcd":
         pcd = read_pcd(path)
         colors = pcd.colors()

@@ -1,6 +1,7 @@
-"""Reads a point cloud alone, without images: .ply, .pcd, .npy, .npz, .xyz, .txt, .las, .laz, .e57, and KITTI's .bin.
+"""Reads a point cloud or a mesh alone, without images.
 
-The scene has no frames: segmenting it is plain 3D segmentation. :mod:`torchjoint.datasets.files.clouds` says what the
+The scene has no frames: segmenting it is plain 3D segmentation. The points of a mesh are its vertices; where its
+triangles are large, points are drawn on them. :mod:`torchjoint.datasets.files.clouds` says what the
 files hold.
 """
 
@@ -8,12 +9,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from torchjoint.datasets.files import meshes
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
 
-WHAT = "a point cloud alone: .ply, .pcd, .npy, .npz, .xyz, .txt, .las, .laz, .e57, .bin"
-SUFFIXES = (".ply", ".pcd", ".npy", ".npz", ".xyz", ".txt", ".las", ".laz", ".e57", ".bin")
+SUFFIXES = (".ply", ".pcd", ".npy", ".npz", ".xyz", ".txt", ".las", ".laz", ".e57", ".bin", *meshes.SUFFIXES)
+WHAT = f"a point cloud or a mesh alone: {', '.join(SUFFIXES)}"
 
 
 def recognizes(path: Path) -> bool:
@@ -23,6 +25,9 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     """Loads the cloud; see :func:`torchjoint.load_scene`."""
-    cloud = read_cloud_file(path, invalid=options.invalid)
+    cloud = read_cloud_file(path, invalid=options.invalid, least_opacity=options.least_opacity)
     points = cloud.points if cloud.points.is_floating_point() else cloud.points.double()
+    if cloud.faces is not None and meshes.has_large_triangles(points, cloud.faces):
+        points, colors = meshes.points_on(points, cloud.faces, cloud.colors, str(path))
+        return Scene(points, colors=colors, name=path.stem)
     return Scene(points, colors=cloud.colors, normals=cloud.normals, name=path.stem)

@@ -1,0 +1,202 @@
+"""Labels in the files of others: clouds, meshes, Gaussian splats."""
+
+import numpy as np
+import pytest
+import torch
+from splat_files import splat_file, splat_rows
+
+import torchjoint as tj
+from torchjoint.datasets.files import meshes
+from torchjoint.datasets.files.ply import read_ply, read_vertex_property
+from torchjoint.results.folder import write_result
+from torchjoint.results.labelled_file import label_file, nearest_labels, part_files
+
+
+def result_of(points, labels, colors=None):
+    scene = tj.Scene(points, colors=colors)
+    return tj.Result.of(tj.Segmentation(labels, ()), scene)
+
+
+@pytest.fixture
+def splats(tmp_path, scene_of):
+    """A room's cloud as splats, and 200 faint ones between them; the rows, and the true labels of the others."""
+    made, rng = scene_of(2), np.random.default_rng(0)
+    points = made.scene.points.numpy()
+    floaters = rng.uniform(points.min(0), points.max(0), (200, 3))
+    opacity = np.concatenate([rng.uniform(0.3, 0.99, len(points)), rng.uniform(0.01, 0.09, 200)])
+    colors = np.concatenate([made.scene.colors.numpy(), rng.uniform(0, 1, (200, 3))])
+    rows = splat_rows(np.concatenate([points, floaters]), colors, opacity, rng)
+    order = rng.permutation(len(rows))
+    truth = np.concatenate([made.point_labels.numpy(), np.full(200, -2)])[order]
+    return splat_file(tmp_path / "room.ply", rows[order]), rows[order], torch.from_numpy(truth)
+
+
+def test_faint_splats_are_no_surface(splats):
+    path, _, truth = splats
+    with pytest.warns(UserWarning, match="200 of 6200 splats are fainter than an opacity of 0.1"):
+        scene = tj.load_scene(path)
+    assert torch.equal(scene.points, read_ply(path).points[truth > -2])
+    assert len(tj.load_scene(path, least_opacity=0).points) == 6200
+    with pytest.raises(ValueError, match=r"all 6200 splats are fainter than --least-opacity \(least_opacity\) 1"):
+        tj.load_scene(path, least_opacity=1)
+    with pytest.raises(ValueError, match=r"least_opacity: expected a number in \[0, 1\], got 2"):
+        tj.load_scene(path, least_opacity=2)
+
+
+@pytest.mark.filterwarnings("ignore:.*fainter")
+def test_splats_get_labels_and_keep_every_byte(splats, run, tmp_path):
+    path, rows, truth = splats
+    scene = tj.load_scene(path)
+    labels = truth[truth > -2].clamp(min=0).unique(return_inverse=True)[1]
+    (tmp_path / "result").mkdir()
+    write_result(tmp_path / "result", scene, tj.Segmentation(labels, ()), tj.Config(), str(path))
+    run("label", tmp_path / "result", path, "-o", tmp_path / "out.ply")
+    start = (tmp_path / "out.ply").read_bytes().index(b"end_header\n") + len(b"end_header\n")
+    written = np.frombuffer((tmp_path / "out.ply").read_bytes(), [*rows.dtype.descr, ("label", "<i4")], offset=start)
+    for name in rows.dtype.names:
+        np.testing.assert_array_equal(written[name], rows[name])
+    np.testing.assert_array_equal(written["label"][truth.numpy() > -2], labels)
+    assert written["label"].min() >= 0  # faint ones, too
+
+    run("label", tmp_path / "result", path, "-o", tmp_path / "things")
+    files = sorted((tmp_path / "things").iterdir())
+    assert [int(file.stem) for file in files] == labels.unique().tolist()
+    parts = [np.frombuffer(file.read_bytes().partition(b"end_header\n")[2], rows.dtype) for file in files]
+    for index, part in enumerate(parts):
+        assert part.tobytes() == rows[written["label"] == index].tobytes()
+    with pytest.raises(SystemExit, match="exists already"):
+        run("label", tmp_path / "result", path, "-o", tmp_path / "things")
+    run("label", tmp_path / "result", path, "-o", tmp_path / "things", "--overwrite")
+    (tmp_path / "things" / "thesis.tex").write_text("precious")
+    with pytest.raises(SystemExit, match=r"holds more than \.ply files"):
+        run("label", tmp_path / "result", path, "-o", tmp_path / "things", "--overwrite")
+
+
+#: Two squares of two triangles beside each other, 10 cm apart.
+SQUARES = torch.tensor([[x, y, 0.0] for start in (0.0, 1.1) for x in (start, start + 1) for y in (0.0, 1)])
+FACES = torch.tensor([[0, 1, 2], [1, 3, 2], [4, 5, 6], [5, 7, 6]])
+HEAD = "ply\nformat {} 1.0\ncomment by hand\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n"
+HEAD += "property uchar quality\nelement face 4\nproperty list uchar int vertex_indices\nend_header\n"
+
+
+def squares(path, encoding):
+    quality = [7, 0, 1, 2, 3, 4, 5, 6]
+    if encoding == "ascii":
+        lines = [f"{x:g} {y:g} {z:g} {q}" for (x, y, z), q in zip(SQUARES.tolist(), quality, strict=True)]
+        lines += [f"3 {a} {b} {c}" for a, b, c in FACES.tolist()]
+        path.write_text(HEAD.format(encoding) + "\n".join(lines) + "\n")
+        return path
+    order = "<" if "little" in encoding else ">"
+    vertices = np.zeros(8, [("p", f"{order}f4", 3), ("q", "u1")])
+    vertices["p"], vertices["q"] = SQUARES, quality
+    faces = np.zeros(4, [("n", "u1"), ("i", f"{order}i4", 3)])
+    faces["n"], faces["i"] = 3, FACES
+    path.write_bytes(HEAD.format(encoding).encode() + vertices.tobytes() + faces.tobytes())
+    return path
+
+
+def of_squares():
+    return result_of(SQUARES, (torch.arange(8) > 3).long())
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_a_mesh_has_labels_of_vertices_and_triangles(tmp_path, encoding):
+    path = squares(tmp_path / "a.ply", encoding)
+    label_file(path, tmp_path / "b.ply", of_squares(), name="thing")
+    assert read_vertex_property(tmp_path / "b.ply", "thing").tolist() == [0] * 4 + [1] * 4
+    assert read_vertex_property(tmp_path / "b.ply", "quality").tolist() == [7, 0, 1, 2, 3, 4, 5, 6]
+    read = read_ply(tmp_path / "b.ply")
+    assert torch.equal(read.points, SQUARES)
+    assert torch.equal(read.faces, FACES)
+    trimesh = pytest.importorskip("trimesh")
+    of_face = trimesh.load(tmp_path / "b.ply", process=False).metadata["_ply_raw"]["face"]["data"]
+    assert [int(one) for one in np.ravel(of_face["thing"])] == [0, 0, 1, 1]
+    assert b"comment by hand" in (tmp_path / "b.ply").read_bytes()
+    with pytest.raises(ValueError, match="element vertex has a property thing already"):
+        label_file(tmp_path / "b.ply", tmp_path / "c.ply", of_squares(), name="thing")
+    assert not (tmp_path / "c.ply").exists()
+
+
+@pytest.mark.parametrize("encoding", ["binary_little_endian", "binary_big_endian"])
+def test_parts_of_a_mesh(tmp_path, encoding):
+    part_files(squares(tmp_path / "a.ply", encoding), tmp_path / "parts", of_squares())
+    for index in range(2):
+        part = read_ply(tmp_path / "parts" / f"{index:06d}.ply")
+        assert torch.equal(part.points, SQUARES[4 * index : 4 * index + 4])
+        assert torch.equal(part.faces, FACES[:2])
+    with pytest.raises(ValueError, match="expected a binary file"):
+        part_files(squares(tmp_path / "a.ply", "ascii"), tmp_path / "more", of_squares())
+
+
+@pytest.mark.parametrize("suffix", meshes.SUFFIXES)
+def test_meshes_of_other_formats(tmp_path, suffix):
+    trimesh = pytest.importorskip("trimesh")
+    colors = np.array([[255, 0, 0, 255]] * 4 + [[0, 0, 255, 255]] * 4, np.uint8)
+    mesh = trimesh.Trimesh(SQUARES.numpy(), FACES.numpy(), vertex_colors=colors, process=False)
+    path = tmp_path / f"a{suffix}"
+    exported = mesh.export(file_type=suffix[1:])
+    if isinstance(exported, dict):  # gltf: several files
+        for name, content in exported.items():
+            (tmp_path / name).write_bytes(content)
+        path = next(tmp_path.glob("*.gltf"))
+    else:
+        path.write_bytes(exported if isinstance(exported, bytes) else exported.encode())
+    read = meshes.read_mesh_file(path)
+    assert sorted(read.points.float().tolist()) == sorted(SQUARES.tolist())
+    assert len(read.faces) == 4
+    if suffix in (".obj", ".glb", ".gltf"):
+        assert torch.equal(read.colors[:, 0] == 1, read.points[:, 0] <= 1)
+    with pytest.warns(UserWarning, match="triangles are large, so 200000 points are drawn"):
+        scene = tj.load_scene(path)
+    assert bool(((scene.points[:, 0] <= 1) | (scene.points[:, 0] >= 1.1)).all())
+    drawn = result_of(scene.points, (scene.points[:, 0] > 1.05).long())
+    label_file(path, tmp_path / "b.ply", drawn)
+    again = read_ply(tmp_path / "b.ply")
+    assert read_vertex_property(tmp_path / "b.ply", "label").tolist() == (again.points[:, 0] > 1.05).long().tolist()
+    part_files(path, tmp_path / "parts", drawn)
+    assert [len(read_ply(file).faces) for file in sorted((tmp_path / "parts").iterdir())] == [2, 2]
+    label_file(path, tmp_path / "b.glb", drawn)
+    scene = trimesh.load_scene(tmp_path / "b.glb")
+    assert sorted(scene.geometry) == ["000000", "000001"]
+    assert all(len(part.faces) == 2 for part in scene.geometry.values())
+
+
+def test_points_on_a_mesh_are_even_and_in_its_colours():
+    corners = torch.tensor([[0.0, 0, 0], [2, 0, 0], [0, 1, 0], [5, 0, 0], [5, 3, 0], [5, 0, 2]])
+    with pytest.warns(UserWarning, match="are drawn on them"):
+        points, colors = meshes.points_on(corners, torch.tensor([[0, 1, 2], [3, 4, 5]]), corners / 5, "a")
+    of_first = points[:, 0] < 3
+    assert float(of_first.double().mean()) == pytest.approx(1 / 4, abs=0.01)  # the areas are 1 and 3
+    assert torch.allclose(points[of_first].mean(0), torch.tensor([2 / 3, 1 / 3, 0]).double(), atol=0.01)
+    assert torch.allclose(colors, points.float() / 5, atol=1e-5)
+    assert bool((points[of_first, 0] / 2 + points[of_first, 1] <= 1 + 1e-9).all())
+
+
+def test_a_fine_mesh_has_its_vertices():
+    line = torch.linspace(0, 1, 60)
+    points = torch.stack([*torch.meshgrid(line, line, indexing="ij"), torch.zeros(60, 60)], -1).reshape(-1, 3)
+    a = (torch.arange(59)[:, None] * 60 + torch.arange(59)).flatten()
+    faces = torch.cat([torch.stack([a, a + 1, a + 60], 1), torch.stack([a + 1, a + 61, a + 60], 1)])
+    assert not meshes.has_large_triangles(points, faces)
+    assert meshes.has_large_triangles(SQUARES, FACES)
+
+
+def test_the_nearest_point_decides():
+    result = result_of(torch.tensor([[0.0, 0, 0], [1, 0, 0], [5, 0, 0]]), torch.tensor([0, 1, 2]))
+    asked = torch.tensor([[0.4, 0, 0], [0.6, 0, 0], [float("nan"), 0, 0], [4.9, 0, 0]])
+    assert nearest_labels(result, asked).tolist() == [0, 1, -1, 2]
+    with pytest.raises(ValueError, match="is the file of another place"):
+        nearest_labels(result, asked + 100)
+
+
+def test_files_that_cannot_be_labelled(tmp_path, run):
+    with pytest.raises(ValueError, match=r"a\.txt: expected a file that ends in \.ply, \.obj"):
+        label_file(tmp_path / "a.txt", tmp_path / "b.ply", of_squares())
+    (tmp_path / "a.glb").write_bytes(b"glTF no")
+    with pytest.raises(ValueError, match=r"a\.glb: not a whole \.glb mesh"):
+        label_file(tmp_path / "a.glb", tmp_path / "b.ply", of_squares())
+    path = squares(tmp_path / "a.ply", "ascii")
+    path.write_text(path.read_text().replace("\n3 0 1 2", " 3 0 1 2"))
+    with pytest.raises(ValueError, match=r"a\.ply"):
+        label_file(path, tmp_path / "b.ply", of_squares())
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.glb", "a.ply"]

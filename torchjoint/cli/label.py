@@ -1,0 +1,53 @@
+"""torchjoint label: puts the labels of a result into a cloud, a mesh or Gaussian splats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from torchjoint.cli.arguments import folder_of
+from torchjoint.results.labelled_file import label_file, part_files
+from torchjoint.results.loading import load_result
+
+
+def label(
+    result: tyro.conf.Positional[Path],
+    file: tyro.conf.Positional[Path],
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    granularity: float | None = None,
+    name: str = "label",
+    overwrite: bool = False,
+) -> None:
+    """Puts the labels of a result into the file of a cloud, a mesh or Gaussian splats.
+
+    Each vertex gets the label of the nearest point of RESULT.
+
+    Args:
+        result: folder that `torchjoint segment` wrote.
+        file: a .ply, .obj, .glb, .gltf, .off or .stl in the frame of RESULT; mostly the file that was segmented. All
+            but .ply need `pip install 'torchjoint[mesh]'`.
+        out: .ply: FILE with labels of its vertices and triangles; all else in a .ply stays, to the byte. .glb: the mesh
+            in the colours of the segments, one node for each. A folder: a .ply for each segment, with all properties
+            of FILE's vertices.
+        granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); needs a result of method learned.
+        name: of the property of the labels in a .ply.
+        overwrite: replace OUT; a folder must hold nothing but .ply files.
+    """
+    loaded = load_result(result)
+    if granularity is not None:
+        loaded = loaded.at(granularity)
+    is_file = out.suffix.lower() in (".ply", ".glb")
+    if not out.parent.is_dir():
+        raise FileNotFoundError(f"-o: {out.parent} is no folder")
+    if out.exists() and (not overwrite or out.is_dir() == is_file):
+        raise FileExistsError(f"-o: {out} exists already; choose another name, or --overwrite")
+    if not name.isidentifier():
+        raise ValueError(f"--name: expected letters, digits and _, got {name!r}")
+    if is_file:
+        label_file(file, out, loaded, name=name)
+    else:
+        with folder_of(out, ".ply") as folder:
+            part_files(file, folder, loaded)
+    print(out)

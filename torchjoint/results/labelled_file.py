@@ -1,0 +1,168 @@
+"""Puts the labels of a result into the file of a cloud, a mesh or Gaussian splats (output after step 8).
+
+Each vertex, and each face at its centre, gets the label of the nearest point of the result. So the file may have more
+vertices than the result has points: those that were thinned out, faint splats, the corners of large triangles.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.files import meshes
+from torchjoint.datasets.files.ply import Ply, read_ply, write_cloud
+from torchjoint.datasets.files.ply_records import read_records, write_bytes
+from torchjoint.results.label_colors import label_colors
+from torchjoint.results.result import Result
+from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.files import file_name
+from torchjoint.runtime.threads import on_cpu
+
+#: If half of the vertices are farther from the result than this share of its diagonal, the file is of another place.
+FAR = 0.25
+
+
+def nearest_labels(result: Result, points: Tensor) -> Tensor:
+    """The label of the result's point nearest to each of these points.
+
+    Args:
+        result: a result.
+        points: [M, 3] metres, in the frame of the result's cloud.
+
+    Returns:
+        [M] int64; -1 where a point is not finite.
+
+    Raises:
+        ValueError: half of the points are far from the result.
+    """
+    own, finite = result.scene.points, points.isfinite().all(1)
+    if points.shape == own.shape and torch.equal(points.double(), own.double()):
+        return result.points.clone()
+    from scipy.spatial import cKDTree
+
+    distance, index = cKDTree(own.double().numpy()).query(points[finite].double().numpy(), workers=-1)
+    diagonal = float((own.double().amax(0) - own.double().amin(0)).norm())
+    if len(distance) and np.median(distance) > FAR * diagonal:
+        raise ValueError(
+            f"expected vertices near the result's points, got half of them farther than {np.median(distance):.3g} m; "
+            "is the file of another place, or in another frame?"
+        )
+    labels = torch.full((len(points),), -1)
+    labels[finite] = result.points[torch.from_numpy(index)]
+    return labels
+
+
+@on_cpu()
+def label_file(source: Path, out: Path, result: Result, *, name: str = "label") -> None:
+    """Writes a file of vertices again, with a label for each vertex and each face.
+
+    * A .ply as OUT.ply is the same file, with one more property, int `name`; every other byte stays. Its faces also
+      have the property if all are triangles.
+    * Another mesh as OUT.ply has positions, colours, triangles and labels.
+    * OUT.glb is the mesh in the colours of the segments, with a node for each, which has the segment's name.
+
+    Args:
+        source: a .ply, .obj, .glb, .gltf, .off or .stl file in the frame of the result's cloud.
+        out: a .ply or .glb file.
+        result: the result.
+        name: of the property.
+
+    Raises:
+        ModuleNotFoundError: trimesh is not installed; a .ply as .ply does not need it.
+        FileNotFoundError, ValueError: the message names the file and its error.
+    """
+    mesh = _read(source)
+    try:
+        of_vertex = nearest_labels(result, mesh.points)
+        of_face = None if mesh.faces is None else nearest_labels(result, _centers(mesh.points, mesh.faces))
+        if out.suffix == ".glb":
+            _write_glb(out, mesh, of_face, result)
+        elif source.suffix.lower() != ".ply":
+            _write_mesh(out, mesh, of_vertex, of_face, name)
+        else:
+            records, labels = read_records(source), {"vertex": of_vertex.numpy()}
+            if of_face is not None and len(records.records.get("face", ())) == len(of_face):
+                labels["face"] = of_face.numpy()
+            write_bytes(out, records.with_labels(name, labels))
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from error
+
+
+@on_cpu()
+def part_files(source: Path, folder: Path, result: Result) -> None:
+    """Writes a .ply for each segment: its vertices, with all properties of a .ply, and the triangles between them.
+
+    Args:
+        source: as for :func:`label_file`.
+        folder: a new folder, for files 000000.ply, or 000000-NAME.ply, by label.
+        result: the result.
+
+    Raises:
+        As :func:`label_file`; also ValueError: an ascii .ply with faces.
+    """
+    mesh = _read(source)
+    folder.mkdir()
+    try:
+        of_vertex = nearest_labels(result, mesh.points)
+        if source.suffix.lower() == ".ply":
+            parts = read_records(source)
+        else:
+            with tempfile.TemporaryDirectory() as temporary:
+                write_cloud(Path(temporary) / "mesh.ply", mesh.points, mesh.colors)
+                parts = read_records(Path(temporary) / "mesh.ply")
+        for segment in of_vertex[of_vertex >= 0].unique().tolist():
+            which, triangles = of_vertex == segment, None
+            if mesh.faces is not None:
+                inside = mesh.faces[which[mesh.faces].all(1)]
+                triangles = (which.cumsum(0) - 1)[inside].numpy()
+            file = folder / f"{_stem(segment, result)}.ply"
+            file.write_bytes(parts.some_vertices(which.numpy(), triangles))
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from error
+
+
+def _read(source: Path) -> Ply:
+    suffix = source.suffix.lower()
+    if suffix not in (".ply", *meshes.SUFFIXES):
+        raise ValueError(f"{source}: expected a file that ends in {', '.join(('.ply', *meshes.SUFFIXES))}")
+    return read_ply(source) if suffix == ".ply" else meshes.read_mesh_file(source)
+
+
+def _centers(points: Tensor, faces: Tensor) -> Tensor:
+    return points[faces].double().mean(1)
+
+
+def _stem(segment: int, result: Result) -> str:
+    name = result.segment_names.get(segment)
+    return f"{segment:06d}" if name is None else file_name(f"{segment:06d}-{name}")
+
+
+def _write_mesh(out: Path, mesh: Ply, of_vertex: Tensor, of_face: Tensor | None, name: str) -> None:
+    with tempfile.TemporaryDirectory() as temporary:
+        file = Path(temporary) / "mesh.ply"
+        write_cloud(file, mesh.points, mesh.colors)
+        every = np.ones(len(mesh.points), dtype=np.bool_)
+        triangles = None if mesh.faces is None else mesh.faces.numpy()
+        file.write_bytes(read_records(file).some_vertices(every, triangles))
+        labels = {"vertex": of_vertex.numpy()} | ({} if of_face is None else {"face": of_face.numpy()})
+        write_bytes(out, read_records(file).with_labels(name, labels))
+
+
+def _write_glb(out: Path, mesh: Ply, of_face: Tensor | None, result: Result) -> None:
+    if mesh.faces is None or of_face is None:
+        raise ValueError("expected a mesh with faces, for a .glb, got vertices only")
+    with needed_for(".glb files", "trimesh", "torchjoint[mesh]"):
+        import trimesh
+    scene = trimesh.Scene()
+    for segment in of_face.unique().tolist():
+        corners, faces = mesh.faces[of_face == segment].unique(return_inverse=True)
+        color = (label_colors(torch.tensor([segment])) * 255).round().to(torch.uint8).expand(len(corners), 3)
+        part = trimesh.Trimesh(
+            mesh.points[corners].numpy(), faces.numpy(), vertex_colors=color.numpy(), process=False, validate=False
+        )
+        scene.add_geometry(part, node_name=_stem(segment, result), geom_name=_stem(segment, result))
+    write_bytes(out, scene.export(file_type="glb"))
