@@ -23,6 +23,10 @@ settings.register_profile("torchjoint", deadline=None, suppress_health_check=[He
 settings.load_profile("torchjoint")
 
 
+if "PYTEST_XDIST_WORKER" in os.environ:
+    torch.set_num_threads(1)  # each processor has a worker
+
+
 @pytest.fixture(scope="session", autouse=True)
 def no_cache() -> Iterator[None]:
     """Tests leave nothing in the user's cache, and find nothing there."""

@@ -1,6 +1,7 @@
 """A result is there as a whole or not at all, wherever the run that makes it is killed; and only one run makes it."""
 
 import os
+import re
 import sys
 import warnings
 
@@ -152,6 +153,13 @@ def test_mount_points_and_read_only_folders_are_known(tmp_path, monkeypatch):
     assert not module.is_fixed(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     assert module.is_fixed(tmp_path)
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").touch()
+    expected = f"-o: {tmp_path / 'file' / 'a' / 'out'}: its folder cannot be made: Not a directory"
+    with pytest.raises(NotADirectoryError, match=re.escape(expected)):
+        run(tmp_path / "file" / "a" / "out")
 
 
 def test_own_files_are_all_that_a_run_writes(out):

@@ -77,7 +77,7 @@ def _draw_frames(figure: Any, scene: Scene, result: Segmentation, chosen: list[i
 
 
 def _draw_cloud(figure: Any, scene: Scene, result: Segmentation) -> None:
-    colors = scene.colors if scene.colors is not None else torch.full_like(scene.points, 0.7)
+    colors = scene.colors if scene.colors is not None else torch.full(scene.points.shape, 0.7)
     pictures = render_cloud(scene, torch.cat([colors, label_colors(result.points)], 1)).split(3, 2)
     titles = ("cloud", f"cloud, {result.num_point_segments} segments")
     for axis, title, picture in zip(figure.subplots(1, 2), titles, pictures, strict=True):

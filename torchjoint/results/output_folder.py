@@ -96,7 +96,10 @@ def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = Fa
     out = Path(os.path.abspath(out))
     if out.is_symlink() or (out.exists() and not out.is_dir()):
         raise FileExistsError(f"{out}: exists and is not a folder; choose another name for the output")
-    out.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise type(error)(f"-o: {out}: its folder cannot be made: {error.strerror}") from error
     places = _Places.of(out)
     for path in places.own:
         no_link(path)

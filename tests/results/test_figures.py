@@ -1,0 +1,22 @@
+"""Pictures of clouds."""
+
+import pytest
+import torch
+
+import torchjoint as tj
+from torchjoint.results.figures import cloud_figure, overview
+from torchjoint.scene import Segmentation
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("with_colors", [True, False])
+def test_any_cloud_is_drawn(dtype, with_colors):
+    random = torch.Generator().manual_seed(0)
+    points = torch.rand(200, 3, generator=random, dtype=dtype)
+    points += 0 if dtype == torch.float32 else 1e5  # far from the origin: float32 would round it
+    scene = tj.Scene(points, colors=torch.rand(200, 3, generator=random, dtype=dtype) if with_colors else None)
+    assert scene.points.dtype == dtype
+    labels = torch.arange(200) % 3
+    for figure in (cloud_figure(scene, labels), overview(scene, Segmentation(labels, ()))):
+        figure.canvas.draw()
+        assert len(figure.get_axes() or figure.subfigs) > 0
