@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -41,6 +43,35 @@ class Crop:
         return f"Crop({self.name!r}: {width} x {height} pixels, {self.pixels} of the segment, {self.whole:.0%} whole)"
 
 
+class HasCamera(Protocol):
+    """What is needed of a frame to project points: the frame itself, or a :class:`Camera`."""
+
+    @property
+    def intrinsics(self) -> Tensor:
+        """[3, 3] camera matrix."""
+
+    @property
+    def world_to_camera(self) -> Tensor:
+        """[4, 4] pose."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W) of the image."""
+
+
+class Camera(NamedTuple):
+    """The camera of a frame, without its image."""
+
+    intrinsics: Tensor
+    world_to_camera: Tensor
+    size: tuple[int, int]
+
+    @classmethod
+    def of(cls, frame: Frame) -> Camera:
+        """The camera of a frame."""
+        return cls(frame.intrinsics, frame.world_to_camera, frame.size)
+
+
 def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, margin: float = 0.1) -> list[Crop]:
     """Crops the frames that show a segment best, best first.
 
@@ -67,16 +98,25 @@ def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, mar
         raise ValueError(f"k and margin: expected k >= 1 and margin >= 0, got {k} and {margin}")
     if len(result.images) != len(scene.frames):
         raise ValueError(f"scene: expected the {len(result.images)} frames of the result, got {len(scene.frames)}")
+    counts = parallel_map(lambda index: int((result.images[index] == segment).sum()), range(len(result.images)))
+    seen = {index: count for index, count in enumerate(counts) if count}
+    return crops_of(scene, result, segment, seen, {index: scene.frames[index] for index in seen}, k, margin)
+
+
+def crops_of(
+    scene: Scene,
+    result: Segmentation,
+    segment: int,
+    pixels: Mapping[int, int],
+    cameras: Mapping[int, HasCamera],
+    k: int,
+    margin: float,
+) -> list[Crop]:
+    """As :func:`best_crops`, for the frames in `pixels`, which has the number of the segment's pixels in each."""
     points = scene.points[result.points == segment]
-
-    def score(index: int) -> tuple[int, float]:
-        pixels = int((result.images[index] == segment).sum())
-        return pixels, _share_inside(points, scene.frames[index]) if pixels else 0.0
-
-    scores = parallel_map(score, range(len(result.images)))
-    values = [pixels * share**2 for pixels, share in scores]
-    best = [index for index in sorted(range(len(values)), key=lambda i: -values[i]) if scores[index][0]]
-    return [_crop(scene, result, segment, index, scores[index][1], margin) for index in best[:k]]
+    share = {index: _share_inside(points, cameras[index]) for index in pixels}
+    best = sorted(pixels, key=lambda index: (-pixels[index] * share[index] ** 2, index))
+    return [_crop(scene, result, segment, index, share[index], margin) for index in best[:k]]
 
 
 def check_segment(segment: int, count: int) -> int:
@@ -95,7 +135,7 @@ def check_segment(segment: int, count: int) -> int:
     return number
 
 
-def _share_inside(points: Tensor, frame: Frame) -> float:
+def _share_inside(points: Tensor, frame: HasCamera) -> float:
     return len(project(points, frame.intrinsics, frame.world_to_camera, frame.size).point) / max(len(points), 1)
 
 

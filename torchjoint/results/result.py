@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
+from torch import Tensor
+
 from torchjoint.config import Config
 from torchjoint.results.crops import Crop, best_crops, check_segment
+from torchjoint.results.embeddings import Embeddings, Encoder, embed
 from torchjoint.results.objects import SegmentRecord, segment_records
+from torchjoint.results.picking import Pick, Pixels, Prompts, pick
 from torchjoint.scene import Scene, Segmentation
 
 
@@ -69,3 +73,49 @@ class Result(Segmentation):
             ValueError: the id is unknown, k < 1, the margin is negative, or the result has no frames.
         """
         return best_crops(self.scene, self, segment, k, margin)
+
+    def embed(self, encoder: Encoder, k: int = 3, size: int = 224, margin: float = 0.1) -> Embeddings:
+        """Embeds each segment of the cloud by its best views; then words find things: ``embeddings.find(text)``.
+
+        A view gives two images: the thing on grey, and the thing with what is around it. The vector of a segment is the
+        mean of the unit vectors of all its images, of unit length.
+
+        Args:
+            encoder: a module or function that makes vectors [B, D] of images [B, 3, size, size], RGB in [0, 1], such as
+                ``lambda images: model.encode_image(normalize(images))`` with a model of open_clip. A module runs in
+                evaluation mode.
+            k: number of views of a segment.
+            size: of the images, pixels; what is not square has grey bars.
+            margin: around the thing, as a share of its longer side in the image.
+
+        Raises:
+            ValueError: a wrong argument, a result without frames, or an encoder that gives something else.
+        """
+        return embed(self.scene, self, encoder, k, size, margin)
+
+    def pick(
+        self,
+        points: Tensor | None = None,
+        *,
+        pixels: Pixels = (),
+        negative: Tensor | None = None,
+        negative_pixels: Pixels = (),
+    ) -> Pick:
+        """Picks the segment that contains some points and pixels, and none of others.
+
+        Without a negative, it is the segment of the default level, or, if the chosen points lie in several of them, the
+        smallest one that contains all. With negatives, each chosen point gives the largest segment inside it that
+        contains no negative, and the pick is all of these together.
+
+        Args:
+            points: [K] int64 indices of points, or [K, 3] float positions, metres; a position stands for the nearest
+                point.
+            pixels: (frame, column, row) of pixels.
+            negative: as `points`, where the segment must not be.
+            negative_pixels: as `pixels`.
+
+        Raises:
+            TypeError, ValueError: naming the argument, what was expected and what came; or nothing was chosen, or a
+                chosen point and a negative one lie in one piece.
+        """
+        return pick(self, self.scene.points, Prompts(points, pixels), Prompts(negative, negative_pixels))

@@ -1,0 +1,139 @@
+"""A vector for each thing, by an encoder of images that the caller brings: things by words (output after step 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from torchjoint.images._eval_mode import eval_mode
+from torchjoint.results.crops import Camera, Crop, crops_of
+from torchjoint.results.objects import segment_records
+from torchjoint.runtime.archives import read_archive
+from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.scene import Scene, Segmentation
+
+#: Images [B, 3, size, size] in [0, 1] to vectors [B, D].
+Encoder = Callable[[Tensor], Tensor]
+#: Of the frames that see a thing, so many with the most pixels are compared.
+CANDIDATES = 20
+#: Colour of what is not the thing, and beside an image that is not square.
+GREY = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Embeddings:
+    """Vectors of the segments of a cloud.
+
+    Attributes:
+        vectors: [S, D] float32 of unit length; zeros for a segment that no frame sees.
+    """
+
+    vectors: Tensor
+
+    @property
+    def seen(self) -> Tensor:
+        """[S] bool: the segments that have a vector."""
+        return (self.vectors != 0).any(1)
+
+    def find(self, query: Tensor, k: int = 5) -> list[tuple[int, float]]:
+        """The segments that are most similar to a query, such as the embedding of a text.
+
+        Args:
+            query: [D], of any length.
+            k: largest number of segments.
+
+        Returns:
+            (segment, cosine of the angle between the vectors), best first.
+
+        Raises:
+            ValueError: the query has another dimension, is zero or not finite, or k < 1.
+        """
+        wanted = torch.as_tensor(query).detach().flatten().to("cpu", torch.float32)
+        if wanted.shape != self.vectors.shape[1:] or not bool(wanted.isfinite().all()) or not bool(wanted.any()):
+            raise ValueError(
+                f"query: expected {self.vectors.shape[1]} finite numbers that are not all 0, got {list(query.shape)}"
+            )
+        if k < 1:
+            raise ValueError(f"k: expected at least 1, got {k}")
+        cosine = (self.vectors @ functional.normalize(wanted, dim=0)).where(self.seen, -torch.inf)
+        best = torch.sort(cosine, descending=True, stable=True).indices[: min(k, int(self.seen.sum()))]
+        return [(int(segment), float(cosine[segment])) for segment in best]
+
+    def save(self, path: str | Path) -> None:
+        """Writes an .npz archive with the array `vectors`."""
+        with atomic_write(Path(path)) as partial, partial.open("wb") as stream:
+            np.savez_compressed(stream, vectors=self.vectors.numpy())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Embeddings:
+        """Reads what :meth:`save` wrote.
+
+        Raises:
+            FileNotFoundError, ValueError: the message names the file and its error.
+        """
+        vectors = read_archive(Path(path), ("vectors",)).get("vectors")
+        if vectors is None or vectors.ndim != 2 or vectors.dtype != np.float32 or not np.isfinite(vectors).all():
+            raise ValueError(f"{path}: expected finite vectors [S, D] of float32")
+        return cls(torch.from_numpy(vectors))
+
+
+def embed(
+    scene: Scene, result: Segmentation, encoder: Encoder, k: int = 3, size: int = 224, margin: float = 0.1
+) -> Embeddings:
+    """Embeds each segment; see :meth:`torchjoint.results.result.Result.embed`."""
+    if k < 1 or size < 1 or not margin >= 0:
+        raise ValueError(f"k, size and margin: expected >= 1, >= 1 and >= 0, got {k}, {size} and {margin}")
+    if not len(result.images) or len(result.images) != len(scene.frames):
+        raise ValueError(f"result: expected frames, to see the segments, got {len(scene.frames)}")
+    records = segment_records(scene, result)
+    cameras = dict(enumerate(parallel_map(lambda index: Camera.of(scene.frames[index]), range(len(scene.frames)))))
+    vectors: dict[int, Tensor] = {}
+    for record in records:
+        views = sorted(record.views, key=lambda view: (-view.pixels, view.frame))[:CANDIDATES]
+        pixels = {view.frame: view.pixels for view in views}
+        crops = crops_of(scene, result, record.id, pixels, cameras, k, margin)
+        if crops:
+            images = torch.stack([image for crop in crops for image in _inputs(crop, size)])
+            vectors[record.id] = _mean_vector(encoder, images)
+    dimension = next((len(vector) for vector in vectors.values()), 0)
+    zeros = torch.zeros(dimension)
+    return Embeddings(torch.stack([vectors.get(record, zeros) for record in range(result.num_point_segments)]))
+
+
+def _inputs(crop: Crop, size: int) -> tuple[Tensor, Tensor]:
+    """The thing alone, and with what is around it."""
+    alone = torch.where(crop.mask, crop.image, GREY)
+    return _square(alone, size), _square(crop.image, size)
+
+
+def _square(image: Tensor, size: int) -> Tensor:
+    height, width = image.shape[1:]
+    side = max(height, width)
+    left, top = (side - width) // 2, (side - height) // 2
+    padded = functional.pad(image, (left, side - width - left, top, side - height - top), value=GREY)
+    resized = functional.interpolate(padded[None], (size, size), mode="bilinear", antialias=True, align_corners=False)
+    return resized[0].clamp(0, 1)
+
+
+def _mean_vector(encoder: Encoder, images: Tensor) -> Tensor:
+    """The mean direction of the vectors of some images, unit length."""
+    with torch.no_grad():
+        if isinstance(encoder, nn.Module):
+            with eval_mode(encoder):
+                found = encoder(images)
+        else:
+            found = encoder(images)
+    if not isinstance(found, Tensor) or found.dim() != 2 or len(found) != len(images):
+        got = list(found.shape) if isinstance(found, Tensor) else type(found).__name__
+        raise ValueError(f"encoder: expected vectors of shape [{len(images)}, D], got {got}")
+    found = found.detach().to("cpu", torch.float32)
+    if not bool(found.isfinite().all()):
+        raise ValueError("encoder: expected finite vectors, got NaN or infinity")
+    return functional.normalize(functional.normalize(found, dim=1).mean(0), dim=0)

@@ -1,0 +1,146 @@
+"""A segment from points or pixels that somebody chose, at the level of the hierarchy that fits them (after step 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.scene import Hierarchy, Segmentation
+
+#: Pixels as (frame, column, row).
+Pixels = Sequence[tuple[int, int, int]]
+
+
+class Pick(NamedTuple):
+    """What was picked.
+
+    Attributes:
+        points: [N] bool, the points of the cloud.
+        pieces: [K] int64, ascending, the pieces of the hierarchy; without a hierarchy, the segments. The mask of frame
+            ``i`` is ``torch.isin(result.piece_images[i], pick.pieces)``.
+    """
+
+    points: Tensor
+    pieces: Tensor
+
+
+class Prompts(NamedTuple):
+    """Points and pixels that somebody chose."""
+
+    points: Tensor | None = None  #: [K] int64 indices, or [K, 3] float positions
+    pixels: Pixels = ()
+
+
+def pick(result: Segmentation, cloud: Tensor, chosen: Prompts, negative: Prompts) -> Pick:
+    """Picks a segment; see :meth:`torchjoint.results.result.Result.pick`. `cloud`: [N, 3] the positions of the points.
+
+    Without a hierarchy, only whole segments can be picked.
+    """
+    wanted = _pieces(result, cloud, chosen, "points", "pixels")
+    unwanted = _pieces(result, cloud, negative, "negative", "negative_pixels")
+    if not wanted:
+        raise ValueError("points, pixels: expected at least one point or pixel, got none")
+    if both := wanted & unwanted:
+        raise ValueError(
+            f"negative: expected points apart from the chosen ones, but both are in piece {min(both)}, the smallest "
+            "part that the segmentation knows"
+        )
+    hierarchy = result.hierarchy
+    of_point = result.points if hierarchy is None else hierarchy.piece
+    inside = wanted if hierarchy is None else _grown(hierarchy, wanted, unwanted)
+    pieces = torch.tensor(sorted(inside))
+    return Pick(torch.isin(of_point, pieces), pieces)
+
+
+def _grown(hierarchy: Hierarchy, wanted: set[int], unwanted: set[int]) -> set[int]:
+    """The pieces of the largest segments that contain a wanted piece and no unwanted one."""
+    order = torch.argsort(hierarchy.heights, stable=True)
+    merges, heights = hierarchy.merges[order].tolist(), hierarchy.heights[order].tolist()
+    limit = max(hierarchy.default, _height_of_all(hierarchy.num_pieces, merges, heights, wanted))
+    groups = _Groups(hierarchy.num_pieces)
+    ended = [piece in unwanted for piece in range(hierarchy.num_pieces)]  # groups that cannot grow: one above has one
+    for (a, b), height in zip(merges, heights, strict=True):
+        if height > limit:
+            break
+        one, other = groups.of(a), groups.of(b)
+        if ended[one] or ended[other]:
+            ended[one] = ended[other] = True
+        else:
+            groups.join(one, other)
+    chosen = {groups.of(piece) for piece in wanted}
+    return {piece for piece in range(hierarchy.num_pieces) if groups.of(piece) in chosen}
+
+
+def _height_of_all(count: int, merges: list[list[int]], heights: list[float], wanted: set[int]) -> float:
+    """The height at which all wanted pieces are in one segment; 0 if they never are."""
+    groups, first = _Groups(count), min(wanted)
+    left = {piece for piece in wanted if piece != first}
+    for (a, b), height in zip(merges, heights, strict=True):
+        if not left:
+            return 0.0
+        groups.join(groups.of(a), groups.of(b))
+        left = {piece for piece in left if groups.of(piece) != groups.of(first)}
+        if not left:
+            return height
+    return 0.0
+
+
+class _Groups:
+    """Numbers 0 ... count - 1 in groups, which have one of their numbers as name."""
+
+    def __init__(self, count: int) -> None:
+        self._above = list(range(count))
+
+    def of(self, number: int) -> int:
+        """The group of a number."""
+        while self._above[number] != number:
+            self._above[number] = number = self._above[self._above[number]]
+        return number
+
+    def join(self, one: int, other: int) -> None:
+        """Joins two groups."""
+        self._above[other] = one
+
+
+def _pieces(result: Segmentation, cloud: Tensor, prompts: Prompts, name: str, pixel_name: str) -> set[int]:
+    """The pieces of some points and pixels; the names are those of the arguments."""
+    of_point = result.points if result.hierarchy is None else result.hierarchy.piece
+    found = set() if prompts.points is None else set(of_point[_indices(cloud, prompts.points, name)].tolist())
+    count = int(of_point.max()) + 1
+    for pixel in prompts.pixels:
+        found.add(_piece_of_pixel(result, pixel, count, pixel_name))
+    return found
+
+
+def _piece_of_pixel(result: Segmentation, pixel: tuple[int, int, int], count: int, name: str) -> int:
+    if len(pixel) != 3 or not all(isinstance(value, int) for value in pixel):
+        raise TypeError(f"{name}: expected (frame, column, row), got {pixel!r}")
+    frame, column, row = pixel
+    if not 0 <= frame < len(result.images):
+        raise ValueError(f"{name}: expected a frame from 0 to {len(result.images) - 1}, got {frame}")
+    image = result.images[frame] if result.hierarchy is None else result.piece_images[frame]
+    if not (0 <= row < image.shape[0] and 0 <= column < image.shape[1]):
+        raise ValueError(f"{name}: expected a pixel of {image.shape[1]} x {image.shape[0]}, got {column}, {row}")
+    piece = int(image[row, column])
+    if not 0 <= piece < count:
+        raise ValueError(f"{name}: expected a pixel of a segment of the cloud; {column}, {row} is of none")
+    return piece
+
+
+def _indices(cloud: Tensor, points: Tensor, name: str) -> Tensor:
+    if not isinstance(points, Tensor):
+        raise TypeError(f"{name}: expected a tensor, got {type(points).__name__}")
+    count = len(cloud)
+    if points.is_floating_point():
+        if points.dim() != 2 or points.shape[1] != 3 or not bool(points.isfinite().all()):
+            raise ValueError(f"{name}: expected finite positions of shape [K, 3], got {list(points.shape)}")
+        nearest = [int((cloud - one).square().sum(1).argmin()) for one in points.to(cloud.dtype)]
+        return torch.tensor(nearest, dtype=torch.int64)
+    if points.dim() != 1 or points.dtype not in (torch.int64, torch.int32):
+        raise TypeError(f"{name}: expected indices of shape [K], int64, got {points.dtype} {list(points.shape)}")
+    if len(points) and not 0 <= int(points.min()) <= int(points.max()) < count:
+        raise ValueError(f"{name}: expected indices in [0, {count}), got {int(points.min())} to {int(points.max())}")
+    return points.long()
