@@ -12,6 +12,7 @@ from torchjoint.results.crops import Crop, best_crops, check_segment
 from torchjoint.results.embeddings import Embeddings, Encoder, embed
 from torchjoint.results.objects import SegmentRecord, segment_records
 from torchjoint.results.picking import Pick, Pixels, Prompts, pick
+from torchjoint.results.relations import Relations, relations
 from torchjoint.scene import Scene, Segmentation
 
 
@@ -92,6 +93,17 @@ class Result(Segmentation):
             ValueError: a wrong argument, a result without frames, or an encoder that gives something else.
         """
         return embed(self.scene, self, encoder, k, size, margin)
+
+    def graph(self, up: Tensor | None = None) -> Relations:
+        """Which segments of the cloud stand on, hang on, contain and touch which, from geometry alone.
+
+        Args:
+            up: [3] upward direction; None: from the cameras and the large planes.
+
+        Returns:
+            the relations; ``graph.of(segment)``, ``graph.to_networkx()``.
+        """
+        return relations(self.scene, self, up)
 
     def pick(
         self,
