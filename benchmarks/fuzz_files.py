@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 import torchjoint as tj
+from torchjoint.results.exports import FORMATS as EXPORTS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -84,8 +85,7 @@ def make_samples(folder: Path) -> list[Sample]:
     for name in samples.FORMATS:
         path = samples.write(name, folder / name)
         made.append(Sample(name, folder / name, lambda path=path: read_scene(path)))
-    made += make_clouds(folder)
-    return [*made, *make_run(folder)]
+    return [*made, *make_clouds(folder), *make_meshes(folder), *make_instances(folder), *make_run(folder)]
 
 
 def make_clouds(folder: Path) -> list[Sample]:
@@ -108,6 +108,69 @@ def make_clouds(folder: Path) -> list[Sample]:
         else:
             np.save(path, points.numpy()) if suffix == "npy" else np.savetxt(path, points.numpy())
         made.append(Sample(f".{suffix}", path.parent, lambda path=path: read(path)))
+    return made
+
+
+def make_meshes(folder: Path) -> list[Sample]:
+    """Meshes of other formats; and a .ply whose records get labels."""
+    import trimesh
+
+    from torchjoint.datasets.files.meshes import SUFFIXES, read_mesh_file
+    from torchjoint.datasets.files.ply import read_vertex_property
+    from torchjoint.datasets.files.ply_records import read_records, write_bytes
+
+    def read(path: Path) -> Content:
+        mesh = read_mesh_file(path)
+        content = {"points": mesh.points} | ({} if mesh.faces is None else {"faces": mesh.faces})
+        return content | ({} if mesh.colors is None else {"colors": mesh.colors})
+
+    def labelled(path: Path) -> Content:
+        records = read_records(path)
+        count = records.header.elements[0].rows
+        out = folder / "labelled.ply"
+        write_bytes(out, records.with_labels("label", {"vertex": np.arange(count)}))
+        labels = read_vertex_property(out, "label")
+        if labels is None or not np.array_equal(labels, np.arange(count)):
+            raise FindingError(f"{path.name}: other labels than were written")
+        return {"labels": torch.from_numpy(labels)}
+
+    made, mesh = [], trimesh.creation.icosphere(subdivisions=1)
+    mesh.visual.vertex_colors = np.arange(3 * len(mesh.vertices), dtype=np.uint8).reshape(-1, 3)
+    for suffix in (one for one in SUFFIXES if one != ".gltf"):
+        path = folder / f"mesh{suffix}" / f"mesh{suffix}"
+        path.parent.mkdir()
+        mesh.export(path)
+        made.append(Sample(f"mesh {suffix}", path.parent, lambda path=path: read(path)))
+    for encoding in ("ascii", "binary"):
+        path = folder / f"records_{encoding}" / "mesh.ply"
+        path.parent.mkdir()
+        mesh.export(path, encoding=encoding)
+        made.append(Sample(f"records {encoding}", path.parent, lambda path=path: labelled(path)))
+    return made
+
+
+def make_instances(folder: Path) -> list[Sample]:
+    """Predicted instances as in ScanNet's benchmark, in both layouts."""
+    from torchjoint.evaluation.instances import read_instances
+
+    labels = torch.arange(60) // 20
+    scene = tj.Scene(torch.rand(60, 3, generator=torch.Generator().manual_seed(0)), name="scene0000_00")
+    result = tj.Result.of(tj.Segmentation(labels, ()), scene)
+
+    def read(path: Path) -> Content:
+        found = read_instances(path, 60)
+        masks = torch.zeros(len(found.points), 60)
+        for mask, points in zip(masks, found.points, strict=True):
+            mask[points] = 1
+        return {"masks": masks, "scores": found.scores}
+
+    made = []
+    for name, path in (("scannet", "instances/scene0000_00.txt"), ("masks", "archive/a.npz")):
+        root = (folder / path).parent
+        if name == "masks":
+            root.mkdir()
+        EXPORTS[name](root if name == "scannet" else folder / path, result)
+        made.append(Sample(f"instances {name}", root, lambda path=path: read(folder / path)))
     return made
 
 
