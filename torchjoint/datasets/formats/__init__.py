@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Protocol, cast
 
 from torchjoint.datasets.formats import (
+    arkitscenes,
     bop,
     cloud_alone,
     colmap,
@@ -26,6 +27,7 @@ from torchjoint.datasets.formats import (
     nuscenes,
     organized_pcd,
     posed_images,
+    replica,
     ros,
     scannet,
     tum,
@@ -61,6 +63,8 @@ FORMATS: dict[str, Format] = {
     "bop": cast(Format, bop),
     "ycb_video": cast(Format, ycb_video),
     "posed_images": cast(Format, posed_images),
+    "replica": cast(Format, replica),
+    "arkitscenes": cast(Format, arkitscenes),
     "ros": cast(Format, ros),
     "cloud_alone": cast(Format, cloud_alone),  # last: other formats have clouds with images
 }

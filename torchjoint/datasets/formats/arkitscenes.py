@@ -1,0 +1,127 @@
+"""Reads ARKitScenes (Baruch et al., NeurIPS 2021): one recording of an iPad, as downloaded for 3D detection.
+
+lowres_wide/ID_TIME.png               8-bit RGB, 256 x 192
+lowres_depth/ID_TIME.png              16-bit, millimetres, 0 = unknown
+lowres_wide_intrinsics/ID_TIME.pincam width height fx fy cx cy
+lowres_wide.traj                      time, axis and angle, translation: world-to-camera, OpenCV axes
+ID_3dod_mesh.ply                      the cloud: its vertices (optional: fused from depth if absent)
+ID_3dod_annotation.json               oriented boxes of objects (optional)
+
+The files of frames are in the folder itself or in ID_frames/. TIME is in seconds; a pose is interpolated between the
+one before and the one after, and images without a pose within 0.06 s are left out. Truth: a point belongs to the
+smallest box that contains it; all others are void.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.boxes import instances_in_boxes
+from torchjoint.datasets.cameras import Camera, pinhole_matrix
+from torchjoint.datasets.files.json_record import read_record
+from torchjoint.datasets.files.readers import read_depth, read_image
+from torchjoint.datasets.files.text import parse_numbers, read_lines
+from torchjoint.datasets.pose_interpolation import interpolate_poses
+from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene, Truth
+
+WHAT = (
+    "lowres_wide.traj with lowres_wide/, lowres_wide_intrinsics/ and lowres_depth/, here or in ID_frames/ (ARKitScenes)"
+)
+TRAJECTORY, IMAGES, DEPTHS, CAMERAS = "lowres_wide.traj", "lowres_wide", "lowres_depth", "lowres_wide_intrinsics"
+#: Poses are known ten times a second.
+TOLERANCE = 0.06
+#: Times of an image and of its camera may differ in the last digit, seconds.
+STEP = 0.001
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether `path` is a recording's folder."""
+    return path.is_dir() and (_frames_folder(path) / TRAJECTORY).is_file()
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the folder; see :func:`torchjoint.load_scene`."""
+    folder, clouds = _frames_folder(path), [path / f"{path.name}_3dod_mesh.ply"]
+    scene = scene_of_frames(path, _read_frames(folder), options, clouds)
+    annotation = path / f"{path.name}_3dod_annotation.json"
+    if not annotation.is_file() or find_cloud(path, options, clouds) != clouds[0]:
+        return scene
+    return replace(scene, truth=Truth(_instances(annotation, scene.points)))
+
+
+def _frames_folder(path: Path) -> Path:
+    inside = path / f"{path.name}_frames"
+    return inside if inside.is_dir() else path
+
+
+def _read_frames(folder: Path) -> LazySequence[Frame]:
+    images = sorted((_time(file), file) for file in (folder / IMAGES).glob("*.png"))
+    poses = _read_poses(folder / TRAJECTORY, [time for time, _ in images])
+    shots = [(file, pose) for (_, file), pose in zip(images, poses, strict=True) if pose is not None]
+    if not shots:
+        raise ValueError(f"{folder / IMAGES}: no image has a pose in {TRAJECTORY} within {TOLERANCE} s")
+
+    def read(index: int) -> Frame:
+        file, pose = shots[index]
+        depth = folder / DEPTHS / file.name
+        camera = _camera(folder / CAMERAS, file.stem)
+        measured = read_depth(depth) if depth.is_file() else None
+        return camera.frame(read_image(file, camera.size), invert_pose(pose), measured, file.stem)
+
+    return LazySequence(len(shots), read, [file.stem for file, _ in shots])
+
+
+def _time(file: Path) -> float:
+    return parse_numbers([file.stem.rpartition("_")[2]], f"{file}: time in the name")[0]
+
+
+def _read_poses(file: Path, times: list[float]) -> list[Tensor | None]:
+    """Camera-to-world poses at these times."""
+    from scipy.spatial.transform import Rotation
+
+    rows = {}
+    for name, line in read_lines(file, "lines of a time, an axis and angle, and a translation"):
+        values = parse_numbers(line.split(), name)
+        if values:
+            if len(values) != 7:
+                raise ValueError(f"{name}: expected 7 numbers, got {len(values)}")
+            rows[values[0]] = values
+    if not rows:
+        raise ValueError(f"{file}: expected lines of 7 numbers, got none")
+    table = np.array([rows[time] for time in sorted(rows)])
+    to_world = Rotation.from_rotvec(table[:, 1:4]).inv()
+    centers = -to_world.apply(table[:, 4:])
+    poses = np.concatenate([table[:, :1], centers, to_world.as_quat()], axis=1)
+    return interpolate_poses(poses, np.array(times, dtype=np.float64), TOLERANCE, str(file))
+
+
+def _camera(folder: Path, stem: str) -> Camera:
+    identifier, _, time = stem.rpartition("_")
+    near = (f"{identifier}_{float(time) + shift:.3f}.pincam" for shift in (0, -STEP, STEP))
+    file = next((folder / name for name in near if (folder / name).is_file()), folder / f"{stem}.pincam")
+    lines = [parse_numbers(line.split(), name) for name, line in read_lines(file, "width height fx fy cx cy")]
+    numbers = [number for line in lines for number in line]
+    if len(numbers) != 6:
+        raise ValueError(f"{file}: expected width height fx fy cx cy, got {len(numbers)} numbers")
+    width, height, fx, fy, cx, cy = numbers
+    return Camera(pinhole_matrix(fx, fy, cx, cy), (round(height), round(width)), name=str(file))
+
+
+def _instances(file: Path, points: Tensor) -> Tensor:
+    boxes = [
+        one.record("segments").record("obbAligned") for one in read_record(file, "boxes of objects").records("data")
+    ]
+    if not boxes:
+        return torch.full((len(points),), -1)
+    centers, sizes = (torch.stack([box.numbers(key, 3) for box in boxes]) for key in ("centroid", "axesLengths"))
+    if not bool((sizes > 0).all()):
+        raise ValueError(f"{file}: axesLengths: expected lengths > 0")
+    axes = torch.stack([box.numbers("normalizedAxes", 9).reshape(3, 3) for box in boxes])  # one axis a row
+    return instances_in_boxes(points, centers, sizes, axes.transpose(1, 2))

@@ -1,0 +1,70 @@
+"""Reads Replica as NICE-SLAM renders it (Straub et al. 2019; Zhu et al., CVPR 2022): one room.
+
+results/frameNNNNNN.jpg      8-bit RGB
+results/depthNNNNNN.png      16-bit, `scale` per metre, 0 = unknown
+traj.txt                     a line for each frame: 16 numbers, camera-to-world by rows, OpenCV axes
+../cam_params.json           {"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}}; also in the room's folder
+../ROOM_mesh.ply             the cloud: its vertices (optional: fused from depth if absent)
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.cameras import Camera, pinhole_matrix
+from torchjoint.datasets.files.json_record import Record, read_record
+from torchjoint.datasets.files.readers import read_depth, read_image
+from torchjoint.datasets.files.text import parse_numbers, read_lines
+from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene
+from torchjoint.scene.checks import as_pose
+
+WHAT = "traj.txt and results/frame*.jpg, with cam_params.json here or above (Replica, as NICE-SLAM has it)"
+CAMERA = "cam_params.json"
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether `path` is a room's folder."""
+    return path.is_dir() and (path / "traj.txt").is_file() and any((path / "results").glob("frame*.jpg"))
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the folder; see :func:`torchjoint.load_scene`."""
+    file = next((one for one in (path / CAMERA, path.parent / CAMERA) if one.is_file()), path / CAMERA)
+    values = read_record(file, "the camera of Replica").record("camera")
+    scale = values.number("scale")
+    if not scale > 0:
+        raise ValueError(f"{values.name}: scale: expected steps per metre, > 0, got {scale:g}")
+    camera, poses = _camera(values), _read_poses(path / "traj.txt")
+    images = sorted((path / "results").glob("frame*.jpg"))
+    if len(images) != len(poses):
+        raise ValueError(f"{path / 'traj.txt'}: expected {len(images)} poses, one for each image, got {len(poses)}")
+
+    def read(index: int) -> Frame:
+        depth = images[index].with_name(f"{images[index].stem.replace('frame', 'depth')}.png")
+        measured = read_depth(depth, 1 / scale) if depth.is_file() else None
+        return camera.frame(read_image(images[index], camera.size), poses[index], measured, images[index].stem)
+
+    frames = LazySequence(len(images), read, [image.stem for image in images])
+    return scene_of_frames(path, frames, options, [path.parent / f"{path.name}_mesh.ply"])
+
+
+def _camera(values: Record) -> Camera:
+    fx, fy, cx, cy, width, height = (values.number(key) for key in ("fx", "fy", "cx", "cy", "w", "h"))
+    return Camera(pinhole_matrix(fx, fy, cx, cy), (round(height), round(width)), name=values.name)
+
+
+def _read_poses(file: Path) -> list[Tensor]:
+    poses = []
+    for name, line in read_lines(file, "lines of 16 numbers, camera-to-world poses"):
+        numbers = parse_numbers(line.split(), name)
+        if numbers:
+            if len(numbers) != 16:
+                raise ValueError(f"{name}: expected 16 numbers, a pose, got {len(numbers)}")
+            pose = torch.tensor(numbers, dtype=torch.float64).reshape(4, 4)
+            poses.append(invert_pose(as_pose(pose, name)))
+    return poses
