@@ -9,6 +9,9 @@ COMMANDS = {
     "robustness": Command(
         "torchjoint_lab.cli.robustness:robustness", "measures how much results change with noise, light and poses"
     ),
+    "scannet200": Command(
+        "torchjoint_lab.cli.scannet200:scannet200", "segments and scores ScanNet, with masks of others"
+    ),
     "train-forest": Command("torchjoint_lab.cli.train_forest:train_forest", "trains the boundary detector of images"),
     "train-boundary-model": Command(
         "torchjoint_lab.cli.train_boundary_model:train_boundary_model", "trains the model of step 6, method learned"
