@@ -1,14 +1,15 @@
 """torchjoint-lab scannet200: from ScanNet as it is downloaded, and masks as others publish them, to a row of a table.
 
-Masks of a scan are label images NAME.png (0: none), or what else :func:`torchjoint.masks.read_folder` reads, one for each
-frame, in DIR/SCAN, DIR/SCAN/mask or DIR/SCAN/output/mask. The last is how MaskClustering and CDIS keep those of CropFormer.
+Masks of a scan are label images NAME.png (0: none), or what else :func:`torchjoint.masks.read_folder` reads, one for
+each frame, in DIR/SCAN, DIR/SCAN/mask or DIR/SCAN/output/mask. The last is how MaskClustering and CDIS keep those of
+CropFormer.
 """
 
 from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import tyro
 from tqdm import tqdm
@@ -55,8 +56,8 @@ def scannet200(
 ) -> None:
     """Segments the annotated scans of ScanNet, scores them as its benchmark does, and writes a table.
 
-    A run that was killed goes on when the same command is started again: scans with a result are only scored. A scan that
-    fails stops no other.
+    A run that was killed goes on when the same command is started again: scans with a result are only scored. A scan
+    that fails stops no other.
 
     Args:
         scans: the folder of the data set, or its folder of scans, as downloaded.
@@ -90,8 +91,7 @@ def scannet200(
     if not scored:
         raise ValueError(f"{scans}: no scan was scored; the first error: {next(iter(failed.values()), 'none')}")
     text = _table(metric.compute(), scored, masks, protocol)
-    for name, error in failed.items():
-        text += f"\n{name} failed: {error}"
+    text += "".join(f"\n{name} failed: {reason}" for name, reason in failed.items())
     write_text(out / TABLE, f"{text}\n")
     print(text)
 
@@ -111,7 +111,7 @@ def masks_of(folder: Path, scan: str) -> Path:
 def _segment(path: Path, out: Path, options: RecordingOptions, masks: Path | None, engine: str | None) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # most frames have no masks: networks take every tenth
-        without = "segment" if masks is None else "leave-out"
+        without: Literal["segment", "leave-out"] = "segment" if masks is None else "leave-out"
         if engine is None:
             segment_recording(path, out, Config(), options, masks=masks, without_masks=without)
         else:
