@@ -1,13 +1,14 @@
 """Does the model of boundaries carry over? Leaves each kind of data out of the training, and scores it there.
 
     python lab/studies/domains.py WORK --data ../shared/data [--models FOLDER] [--seeds 5] [--draws 8 --steps 4]
-        [--kinds KIND ...] [--scenes COUNT] [--write]
+        [--runs 4] [--kinds KIND ...] [--scenes COUNT] [--write]
 
 For each kind of data and each training seed, a model is trained on all other kinds; each, and their mean, is scored on
 scenes of the kind that they never saw, at the threshold of .5. Beside it: the model that saw scenes of all kinds, the
 same without images, the presets, and the common methods without learning, each at the best setting that a search finds
-on other scenes of the very kind that it is scored on. Also: the final images beside the initial ones. WORK keeps what
-is done, so that an interrupted run continues. The tables are printed; --write also puts them into
+on other scenes of the very kind that it is scored on. Also: the final images beside the initial ones. Each scene is
+scored --runs times, with points that are moved by .1 mm, because the score of one run is chance. WORK keeps what is
+done, so that an interrupted run continues. The tables are printed; --write also puts them into
 lab/studies/README.md, and a short one into README.md and docs/evaluation.md. Without 3D models, the generated scenes
 have built-in shapes only.
 """
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -27,7 +28,9 @@ import report
 import torch
 from torch import Tensor
 from torchjoint_lab.benchmark.case import Case
+from torchjoint_lab.benchmark.disturbances import moved
 from torchjoint_lab.benchmark.methods import METHODS
+from torchjoint_lab.benchmark.robustness import NOISE
 from torchjoint_lab.benchmark.search import Budget, run_scores, search
 from torchjoint_lab.synthetic import make_domain_scene
 from torchjoint_lab.training import save_boundary_model
@@ -80,6 +83,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="folder with mosd/ and ycb/")
     parser.add_argument("--models", type=Path, help="folder of 3D models for the generated scenes")
     parser.add_argument("--seeds", type=int, default=5, help="training seeds of each left-out model")
+    parser.add_argument("--runs", type=int, default=4, help="runs of each scene, on moved points")
     parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--steps", type=int, default=4)
     parser.add_argument("--kinds", nargs="+", choices=(*DOMAINS, *REAL), default=(*DOMAINS, *REAL), help="only these")
@@ -107,12 +111,12 @@ def main() -> None:
         for kind in kinds:
             score_final_images(work, kind, arguments)
     if (work / "packaged.json").is_file():  # without the scores of --part left-out there is no table
-        show_tables(work, kinds, arguments.write)
+        show_tables(work, kinds, arguments.runs, arguments.write)
 
 
 def check(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Ends with a message if an argument is wrong, or if WORK has the results of other scenes."""
-    for name, least in (("seeds", 1), ("draws", 1), ("steps", 0), ("scenes", 1)):
+    for name, least in (("seeds", 1), ("runs", 1), ("draws", 1), ("steps", 0), ("scenes", 1)):
         value = getattr(arguments, name)
         if value is not None and value < least:
             parser.error(f"--{name}: expected at least {least}, got {value}")
@@ -126,7 +130,7 @@ def check(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> Non
             parser.error(f"--data: expected a folder with {kind}/, got {arguments.data}")
     arguments.work.mkdir(parents=True, exist_ok=True)
     file, record = arguments.work / "arguments.json", {"kinds": str(sorted(arguments.kinds))}
-    record |= {name: str(getattr(arguments, name)) for name in ("models", "scenes", "draws", "steps")}
+    record |= {name: str(getattr(arguments, name)) for name in ("models", "scenes", "runs", "draws", "steps")}
     if file.is_file() and (before := json.loads(file.read_text())) != record:
         parser.error(f"work: {arguments.work} has results of other arguments: {before}; choose another folder")
     write_text(file, json.dumps(record))
@@ -157,6 +161,23 @@ def load_thinned(path: Path, kind: str) -> Scene:
     return scene.select_points(voxel_subsample(scene.points, 0.005)) if kind == "mosd" else scene
 
 
+def moved_scenes(named: Named, runs: int) -> list[Named]:
+    """The scene to be scored, as each run sees it: its points are moved by noise of the run's own."""
+
+    def load(run: int) -> Scene:
+        scene = named.load()
+        generator = torch.Generator().manual_seed(run)
+        return replace(scene, points=moved(scene.points, NOISE, generator))
+
+    return [Named(f"{named.name}.{run}", partial(load, run)) for run in range(runs)]
+
+
+def to_score(kind: str, arguments: argparse.Namespace) -> list[Named]:
+    """All runs of all scenes of a kind that are scored: the runs of the first scene, of the second, ..."""
+    found = scenes(kind, "scoring", arguments)
+    return [run for named in found for run in moved_scenes(named, arguments.runs)]
+
+
 class Judged(NamedTuple):
     """A scene to be scored: its evidence with and without images, and the truth of its points."""
 
@@ -181,7 +202,7 @@ def prepare(arguments: argparse.Namespace) -> None:
         for name, load in scenes(kind, "training", arguments):
             if not (folder / f"{name}.pt").is_file():
                 save_evidence(folder / f"{name}.pt", labelled_evidence(load()))
-        for name, load in scenes(kind, "scoring", arguments):
+        for name, load in to_score(kind, arguments):
             path = folder / f"{name}-of-point.pt"
             if path.is_file():
                 continue
@@ -202,7 +223,7 @@ def judged_scenes(kind: str, arguments: argparse.Namespace) -> list[Judged]:
             load_evidence(folder / f"{name}-without.pt"),
             *torch.load(folder / f"{name}-of-point.pt"),
         )
-        for name, _ in scenes(kind, "scoring", arguments)
+        for name, _ in to_score(kind, arguments)
     ]
 
 
@@ -263,7 +284,7 @@ def score_others(work: Path, kind: str, arguments: argparse.Namespace) -> None:
         for name in SIMPLE
     }
     rows: dict[str, list[tuple[float, float]]] = {}
-    for named in scenes(kind, "scoring", arguments):
+    for named in to_score(kind, arguments):
         case = Case(named.load(), config)
         for name in (*(f"preset_{preset}" for preset in PRESETS), *SIMPLE):
             judged = run_scores(METHODS[name], settings.get(name, {}), case, False)["3D"]
@@ -278,7 +299,7 @@ def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> 
     if done.is_file():
         return
     rows: dict[str, list[tuple[float, float]]] = {"initial": [], "final": []}
-    for named in scenes(kind, "scoring", arguments):
+    for named in to_score(kind, arguments):
         scene = named.load()
         result = tj.JointSegmenter()(scene)
         assert scene.truth is not None
@@ -290,9 +311,9 @@ def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> 
     print(kind, {name: np.mean(values, 0).round(3).tolist() for name, values in rows.items()}, flush=True)
 
 
-def show_tables(work: Path, kinds: Sequence[str], write: bool) -> None:
+def show_tables(work: Path, kinds: Sequence[str], runs: int, write: bool) -> None:
     """Prints the tables of what has been scored so far; `write`: also into lab/studies/README.md and PAGES."""
-    packaged = json.loads((work / "packaged.json").read_text())
+    packaged = {kind: by_run(rows, runs) for kind, rows in json.loads((work / "packaged.json").read_text()).items()}
     short = ["kind of data, scenes", "left out", "default", "preset regions", "best simple method"]
     columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "mean of models", "default"]
     columns += [*(f"preset {preset}" for preset in PRESETS), "best simple method", "left out - preset regions"]
@@ -303,19 +324,21 @@ def show_tables(work: Path, kinds: Sequence[str], write: bool) -> None:
         mean = work / f"left-out-{kind}-mean{len(files)}.json"  # a mean of fewer seeds is another model
         if not mean.is_file() or not (work / f"others-{kind}.json").is_file():
             continue
-        runs = [json.loads(file.read_text()) for file in files]
-        left = np.array([run["learned, left out"] for run in runs])  # [seeds, scenes, 2]
-        blind = np.array([run["learned, left out, no images"] for run in runs])
-        together = np.array(json.loads(mean.read_text())["learned, left out"])[None]
-        others = {n: np.array(v) for n, v in json.loads((work / f"others-{kind}.json").read_text()).items()}
+        seeds = [by_run(json.loads(file.read_text()), runs) for file in files]
+        left = np.concatenate([seed["learned, left out"] for seed in seeds])  # [seeds * runs, scenes, 2]
+        blind = np.concatenate([seed["learned, left out, no images"] for seed in seeds])
+        together = by_run(json.loads(mean.read_text()), runs)["learned, left out"]
+        others = by_run(json.loads((work / f"others-{kind}.json").read_text()), runs)
         simple = max(SIMPLE, key=lambda name: float(others[name].mean()))
-        gains = [left.mean(0) - others[name] for name in ("preset_regions", simple)]
-        cells = [f"{TITLES.get(kind, kind)}, {left.shape[1]}", f"{_both(left)}, {len(runs)}"]
+        gains = [left.mean(0) - others[name].mean(0) for name in ("preset_regions", simple)]
+        cells = [f"{TITLES.get(kind, kind)}, {left.shape[1]}", f"{_both(left)}, {len(seeds)}"]
         cells += [_both(blind), _both(together)]
-        cells += [_both(np.array(packaged[kind]["default"])[None])]
-        cells += [_both(others[f"preset_{preset}"][None]) for preset in PRESETS]
-        cells += [f"{_both(others[simple][None])} ({simple})", *map(difference, gains)]
+        cells += [_both(packaged[kind]["default"])]
+        cells += [_both(others[f"preset_{preset}"]) for preset in PRESETS]
+        cells += [f"{_both(others[simple])} ({simple})", *map(difference, gains)]
         rows.append(cells)
+    if not rows:
+        return
     report.show("domains", report.table(columns, rows), write)
     chosen = [columns.index(name) for name in ("preset regions", "best simple method")]
     brief = [[row[0], row[1].rpartition(",")[0], row[4], *(row[place] for place in chosen)] for row in rows]
@@ -325,17 +348,23 @@ def show_tables(work: Path, kinds: Sequence[str], write: bool) -> None:
     for kind in kinds:
         if not (work / f"images-{kind}.json").is_file():
             continue
-        of_images = {n: np.array(v) for n, v in json.loads((work / f"images-{kind}.json").read_text()).items()}
-        initial, final = of_images.values()
-        in_3d = [np.array(packaged[kind][name]) for name in ("default", "default, no images")]
-        cells = [f"{TITLES.get(kind, kind)}, {len(initial)}", *(_both(scores[None]) for scores in (initial, final))]
-        rows.append([*cells, difference(final - initial), difference(in_3d[0] - in_3d[1])])
+        initial, final = by_run(json.loads((work / f"images-{kind}.json").read_text()), runs).values()
+        with_images, without = (packaged[kind][name] for name in ("default", "default, no images"))
+        cells = [f"{TITLES.get(kind, kind)}, {initial.shape[1]}", _both(initial), _both(final)]
+        rows.append([*cells, difference((final - initial).mean(0)), difference((with_images - without).mean(0))])
+    if not rows:
+        return
     columns = ["kind of data, scenes", "initial images", "final images", "final - initial"]
     report.show("images or not", report.table([*columns, "3D: with - without images"], rows), write)
 
 
+def by_run(rows: Mapping[str, Sequence[Sequence[float]]], runs: int) -> dict[str, np.ndarray]:
+    """Of each row the scores [runs, scenes, 2], from those of the runs of the first scene, of the second, ..."""
+    return {name: np.array(values).reshape(-1, runs, 2).transpose(1, 0, 2) for name, values in rows.items()}
+
+
 def _both(scores: np.ndarray) -> str:
-    """F / best IoU of [seeds, scenes, 2]; with several seeds, the standard deviation of the seeds' means."""
+    """F / best IoU of [runs, scenes, 2]; with several runs, the standard deviation of the runs' means."""
     mean = scores.mean((0, 1))
     if len(scores) == 1:
         return f"{mean[0]:.3f} / {mean[1]:.3f}"

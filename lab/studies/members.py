@@ -113,9 +113,9 @@ def model_paths(work: Path, left_out: str) -> list[Path]:
 
 
 def evidence_paths(work: Path, kind: str) -> list[Path]:
-    """The files with evidence with images, one for each scene of a kind."""
+    """The files with evidence with images, one for each scene of a kind: the first run, where there are several."""
     paths = sorted((work / "evidence").glob(f"{kind}-*.pt"))
-    return [path for path in paths if not path.stem.endswith(("-without", "-of-point"))]
+    return [path for path in paths if path.stem.endswith(".0") or "." not in path.stem]
 
 
 def scores_of_scene(path: Path, model: BoundaryModel) -> list[tuple[float, float]]:
