@@ -118,3 +118,77 @@ def test_wrong_input_is_named(frames):
 def test_an_image_that_measured_nothing_is_no_error(frames):
     blind = replace(frames[1], depth=torch.zeros_like(frames[1].depth))
     assert len(played([blind, frames[0], blind]).result(images=False).ids)
+
+
+def test_new_poses_move_the_cloud_and_the_evidence(frames):
+    shift = torch.eye(4, dtype=torch.float64)
+    shift[:3, 3] = torch.tensor([4 * VOXEL, 0, -2 * VOXEL])
+    segmenter = played(frames, keep_depth=True)
+    assert len(segmenter.names) == len(frames)
+    before = segmenter.result()
+    segmenter.set_poses(torch.stack([frame.world_to_camera for frame in frames]))
+    again = segmenter.result()
+    assert torch.cdist(again.cloud.points, before.cloud.points).amin(1).max() < 0.1 * VOXEL  # depth was rounded
+    assert len(again.cloud.points) > 0.99 * len(before.cloud.points)
+    segmenter.set_poses(torch.stack([frame.world_to_camera @ shift for frame in frames]))
+    after = segmenter.result()
+    assert torch.allclose(after.cloud.points, again.cloud.points - shift[:3, 3].float(), atol=1e-4)
+    assert torch.equal(after.segmentation.points, again.segmentation.points)
+    for one, other in zip(after.segmentation.images, again.segmentation.images, strict=True):
+        assert torch.equal(one, other)
+
+
+def test_new_poses_are_checked(frames):
+    poses = torch.stack([frame.world_to_camera for frame in frames])
+    with pytest.raises(RuntimeError, match="give keep_depth=True"):
+        played(frames).set_poses(poses)
+    segmenter = played(frames, keep_depth=True)
+    with pytest.raises(ValueError, match=r"expected \[4, 4, 4\], a pose for each keyframe, got \[2, 4, 4\]"):
+        segmenter.set_poses(poses[:2])
+    poses[1] *= 2
+    with pytest.raises(ValueError, match=r"world_to_camera\[1\]: expected a rigid transform"):
+        segmenter.set_poses(poses)
+    tj.LiveSegmenter(keep_depth=True).set_poses(poses[:0])
+
+
+def test_dark_frames_are_fused_again_as_they_were_taken(frames):
+    dark = [replace(frame, image=frame.image / 8) for frame in frames]
+    segmenter = played(dark, step=0, keep_depth=True)
+    before = segmenter.result(images=False)
+    segmenter.set_poses(torch.stack([frame.world_to_camera for frame in dark]))
+    after = segmenter.result(images=False)
+    assert after.cloud.colors.mean() == pytest.approx(before.cloud.colors.mean().item(), abs=0.005)
+
+
+@pytest.mark.parametrize("stop", [0, 2])
+def test_a_saved_segmenter_goes_on_to_the_bit(frames, tmp_path, stop):
+    masks = torch.zeros(1, 48, 64, dtype=torch.bool)
+    masks[:, 10:30, 10:30] = True
+    frames = [frames[0], replace(frames[1], masks=masks), *frames[2:]]
+    first = played(frames[:stop], keep_depth=True)
+    if stop:
+        first.result(images=False)
+    first.save(tmp_path / "state")
+    second = tj.LiveSegmenter(voxel_size=VOXEL, keep_depth=True)
+    second.restore(tmp_path / "state")
+    for segmenter in (first, second):
+        segmenter.update(frames[stop:])
+    one, other = first.result(), second.result()
+    assert torch.equal(one.cloud.points, other.cloud.points)
+    assert torch.equal(one.labels, other.labels)
+    assert one.changes == other.changes
+    for a, b in zip(one.segmentation.images, other.segmentation.images, strict=True):
+        assert torch.equal(a, b)
+
+
+def test_a_wrong_state_is_named(frames, tmp_path):
+    played(frames[:1]).save(tmp_path / "state")
+    with pytest.raises(ValueError, match=r"expected a state with \{'voxel_size': 0.02.*got \{'voxel_size': 0.05"):
+        tj.LiveSegmenter().restore(tmp_path / "state")
+    content = bytearray((tmp_path / "state").read_bytes())
+    content[-10] ^= 1
+    (tmp_path / "state").write_bytes(content)
+    with pytest.raises(ValueError, match="damaged"):
+        tj.LiveSegmenter(voxel_size=VOXEL).restore(tmp_path / "state")
+    with pytest.raises(OSError, match="no-such"):
+        tj.LiveSegmenter().restore(tmp_path / "no-such")

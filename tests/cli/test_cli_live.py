@@ -60,3 +60,31 @@ def test_a_recording_without_depth_is_named(tmp_path, scene_of, run):
     folder = write_folder(tmp_path / "recording", scene_of(2), depth=False)
     with pytest.raises(SystemExit, match="depth: the frames so far give no surface"):
         run("live", folder, "-o", tmp_path / "out", "--rate", "None")
+
+
+def test_a_page_shows_each_result(recording, tmp_path, run, monkeypatch, capsys):
+    shown, served = [], []
+
+    class Page:
+        viewer = "viewer"
+
+        def camera(self, frame):
+            shown.append(frame.name)
+
+        def show(self, result, frames, note):
+            shown.append((len(frames), len(result.labels) == len(result.cloud.points), note))
+
+    monkeypatch.setattr("torchjoint.cli.live.growing_view", lambda now: Page() if now else None)
+    monkeypatch.setattr("torchjoint.cli.live.serve_until_interrupted", served.append)
+    options = ("--rate", "None", "--voxel-size", "0.05", "--show")
+    run("live", recording, "-o", tmp_path / "out", *options)
+    names = [frame.name for frame in tj.load_scene(recording).frames]
+    assert [one for one in shown if isinstance(one, str)] == names
+    results = [one for one in shown if not isinstance(one, str)]
+    assert len(results) > 1
+    assert all(fits for _, fits, _ in results)
+    assert results[0][2].startswith(f"after {results[0][0]} frames: ")
+    assert results[-1][0] == len(names)
+    assert results[-1][2].startswith("at the end: ")
+    assert served == ["viewer"]
+    assert "after 1 frames: " in capsys.readouterr().out

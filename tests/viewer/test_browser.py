@@ -454,6 +454,43 @@ def test_a_run_is_shown_while_its_frames_come(browser, scene_of, tmp_path):
     live.viewer.stop()
 
 
+def test_the_cloud_grows_while_frames_come(browser, scene_of):
+    from torchjoint.viewer.growing import GrowingView
+
+    frames = scene_of(3).scene.frames
+    view, segmenter = GrowingView(lambda url: None, port=8980), tj.LiveSegmenter(voxel_size=0.04)
+    segmenter.update(frames[:2])
+    first = segmenter.result(images=False)
+    view.camera(frames[1])  # there is no page yet
+    view.show(first, frames[:2], "after 2 frames")
+    page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    page.goto(view.viewer.url)
+    wait(lambda: drawn(page) > 1000)
+    wait(lambda: camera(view.viewer) is not None)
+    wait(lambda: "after 2 frames" in page.inner_text("#tj-note"))
+    segment, place = visible_segments(view.viewer)[0]
+    page.mouse.click(*place)
+    wait(lambda: view.viewer.model.selected == (segment,))
+    thing = view.viewer.model.key(segment)
+    color = view.viewer.model.piece_colors()[segment]
+    segmenter.update(frames[2:])
+    second = segmenter.result(images=False)
+    assert len(second.cloud.points) > len(first.cloud.points)
+    assert thing in second.ids
+    view.camera(frames[-1])
+    view.show(second, frames, "after all frames")
+    wait(lambda: "after all frames" in page.inner_text("#tj-note"))
+    (segment,) = view.viewer.model.selected  # the same thing
+    assert view.viewer.model.key(segment) == thing
+    assert np.array_equal(view.viewer.model.piece_colors()[segment], color)
+    assert f"segment {thing}" in panel(page)
+    place = dict(visible_segments(view.viewer))[segment]
+    wait(lambda: is_like(color_at(page, place), color))
+    assert page.locator("#tj-image").count() == 0
+    page.close()
+    view.viewer.stop()
+
+
 def test_the_static_page(browser, out, run, tmp_path):
     run("show", out, "--static", tmp_path / "page.html")
     page = browser.new_page(viewport={"width": 1000, "height": 900})

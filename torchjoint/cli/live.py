@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import tyro
 
 from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
+from torchjoint.cli.show import growing_view, serve_until_interrupted
 from torchjoint.datasets import load_scene
 from torchjoint.live import LiveResult, LiveSegmenter
 from torchjoint.recordings.playing import play
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
-from torchjoint.scene import Scene
+from torchjoint.scene import Frame, Scene
+from torchjoint.scene.subset import subset
+
+if TYPE_CHECKING:
+    from torchjoint.viewer.growing import GrowingView
 
 
 def live(
@@ -24,6 +31,7 @@ def live(
     parameters: Flat = DEFAULTS,
     rate: float | None = 30.0,
     every: int = 0,
+    show: bool = False,
     voxel_size: float = 0.02,
     step: float = 0.1,
     turn: float = 10.0,
@@ -38,8 +46,9 @@ def live(
         out: folder for the last result, as of `torchjoint segment`, with the keyframes.
         parameters: parameters of the method.
         rate: frames a second; frames for which there is no time are dropped. "None": all frames, as fast as possible.
-        every: compute the things after so many frames, besides after the last one; 0: only then. It takes seconds,
-            while frames go on.
+        every: compute the things after so many frames, besides after the last one; 0: only then, with --show one time
+            after the other. It takes seconds, while frames go on.
+        show: open a page in the browser in which the things appear, keep their colours, and can be clicked.
         voxel_size: metres, the distance of the points.
         step: metres; a frame is a keyframe if its camera has moved at least so far since the last one.
         turn: degrees; or if it has turned by at least this angle.
@@ -50,37 +59,56 @@ def live(
     if every < 0:
         raise ValueError(f"--every: expected a number of frames of at least 0, got {every}")
     config = parameters.config()
+    view = growing_view(show)
     segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn)
     with printed_log(), output_folder(out, f"live {scene.absolute()}", overwrite=overwrite) as partial:
         assert partial is not None  # only runs with a key can be finished
         recording = load_scene(scene, voxel_size=voxel_size)
+        last = _Results(segmenter, recording.frames, view)
 
         with ThreadPoolExecutor(1) as beside:
-            running: list[Future[None]] = []
+            running: list[Future[LiveResult]] = []
 
             def tell(count: int) -> None:
                 if running and running[-1].done():
                     running.pop().result()  # raises its error
-                if every and count % every == 0 and not running and segmenter.names:
-                    running.append(beside.submit(_tell, segmenter, count))
+                if view is not None:
+                    view.camera(recording.frames[count - 1])
+                is_time = count % every == 0 if every else show
+                if is_time and not running and segmenter.names:
+                    running.append(beside.submit(last.compute, count))
 
             played = play(recording.frames, segmenter, rate, tell)
-        for last in running:
-            last.result()
+        for one in running:
+            one.result()
         print(
             f"{len(played.seconds)} frames, the slowest in {max(played.seconds):.2f} seconds; {len(played.dropped)} "
             f"dropped; {len(played.keyframes)} keyframes"
         )
-        result = segmenter.result()
-        print(f"at the end: {_described(result)}")
+        result = last.compute(len(recording.frames), is_last=True)
         seen = recording.select_frames(played.keyframes)
         things = Scene(result.cloud.points, seen.frames, result.cloud.colors, name=recording.name)
         write_result(partial, things, result.segmentation, config, str(scene), seconds=segmenter.stopwatch.seconds)
     summarize(result.segmentation, out)
+    if view is not None and view.viewer is not None:
+        serve_until_interrupted(view.viewer)
 
 
-def _tell(segmenter: LiveSegmenter, count: int) -> None:
-    print(f"after {count} frames: {_described(segmenter.result(images=False))}", flush=True)
+class _Results(NamedTuple):
+    """Computes the things so far, tells what has become of them, and shows them."""
+
+    segmenter: LiveSegmenter
+    frames: Sequence[Frame]
+    view: GrowingView | None
+
+    def compute(self, count: int, is_last: bool = False) -> LiveResult:
+        """Of the first `count` frames."""
+        result = self.segmenter.result(images=is_last)
+        when = "at the end" if is_last else f"after {count} frames"
+        print(f"{when}: {_described(result)}", flush=True)
+        if self.view is not None:
+            self.view.show(result, subset(self.frames, range(count)), f"{when}: {len(result.ids)} things")
+        return result
 
 
 def _described(result: LiveResult) -> str:

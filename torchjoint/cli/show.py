@@ -25,6 +25,7 @@ from torchjoint.scene.hierarchy import check_granularity
 
 if TYPE_CHECKING:
     from torchjoint.viewer.app import Viewer
+    from torchjoint.viewer.growing import GrowingView
     from torchjoint.viewer.live import LiveView
 
 
@@ -79,6 +80,15 @@ def live_view(now: bool) -> LiveView | None:
     return LiveView(_open_page)
 
 
+def growing_view(now: bool) -> GrowingView | None:
+    """A page for live segmentation if `now` is True; otherwise None."""
+    if not now:
+        return None
+    from torchjoint.viewer.growing import GrowingView
+
+    return GrowingView(_open_page)
+
+
 def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, scene: Scene) -> None:
     """Shows a new result, whose parameters can be changed on the page; without a view, prints how to show it."""
     if view is None:
@@ -86,7 +96,7 @@ def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, sce
         return
     from torchjoint.viewer.parameters import LiveRun
 
-    _serve_until_interrupted(view.finish(out, LiveRun(segmenter, scene)))
+    serve_until_interrupted(view.finish(out, LiveRun(segmenter, scene)))
 
 
 def _read(out: Path, truth: bool) -> Result:
@@ -143,10 +153,11 @@ def _serve(
         print(f"--host {host}: whoever gets the address below from this network sees this result, and may change it")
     viewer = Viewer(result, Shown(folder), granularity=granularity, up=up, host=host, port=port)
     _open_page(viewer.url, open_browser)
-    _serve_until_interrupted(viewer)
+    serve_until_interrupted(viewer)
 
 
-def _serve_until_interrupted(viewer: Viewer) -> None:
+def serve_until_interrupted(viewer: Viewer) -> None:
+    """Serves a page until the program is interrupted."""
     with suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
         viewer.wait()
 

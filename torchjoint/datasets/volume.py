@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
@@ -53,6 +55,15 @@ class Volume:
         row, order = self._row[torch.searchsorted(self._key, key)].sort()
         image, lengths = (depth, color, intrinsics, world_to_camera), (self.voxel_size, self.truncation, self.far)
         integrate_depth(self._sums, row, _position(key[order]), *image, *lengths)
+
+    def state(self) -> dict[str, Tensor]:
+        """All tensors of the volume, copied, for :meth:`restore`."""
+        return {"key": self._key.clone(), "sums": self._sums[self._row]}
+
+    def restore(self, state: Mapping[str, Tensor]) -> None:
+        """Takes the :meth:`state` of another volume with voxels of the same size."""
+        self._key, self._sums = state["key"], state["sums"]
+        self._row = torch.arange(len(self._key))
 
     def surface(self) -> tuple[Tensor, Tensor]:
         """Returns the points where the distance changes its sign between neighbouring voxels, and their colours.

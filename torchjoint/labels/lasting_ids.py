@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -69,6 +70,14 @@ class LastingIds:
         )
         self._cube, self._id, self._next = cube, ids[segment_of_cube], self._next + len(fresh)
         return ids, changes
+
+    def state(self) -> dict[str, Tensor | int]:
+        """What :meth:`restore` takes."""
+        return {"cube": self._cube, "id": self._id, "next": self._next}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Goes on with the ids of another object."""
+        self._cube, self._id, self._next = state["cube"], state["id"], state["next"]
 
     def _shared(self, cube: Tensor, segment: Tensor) -> list[tuple[int, int, int]]:
         """(number of shared cubes, former thing, segment): most cubes first, then the oldest and the lowest."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -60,6 +61,15 @@ class Packed:
             numbers = np.add.accumulate(numbers, axis=-1, dtype=np.uint8)
         tensor = torch.from_numpy(numbers if numbers.flags.writeable else numbers.copy()).to(_TYPES[self.dtype])
         return tensor + self.low if self.low else tensor
+
+    def to_dict(self) -> dict[str, Any]:
+        """A dict of a tensor, numbers and strings, for torch.save and loading with ``weights_only=True``."""
+        return {**vars(self), "content": torch.frombuffer(bytearray(self.data()), dtype=torch.uint8)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Packed:
+        """The inverse of :meth:`to_dict`."""
+        return cls(**{**values, "content": values["content"].numpy().tobytes()})
 
     @property
     def num_bytes(self) -> int:

@@ -14,7 +14,7 @@ from torchjoint.results.edits import write_edits
 from torchjoint.results.result import Result
 from torchjoint.results.shading import Shading
 from torchjoint.results.upright import up_direction
-from torchjoint.viewer.cameras import Cameras, viewpoint
+from torchjoint.viewer.cameras import Cameras, Viewpoint, add_camera, viewpoint
 from torchjoint.viewer.cloud import CloudView
 from torchjoint.viewer.html import PREFIX, image_html, note_html, panel_html, table_html
 from torchjoint.viewer.model import Model
@@ -84,6 +84,24 @@ class Viewer:
         with self._lock:
             self.model = self.model.of_result(result)
             self._draw()
+
+    def grow(self, result: Result, shading: Shading) -> None:
+        """Shows a result with another cloud; what is selected stays so, by the ids of the segments."""
+        with self._lock:
+            chosen = [self.model.key(segment) for segment in self.model.selected]
+            model = Model(result, self._shown.edits(result), self.model.up)
+            model.mode, model.shading = self.model.mode, shading
+            model.select(tuple(one for one in map(model.segment_of_key, chosen) if one is not None))
+            self.model = model
+            self._cloud.remove()
+            self._cloud = CloudView(self.server, result.scene.points.numpy(), model.point_colors())
+            self._cloud.resize(self._panel.size.value)
+            self._draw_lists()
+
+    def draw_camera(self, view: Viewpoint, share: float) -> None:
+        """Draws a camera, in the place of the last one; its size is a share of the distance of the first view."""
+        with self._lock:
+            add_camera(self.server, "/camera", view, share * self._distance, (230, 90, 0))
 
     def open(self, result: Result, shown: Shown) -> None:
         """Shows another result of the same scene with its own corrections, and the controls that it allows.

@@ -69,15 +69,21 @@ class Cameras:
             handle.visible = is_visible
 
     def _add(self, name: str, index: int, size: float, color: tuple[int, int, int]) -> Any:
-        view = viewpoint(self._frames[index])
-        return self._server.scene.add_camera_frustum(
-            name,
-            fov=view.fov,
-            aspect=view.aspect,
-            scale=size,
-            line_width=1.5,
-            color=color,
-            wxyz=view.wxyz,
-            position=view.position,
-            visible=self._is_visible,
-        )
+        return add_camera(self._server, name, viewpoint(self._frames[index]), size, color, self._is_visible)
+
+
+def add_camera(
+    server: Any, name: str, view: Viewpoint, size: float, color: tuple[int, int, int], is_visible: bool = True
+) -> Any:
+    """Draws a camera; it replaces the object of the same name."""
+    return server.scene.add_camera_frustum(
+        name,
+        fov=view.fov,
+        aspect=view.aspect,
+        scale=size,
+        line_width=1.5,
+        color=color,
+        wxyz=view.wxyz,
+        position=view.position,
+        visible=is_visible,
+    )

@@ -60,6 +60,11 @@ class CloudView:
         self._handles: dict[int, Any] = {}
         self._draw()
 
+    def remove(self) -> None:
+        """Removes the points from the page."""
+        for handle in self._handles.values():
+            handle.remove()
+
     def recolor(self, colors: Bytes) -> None:
         """Changes the colours; those of hidden blocks change when the blocks are shown."""
         self._colors, self._current = colors, set()

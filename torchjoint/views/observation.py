@@ -118,20 +118,12 @@ class PackedObservation:
 
     def to_dict(self) -> dict[str, Any]:
         """A dict of tensors, numbers and strings, for torch.save and loading with ``weights_only=True``."""
-        parts = {
-            name: vars(part) | {"content": torch.frombuffer(bytearray(part.data()), dtype=torch.uint8)}
-            for name, part in self.parts.items()
-        }
-        return {"name": self.name, "parts": parts}
+        return {"name": self.name, "parts": {name: part.to_dict() for name, part in self.parts.items()}}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> PackedObservation:
         """The inverse of :meth:`to_dict`."""
-        parts = {
-            name: Packed(**part | {"content": part["content"].numpy().tobytes()})
-            for name, part in values["parts"].items()
-        }
-        return cls(values["name"], parts)
+        return cls(values["name"], {name: Packed.from_dict(part) for name, part in values["parts"].items()})
 
 
 class _Opened(Observation):

@@ -6,10 +6,12 @@ segments once, and keep them packed. A result takes the surface for the cloud, a
 
 from __future__ import annotations
 
+import io
 import math
 import threading
 from collections.abc import Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -18,14 +20,16 @@ from torchjoint.config import Config
 from torchjoint.datasets.depth_agreement import warn_of_poses
 from torchjoint.datasets.fusion import FAR, add_frame, check_unit, surface_cloud, volume_origin
 from torchjoint.datasets.volume import Volume
-from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
+from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter
 from torchjoint.labels.lasting_ids import Changes, LastingIds
-from torchjoint.runtime.packing import Packed, pack
+from torchjoint.live.keyframe import Keyframe
+from torchjoint.runtime.checked_files import read_checked, write_checked
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu, parallel_map
-from torchjoint.scene import Cloud, Frame, Masks, Segmentation
+from torchjoint.scene import Cloud, Frame, Segmentation
 from torchjoint.scene.camera import camera_center
+from torchjoint.scene.checks import as_pose
 from torchjoint.segments.learned.method import Learned
 
 #: The depth of this many keyframes is checked, and compared at their poses. One image without depth is no error.
@@ -65,6 +69,7 @@ class LiveSegmenter(nn.Module):
         step, turn: metres, degrees: a frame is a keyframe if its camera is at least this far from the last keyframe's,
             or turned by at least this angle. Smaller numbers give more evidence, and cost time and memory. 0: all
             frames are keyframes.
+        keep_depth: keep the depth of keyframes in memory, which :meth:`set_poses` needs.
         boundary, image_segmenter: as of :class:`JointSegmenter`.
 
     Example:
@@ -84,6 +89,7 @@ class LiveSegmenter(nn.Module):
         voxel_size: float = 0.02,
         step: float = 0.1,
         turn: float = 10.0,
+        keep_depth: bool = False,
         boundary: nn.Module | None = None,
         image_segmenter: nn.Module | None = None,
     ) -> None:
@@ -97,14 +103,14 @@ class LiveSegmenter(nn.Module):
         name = self.config.point_segments.method
         if name in ("scan", "paper"):
             raise ValueError(f"config: expected point_segments.method learned (or auto, or a model), got {name}")
-        self.step, self.turn = step, turn
+        self.step, self.turn, self.keep_depth = step, turn, keep_depth
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
         self._method = Learned(self.config)
         self._volume = Volume(voxel_size, FAR)
         self._origin: Tensor | None = None
         self._pose: Tensor | None = None  # of the last keyframe
-        self._keyframes: list[_Keyframe] = []
+        self._keyframes: list[Keyframe] = []
         self._to_compare: list[Frame] | None = []  # None: they were compared
         self._ids = LastingIds()
         self._lock = threading.Lock()  # of the volume and the keyframes
@@ -140,7 +146,7 @@ class LiveSegmenter(nn.Module):
                 self._compare(frame)
                 developed = self._method.developed(frame)
                 (segments,) = self.image_segmenter([developed], self.stopwatch)
-                self._keyframes.append(_Keyframe.packed(developed, segments))
+                self._keyframes.append(Keyframe.packed(frame, developed, segments, FAR if self.keep_depth else None))
 
     @torch.no_grad()
     @on_cpu()
@@ -165,13 +171,91 @@ class LiveSegmenter(nn.Module):
         segmenter = JointSegmenter(self.config, method=lambda config, _: Learned(config))
         segmenter.reset(points, colors)
         for first in range(0, len(keyframes), BATCH):
-            opened = parallel_map(_Keyframe.opened, keyframes[first : first + BATCH])
+            opened = parallel_map(Keyframe.opened, keyframes[first : first + BATCH])
             segmenter.observe(*zip(*opened, strict=True))
         found = segmenter.compute(images=images)
         side = CUBE * self._volume.voxel_size
         place = ((points.double() - self._origin) / side).floor().long()
         ids, changes = self._ids.name(place[:, 0] << 42 ^ place[:, 1] << 21 ^ place[:, 2], found.points)
         return LiveResult(Cloud(points, colors), found, ids, changes)
+
+    @torch.no_grad()
+    @on_cpu()
+    def set_poses(self, world_to_camera: Tensor) -> None:
+        """Replaces the poses of the keyframes, for example after a loop closure.
+
+        Later frames have poses in the same world. The cloud is fused anew, from the keyframes alone: the depth of other
+        frames is not kept.
+
+        Args:
+            world_to_camera: [K, 4, 4] one for each of the keyframes, in the order of :attr:`names`.
+
+        Raises:
+            RuntimeError: the depth of keyframes was not kept.
+            ValueError: another shape, or a matrix that is no pose.
+        """
+        if not self.keep_depth:
+            raise RuntimeError("LiveSegmenter: set_poses needs the depth of keyframes; give keep_depth=True")
+        if tuple(world_to_camera.shape) != (len(self._keyframes), 4, 4):
+            expected = f"[{len(self._keyframes)}, 4, 4], a pose for each keyframe"
+            raise ValueError(f"world_to_camera: expected {expected}, got {list(world_to_camera.shape)}")
+        if not self._keyframes:
+            return
+        poses = [as_pose(pose, f"world_to_camera[{index}]") for index, pose in enumerate(world_to_camera)]
+        moved = [one._replace(world_to_camera=pose) for one, pose in zip(self._keyframes, poses, strict=True)]
+        assert self._origin is not None
+        volume = Volume(self._volume.voxel_size, FAR)
+        with self.stopwatch("fusion"):
+            for frame in filter(None, map(Keyframe.measured, moved)):
+                add_frame(volume, frame, self._origin)
+        with self._lock:
+            self._volume, self._keyframes, self._pose = volume, moved, poses[-1]
+
+    def save(self, path: str | Path) -> None:
+        """Writes what :meth:`restore` needs to go on from here: one file, which is replaced as a whole.
+
+        Frames must not be added at the same time.
+
+        Raises:
+            OSError: for example if the disk is full; an earlier file then stays.
+        """
+        compared = self._to_compare
+        values = {
+            "settings": self._settings(),
+            "origin": self._origin,
+            "pose": self._pose,
+            "volume": self._volume.state(),
+            "keyframes": [keyframe.to_dict() for keyframe in self._keyframes],
+            "to_compare": None if compared is None else [_frame_values(frame) for frame in compared],
+            "ids": self._ids.state(),
+        }
+        content = io.BytesIO()
+        torch.save(values, content)
+        write_checked(Path(path), content.getvalue())
+
+    def restore(self, path: str | Path) -> None:
+        """Goes on from what :meth:`save` wrote: the same frames then give the same results, to the bit.
+
+        Args:
+            path: of a segmenter with the same arguments; networks are not compared.
+
+        Raises:
+            OSError: the file cannot be read.
+            ValueError: it is damaged, or of another version, or of a segmenter with other arguments.
+        """
+        values = torch.load(io.BytesIO(read_checked(Path(path))), weights_only=True)
+        if values["settings"] != self._settings():
+            raise ValueError(f"{path}: expected a state with {self._settings()}, got {values['settings']}")
+        self._origin, self._pose = values["origin"], values["pose"]
+        self._volume.restore(values["volume"])
+        self._keyframes = [Keyframe.from_dict(one) for one in values["keyframes"]]
+        compared = values["to_compare"]
+        self._to_compare = None if compared is None else [Frame(**one) for one in compared]
+        self._ids.restore(values["ids"])
+
+    def _settings(self) -> dict[str, Any]:
+        own = {"voxel_size": self._volume.voxel_size, "step": self.step, "turn": self.turn}
+        return own | {"keep_depth": self.keep_depth, "config": self.config.to_dict()}
 
     def _is_keyframe(self, pose: Tensor) -> bool:
         if self._pose is None:
@@ -191,33 +275,7 @@ class LiveSegmenter(nn.Module):
             self._to_compare = None
 
 
-class _Keyframe(NamedTuple):
-    """The results of steps 1 and 2 for one frame, packed, and its camera."""
-
-    name: str
-    intrinsics: Tensor
-    world_to_camera: Tensor
-    image: Packed
-    boundary: Packed
-    labels: Packed
-    masks: Masks | None
-
-    @classmethod
-    def packed(cls, frame: Frame, segments: ImageSegments) -> _Keyframe:
-        # 8 bits are what steps 5-8 see of images.
-        image, boundary = (values.mul(255).round().to(torch.uint8) for values in (frame.image, segments.boundary))
-        labels = segments.labels.to(torch.int32)
-        return cls(
-            frame.name,
-            frame.intrinsics,
-            frame.world_to_camera,
-            pack(image),
-            pack(boundary),
-            pack(labels),
-            segments.masks,
-        )
-
-    def opened(self) -> tuple[Frame, ImageSegments]:
-        frame = Frame(self.image.unpack(), self.intrinsics, self.world_to_camera, name=self.name)
-        segments = ImageSegments(self.boundary.unpack().float() / 255, self.labels.unpack().long(), self.masks)
-        return frame, segments
+def _frame_values(frame: Frame) -> dict[str, Any]:
+    """The arguments of a frame for comparison."""
+    names = ("image", "intrinsics", "world_to_camera", "depth", "name")
+    return {name: getattr(frame, name) for name in names}
