@@ -192,3 +192,16 @@ def test_a_wrong_state_is_named(frames, tmp_path):
         tj.LiveSegmenter(voxel_size=VOXEL).restore(tmp_path / "state")
     with pytest.raises(OSError, match="no-such"):
         tj.LiveSegmenter().restore(tmp_path / "no-such")
+
+
+def test_superpoints_live_keep_their_ids_too(frames):
+    segmenter = played(frames[:3], granularity=1.0)
+    first = segmenter.result(images=False)
+    segmenter.update(frames[3])
+    second = segmenter.result(images=False)
+    things = played(frames).result(images=False).segmentation
+    assert torch.equal(second.segmentation.points, things.hierarchy.piece)
+    assert len(second.ids) > things.num_point_segments
+    assert len(set(first.ids.tolist()) & set(second.ids.tolist())) > len(first.ids) / 2
+    with pytest.raises(ValueError, match="granularity: expected"):
+        tj.LiveSegmenter(granularity=2)

@@ -66,6 +66,8 @@ TITLES = {"mosd": "real table-tops (mOSD)", "ycb": "real desk (YCB-Video)"}
 OPTIONS = BoundaryModelOptions(folds=2)
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", ROOT / "docs" / "evaluation.md")
+#: Frames held in memory at a time.
+FRAMES = 8
 PRESETS = ("regions", "indoor", "tabletop")
 SIMPLE = ("normals", "distance_normal_color", "ransac_dbscan")
 
@@ -88,7 +90,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=4)
     parser.add_argument("--kinds", nargs="+", choices=(*DOMAINS, *REAL), default=(*DOMAINS, *REAL), help="only these")
     parser.add_argument("--scenes", type=int, metavar="COUNT", help="at most so many of each kind for each purpose")
-    parser.add_argument("--part", choices=("all", "left-out", "others", "images", "tables"), default="all")
+    parser.add_argument("--part", choices=("all", "left-out", "default", "others", "images", "tables"), default="all")
     report.add_write(parser, "the tables in lab/studies/README.md, README.md and docs/evaluation.md")
     arguments = parser.parse_args()
     work: Path = arguments.work
@@ -103,15 +105,16 @@ def main() -> None:
         for kind in left_out_kinds:
             members = [left_out_model(work, kind, seed, arguments) for seed in range(arguments.seeds)]
             score_left_out(work, kind, f"mean{len(members)}", BoundaryModel.mean_of(members), arguments)
-        score_packaged(work, kinds, arguments)
+    if arguments.part in ("all", "default"):
+        for kind in kinds:
+            score_default(work, kind, arguments)
     if arguments.part in ("all", "others"):
         for kind in kinds:
             score_others(work, kind, arguments)
     if arguments.part in ("all", "images"):
         for kind in kinds:
             score_final_images(work, kind, arguments)
-    if (work / "packaged.json").is_file():  # without the scores of --part left-out there is no table
-        show_tables(work, kinds, arguments.runs, arguments.write)
+    show_tables(work, kinds, arguments.runs, arguments.write)
 
 
 def check(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
@@ -259,16 +262,25 @@ def left_out_model(work: Path, left_out: str, seed: int, arguments: argparse.Nam
 training_evidence = lru_cache(maxsize=None)(load_evidence)
 
 
-def score_packaged(work: Path, kinds: Sequence[str], arguments: argparse.Namespace) -> None:
-    """Scores the model of the package, which saw other scenes of all kinds but the real desk."""
-    model, rows = load_boundary_model(), {}
-    for kind in kinds:
-        cases = judged_scenes(kind, arguments)
-        rows[kind] = {
-            name: [case.scores(model, images) for case in cases]
-            for name, images in (("default", True), ("default, no images", False))
-        }
-    write_text(work / "packaged.json", json.dumps(rows))
+def score_default(work: Path, kind: str, arguments: argparse.Namespace) -> None:
+    """Scores the package's default, with and without images. It saw other scenes of all kinds but the real desk."""
+    done = work / f"default-{kind}.json"
+    if done.is_file():
+        return
+    rows: dict[str, list[tuple[float, float]]] = {"default": [], "default, no images": []}
+    for named in to_score(kind, arguments):
+        scene = named.load()
+        assert scene.truth is not None
+        assert scene.truth.points is not None
+        segmenter = tj.JointSegmenter(learned_config())
+        for name, frames in zip(rows, (scene.frames, ()), strict=True):
+            segmenter.reset(scene.points, scene.colors, scene.normals)
+            for start in range(0, len(frames), FRAMES):
+                segmenter.update([frames[i] for i in range(start, min(start + FRAMES, len(frames)))])
+            judged = score(segmenter.compute(images=False).points, scene.truth.points)
+            rows[name].append((judged.f, judged.best_iou))
+    write_text(done, json.dumps(rows))
+    print(kind, {name: np.mean(values, 0).round(3).tolist() for name, values in rows.items()}, flush=True)
 
 
 def score_others(work: Path, kind: str, arguments: argparse.Namespace) -> None:
@@ -313,8 +325,7 @@ def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> 
 
 def show_tables(work: Path, kinds: Sequence[str], runs: int, write: bool) -> None:
     """Prints the tables of what has been scored so far; `write`: also into lab/studies/README.md and PAGES."""
-    packaged = {kind: by_run(rows, runs) for kind, rows in json.loads((work / "packaged.json").read_text()).items()}
-    short = ["kind of data, scenes", "left out", "default", "preset regions", "best simple method"]
+    show_default(work, kinds, runs, write)
     columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "mean of models", "default"]
     columns += [*(f"preset {preset}" for preset in PRESETS), "best simple method", "left out - preset regions"]
     columns += ["left out - best simple method"]
@@ -322,8 +333,9 @@ def show_tables(work: Path, kinds: Sequence[str], runs: int, write: bool) -> Non
     for kind in kinds:
         files = sorted(work.glob(f"left-out-{kind}-[0-9]*.json"))
         mean = work / f"left-out-{kind}-mean{len(files)}.json"  # a mean of fewer seeds is another model
-        if not mean.is_file() or not (work / f"others-{kind}.json").is_file():
+        if not all(file.is_file() for file in (mean, work / f"default-{kind}.json", work / f"others-{kind}.json")):
             continue
+        default = by_run(json.loads((work / f"default-{kind}.json").read_text()), runs)
         seeds = [by_run(json.loads(file.read_text()), runs) for file in files]
         left = np.concatenate([seed["learned, left out"] for seed in seeds])  # [seeds * runs, scenes, 2]
         blind = np.concatenate([seed["learned, left out, no images"] for seed in seeds])
@@ -333,23 +345,50 @@ def show_tables(work: Path, kinds: Sequence[str], runs: int, write: bool) -> Non
         gains = [left.mean(0) - others[name].mean(0) for name in ("preset_regions", simple)]
         cells = [f"{TITLES.get(kind, kind)}, {left.shape[1]}", f"{_both(left)}, {len(seeds)}"]
         cells += [_both(blind), _both(together)]
-        cells += [_both(packaged[kind]["default"])]
+        cells += [_both(default["default"])]
         cells += [_both(others[f"preset_{preset}"]) for preset in PRESETS]
         cells += [f"{_both(others[simple])} ({simple})", *map(difference, gains)]
         rows.append(cells)
-    if not rows:
-        return
-    report.show("domains", report.table(columns, rows), write)
-    chosen = [columns.index(name) for name in ("preset regions", "best simple method")]
-    brief = [[row[0], row[1].rpartition(",")[0], row[4], *(row[place] for place in chosen)] for row in rows]
-    for page in PAGES if write else ():
-        report.write_part("domains", report.table(short, brief), page)
+    if rows:
+        report.show("domains", report.table(columns, rows), write)
+    show_images(work, kinds, runs, write)
+
+
+def show_default(work: Path, kinds: Sequence[str], runs: int, write: bool) -> None:
+    """Prints the table of the default, presets and simple methods; `write`: also a short one into PAGES."""
+    columns = ["kind of data, scenes", "default", *(f"preset {preset}" for preset in PRESETS), "best simple method"]
+    columns += ["default - best preset", "default - best simple method", "with - without images"]
     rows = []
     for kind in kinds:
-        if not (work / f"images-{kind}.json").is_file():
+        files = [work / f"{name}-{kind}.json" for name in ("default", "others")]
+        if not all(file.is_file() for file in files):
             continue
+        own, others = (by_run(json.loads(file.read_text()), runs) for file in files)
+        default, without = own.values()
+        simple = max(SIMPLE, key=lambda name: float(others[name].mean()))
+        preset = max((f"preset_{preset}" for preset in PRESETS), key=lambda name: float(others[name].mean()))
+        cells = [f"{TITLES.get(kind, kind)}, {default.shape[1]}", _both(default)]
+        cells += [*(_both(others[f"preset_{one}"]) for one in PRESETS), f"{_both(others[simple])} ({simple})"]
+        rivals = (others[preset], others[simple], without)
+        rows.append([*cells, *(difference((default - rival).mean(0)) for rival in rivals)])
+    if not rows:
+        return
+    report.show("default", report.table(columns, rows), write)
+    chosen = [0, 1, 2, 5]
+    for page in PAGES if write else ():
+        brief = report.table([columns[place] for place in chosen], [[row[place] for place in chosen] for row in rows])
+        report.write_part("domains", brief, page)
+
+
+def show_images(work: Path, kinds: Sequence[str], runs: int, write: bool) -> None:
+    """Prints the table of the final images beside the initial ones, and of the points with and without images."""
+    rows = []
+    for kind in kinds:
+        if not all((work / f"{name}-{kind}.json").is_file() for name in ("images", "default")):
+            continue
+        packaged = by_run(json.loads((work / f"default-{kind}.json").read_text()), runs)
         initial, final = by_run(json.loads((work / f"images-{kind}.json").read_text()), runs).values()
-        with_images, without = (packaged[kind][name] for name in ("default", "default, no images"))
+        with_images, without = packaged.values()
         cells = [f"{TITLES.get(kind, kind)}, {initial.shape[1]}", _both(initial), _both(final)]
         rows.append([*cells, difference((final - initial).mean(0)), difference((with_images - without).mean(0))])
     if not rows:

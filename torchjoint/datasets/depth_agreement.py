@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import FLIP_YZ
+from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame
 from torchjoint.scene.pose_warning import CONVENTIONS, PoseWarning
 from torchjoint.scene.subset import evenly_spaced_indices
@@ -28,6 +29,7 @@ LEAST_SHARED = 100
 SAMPLED = 5000
 
 
+@one_thread_per_operation()
 def warn_of_poses(frames: Sequence[Frame]) -> None:
     """Compares the depth images of some pairs of frames, at the given poses and at the poses read otherwise.
 

@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from torchjoint.datasets.depth_agreement import warn_of_poses
 from torchjoint.datasets.volume import Volume
+from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame
 from torchjoint.scene.camera import camera_center
 from torchjoint.scene.subset import evenly_spaced_indices
@@ -39,6 +40,7 @@ def _lost_if_interrupted() -> Iterator[None]:
 
 
 @_lost_if_interrupted()
+@one_thread_per_operation()
 def fuse_cloud(
     frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: bool | None = False
 ) -> tuple[Tensor, Tensor]:

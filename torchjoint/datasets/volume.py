@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops.integrate_depth import CHANNELS, SIDE, UNIT, integrate_depth
+from torchjoint.runtime.threads import all_threads, parallel_map
 
 #: Most blocks of a volume: 5 GB.
 MOST_BLOCKS = 2**19
@@ -54,7 +55,8 @@ class Volume:
         self._add(key)
         row, order = self._row[torch.searchsorted(self._key, key)].sort()
         image, lengths = (depth, color, intrinsics, world_to_camera), (self.voxel_size, self.truncation, self.far)
-        integrate_depth(self._sums, row, _position(key[order]), *image, *lengths)
+        with all_threads():
+            integrate_depth(self._sums, row, _position(key[order]), *image, *lengths)
 
     def state(self) -> dict[str, Tensor]:
         """All tensors of the volume, copied, for :meth:`restore`."""
@@ -71,7 +73,7 @@ class Volume:
         Returns:
             points [N, 3] metres and colours [N, 3] in [0, 255], float64. Their order depends on the volume alone.
         """
-        points, colors = torch.cat([self._crossings(key) for key in self._key.split(AT_ONCE)]).split(3, 1)
+        points, colors = torch.cat(parallel_map(self._crossings, self._key.split(AT_ONCE))).split(3, 1)
         return points, colors
 
     def _blocks_near(self, depth: Tensor, intrinsics: Tensor, world_to_camera: Tensor) -> Tensor:

@@ -26,10 +26,11 @@ from torchjoint.labels.lasting_ids import Changes, LastingIds
 from torchjoint.live.keyframe import Keyframe
 from torchjoint.runtime.checked_files import read_checked, write_checked
 from torchjoint.runtime.stopwatch import Stopwatch
-from torchjoint.runtime.threads import on_cpu, parallel_map
+from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Segmentation
 from torchjoint.scene.camera import camera_center
 from torchjoint.scene.checks import as_pose
+from torchjoint.scene.hierarchy import check_granularity
 from torchjoint.segments.learned.method import Learned
 
 #: The depth of this many keyframes is checked, and compared at their poses. One image without depth is no error.
@@ -69,6 +70,7 @@ class LiveSegmenter(nn.Module):
         step, turn: metres, degrees: a frame is a keyframe if its camera is at least this far from the last keyframe's,
             or turned by at least this angle. Smaller numbers give more evidence, and cost time and memory. 0: all
             frames are keyframes.
+        granularity: level of the things, 0 (coarse) to 1 (superpoints, for a network that works live).
         keep_depth: keep the depth of keyframes in memory, which :meth:`set_poses` needs.
         boundary, image_segmenter: as of :class:`JointSegmenter`.
 
@@ -89,6 +91,7 @@ class LiveSegmenter(nn.Module):
         voxel_size: float = 0.02,
         step: float = 0.1,
         turn: float = 10.0,
+        granularity: float = 0.5,
         keep_depth: bool = False,
         boundary: nn.Module | None = None,
         image_segmenter: nn.Module | None = None,
@@ -99,11 +102,12 @@ class LiveSegmenter(nn.Module):
         for name, value in (("step", step), ("turn", turn)):
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name}: expected a number >= 0, got {value}")
+        check_granularity(granularity)
         self.config = config or Config()
         name = self.config.point_segments.method
         if name in ("scan", "paper"):
             raise ValueError(f"config: expected point_segments.method learned (or auto, or a model), got {name}")
-        self.step, self.turn, self.keep_depth = step, turn, keep_depth
+        self.step, self.turn, self.granularity, self.keep_depth = step, turn, granularity, keep_depth
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
         self._method = Learned(self.config)
@@ -121,7 +125,7 @@ class LiveSegmenter(nn.Module):
         return tuple(keyframe.name for keyframe in self._keyframes)
 
     @torch.no_grad()
-    @on_cpu()
+    @one_thread_per_operation()
     def update(self, frames: Frame | Sequence[Frame]) -> None:
         """Fuses the depth of one or several frames, and finds the segments of those that are keyframes.
 
@@ -149,7 +153,7 @@ class LiveSegmenter(nn.Module):
                 self._keyframes.append(Keyframe.packed(frame, developed, segments, FAR if self.keep_depth else None))
 
     @torch.no_grad()
-    @on_cpu()
+    @one_thread_per_operation()
     def result(self, *, images: bool = True) -> LiveResult:
         """The things so far; more frames may follow. Results must not be computed at the same time.
 
@@ -174,13 +178,15 @@ class LiveSegmenter(nn.Module):
             opened = parallel_map(Keyframe.opened, keyframes[first : first + BATCH])
             segmenter.observe(*zip(*opened, strict=True))
         found = segmenter.compute(images=images)
+        if self.granularity != 0.5:
+            found = found.at(self.granularity)
         side = CUBE * self._volume.voxel_size
         place = ((points.double() - self._origin) / side).floor().long()
         ids, changes = self._ids.name(place[:, 0] << 42 ^ place[:, 1] << 21 ^ place[:, 2], found.points)
         return LiveResult(Cloud(points, colors), found, ids, changes)
 
     @torch.no_grad()
-    @on_cpu()
+    @one_thread_per_operation()
     def set_poses(self, world_to_camera: Tensor) -> None:
         """Replaces the poses of the keyframes, for example after a loop closure.
 
@@ -255,7 +261,7 @@ class LiveSegmenter(nn.Module):
 
     def _settings(self) -> dict[str, Any]:
         own = {"voxel_size": self._volume.voxel_size, "step": self.step, "turn": self.turn}
-        return own | {"keep_depth": self.keep_depth, "config": self.config.to_dict()}
+        return own | {"granularity": self.granularity, "keep_depth": self.keep_depth, "config": self.config.to_dict()}
 
     def _is_keyframe(self, pose: Tensor) -> bool:
         if self._pose is None:
