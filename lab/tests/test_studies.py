@@ -5,10 +5,14 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import pytest
+import torch
 from torchjoint_lab.benchmark.suites import SUITES
+
+import torchjoint as tj
 
 STUDIES = Path(__file__).parents[1] / "studies"
 HELPERS = ("report", "suite_arguments")
@@ -104,3 +108,27 @@ def test_members_need_models(study, tmp_path, monkeypatch, capsys):
     assert "has no models with evidence; first run lab/studies/domains.py" in capsys.readouterr().err
     with pytest.raises(FileNotFoundError, match=r"no model-without-table-SEED\.npz"):
         study("members").left_out_models(tmp_path, "table")
+
+
+def test_live_scores_and_lasting_ids(study, tmp_path, monkeypatch, capsys):
+    live = study("live")
+    monkeypatch.setattr(live, "NOISES", (0.0, 0.1))
+    monkeypatch.setattr(live, "VOXEL", 0.08)
+    run(live, monkeypatch, tmp_path, "--kinds", "desk", "--scenes", 1, "--views", 4, "--runs", 1)
+    rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| desk")]
+    assert [row[1] for row in rows] == ["0%", "10%"]
+    assert all(0 < float(value) <= 1 for row in rows for value in row[2].split(" / "))
+    assert len(list(tmp_path.glob("*.json"))) == 2
+
+
+def test_an_id_lasts_if_the_thing_had_it_since_it_was_whole(study):
+    live = study("live")
+    place = torch.tensor([[0.05, 0, 0], [0.15, 0, 0], [0.25, 0, 0], [0.35, 0, 0]])
+
+    def result(labels):
+        cloud = tj.Cloud(place[: len(labels)])
+        return SimpleNamespace(cloud=cloud, labels=torch.tensor(labels))
+
+    # 7 was 5 as long as half of it was seen, which does not count; 8 was 6 when it was whole.
+    assert live.lasting([result([5]), result([7, 7, 6, 6]), result([7, 7, 8, 8])]) == (0.5, 0.5)
+    assert live.cubes_of(result([1, 2])) == {(0, 0, 0): 1, (1, 0, 0): 2}
