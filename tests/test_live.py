@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
 from dataclasses import replace
 
 import pytest
@@ -205,3 +208,31 @@ def test_superpoints_live_keep_their_ids_too(frames):
     assert len(set(first.ids.tolist()) & set(second.ids.tolist())) > len(first.ids) / 2
     with pytest.raises(ValueError, match="granularity: expected"):
         tj.LiveSegmenter(granularity=2)
+
+
+@pytest.mark.slow
+def test_a_state_survives_a_kill(frames, tmp_path):
+    """However a process dies while it saves, the file is that of one of its saves."""
+    state = tmp_path / "state"
+    program = (
+        "import sys, torchjoint as tj\n"
+        "frames = tj.synthetic.make_scene(0, num_views=4, num_points=500, height=48, width=64).scene.frames\n"
+        "segmenter = tj.LiveSegmenter(voxel_size=0.05)\n"
+        "while True:\n"
+        "    for frame in frames:\n"
+        "        segmenter.update(frame)\n"
+        "        segmenter.save(sys.argv[1])\n"
+        "        print(flush=True)\n"
+    )
+    sizes = set()
+    for delay in (0, 0.003, 0.01, 0.03):
+        with subprocess.Popen([sys.executable, "-c", program, str(state)], stdout=subprocess.PIPE) as process:
+            for _ in range(1 + int(1000 * delay) % 4):
+                process.stdout.readline()
+            time.sleep(delay)
+            process.kill()
+        segmenter = tj.LiveSegmenter(voxel_size=VOXEL)
+        segmenter.restore(state)
+        sizes.add(len(segmenter.names))
+        assert len(segmenter.result(images=False).labels)
+    assert len(sizes) > 1
