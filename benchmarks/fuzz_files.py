@@ -85,7 +85,14 @@ def make_samples(folder: Path) -> list[Sample]:
     for name in samples.FORMATS:
         path = samples.write(name, folder / name)
         made.append(Sample(name, folder / name, lambda path=path: read_scene(path)))
-    return [*made, *make_clouds(folder), *make_meshes(folder), *make_instances(folder), *make_run(folder)]
+    return [
+        *made,
+        *make_clouds(folder),
+        *make_meshes(folder),
+        *make_instances(folder),
+        *make_boxes(folder),
+        *make_run(folder),
+    ]
 
 
 def make_clouds(folder: Path) -> list[Sample]:
@@ -171,6 +178,27 @@ def make_instances(folder: Path) -> list[Sample]:
             root.mkdir()
         EXPORTS[name](root if name == "scannet" else folder / path, result)
         made.append(Sample(f"instances {name}", root, lambda path=path: read(folder / path)))
+    return made
+
+
+def make_boxes(folder: Path) -> list[Sample]:
+    """Boxes of programs of annotation."""
+    from torchjoint.results.boxes import read_boxes
+
+    labels = torch.arange(60) // 20
+    scene = tj.Scene(torch.rand(60, 3, generator=torch.Generator().manual_seed(0)))
+    result = tj.Result.of(tj.Segmentation(labels, ()), scene)
+
+    def read(path: Path) -> Content:
+        boxes = read_boxes(path)
+        return {"boxes": torch.tensor([[*box.center, *box.size, box.yaw] for box in boxes])}
+
+    made = []
+    for name, suffix in (("openpcdet", ".txt"), ("labelcloud", ".json")):
+        path = folder / f"boxes_{name}" / f"boxes{suffix}"
+        path.parent.mkdir()
+        EXPORTS[name](path, result)
+        made.append(Sample(f"boxes {name}", path.parent, lambda path=path: read(path)))
     return made
 
 

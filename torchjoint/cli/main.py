@@ -13,6 +13,7 @@ COMMANDS = {
     "evaluate": Command("torchjoint.cli.evaluate:evaluate", "scores results against ground truth"),
     "show": Command("torchjoint.cli.show:show", "shows a result in the browser"),
     "export": Command("torchjoint.cli.export:export", "writes a result in the format of another tool"),
+    "edits": Command("torchjoint.cli.edits:edits", "brings corrections of another program back into a result"),
     "label": Command("torchjoint.cli.label:label", "puts labels into the file of a cloud, a mesh or Gaussian splats"),
     "formats": Command("torchjoint.cli.formats:formats", "lists the formats of recordings that can be read"),
     "parameters": Command("torchjoint.cli.parameters:parameters", "prints the parameters as tables"),

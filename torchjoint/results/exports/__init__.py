@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from torchjoint.results.exports.boxes import export_labelcloud, export_openpcdet
 from torchjoint.results.exports.clouds import export_las, export_npz, export_ply
 from torchjoint.results.exports.coco import export_coco
 from torchjoint.results.exports.sam import export_sam
@@ -23,6 +24,8 @@ FORMATS: dict[str, Callable[[Path, Result], None]] = {
     "npz": export_npz,
     "scannet": export_scannet,
     "masks": export_masks,
+    "openpcdet": export_openpcdet,
+    "labelcloud": export_labelcloud,
 }
 #: Suffix of the file of a format; formats that are not listed write a folder.
-SUFFIXES = {"coco": ".json", "las": ".las", "npz": ".npz", "masks": ".npz"}
+SUFFIXES = {"coco": ".json", "las": ".las", "npz": ".npz", "masks": ".npz", "openpcdet": ".txt", "labelcloud": ".json"}

@@ -1,0 +1,187 @@
+"""Boxes around things: out, edited in another program, and back."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+import torchjoint as tj
+from torchjoint.results.box_edits import edits_of_boxes
+from torchjoint.results.boxes import Box, boxes_of, labelcloud_record, openpcdet_lines, read_boxes
+from torchjoint.results.exports.boxes import export_labelcloud, export_openpcdet
+from torchjoint.results.folder import write_result
+
+
+def block(center, size, yaw, count=400, seed=0):
+    """Points on the sides of a block, its corners among them."""
+    random = np.random.default_rng(seed)
+    own = random.uniform(-0.5, 0.5, (count, 3))
+    own[np.arange(count), random.integers(0, 3, count)] = random.choice([-0.5, 0.5], count)
+    corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T
+    x, y, z = (np.concatenate([corners, own]) * size).T
+    turned = np.stack([math.cos(yaw) * x - math.sin(yaw) * y, math.sin(yaw) * x + math.cos(yaw) * y, z], 1)
+    return torch.from_numpy(turned + center).float()
+
+
+def result_of(*blocks, names=None):
+    points = torch.cat(blocks)
+    labels = torch.repeat_interleave(torch.arange(len(blocks)), torch.tensor([len(one) for one in blocks]))
+    result = tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(points))
+    return replace(result, segment_names=names or {})
+
+
+def three():
+    """A table, a block on it, and one beside it."""
+    table, on_it = block((0, 0, 0.5), (2, 1, 1), 0.3), block((0.1, 0, 1.1), (0.2, 0.3, 0.2), 1.0)
+    return result_of(table, on_it, block((3, 1, 0.2), (1, 0.5, 0.4), 0))
+
+
+def test_a_box_is_that_of_the_block():
+    first, _, third = boxes_of(three())
+    assert np.allclose(first.center, (0, 0, 0.5), atol=1e-5)
+    assert np.allclose(first.size, (2, 1, 1), atol=1e-5)
+    assert first.yaw == pytest.approx(0.3, abs=1e-5)
+    assert np.allclose((*third.center, *third.size, third.yaw), (3, 1, 0.2, 1, 0.5, 0.4, 0), atol=1e-5)
+
+
+def test_files_are_as_the_programs_read_them(tmp_path):
+    result = result_of(block((3, 1, 0.2), (1, 0.5, 0.4), math.pi / 2), names={0: "a chair"})
+    export_openpcdet(tmp_path / "boxes.txt", result)
+    *numbers, name = (tmp_path / "boxes.txt").read_text().split()
+    assert name == "a_chair"
+    assert np.allclose([float(n) for n in numbers], (3, 1, 0.2, 1, 0.5, 0.4, math.pi / 2), atol=1e-4)
+    export_labelcloud(tmp_path / "cloud.json", result)
+    record = json.loads((tmp_path / "cloud.json").read_text())
+    assert record["filename"] == "cloud.ply"
+    (box,) = record["objects"]
+    assert box["name"] == "a chair"
+    assert box["rotations"]["z"] == pytest.approx(90, abs=0.01)
+    assert box["dimensions"] == pytest.approx({"length": 1, "width": 0.5, "height": 0.4}, abs=1e-4)
+
+
+def test_a_tilted_scene_is_told(tmp_path):
+    lying = torch.cat([block((0, 0, 0), (0.02, 2, 2), 0, 4000), block((0.3, 0, 0), (0.5, 0.1, 0.1), 0)])
+    pose = torch.eye(4)
+    pose[:3, :3] = torch.tensor([[0.0, 1, 0], [-1.0, 0, 0], [0, 0, 1]])  # cameras whose up is +x
+    frame = tj.Frame(torch.zeros(3, 16, 16), torch.eye(3), pose)
+    labels = torch.zeros(len(lying), dtype=torch.int64)
+    images = [torch.full((16, 16), -1)]
+    result = tj.Result.of(tj.Segmentation(labels, images, names=("a",)), tj.Scene(lying, [frame]))
+    with pytest.warns(UserWarning, match="boxes stand along z, but up in this scene is 90 degrees away"):
+        export_openpcdet(tmp_path / "boxes.txt", result)
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".json"])
+def test_what_nobody_edited_changes_nothing(tmp_path, suffix):
+    result = replace(three(), segment_names={1: "a red block"})
+    file = tmp_path / f"boxes{suffix}"
+    (export_openpcdet if suffix == ".txt" else export_labelcloud)(file, result)
+    assert edits_of_boxes(result, read_boxes(file)[::-1]) == ((), 0, 0, ())
+
+
+def test_a_deleted_box_joins_and_a_name_is_taken():
+    result = three()
+    table, block_on_it, beside = boxes_of(result)
+    larger = table._replace(center=(0, 0, 0.6), size=(2, 1, 1.2), name="desk")
+    changes = edits_of_boxes(result, [beside, larger])
+    assert [(step.kind, step.pieces, step.name) for step in changes.steps] == [
+        ("join", (0, 1), ""),
+        ("name", (0,), "desk"),
+    ]
+    assert (changes.joined, changes.named, changes.empty) == (1, 1, ())
+    far = Box("new", (9, 9, 9), (1, 1, 1), 0.0)
+    assert edits_of_boxes(result, [table, block_on_it, beside, far]).empty == (3,)
+    # Deleted without another box around it: it stays as it is.
+    assert edits_of_boxes(result, [table, block_on_it]).steps == ()
+    assert edits_of_boxes(result, []) == ((), 0, 0, ())
+
+
+def test_a_name_can_be_removed():
+    result = result_of(block((3, 1, 0.2), (1, 0.5, 0.4), 0), names={0: "chair"})
+    (box,) = boxes_of(result)
+    assert box.name == "chair"
+    (step,) = edits_of_boxes(result, [box._replace(name="thing")]).steps
+    assert (step.kind, step.name) == ("name", "")
+
+
+@given(
+    st.lists(
+        st.builds(
+            Box,
+            st.sampled_from(["thing", "chair", "tür"]),
+            st.tuples(*[st.floats(-50, 50)] * 3),
+            st.tuples(*[st.floats(0, 20)] * 3),
+            st.floats(-3, 3),
+        ),
+        max_size=5,
+    )
+)
+def test_any_boxes_come_back(tmp_path_factory, boxes):
+    folder = tmp_path_factory.mktemp("boxes")
+    (folder / "a.txt").write_text(openpcdet_lines(boxes), encoding="utf-8")
+    (folder / "a.json").write_text(json.dumps(labelcloud_record(boxes, folder / "a.ply")), encoding="utf-8")
+    for file in ("a.txt", "a.json"):
+        found = read_boxes(folder / file)
+        assert [box.name for box in found] == [box.name for box in boxes]
+        for one, other in zip(found, boxes, strict=True):
+            assert np.allclose([*one.center, *one.size], [*other.center, *other.size], atol=1e-3)
+            assert math.cos(one.yaw - other.yaw) == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.txt", "1 2 3 4 5 6 0.1", r"line 1: expected x y z dx dy dz heading name"),
+        ("a.txt", "\n1 2 3 4 5 six 0.1 chair", r"line 2: expected seven numbers"),
+        ("a.txt", "1 2 3 4 -5 6 0.1 chair", r"line 1: expected finite numbers and sizes of at least 0"),
+        ("a.txt", "1 2 nan 4 5 6 0.1 chair", r"line 1: expected finite numbers"),
+        ("a.json", "[1]", "expected boxes of labelCloud, with a list `objects`"),
+        ("a.json", '{"objects": 3}', "objects is int"),
+        ("a.json", '{"objects": [{"name": "a"}]}', "object 0: expected name, centroid"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, name, content, message):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(ValueError, match=message):
+        read_boxes(tmp_path / name)
+
+
+def test_a_tilted_box_is_refused(tmp_path):
+    record = labelcloud_record([Box("a", (0, 0, 0), (1, 1, 1), 0.0)], tmp_path / "a.ply")
+    record["objects"][0]["rotations"]["x"] = 20
+    (tmp_path / "a.json").write_text(json.dumps(record))
+    with pytest.raises(ValueError, match="expected a box that turns about z alone"):
+        read_boxes(tmp_path / "a.json")
+
+
+def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
+    config = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
+    scene = scene_of(3).scene
+    out = tmp_path / "out"
+    out.mkdir()
+    write_result(out, scene, tj.JointSegmenter(config)(scene), config, "test")
+    run("export", out, "--format", "labelcloud", "-o", tmp_path / "boxes.json")
+    run("edits", "import", out, tmp_path / "boxes.json")
+    assert "0 things joined others, 0 names changed" in capsys.readouterr().out
+    assert not (out / "edits.json").exists()
+    record = json.loads((tmp_path / "boxes.json").read_text())
+    before = tj.load_result(out)
+    largest = int(torch.bincount(before.points).argmax())
+    record["objects"][largest]["name"] = "floor"
+    inside = boxes_of(before)[largest].holds(before.scene.points.double().numpy())
+    within = [inside[(before.points == number).numpy()].mean() for number in range(before.num_point_segments)]
+    gone = next(number for number, share in enumerate(within) if number != largest and share > 0.9)
+    del record["objects"][gone]
+    (tmp_path / "edited.json").write_text(json.dumps(record))
+    run("edits", "import", out, tmp_path / "edited.json")
+    assert "1 things joined others, 1 names changed" in capsys.readouterr().out
+    after = tj.load_result(out)
+    assert after.num_point_segments == before.num_point_segments - 1
+    assert "floor" in after.segment_names.values()
+    with pytest.raises(SystemExit, match="no-such"):
+        run("edits", "import", out, tmp_path / "no-such.json")

@@ -1,0 +1,42 @@
+"""Boxes of the segments, for programs of annotation and networks of detection: see :mod:`torchjoint.results.boxes`."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from pathlib import Path
+
+from torchjoint.results.boxes import boxes_of, labelcloud_record, openpcdet_lines
+from torchjoint.results.result import Result
+from torchjoint.results.upright import up_direction
+from torchjoint.runtime.files import write_text
+from torchjoint.runtime.threads import on_cpu
+
+#: The scene's upward direction may differ from z by this angle, degrees.
+LEVEL = 10.0
+
+
+@on_cpu()
+def export_openpcdet(path: Path, result: Result) -> None:
+    """Writes a label file of OpenPCDet's custom data sets: a line ``x y z dx dy dz heading name`` for each segment."""
+    _warn_if_tilted(result)
+    write_text(path, openpcdet_lines(boxes_of(result)))
+
+
+@on_cpu()
+def export_labelcloud(path: Path, result: Result) -> None:
+    """Writes the boxes as labelCloud reads them (format centroid_abs); its cloud is ``points.ply`` of the result."""
+    _warn_if_tilted(result)
+    record = labelcloud_record(boxes_of(result), path.with_suffix(".ply"))
+    write_text(path, json.dumps(record, indent=1, ensure_ascii=False))
+
+
+def _warn_if_tilted(result: Result) -> None:
+    up = float(up_direction(result.scene)[2])
+    angle = math.degrees(math.acos(max(-1.0, min(1.0, up))))
+    if angle > LEVEL:
+        warnings.warn(
+            f"boxes stand along z, but up in this scene is {angle:.0f} degrees away from it; turn the cloud first",
+            stacklevel=3,
+        )
