@@ -357,7 +357,7 @@ def show_tables(work: Path, kinds: Sequence[str], runs: int, write: bool) -> Non
 def show_default(work: Path, kinds: Sequence[str], runs: int, write: bool) -> None:
     """Prints the table of the default, presets and simple methods; `write`: also a short one into PAGES."""
     columns = ["kind of data, scenes", "default", *(f"preset {preset}" for preset in PRESETS), "best simple method"]
-    columns += ["default - best preset", "default - best simple method", "with - without images"]
+    columns += ["default - best preset", "default - best simple method", "with images - cloud alone"]
     rows = []
     for kind in kinds:
         files = [work / f"{name}-{kind}.json" for name in ("default", "others")]

@@ -1,10 +1,14 @@
 """Which things stand on, hang on, contain and touch which."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 import torchjoint as tj
+from torchjoint.results.exports.graph import export_graph
 from torchjoint.results.relations import Relation
 from torchjoint.synthetic import make_scene
 
@@ -72,6 +76,22 @@ def test_two_boxes_beside_each_other_touch():
     assert sorted(network.edges()) == [(0, 1), (1, 0)]
     assert network.number_of_nodes() == 2
     assert graph.relations[0].to_dict()["kind"] == "touches"
+
+
+def test_the_file_is_read_by_networkx(tmp_path):
+    networkx = pytest.importorskip("networkx")
+    things = [FLOOR, box((0.2, 0.2, 0.01), (0.5, 0.5, 0.3)), box((1.2, 1.2, 0.01), (1.5, 1.5, 0.3))]
+    points = torch.from_numpy(np.concatenate(things)).float()
+    labels = torch.cat([torch.full((len(thing),), index) for index, thing in enumerate(things)])
+    result = replace(tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(points)), segment_names={1: "chair"})
+    export_graph(tmp_path / "graph.json", result)
+    read = networkx.node_link_graph(json.loads((tmp_path / "graph.json").read_text(encoding="utf-8")), edges="edges")
+    expected = result.graph().to_networkx()
+    assert sorted(read.edges(data="kind")) == sorted(expected.edges(data="kind"))
+    assert (1, 0, "stands on") in list(read.edges(data="kind"))
+    assert read.nodes[1]["name"] == "chair"
+    assert read.nodes[1]["points"] == int((labels == 1).sum())
+    assert read.nodes[1]["size"] == pytest.approx([0.3, 0.3, 0.29], abs=1e-3)
 
 
 def test_apart_nothing_is_related():

@@ -15,7 +15,7 @@ from torchjoint.results.mask_report import select_masked
 
 def export(
     result: tyro.conf.Positional[Path],
-    format: Literal["coco", "sam", "ply", "las", "npz", "scannet", "masks", "openpcdet", "labelcloud"],
+    format: Literal["coco", "sam", "ply", "las", "npz", "scannet", "masks", "graph", "openpcdet", "labelcloud"],
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     granularity: float | None = None,
     only_masked: bool = False,
@@ -28,9 +28,9 @@ def export(
         format: coco: COCO's JSON of instances, for all images; sam: a JSON for each image, as in SA-1B; ply: a cloud
             for each segment; las: the cloud with the extra dimension `label`; npz: all labels as arrays;
             scannet: instances as its benchmark reads them, SCENE.txt and predicted_masks/; masks: the same as an
-            archive with pred_masks, pred_score and pred_classes; openpcdet, labelcloud: upright boxes with names, for
-            networks of detection and for annotation (`torchjoint edits import` brings them back). coco, sam and las
-            need `pip install 'torchjoint[export]'`.
+            archive with pred_masks, pred_score and pred_classes; graph: what stands on what, as NetworkX reads it;
+            openpcdet, labelcloud: upright boxes with names, for networks of detection and for annotation (`torchjoint
+            edits import` brings them back). coco, sam and las need `pip install 'torchjoint[export]'`.
         out: file, or folder for sam, ply and scannet; default: RESULT-FORMAT in the current folder, with the format's
             suffix.
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); needs a result of method learned.

@@ -11,6 +11,7 @@ from pathlib import Path
 from torchjoint.results.exports.boxes import export_labelcloud, export_openpcdet
 from torchjoint.results.exports.clouds import export_las, export_npz, export_ply
 from torchjoint.results.exports.coco import export_coco
+from torchjoint.results.exports.graph import export_graph
 from torchjoint.results.exports.sam import export_sam
 from torchjoint.results.exports.scannet import export_masks, export_scannet
 from torchjoint.results.result import Result
@@ -24,8 +25,17 @@ FORMATS: dict[str, Callable[[Path, Result], None]] = {
     "npz": export_npz,
     "scannet": export_scannet,
     "masks": export_masks,
+    "graph": export_graph,
     "openpcdet": export_openpcdet,
     "labelcloud": export_labelcloud,
 }
 #: Suffix of the file of a format; formats that are not listed write a folder.
-SUFFIXES = {"coco": ".json", "las": ".las", "npz": ".npz", "masks": ".npz", "openpcdet": ".txt", "labelcloud": ".json"}
+SUFFIXES = {
+    "coco": ".json",
+    "las": ".las",
+    "npz": ".npz",
+    "masks": ".npz",
+    "graph": ".json",
+    "openpcdet": ".txt",
+    "labelcloud": ".json",
+}
