@@ -82,7 +82,8 @@ def world(tmp_path_factory, scene_of):
 def place(world, monkeypatch):
     """The world is the current folder, and pages in the browser end when they are served."""
     monkeypatch.chdir(world)
-    monkeypatch.setattr("torchjoint.cli.show._serve_until_interrupted", lambda viewer: viewer.stop())
+    for module in ("show", "live"):
+        monkeypatch.setattr(f"torchjoint.cli.{module}.serve_until_interrupted", lambda viewer: viewer.stop())
     monkeypatch.setattr("webbrowser.open", lambda url: None)
     before = set(world.iterdir())
     yield
