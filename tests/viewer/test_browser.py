@@ -246,6 +246,23 @@ def test_the_row_of_a_selected_segment_is_in_sight(viewer, page):
     assert page.locator("#tj-table").bounding_box()["height"] > listed["height"]  # the list is longer than its window
 
 
+def test_relations_are_lines_of_the_selected_thing(viewer, page):
+    before = pixels(page)
+    page.get_by_role("checkbox", name="Relations").check()
+    wait(lambda: viewer._relations._handle is not None)
+    everything = len(viewer._relations._handle.points)
+    wait(lambda: (np.abs(pixels(page) - before).max(2) > 40).sum() > 200)
+    segment = visible_segments(viewer)[0][0]
+    viewer._guarded(viewer._select, (segment,))
+    of_one = viewer._relations._handle
+    own = viewer.result.scene.points.numpy()[viewer.model.table[viewer.model.parts.of_point] == segment].mean(0)
+    at_it = np.isclose(of_one.points, own, atol=1e-4).all(2).any(1)
+    assert at_it.all()
+    assert 0 < len(of_one.points) != everything
+    page.get_by_role("checkbox", name="Relations").uncheck()
+    wait(lambda: viewer._relations._handle is None)
+
+
 def test_a_click_goes_through_a_camera(viewer, page):
     page.get_by_role("checkbox", name="Cameras").check()
     wait(lambda: viewer._cameras._mark.visible)

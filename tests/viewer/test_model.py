@@ -499,3 +499,18 @@ def test_looking_at_a_run_takes_a_bounded_share_of_its_time(monkeypatch):
         view(segmenter, tj.Scene(torch.rand(3, 3)))
         clock[0] += 1.0
     assert looks == [0, 3, 23, 43, 63]  # the page; the first labels of images; then 2 of each 20 seconds
+
+
+def test_lines_show_the_relations_of_what_is_selected():
+    from torchjoint.results.relations import Relation
+    from torchjoint.viewer.relation_lines import COLORS, lines
+
+    found = (Relation("stands on", 1, 0, 0.1, 1.0), Relation("touches", 0, 2, 0.1, 1.0))
+    points = np.array([[0, 0, 0], [2, 0, 0], [1, 0, 4], [9, 9, 9]], dtype=np.float32)
+    labels = np.array([0, 0, 1, 2])
+    ends, colors = lines(found, points, labels, ())
+    assert ends.tolist() == [[[1, 0, 4], [1, 0, 0]]]
+    assert colors.tolist() == [[[*COLORS["stands on"]]] * 2]
+    ends, colors = lines(found, points, labels, (2,))
+    assert ends.tolist() == [[[1, 0, 0], [9, 9, 9]]]
+    assert lines(found, points, labels, (7,))[0].shape == (0, 2, 3)

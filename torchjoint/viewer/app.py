@@ -20,6 +20,7 @@ from torchjoint.viewer.html import PREFIX, image_html, note_html, panel_html, ta
 from torchjoint.viewer.model import Model
 from torchjoint.viewer.panel import RESET, Panel
 from torchjoint.viewer.pick import pick_point
+from torchjoint.viewer.relation_lines import RelationLines
 from torchjoint.viewer.selection import export_selected
 from torchjoint.viewer.server import start_server
 from torchjoint.viewer.shown import Shown
@@ -63,6 +64,7 @@ class Viewer:
         self._order, self._can_save = "points", True
         self.server, self._distance, self.url = start_server(result.scene, upward, host, port)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), self.model.point_colors())
+        self._relations = RelationLines(self.server)
         self._has_frames = len(result.scene.frames) > 0
         with self._lock:
             self._add_panel()
@@ -139,6 +141,7 @@ class Viewer:
         panel.bridge.on_update(then(self._on_event))
         panel.mode.on_update(then(self._on_mode))
         panel.name.on_update(then(self._on_name))
+        panel.relations.on_update(then(self._draw_relations))
         panel.search.on_update(then(self._draw_table))
         panel.correct.on_click(then(self._on_correct))
         panel.export.on_click(lambda event: self._guarded(self._on_export, event.client))
@@ -296,8 +299,12 @@ class Viewer:
         self._cloud.recolor(self.model.point_colors())
         self._panel.name.value = self._selected_name()
         self._draw_lists()
+        self._draw_relations()
         if self._has_frames:
             self._draw_image()
+
+    def _draw_relations(self) -> None:
+        self._relations.show(self.model if self._panel.relations.value else None)
 
     def _draw_lists(self) -> None:
         selected = self.model.selected

@@ -43,6 +43,12 @@ class Panel:
         with gui.add_folder("Selection"):
             self.selection = gui.add_html(panel_html((), ()))
             self._add_buttons(gui, shown.folder is not None, not shown.is_running)
+            self.relations = gui.add_checkbox(
+                "Relations",
+                False,
+                visible=not shown.is_running,
+                hint="what stands on (green), hangs on (orange), contains (blue), touches (grey) the selected",
+            )
         with gui.add_folder("Segments"):
             self.search = gui.add_text("Search", "", hint="a part of a name, or an id")
             self.table = gui.add_html("")
