@@ -394,7 +394,7 @@ def show_images(work: Path, kinds: Sequence[str], runs: int, write: bool) -> Non
     if not rows:
         return
     columns = ["kind of data, scenes", "initial images", "final images", "final - initial"]
-    report.show("images or not", report.table([*columns, "3D: with - without images"], rows), write)
+    report.show("images or not", report.table([*columns, "points: with images - cloud alone"], rows), write)
 
 
 def by_run(rows: Mapping[str, Sequence[Sequence[float]]], runs: int) -> dict[str, np.ndarray]:
