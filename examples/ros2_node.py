@@ -32,7 +32,7 @@ FIELDS = ("x", "y", "z", "rgb", "label")
 
 def color_image(message: Image) -> torch.Tensor:
     """[3, H, W] float32 RGB in [0, 1]."""
-    channels, order = COLORS[message.encoding]
+    channels, order = _known(COLORS, message, "color")
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)[:, : message.width * channels]
     pixels = rows.reshape(message.height, message.width, channels)[:, :, order]
     return torch.from_numpy(pixels.transpose(2, 0, 1).copy()).float() / 255
@@ -40,11 +40,17 @@ def color_image(message: Image) -> torch.Tensor:
 
 def depth_image(message: Image) -> torch.Tensor:
     """[H, W] float32 metres; 0 is unknown."""
-    kind, unit = DEPTHS[message.encoding]
+    kind, unit = _known(DEPTHS, message, "depth")
     kind = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
     depth = rows[:, : message.width * kind.itemsize].copy().view(kind).astype(np.float32) * unit
     return torch.from_numpy(np.nan_to_num(depth, posinf=0.0, neginf=0.0))
+
+
+def _known(table: dict, message: Image, topic: str) -> tuple:
+    if message.encoding not in table:
+        raise ValueError(f"{topic}: expected one of the encodings {', '.join(table)}, got {message.encoding}")
+    return table[message.encoding]
 
 
 def camera_matrix(message: CameraInfo) -> torch.Tensor:
@@ -117,14 +123,15 @@ class Things(Node):
         """Computes and publishes the things whenever there are new frames."""
         while self.new.wait():
             self.new.clear()
+            last = self.last
             try:
-                self.publish(self.segmenter.result(images=False))
+                self.publish(self.segmenter.result(images=False), last)
             except ValueError as error:  # no surface yet
                 self.get_logger().warning(str(error), throttle_duration_sec=5.0)
 
-    def publish(self, result: tj.LiveResult) -> None:
-        """Publishes the things, and what has become of those before."""
-        header = type(self.last)(stamp=self.last.stamp, frame_id=self.world)
+    def publish(self, result: tj.LiveResult, last) -> None:
+        """Publishes the things, and what has become of those before; `last` is the header of the last colour image."""
+        header = type(last)(stamp=last.stamp, frame_id=self.world)
         self.things.publish(labelled_cloud(result, header))
         self.changes.publish(String(data=json.dumps(result.changes._asdict())))
 

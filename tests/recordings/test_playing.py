@@ -36,11 +36,11 @@ def test_what_comes_too_late_is_dropped():
     segmenter = Segmenter()
     frames = [(number, 2.5 if number == 0 else 0.1) for number in range(5)]
     told = []
-    played = play(frames, segmenter, 1.0, told.append, segmenter.clock())
+    played = play(frames, segmenter, 1.0, lambda *values: told.append(values), segmenter.clock())
     # At 2.5 s, frame 1 has been replaced by frame 2, which came at 2 s.
     assert segmenter.begun == [(0, 0.0), (2, 2.5), (3, 3.0), (4, 4.0)]
     assert played.dropped == [1]
-    assert told == [1, 2, 3, 4, 5]
+    assert told == [(1, frames[0]), (2, None), (3, frames[2]), (4, frames[3]), (5, frames[4])]
 
 
 def test_without_a_rate_no_frame_waits_or_is_dropped():

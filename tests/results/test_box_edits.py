@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import torchjoint as tj
-from torchjoint.results.box_edits import edits_of_boxes
+from torchjoint.results import box_edits
 from torchjoint.results.boxes import Box, boxes_of, labelcloud_record, openpcdet_lines, read_boxes
 from torchjoint.results.exports.boxes import export_labelcloud, export_openpcdet
 from torchjoint.results.folder import write_result
@@ -35,6 +35,10 @@ def result_of(*blocks, names=None):
     return replace(result, segment_names=names or {})
 
 
+def edits_of_boxes(result, boxes):
+    return box_edits.edits_of_boxes(result, boxes, result.points.numpy())
+
+
 def three():
     """A table, a block on it, and one beside it."""
     table, on_it = block((0, 0, 0.5), (2, 1, 1), 0.3), block((0.1, 0, 1.1), (0.2, 0.3, 0.2), 1.0)
@@ -42,7 +46,7 @@ def three():
 
 
 def test_a_box_is_that_of_the_block():
-    first, _, third = boxes_of(three())
+    first, _, third = boxes_of(three()).values()
     assert np.allclose(first.center, (0, 0, 0.5), atol=1e-5)
     assert np.allclose(first.size, (2, 1, 1), atol=1e-5)
     assert first.yaw == pytest.approx(0.3, abs=1e-5)
@@ -86,7 +90,7 @@ def test_what_nobody_edited_changes_nothing(tmp_path, suffix):
 
 def test_a_deleted_box_joins_and_a_name_is_taken():
     result = three()
-    table, block_on_it, beside = boxes_of(result)
+    table, block_on_it, beside = boxes_of(result).values()
     larger = table._replace(center=(0, 0, 0.6), size=(2, 1, 1.2), name="desk")
     changes = edits_of_boxes(result, [beside, larger])
     assert [(step.kind, step.pieces, step.name) for step in changes.steps] == [
@@ -103,7 +107,7 @@ def test_a_deleted_box_joins_and_a_name_is_taken():
 
 def test_a_name_can_be_removed():
     result = result_of(block((3, 1, 0.2), (1, 0.5, 0.4), 0), names={0: "chair"})
-    (box,) = boxes_of(result)
+    (box,) = boxes_of(result).values()
     assert box.name == "chair"
     (step,) = edits_of_boxes(result, [box._replace(name="thing")]).steps
     assert (step.kind, step.name) == ("name", "")
@@ -185,3 +189,34 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
     assert "floor" in after.segment_names.values()
     with pytest.raises(SystemExit, match="no-such"):
         run("edits", "import", out, tmp_path / "no-such.json")
+
+
+def test_segments_without_points_have_no_box(tmp_path):
+    result = three()
+    masked = replace(result, points=torch.where(result.points == 1, -1, result.points))
+    export_openpcdet(tmp_path / "boxes.txt", masked)
+    assert len(read_boxes(tmp_path / "boxes.txt")) == 2
+    assert edits_of_boxes(masked, read_boxes(tmp_path / "boxes.txt")) == ((), 0, 0, ())
+
+
+def test_a_second_import_goes_on_from_the_first(run, tmp_path):
+    """Without a hierarchy, pieces are the segments on disk, and not those that corrections have renumbered."""
+    table, on_it, far = (
+        block((0, 0, 0.5), (2, 1, 1), 0.3),
+        block((0.1, 0, 1.1), (0.2, 0.3, 0.2), 1.0),
+        block((5, 5, 1), (1, 1, 1), 0),
+    )
+    result = result_of(table, on_it, block((3, 1, 0.2), (1, 0.5, 0.4), 0), far)
+    out = tmp_path / "out"
+    out.mkdir()
+    write_result(out, result.scene, result, tj.Config(), "test")
+    boxes = boxes_of(result)
+    larger = boxes[0]._replace(center=(0, 0, 0.6), size=(2, 1, 1.2))
+    for chosen in ([larger, boxes[2], boxes[3]], [larger, boxes[2]._replace(name="chair"), boxes[3]]):
+        (tmp_path / "boxes.txt").write_text(openpcdet_lines(chosen), encoding="utf-8")
+        run("edits", "import", out, tmp_path / "boxes.txt")
+    after = tj.load_result(out)
+    assert after.num_point_segments == 3
+    (named,) = after.segment_names
+    assert after.segment_names == {named: "chair"}
+    assert torch.equal(after.points == named, result.points == 2)

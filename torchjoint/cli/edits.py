@@ -10,9 +10,9 @@ import tyro
 
 from torchjoint.results.box_edits import edits_of_boxes
 from torchjoint.results.boxes import read_boxes
-from torchjoint.results.edits import FILE, Edits, read_edits, write_edits
+from torchjoint.results.edits import FILE, read_edits, write_edits
 from torchjoint.results.loading import load_result
-from torchjoint.results.parts import Parts
+from torchjoint.results.parts import Parts, edited
 
 
 def edits(
@@ -28,17 +28,16 @@ def edits(
 
     Args:
         action: import.
-        result: folder that `torchjoint segment` wrote, from which the boxes were exported.
+        result: folder that `torchjoint segment` wrote, from which the boxes were exported, at its own level.
         boxes: .json of labelCloud (centroid_abs), or .txt of OpenPCDet's custom data sets.
     """
-    found = read_boxes(boxes)
-    loaded = load_result(result)
-    count = Parts(load_result(result, edits=False)).count
-    before = read_edits(result, count)
-    changes = edits_of_boxes(loaded, found)
+    found, stored = read_boxes(boxes), load_result(result, edits=False)
+    parts = Parts(stored)
+    before = read_edits(result, parts.count)
+    changes = edits_of_boxes(edited(stored, before), found, parts.of_point)
     if changes.steps:
         steps = tuple(replace(step, granularity=before.granularity) for step in changes.steps)
-        write_edits(result, Edits(count, before.granularity, before.steps + steps))
+        write_edits(result, replace(before, steps=before.steps + steps))
     print(f"{len(found)} boxes: {changes.joined} things joined others, {changes.named} names changed")
     if changes.empty:
         print(f"{len(changes.empty)} boxes are those of no thing, such as box {changes.empty[0]}; split in the viewer")

@@ -69,11 +69,11 @@ def live(
         with ThreadPoolExecutor(1) as beside:
             running: list[Future[LiveResult]] = []
 
-            def tell(count: int) -> None:
+            def tell(count: int, frame: Frame | None) -> None:
                 if running and running[-1].done():
                     running.pop().result()  # raises its error
-                if view is not None:
-                    view.camera(recording.frames[count - 1])
+                if view is not None and frame is not None:
+                    view.camera(frame)
                 is_time = count % every == 0 if every else show
                 if is_time and not running and segmenter.names:
                     running.append(beside.submit(last.compute, count))

@@ -29,7 +29,7 @@ def play(
     frames: Sequence[Frame],
     segmenter: LiveSegmenter,
     rate: float | None = None,
-    told: Callable[[int], None] | None = None,
+    told: Callable[[int, Frame | None], None] | None = None,
     clock: Clock = Clock(),  # noqa: B008 (it has no state)
 ) -> Played:
     """Gives frames to a segmenter, none before its time.
@@ -39,13 +39,14 @@ def play(
         segmenter: gets the frames.
         rate: frames a second of the camera; a frame that could only begin when the next one is due is dropped. None: no
             frame is dropped, and none waits.
-        told: called with the number of frames so far after each of them, dropped or not; its time counts, too.
+        told: called after each frame with the number of frames so far and the frame, None if it was dropped; its time
+            counts, too.
         clock: another one for tests.
     """
     played = Played([], [], [])
     start = clock.now()
     for index in range(len(frames)):
-        began = clock.now()
+        began, frame = clock.now(), None
         early = 0.0 if rate is None else start + index / rate - began
         if rate is not None and early <= -1 / rate:
             played.dropped.append(index)
@@ -54,10 +55,11 @@ def play(
                 clock.wait(early)
                 began = clock.now()
             before = len(segmenter.names)
-            segmenter.update(frames[index])
+            frame = frames[index]
+            segmenter.update(frame)
             if len(segmenter.names) > before:
                 played.keyframes.append(index)
             played.seconds.append(clock.now() - began)
         if told is not None:
-            told(index + 1)
+            told(index + 1, frame)
     return played

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +27,7 @@ class BoxEdits(NamedTuple):
     empty: tuple[int, ...]  #: boxes that are those of no segment
 
 
-def edits_of_boxes(result: Result, boxes: Sequence[Box]) -> BoxEdits:
+def edits_of_boxes(result: Result, boxes: Sequence[Box], piece: npt.NDArray[np.int64]) -> BoxEdits:
     """The corrections that edited boxes mean.
 
     Each box belongs to one segment: the pairs are taken by the IoU of the points in the box with those in the segment's
@@ -36,27 +36,28 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box]) -> BoxEdits:
     stays. A name that is not UNNAMED becomes that of the segment.
 
     Args:
-        result: its labels are those from which the boxes were exported.
+        result: its labels are those from which the boxes were exported, with all corrections before.
         boxes: after the edits, in any order.
+        piece: [N] the piece of each point, which does not change with corrections.
     """
     points, labels = result.scene.points.double().numpy(), result.points.numpy()
     inside = np.array([box.holds(points) for box in boxes], dtype=bool).reshape(len(boxes), len(points))
-    own = [box.holds(points) for box in boxes_of(result)]
+    own = {segment: box.holds(points) for segment, box in boxes_of(result).items()}
     segment_of = _matches(inside, own)
-    piece = _first_pieces(result)
+    first = {segment: int(piece[labels == segment].min()) for segment in own}
     steps, joined = [], 0
     by_size = sorted(segment_of, key=lambda number: (np.prod(boxes[number].size), number))
-    for segment in sorted(set(range(len(own))) - set(segment_of.values())):
+    for segment in sorted(own.keys() - set(segment_of.values())):
         of_segment = labels == segment
         holder = next((n for n in by_size if inside[n, of_segment].mean() > INSIDE), None)
         if holder is not None:
-            steps.append(Edit("join", (int(piece[segment_of[holder]]), int(piece[segment]))))
+            steps.append(Edit("join", (first[segment_of[holder]], first[segment])))
             joined += 1
     named = 0
     for number, segment in sorted(segment_of.items()):
         name = "" if boxes[number].name == UNNAMED else boxes[number].name
         if _words(name) != _words(result.segment_names.get(segment, "")):
-            steps.append(Edit("name", (int(piece[segment]),), name))
+            steps.append(Edit("name", (first[segment],), name))
             named += 1
     return BoxEdits(tuple(steps), joined, named, tuple(n for n in range(len(boxes)) if n not in segment_of))
 
@@ -66,10 +67,10 @@ def _words(name: str) -> str:
     return "_".join(name.split())
 
 
-def _matches(inside: npt.NDArray[np.bool_], own: Sequence[npt.NDArray[np.bool_]]) -> dict[int, int]:
+def _matches(inside: npt.NDArray[np.bool_], own: Mapping[int, npt.NDArray[np.bool_]]) -> dict[int, int]:
     """The segment of each box that has one."""
     pairs = []
-    for segment, of_segment in enumerate(own):
+    for segment, of_segment in own.items():
         shared, either = (inside & of_segment).sum(1), (inside | of_segment).sum(1)
         iou = shared / np.maximum(either, 1)
         pairs += [(-float(iou[number]), int(number), segment) for number in np.flatnonzero(iou >= SAME)]
@@ -78,11 +79,3 @@ def _matches(inside: npt.NDArray[np.bool_], own: Sequence[npt.NDArray[np.bool_]]
         if number not in found and segment not in found.values():
             found[number] = segment
     return found
-
-
-def _first_pieces(result: Result) -> npt.NDArray[np.int64]:
-    """[S] the first piece of each segment."""
-    labels = result.points.numpy()
-    pieces = labels if result.hierarchy is None else result.hierarchy.piece.numpy()
-    known = np.flatnonzero(labels >= 0)
-    return pieces[known[np.unique(labels[known], return_index=True)[1]]]

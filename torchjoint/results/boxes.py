@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -43,25 +43,25 @@ class Box(NamedTuple):
         return inside
 
 
-def boxes_of(result: Result) -> list[Box]:
-    """The box with the smallest base around each segment of the cloud, in the order of the ids."""
+def boxes_of(result: Result) -> dict[int, Box]:
+    """The box with the smallest base around each segment that has points, by its id."""
     points, labels = result.scene.points.double().numpy(), result.points.numpy()
-    boxes = []
-    for segment in range(result.num_point_segments):
+    boxes = {}
+    for segment in np.unique(labels[labels >= 0]).tolist():
         found = oriented_box(points[labels == segment], _UP)
         yaw = math.atan2(found.axes[0, 1], found.axes[0, 0])
         name = result.segment_names.get(segment, UNNAMED)
-        boxes.append(Box(name, _three(found.center.tolist()), _three(found.size.tolist()), yaw))
+        boxes[segment] = Box(name, _three(found.center.tolist()), _three(found.size.tolist()), yaw)
     return boxes
 
 
-def openpcdet_lines(boxes: Sequence[Box]) -> str:
+def openpcdet_lines(boxes: Iterable[Box]) -> str:
     """The text of a label file of OpenPCDet's custom data sets: x y z dx dy dz heading name."""
     rows = (f"{_numbers((*box.center, *box.size, box.yaw))} {'_'.join(box.name.split()) or UNNAMED}" for box in boxes)
     return "".join(f"{row}\n" for row in rows)
 
 
-def labelcloud_record(boxes: Sequence[Box], file: Path) -> dict[str, Any]:
+def labelcloud_record(boxes: Iterable[Box], file: Path) -> dict[str, Any]:
     """The record of labelCloud's format centroid_abs: angles are degrees."""
 
     def named(names: str, values: Sequence[float]) -> dict[str, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,8 @@ class RelationLines:
     def __init__(self, server: Any) -> None:
         self._server = server
         self._handle: Any = None
-        self._found = lru_cache(maxsize=1)(_relations)
+        self._labels: npt.NDArray[np.int64] | None = None  # whose relations were found
+        self._found: tuple[Relation, ...] = ()
 
     def show(self, model: Model | None) -> None:
         """Draws the relations of the selected segments; without a selection, all but "touches". None hides them."""
@@ -43,8 +43,11 @@ class RelationLines:
         if model is None:
             return
         labels = model.table[model.parts.of_point]
-        found = self._found(labels.tobytes(), model)
-        ends, colors = lines(found, model.result.scene.points.numpy(), labels, model.selected)
+        if self._labels is None or not np.array_equal(labels, self._labels):
+            scene = Scene(model.result.scene.points)
+            found = relations(scene, Segmentation(torch.from_numpy(labels), ()), torch.from_numpy(model.up))
+            self._labels, self._found = labels, found.relations
+        ends, colors = lines(self._found, model.result.scene.points.numpy(), labels, model.selected)
         if len(ends):
             self._handle = self._server.scene.add_line_segments(
                 "/relations", ends, colors, thickness=THICKNESS, thickness_units="screen"
@@ -70,9 +73,3 @@ def lines(
     ends = np.array([[middle[one.first], middle[one.second]] for one in shown], dtype=np.float32).reshape(-1, 2, 3)
     colors = np.array([[COLORS[one.kind]] * 2 for one in shown], dtype=np.uint8).reshape(-1, 2, 3)
     return ends, colors
-
-
-def _relations(_: bytes, model: Model) -> tuple[Relation, ...]:
-    labels = torch.from_numpy(model.table[model.parts.of_point])
-    scene = Scene(model.result.scene.points)
-    return relations(scene, Segmentation(labels, ()), torch.from_numpy(model.up)).relations

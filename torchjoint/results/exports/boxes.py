@@ -21,14 +21,14 @@ LEVEL = 10.0
 def export_openpcdet(path: Path, result: Result) -> None:
     """Writes a label file of OpenPCDet's custom data sets: a line ``x y z dx dy dz heading name`` for each segment."""
     _warn_if_tilted(result)
-    write_text(path, openpcdet_lines(boxes_of(result)))
+    write_text(path, openpcdet_lines(boxes_of(result).values()))
 
 
 @on_cpu()
 def export_labelcloud(path: Path, result: Result) -> None:
     """Writes the boxes as labelCloud reads them (format centroid_abs); its cloud is ``points.ply`` of the result."""
     _warn_if_tilted(result)
-    record = labelcloud_record(boxes_of(result), path.with_suffix(".ply"))
+    record = labelcloud_record(boxes_of(result).values(), path.with_suffix(".ply"))
     write_text(path, json.dumps(record, indent=1, ensure_ascii=False))
 
 
