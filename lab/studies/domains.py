@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 import report
 import torch
+from domain_tables import PRESETS, SIMPLE, show_tables
 from torch import Tensor
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.disturbances import moved
@@ -61,15 +62,10 @@ TRAINING, TUNING, SCORING = (*range(10), *range(14, 24)), range(4), (*range(10, 
 REAL = ("mosd", "ycb")
 #: What is left out of the training, and what the model is scored on: the real desk is of the kind "desk".
 LEFT_OUT = {**{kind: (kind,) for kind in (*DOMAINS, "mosd")}, "desk": ("desk", "ycb")}
-TITLES = {"mosd": "real table-tops (mOSD)", "ycb": "real desk (YCB-Video)"}
 #: As the model in the package was trained, but for fewer folds and fewer scenes, which take less time.
 OPTIONS = BoundaryModelOptions(folds=2)
-ROOT = Path(__file__).parents[2]
-PAGES = (ROOT / "README.md", ROOT / "docs" / "evaluation.md")
 #: Frames held in memory at a time.
 FRAMES = 8
-PRESETS = ("regions", "indoor", "tabletop")
-SIMPLE = ("normals", "distance_normal_color", "ransac_dbscan")
 
 
 class Named(NamedTuple):
@@ -321,103 +317,6 @@ def score_final_images(work: Path, kind: str, arguments: argparse.Namespace) -> 
                 rows[name].append((judged.f, judged.best_iou))
     write_text(done, json.dumps(rows))
     print(kind, {name: np.mean(values, 0).round(3).tolist() for name, values in rows.items()}, flush=True)
-
-
-def show_tables(work: Path, kinds: Sequence[str], runs: int, write: bool) -> None:
-    """Prints the tables of what has been scored so far; `write`: also into lab/studies/README.md and PAGES."""
-    show_default(work, kinds, runs, write)
-    columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "mean of models", "default"]
-    columns += [*(f"preset {preset}" for preset in PRESETS), "best simple method", "left out - preset regions"]
-    columns += ["left out - best simple method"]
-    rows = []
-    for kind in kinds:
-        files = sorted(work.glob(f"left-out-{kind}-[0-9]*.json"))
-        mean = work / f"left-out-{kind}-mean{len(files)}.json"  # a mean of fewer seeds is another model
-        if not all(file.is_file() for file in (mean, work / f"default-{kind}.json", work / f"others-{kind}.json")):
-            continue
-        default = by_run(json.loads((work / f"default-{kind}.json").read_text()), runs)
-        seeds = [by_run(json.loads(file.read_text()), runs) for file in files]
-        left = np.concatenate([seed["learned, left out"] for seed in seeds])  # [seeds * runs, scenes, 2]
-        blind = np.concatenate([seed["learned, left out, no images"] for seed in seeds])
-        together = by_run(json.loads(mean.read_text()), runs)["learned, left out"]
-        others = by_run(json.loads((work / f"others-{kind}.json").read_text()), runs)
-        simple = max(SIMPLE, key=lambda name: float(others[name].mean()))
-        gains = [left.mean(0) - others[name].mean(0) for name in ("preset_regions", simple)]
-        cells = [f"{TITLES.get(kind, kind)}, {left.shape[1]}", f"{_both(left)}, {len(seeds)}"]
-        cells += [_both(blind), _both(together)]
-        cells += [_both(default["default"])]
-        cells += [_both(others[f"preset_{preset}"]) for preset in PRESETS]
-        cells += [f"{_both(others[simple])} ({simple})", *map(difference, gains)]
-        rows.append(cells)
-    if rows:
-        report.show("domains", report.table(columns, rows), write)
-    show_images(work, kinds, runs, write)
-
-
-def show_default(work: Path, kinds: Sequence[str], runs: int, write: bool) -> None:
-    """Prints the table of the default, presets and simple methods; `write`: also a short one into PAGES."""
-    columns = ["kind of data, scenes", "default", *(f"preset {preset}" for preset in PRESETS), "best simple method"]
-    columns += ["default - best preset", "default - best simple method", "with images - cloud alone"]
-    rows = []
-    for kind in kinds:
-        files = [work / f"{name}-{kind}.json" for name in ("default", "others")]
-        if not all(file.is_file() for file in files):
-            continue
-        own, others = (by_run(json.loads(file.read_text()), runs) for file in files)
-        default, without = own.values()
-        simple = max(SIMPLE, key=lambda name: float(others[name].mean()))
-        preset = max((f"preset_{preset}" for preset in PRESETS), key=lambda name: float(others[name].mean()))
-        cells = [f"{TITLES.get(kind, kind)}, {default.shape[1]}", _both(default)]
-        cells += [*(_both(others[f"preset_{one}"]) for one in PRESETS), f"{_both(others[simple])} ({simple})"]
-        rivals = (others[preset], others[simple], without)
-        rows.append([*cells, *(difference((default - rival).mean(0)) for rival in rivals)])
-    if not rows:
-        return
-    report.show("default", report.table(columns, rows), write)
-    chosen = [0, 1, 2, 5]
-    for page in PAGES if write else ():
-        brief = report.table([columns[place] for place in chosen], [[row[place] for place in chosen] for row in rows])
-        report.write_part("domains", brief, page)
-
-
-def show_images(work: Path, kinds: Sequence[str], runs: int, write: bool) -> None:
-    """Prints the table of the final images beside the initial ones, and of the points with and without images."""
-    rows = []
-    for kind in kinds:
-        if not all((work / f"{name}-{kind}.json").is_file() for name in ("images", "default")):
-            continue
-        packaged = by_run(json.loads((work / f"default-{kind}.json").read_text()), runs)
-        initial, final = by_run(json.loads((work / f"images-{kind}.json").read_text()), runs).values()
-        with_images, without = packaged.values()
-        cells = [f"{TITLES.get(kind, kind)}, {initial.shape[1]}", _both(initial), _both(final)]
-        rows.append([*cells, difference((final - initial).mean(0)), difference((with_images - without).mean(0))])
-    if not rows:
-        return
-    columns = ["kind of data, scenes", "initial images", "final images", "final - initial"]
-    report.show("images or not", report.table([*columns, "points: with images - cloud alone"], rows), write)
-
-
-def by_run(rows: Mapping[str, Sequence[Sequence[float]]], runs: int) -> dict[str, np.ndarray]:
-    """Of each row the scores [runs, scenes, 2], from those of the runs of the first scene, of the second, ..."""
-    return {name: np.array(values).reshape(-1, runs, 2).transpose(1, 0, 2) for name, values in rows.items()}
-
-
-def _both(scores: np.ndarray) -> str:
-    """F / best IoU of [runs, scenes, 2]; with several runs, the standard deviation of the runs' means."""
-    mean = scores.mean((0, 1))
-    if len(scores) == 1:
-        return f"{mean[0]:.3f} / {mean[1]:.3f}"
-    spread = scores.mean(1).std(0, ddof=1)
-    return f"{mean[0]:.3f} ± {spread[0]:.3f} / {mean[1]:.3f} ± {spread[1]:.3f}"
-
-
-def difference(gain: np.ndarray) -> str:
-    """Mean of differences [scenes, 2], paired by scene, with its standard error."""
-    if len(gain) == 1:
-        return f"{gain[0, 0]:+.3f} / {gain[0, 1]:+.3f}"
-    error = gain.std(0, ddof=1) / len(gain) ** 0.5
-    mean = gain.mean(0)
-    return f"{mean[0]:+.3f} ± {error[0]:.3f} / {mean[1]:+.3f} ± {error[1]:.3f}"
 
 
 if __name__ == "__main__":

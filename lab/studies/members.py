@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 import report
 import torch
-from domains import DOMAINS, difference
+from domain_tables import difference
+from domains import DOMAINS
 from torch import Tensor
 from torchjoint_lab.training.boundary_examples import IMAGE_FEATURES, feature_columns
 from torchjoint_lab.training.piece_graph_files import load_evidence

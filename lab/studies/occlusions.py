@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 import report
 import torch
-from domains import DOMAINS, difference, load_thinned
+from domain_tables import difference
+from domains import DOMAINS, load_thinned
 from torchjoint_lab.synthetic import make_domain_scene
 from torchjoint_lab.training.boundary_examples import learned_config
 

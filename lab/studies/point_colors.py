@@ -21,7 +21,8 @@ from unittest.mock import patch
 import numpy as np
 import report
 import torch
-from domains import DOMAINS, Named, difference, make_scene, scenes
+from domain_tables import difference
+from domains import DOMAINS, Named, make_scene, scenes
 from members import left_out_models
 from torchjoint_lab.training.boundary_examples import learned_config
 

@@ -5,18 +5,12 @@
 number of ground crumbs (segments of which most points are ground, besides the largest), seconds; for other methods than
 the default's, what method scan has more, scan by scan, with the standard errors.
 
-`python lab/studies/streets.py --data FOLDER --sensors --simple 40 --travel PYTHON --write` makes the table of sensors
-in docs/evaluation.md, of runs on points that are moved by 1 cm; FOLDER also has `vod/`, `argo/` and `nuscenes/`. PYTHON
-is the interpreter of an environment with `pip install travel-seg` (GPL), which is run as a program.
-
 In a full annotation, and on generated streets, the points are of three kinds: things and ground are instances; void
 points do not count; all others (houses, hedges) are no instances, but they count where a segment mixes them with one.
 """
 
 import argparse
 import math
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -25,11 +19,9 @@ from statistics import fmean
 from typing import Any, NamedTuple
 
 import numpy as np
-import report
 import torch
 from torch import Tensor
 from torchjoint_lab.benchmark import spaces
-from torchjoint_lab.benchmark.disturbances import moved
 from torchjoint_lab.benchmark.planes import planes_and_clusters
 from torchjoint_lab.benchmark.space import draw
 from torchjoint_lab.datasets.semantickitti import read_sweep
@@ -47,25 +39,6 @@ from torchjoint.views.projection import in_any_view
 
 #: Seeds of generated streets on which settings may be chosen, and of those that check them.
 SEEDS = {"develop": range(10), "check": range(10, 20)}
-#: Metres along each axis, about the noise of a sensor: what moves the points of each run; and the number of runs.
-NOISE, RUNS = 0.01, 4
-EVALUATION = Path(__file__).parents[2] / "docs" / "evaluation.md"
-#: The sensors of the data with things in boxes or a full annotation.
-SENSORS = {
-    "kitti": "KITTI, in the image",
-    "semantickitti": "SemanticKITTI, a sweep",
-    "vod": "View of Delft, in the image",
-    "argo": "Argoverse 2, two sensors",
-    "nuscenes": "nuScenes, a sweep",
-}
-#: What TRAVEL's interpreter runs: a file of points, a file for its labels. Its log goes to stdout.
-TRAVEL = """
-import sys
-import numpy as np
-import travel_seg
-found = travel_seg.segment(np.load(sys.argv[1]))
-np.savez(sys.argv[2], ground=found.ground_mask, thing=found.instance_labels)
-"""
 
 
 class Sweep(NamedTuple):
@@ -104,21 +77,6 @@ def semantickitti(data: Path) -> Iterator[Sweep]:
         yield Sweep(path.stem, sweep.points, sweep.instance, (sweep.instance < 0) & ~sweep.void, 0)
 
 
-def plain(name: str, data: Path) -> Iterator[Sweep]:
-    """A cloud with things in boxes; -2 is what counts where it leaks into a thing."""
-    truth = torch.from_numpy(np.load(data / name / "cloud.truth.npy")).long()
-    points = load_scene(data / name / "cloud.ply").points
-    yield Sweep(name, points, truth.clamp(min=-1), truth == -2, None)
-
-
-def nuscenes(data: Path) -> Iterator[Sweep]:
-    """Points in boxes; what is outside all boxes is void."""
-    for name, path in list_scenes(data / "nuscenes").items():
-        scene = load_scene(path)
-        instance = known_instances(scene)
-        yield Sweep(name, scene.points, instance, torch.zeros_like(instance, dtype=torch.bool), None)
-
-
 def streets(half: str) -> Iterator[Sweep]:
     """Generated streets; vegetation, houses and fences are no instances."""
     for seed in SEEDS[half]:
@@ -149,12 +107,15 @@ def judge(labels: Tensor, sweep: Sweep, seconds: float = 0.0) -> Score:
     table.pred_area = torch.bincount(region, minlength=num_regions)
     table.precision = table.count.double() / table.pred_area[table.pred]
     iou = table.count / (table.pred_area[table.pred] + table.target_area[table.target] - table.count).double()
+    is_none = torch.zeros(num_regions, dtype=torch.bool)
+    is_none[region[none[counts]]] = True
+    iou[is_none[table.pred]] = 0
     best = iou.new_zeros(len(table.target_area)).scatter_reduce(0, table.target, iou, "amax")
     # Regions of houses and hedges are not judged, unless they hold most of an instance.
     of_instances = torch.bincount(region[known], minlength=num_regions)
     judged = 2 * of_instances >= table.pred_area
-    judged[region[none[counts]]] = False
     judged[table.pred[table.recall >= 0.5]] = True
+    judged &= ~is_none
     f = objects_and_parts_of(torch.where(judged, table.pred_area, 0), [table]).f
     return Score(f, best.mean().item(), crumbs(labels, sweep), seconds, (best > 0.5).double().mean().item())
 
@@ -173,55 +134,6 @@ def run(method: Callable[[Tensor], Tensor], sweep: Sweep) -> Score:
     start = time.perf_counter()
     labels = method(sweep.points)
     return judge(labels, sweep, time.perf_counter() - start)
-
-
-def travel(python: Path, points: Tensor) -> Tensor:
-    """Labels [N] of TRAVEL (M. Oh et al., RA-L 2022): 0 ground, -1 none."""
-    with tempfile.TemporaryDirectory() as folder:
-        given, made = Path(folder) / "points.npy", Path(folder) / "labels.npz"
-        np.save(given, np.pad(points.float().numpy(), ((0, 0), (0, 1))))
-        subprocess.run([str(python), "-c", TRAVEL, str(given), str(made)], check=True, capture_output=True)
-        found = np.load(made)
-        thing = torch.from_numpy(found["thing"].astype(np.int64))
-        return torch.where(torch.from_numpy(found["ground"].astype(bool)), 0, torch.where(thing > 0, thing, -1))
-
-
-def show_sensors(arguments: argparse.Namespace, config: ScanConfig) -> None:
-    """Prints the table of methods on real scans of several sensors; --write: also into docs/evaluation.md."""
-    data: Path = arguments.data
-    loaders = {"kitti": kitti, "semantickitti": semantickitti, "nuscenes": nuscenes}
-    columns, rows = ["method"], dict[str, list[str]]()
-    for name, title in SENSORS.items():
-        sweeps = list(loaders[name](data) if name in loaders else plain(name, data))
-        methods: dict[str, Callable[[Tensor], Tensor]] = {"default": lambda points: segment_scan(points, config)}
-        if arguments.travel:
-            methods["TRAVEL"] = partial(travel, arguments.travel)
-        if arguments.simple:
-            setting = best_simple(sweeps, arguments.simple)[1]
-            methods["planes and DBSCAN, tuned on the column"] = partial(planes_and_clusters, **setting)
-        columns.append(
-            f"{title}: {len(sweeps)}, {sum(int(one.instance.unique().ge(0).sum()) for one in sweeps)} things"
-        )
-        for method, function in methods.items():
-            rows.setdefault(method, []).append(_sensor_cell(function, sweeps))
-            print(name, method, rows[method][-1], flush=True)
-    text = report.table(columns, [[method, *cells] for method, cells in rows.items()])
-    print(text)
-    if arguments.write:
-        report.write_part("sensors", text, EVALUATION)
-
-
-def _sensor_cell(method: Callable[[Tensor], Tensor], sweeps: list[Sweep]) -> str:
-    """F / best IoU / share found: means over the scans of RUNS runs, and the deviation of these means."""
-    of_runs = []
-    for number in range(RUNS):
-        scores = []
-        for sweep in sweeps:
-            points = moved(sweep.points, NOISE, torch.Generator().manual_seed(number))
-            scores.append(run(method, sweep._replace(points=points)))
-        of_runs.append([fmean(getattr(score, name) for score in scores) for name in ("f", "best_iou", "found")])
-    mean, spread = np.mean(of_runs, 0), np.std(of_runs, 0, ddof=1)
-    return " / ".join(f"{value:.3f} ± {error:.3f}" for value, error in zip(mean, spread, strict=True))
 
 
 def best_simple(sweeps: list[Sweep], count: int) -> tuple[list[Score], dict[str, Any]]:
@@ -266,15 +178,9 @@ def main() -> None:
     parser.add_argument("--set", nargs="*", default=[], help="parameters of method scan, scan.NAME=VALUE")
     parser.add_argument("--simple", type=int, default=0, metavar="COUNT", help="tries plane removal + DBSCAN")
     parser.add_argument("--regions", action="store_true", help="preset regions")
-    parser.add_argument("--sensors", action="store_true", help="the table of sensors instead")
-    parser.add_argument("--travel", type=Path, metavar="PYTHON", help="interpreter that has travel-seg")
-    report.add_write(parser, "the table of sensors in docs/evaluation.md")
     parser.add_argument("--each", action="store_true", help="a row for every scan")
     arguments = parser.parse_args()
     config: ScanConfig = Config.from_preset("scan").set(arguments.set).scan
-    if arguments.sensors:
-        show_sensors(arguments, config)
-        return
     loaders: dict[str, Callable[[], Iterator[Sweep]]] = {
         "kitti": lambda: kitti(arguments.data),
         "semantickitti": lambda: semantickitti(arguments.data),

@@ -15,7 +15,7 @@ from torchjoint_lab.benchmark.suites import SUITES
 import torchjoint as tj
 
 STUDIES = Path(__file__).parents[1] / "studies"
-HELPERS = ("report", "suite_arguments")
+HELPERS = ("domain_tables", "report", "suite_arguments")
 #: Draws pictures of the documents; has no arguments, so each start is a run.
 WITHOUT_ARGUMENTS = ("pictures",)
 

@@ -1,0 +1,119 @@
+"""Judges the default on real scans of several sensors, beside TRAVEL, and planes and DBSCAN.
+
+`python lab/studies/sensors.py --data FOLDER --simple 40 --travel PYTHON --write` makes the table in docs/evaluation.md.
+FOLDER has `kitti/`, `semantickitti/`, `vod/`, `argo/` and `nuscenes/`. PYTHON is the interpreter of an environment with
+`pip install travel-seg` (GPL), which is run as a program. Scores are those of streets.py, of runs on points that are
+moved by 1 cm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from statistics import fmean
+
+import numpy as np
+import report
+import torch
+from streets import Sweep, best_simple, kitti, known_instances, run, semantickitti
+from torch import Tensor
+from torchjoint_lab.benchmark.disturbances import moved
+from torchjoint_lab.benchmark.planes import planes_and_clusters
+
+from torchjoint.datasets import list_scenes, load_scene
+from torchjoint.segments.scan.scan_segments import segment_scan
+
+#: Metres along each axis, about the noise of a sensor: what moves the points of each run; and the number of runs.
+NOISE, RUNS = 0.01, 4
+EVALUATION = Path(__file__).parents[2] / "docs" / "evaluation.md"
+#: The sensors of the data with things in boxes or a full annotation.
+SENSORS = {
+    "kitti": "KITTI, in the image",
+    "semantickitti": "SemanticKITTI, a sweep",
+    "vod": "View of Delft, in the image",
+    "argo": "Argoverse 2, two sensors",
+    "nuscenes": "nuScenes, a sweep",
+}
+#: What TRAVEL's interpreter runs: a file of points, a file for its labels. Its log goes to stdout.
+TRAVEL = """
+import sys
+import numpy as np
+import travel_seg
+found = travel_seg.segment(np.load(sys.argv[1]))
+np.savez(sys.argv[2], ground=found.ground_mask, thing=found.instance_labels)
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True, help="folder with those of SENSORS")
+    parser.add_argument("--simple", type=int, default=0, metavar="COUNT", help="tries plane removal + DBSCAN")
+    parser.add_argument("--travel", type=Path, metavar="PYTHON", help="interpreter that has travel-seg")
+    report.add_write(parser, "the table in docs/evaluation.md")
+    arguments = parser.parse_args()
+    loaders = {"kitti": kitti, "semantickitti": semantickitti, "nuscenes": nuscenes}
+    columns, rows = ["method"], dict[str, list[str]]()
+    for name, title in SENSORS.items():
+        sweeps = list(loaders[name](arguments.data) if name in loaders else plain(name, arguments.data))
+        methods: dict[str, Callable[[Tensor], Tensor]] = {"default": segment_scan}
+        if arguments.travel:
+            methods["TRAVEL"] = partial(travel, arguments.travel)
+        if arguments.simple:
+            setting = best_simple(sweeps, arguments.simple)[1]
+            methods["planes and DBSCAN, tuned on the column"] = partial(planes_and_clusters, **setting)
+        things = sum(int((one.instance.unique() >= 0).sum()) for one in sweeps)
+        columns.append(f"{title}: {len(sweeps)}, {things} things")
+        for method, function in methods.items():
+            rows.setdefault(method, []).append(cell(function, sweeps))
+            print(name, method, rows[method][-1], flush=True)
+    text = report.table(columns, [[method, *cells] for method, cells in rows.items()])
+    print(text)
+    if arguments.write:
+        report.write_part("sensors", text, EVALUATION)
+
+
+def plain(name: str, data: Path) -> Iterator[Sweep]:
+    """A cloud with things in boxes; -2 is what counts where it leaks into a thing."""
+    truth = torch.from_numpy(np.load(data / name / "cloud.truth.npy")).long()
+    points = load_scene(data / name / "cloud.ply").points
+    yield Sweep(name, points, truth.clamp(min=-1), truth == -2, None)
+
+
+def nuscenes(data: Path) -> Iterator[Sweep]:
+    """Points in boxes; what is outside all boxes is void."""
+    for name, path in list_scenes(data / "nuscenes").items():
+        scene = load_scene(path)
+        instance = known_instances(scene)
+        yield Sweep(name, scene.points, instance, torch.zeros_like(instance, dtype=torch.bool), None)
+
+
+def travel(python: Path, points: Tensor) -> Tensor:
+    """Labels [N] of TRAVEL (M. Oh et al., RA-L 2022): 0 ground, -1 none."""
+    with tempfile.TemporaryDirectory() as folder:
+        given, made = Path(folder) / "points.npy", Path(folder) / "labels.npz"
+        np.save(given, np.pad(points.float().numpy(), ((0, 0), (0, 1))))
+        subprocess.run([str(python), "-c", TRAVEL, str(given), str(made)], check=True, capture_output=True)
+        found = np.load(made)
+        thing = torch.from_numpy(found["thing"].astype(np.int64))
+        return torch.where(torch.from_numpy(found["ground"].astype(bool)), 0, torch.where(thing > 0, thing, -1))
+
+
+def cell(method: Callable[[Tensor], Tensor], sweeps: list[Sweep]) -> str:
+    """F / best IoU / share found: means over the scans of RUNS runs, and the deviation of these means."""
+    of_runs = []
+    for number in range(RUNS):
+        scores = []
+        for sweep in sweeps:
+            points = moved(sweep.points, NOISE, torch.Generator().manual_seed(number))
+            scores.append(run(method, sweep._replace(points=points)))
+        of_runs.append([fmean(getattr(score, name) for score in scores) for name in ("f", "best_iou", "found")])
+    mean, spread = np.mean(of_runs, 0), np.std(of_runs, 0, ddof=1)
+    return " / ".join(f"{value:.3f} ± {error:.3f}" for value, error in zip(mean, spread, strict=True))
+
+
+if __name__ == "__main__":
+    main()
