@@ -29,7 +29,7 @@ format:
 
 lint:
 	$(VENV)/bin/ruff format --check .
-	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff check --no-cache .
 	$(VENV)/bin/clang-format --dry-run -Werror $(SOURCES)
 
 types:

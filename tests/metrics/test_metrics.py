@@ -7,7 +7,7 @@ from itertools import product
 
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -7,7 +7,7 @@ from statistics import fmean
 
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import strategies as st
 
 from torchjoint.metrics import ScannetAveragePrecisionMetric, scannet_average_precision

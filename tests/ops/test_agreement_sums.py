@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import strategies as st
 from reference.agreement_sums import agreement_sums_reference
 

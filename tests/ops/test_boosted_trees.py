@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import strategies as st
 from reference.boosted_trees import EXAMPLE as BOOSTED_TREES
 from reference.boosted_trees import boosted_trees_reference

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import strategies as st
 from reference.felzenszwalb import felzenszwalb_reference
 from skimage.segmentation import felzenszwalb as skimage_felzenszwalb

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import strategies as st
 from torch import Tensor
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import strategies as st
 from reference.mask_merges import mask_merges_reference
 from torch import Tensor

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import strategies as st
 from reference.match_pixels import match_pixels_reference
 from scipy.sparse import csr_matrix

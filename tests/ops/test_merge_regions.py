@@ -7,7 +7,7 @@ from contextlib import nullcontext
 
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference.merge_regions import merge_regions_reference

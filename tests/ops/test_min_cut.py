@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference.min_cut import min_cut_reference

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import strategies as st
 from reference.parse_numbers import parse_numbers_reference
 from torch import Tensor

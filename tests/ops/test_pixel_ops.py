@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import given
 from hypothesis import strategies as st
 from reference.line_maxima import line_maxima_reference

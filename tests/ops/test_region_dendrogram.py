@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import strategies as st
 from reference.region_dendrogram import region_dendrogram_reference
 from torch import Tensor

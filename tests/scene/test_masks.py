@@ -6,7 +6,7 @@ import warnings
 
 import pytest
 import torch
-from examples import few_and_many
+from effort import few_and_many
 from hypothesis import strategies as st
 
 import torchjoint as tj
