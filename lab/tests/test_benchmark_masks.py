@@ -16,27 +16,27 @@ def record(f, best_iou, images=None):
 
 def test_differences_are_paired_after_a_mean_over_seeds():
     results = [
-        (masks.Run("room", 10, "hard", 0), {"ours": record(0.5, 0.9, (0.7, 0.8)), "sai3d": record(0.2, 0.8)}),
-        (masks.Run("room", 10, "hard", 1), {"ours": record(0.5, 0.7, (0.7, 0.8)), "sai3d": record(0.4, 0.8)}),
-        (masks.Run("room", 11, "hard", 0), {"ours": record(0.7, 0.5, (0.5, 0.6)), "sai3d": record(0.6, 0.6)}),
+        (masks.Run("room", 10, 0, "hard"), {"ours": record(0.5, 0.9, (0.7, 0.8)), "sai3d": record(0.2, 0.8)}),
+        (masks.Run("room", 10, 1, "hard"), {"ours": record(0.5, 0.7, (0.7, 0.8)), "sai3d": record(0.4, 0.8)}),
+        (masks.Run("room", 11, 0, "hard"), {"ours": record(0.7, 0.5, (0.5, 0.6)), "sai3d": record(0.6, 0.6)}),
+        (masks.Run("room", 11, 1, "hard"), {"ours": record(0.9, 0.3, (0.5, 0.6)), "sai3d": record(0.8, 0.6)}),
     ]
     ours, theirs = (line.split("|") for line in masks.report(results, "tuning").splitlines()[-2:])
     assert [cell.strip() for cell in ours[1:-1]] == [
-        "room, hard", "joint", "0.500 / 0.600 / 0.650", "", "", "0.600 / 0.700", "2.0"
+        "room, hard", "joint", "0.500 ± 0.000 / 0.650 ± 0.071 / 0.600 ± 0.141", "", "",
+        "0.600 ± 0.000 / 0.700 ± 0.000", "2.0",
     ]  # fmt: skip
     assert [cell.strip() for cell in theirs[2:-1]] == [
-        "SAI3D", "0.500 / 0.450 / 0.700", "**+0.150 ± 0.050**", "-0.050 ± 0.050", "", "2.0"
+        "SAI3D", "0.500 ± 0.000 / 0.500 ± 0.141 / 0.700 ± 0.000", "**+0.150 ± 0.050**", "-0.100 ± 0.100", "", "2.0"
     ]  # fmt: skip
 
 
-def test_perfect_masks_have_one_noise_seed():
+def test_every_seed_has_all_levels_of_a_scene():
     todo = masks.runs("checking", 2, 3, ("table",))
-    assert [(run.scene, run.level, run.noise) for run in todo[:7]] == [
-        (100, "perfect", 0),
-        *((100, "sam-like", noise) for noise in range(3)),
-        *((100, "hard", noise) for noise in range(3)),
+    levels = ("perfect", "sam-like", "hard")
+    assert todo == [
+        masks.Run("table", 100 + scene, seed, level) for scene in (0, 1) for seed in range(3) for level in levels
     ]
-    assert len(todo) == 14
 
 
 @pytest.mark.slow
@@ -51,7 +51,7 @@ def test_the_command_measures_once(tmp_path, monkeypatch, scene_of, capsys):
     chosen = {"domains": ("table",), "scenes": 1, "noise_seeds": 1, "out": tmp_path}
     benchmark("masks", **chosen, methods=("sai3d", "vote"))
     assert made == [("table", 100)]
-    file = tmp_path / "runs" / "table-100-perfect-0.json"
+    file = tmp_path / "runs" / "table-100-0-perfect.json"
     found = json.loads(file.read_text())
     assert set(found) == {"sai3d", "vote"}
     assert found["vote"]["2D"][1:] == [1.0, 1.0]  # perfect masks

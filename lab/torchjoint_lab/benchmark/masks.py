@@ -1,13 +1,18 @@
-"""Compares ways of bringing a network's masks to 3D, on generated scenes with masks of several levels of error."""
+"""Compares ways of bringing a network's masks to 3D, on generated scenes with masks of several levels of error.
+
+Each seed makes other masks, and moves the points by far less than a sensor's noise, because the score of one run is
+chance.
+"""
 
 from __future__ import annotations
 
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from dataclasses import replace
+from functools import cached_property, lru_cache
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, stdev
 from typing import Any, NamedTuple
 
 import torch
@@ -23,9 +28,11 @@ from torchjoint.runtime.files import write_text
 from torchjoint.scene import Scene
 from torchjoint.scene.masks import Masks
 from torchjoint_lab.benchmark.case import Case
+from torchjoint_lab.benchmark.disturbances import moved
 from torchjoint_lab.benchmark.mask_merging.mask_clustering import mask_clustering
 from torchjoint_lab.benchmark.mask_merging.sai3d import sai3d
 from torchjoint_lab.benchmark.mask_merging.sam3d import sam3d
+from torchjoint_lab.benchmark.robustness import NOISE
 from torchjoint_lab.benchmark.vote import vote
 from torchjoint_lab.synthetic import MASK_LEVELS, make_domain_scene, with_network_masks
 
@@ -45,17 +52,17 @@ Record = dict[str, Any]
 
 
 class Run(NamedTuple):
-    """A scene with masks of one level and one noise seed."""
+    """A scene with points moved by the noise of a seed, and masks of one level of this seed."""
 
     domain: str
     scene: int
-    level: str
     noise: int
+    level: str
 
     @property
     def file(self) -> str:
         """Name of its file of results."""
-        return f"{self.domain}-{self.scene}-{self.level}-{self.noise}.json"
+        return f"{self.domain}-{self.scene}-{self.noise}-{self.level}.json"
 
 
 class Prepared:
@@ -77,7 +84,7 @@ class Prepared:
 
 
 def runs(half: str, num_scenes: int, num_noises: int, domains: Sequence[str] = tuple(VIEWS)) -> list[Run]:
-    """Returns all runs, scene by scene. Perfect masks have no noise, hence one seed.
+    """Returns all runs, scene by scene.
 
     Raises:
         ValueError: an unknown domain, or a number below 1.
@@ -88,24 +95,26 @@ def runs(half: str, num_scenes: int, num_noises: int, domains: Sequence[str] = t
     if unknown := [domain for domain in domains if domain not in VIEWS]:
         raise ValueError(f"--domains: expected some of {', '.join(VIEWS)}, got {unknown[0]!r}")
     return [
-        Run(domain, FIRST_SEED[half] + index, level, noise)
+        Run(domain, FIRST_SEED[half] + index, noise, level)
         for domain in domains
         for index in range(num_scenes)
+        for noise in range(num_noises)
         for level in MASK_LEVELS
-        for noise in range(1 if level == "perfect" else num_noises)
     ]
 
 
 def measure(todo: Sequence[Run], methods: Sequence[str], folder: Path) -> Iterator[tuple[Run, dict[str, Record]]]:
     """Yields the results of each run, by method; runs with a file in the folder are not computed again."""
-    prepared: tuple[tuple[str, int], Prepared] | None = None
+    make = lru_cache(maxsize=1)(lambda domain, seed: make_domain_scene(domain, seed, num_views=VIEWS[domain]).scene)
+    prepared: tuple[Run, Prepared] | None = None
     for run in tqdm(todo, unit="run"):
         path = folder / run.file
         found: dict[str, Record] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
         missing = [name for name in methods if name not in found]
-        if missing and (prepared is None or prepared[0] != run[:2]):
-            made = make_domain_scene(run.domain, run.scene, num_views=VIEWS[run.domain])
-            prepared = run[:2], Prepared(made.scene)
+        if missing and (prepared is None or prepared[0][:3] != run[:3]):
+            generator = torch.Generator().manual_seed(run.noise)
+            made = make(run.domain, run.scene)
+            prepared = run, Prepared(replace(made, points=moved(made.points, NOISE, generator)))
         if missing and prepared is not None:
             masked = with_network_masks(prepared[1].scene, run.level, run.noise)
             for name in missing:
@@ -169,7 +178,8 @@ def _timed(function: Callable[[], Any]) -> tuple[Any, float]:
 def report(results: Sequence[tuple[Run, dict[str, Record]]], half: str) -> str:
     """Returns the table: one line per domain, level and method.
 
-    Noise seeds of one scene are averaged first, because they are not independent; errors are over the scenes.
+    The noise seeds of a scene are averaged first, because they are not independent. The deviation of a mean is that of
+    the seeds' means; errors of differences are over the scenes.
     """
     body = []
     for domain in dict.fromkeys(run.domain for run, _ in results):
@@ -181,24 +191,37 @@ def report(results: Sequence[tuple[Run, dict[str, Record]]], half: str) -> str:
     noises = len({run.noise for run, _ in results})
     columns = ["", "", "3D SSC / F / best IoU", "joint - it: F", "joint - it: best IoU", "2D F / best IoU", "seconds"]
     return (
-        f"{scenes} {half} scenes, {noises} noise seeds each. Means over the scenes; differences are paired by scene, "
-        "with their standard errors, bold where they are more than twice that. Seconds are from the masks to the "
+        f"{scenes} {half} scenes, {noises} runs each, with other masks and points moved by {1000 * NOISE:g} mm. Means, "
+        "and the deviation of the runs; differences are paired by scene, with their standard errors, bold where they "
+        "are more than twice that. Seconds are from the masks to the "
         "labels in 3D, with visibility, and with superpoints where they are used.\n\n" + markdown(columns, body)
     )
 
 
 def _cells(of_level: Sequence[tuple[Run, dict[str, Record]]], method: str) -> list[str]:
-    in_3d = [_mean(of_level, method, "3D", index) for index in range(3)]
-    in_2d = [_mean(of_level, method, "2D", index) for index in (1, 2)]
+    in_3d = [_mean_and_deviation(of_level, method, "3D", index) for index in range(3)]
+    in_2d = [_mean_and_deviation(of_level, method, "2D", index) for index in (1, 2)]
     seconds = fmean(found[method]["seconds"] for _, found in of_level)
     has_both = method != "ours" and "ours" in of_level[0][1]
     gains = [_gain(of_level, method, index) if has_both else "" for index in (1, 2)]
     return [
-        " / ".join(f"{fmean(values):.3f}" for values in in_3d),
+        " / ".join(in_3d),
         *gains,
-        " / ".join(f"{fmean(values):.3f}" for values in in_2d if values),
+        " / ".join(filter(None, in_2d)),
         f"{seconds:.1f}",
     ]
+
+
+def _mean_and_deviation(of_level: Sequence[tuple[Run, dict[str, Record]]], method: str, space: str, index: int) -> str:
+    """Over the seeds, of their means over the scenes; "" if the method has no such scores."""
+    values: dict[int, list[float]] = {}
+    for run, found in of_level:
+        if space in found[method]:
+            values.setdefault(run.noise, []).append(found[method][space][index])
+    means = [fmean(of_seed) for of_seed in values.values()]
+    if not means:
+        return ""
+    return f"{fmean(means):.3f}" + (f" ± {stdev(means):.3f}" if len(means) > 1 else "")
 
 
 def _gain(of_level: Sequence[tuple[Run, dict[str, Record]]], method: str, index: int) -> str:

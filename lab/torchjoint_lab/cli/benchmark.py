@@ -64,7 +64,7 @@ def benchmark(
             is replaced by the table of all methods.
         overwrite: replace files in OUT.
         scenes: only masks: number of scenes of each domain; default: 4.
-        noise_seeds: only masks: number of times that masks are made for each scene and level; default: 4.
+        noise_seeds: only masks: runs of each scene and level, with other masks and moved points; default: 4.
         domains: only masks: kinds of scenes; default: room table shelf.
     """
     if suite == "masks":
