@@ -1,14 +1,16 @@
 """Draws results for the documents: `python lab/studies/gallery.py DATA [PICTURE ...]` (some minutes for all).
 
-DATA has kitchen/ (7-Scenes' style), mosd/ and kitti/. Writes docs/gallery.jpg, docs/kitchen.jpg and
-docs/superpoints.jpg. All segmentations are by the default. The pictures of street LiDAR show no photograph, because its
-terms do not allow it: in its place stand the boundaries that the detector finds in it.
+DATA has kitchen/ (7-Scenes' style), mosd/, kitti/, and what sensors.py needs. Writes docs/gallery.jpg, kitchen.jpg,
+superpoints.jpg and sensors.jpg there. All segmentations are by the default. The pictures of street LiDAR show no
+photograph, because its terms do not allow it: in its place stand the boundaries that the detector finds in it.
 """
 
 import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+import sensors
+import streets
 from matplotlib.figure import Figure
 from torch import Tensor
 from torchjoint_lab.synthetic import make_domain_scene
@@ -23,6 +25,8 @@ from torchjoint.views.projection import in_any_view
 DOCS = Path(__file__).parents[2] / "docs"
 JPEG = {"dpi": 100, "pil_kwargs": {"quality": 88, "subsampling": 0}}
 CLOUD = (330, 440)
+#: Metres around a sensor that are drawn.
+NEAR = 25.0
 
 
 def kitchen(data: Path) -> tj.Scene:
@@ -99,11 +103,36 @@ def draw_superpoints(data: Path) -> Figure:
     return cloud_figure(scene, tj.superpoints(scene.points, scene.colors, scene.normals))
 
 
+def draw_sensors(data: Path) -> Figure:
+    """One scan of each sensor within NEAR of it, the ground in grey."""
+    made = make_domain_scene("street", seed=12, num_views=1)
+    scans = {
+        "KITTI": list(streets.kitti(data))[3].points,
+        "SemanticKITTI": next(streets.semantickitti(data)).points,
+        "View of Delft": next(sensors.plain("vod", data)).points,
+        "Argoverse 2, two sensors": next(sensors.plain("argo", data)).points,
+        "nuScenes": next(sensors.nuscenes(data)).points,
+        "generated street": made.scene.points,
+    }
+    figure = Figure(figsize=(14, 7.6), layout="constrained")
+    for axis, (title, points) in zip(figure.subplots(2, 3).flat, scans.items(), strict=True):
+        labels = tj.JointSegmenter()(tj.Scene(points)).points
+        near = points[:, :2].norm(dim=1) < NEAR
+        colors = label_colors(labels)
+        colors[labels == labels.bincount().argmax()] = 0.75
+        scene = tj.Scene(points[near])
+        axis.imshow(render_cloud(scene, colors[near], (540, 680)).numpy())
+        axis.set(xticks=[], yticks=[])
+        things = len(labels[near].unique()) - 1
+        axis.set_title(f"{title}: {int(near.sum()):,} points, {things} segments", fontsize=10)
+    return figure
+
+
 def _cloud(scene: tj.Scene, labels: Tensor) -> Tensor:
     return render_cloud(scene, label_colors(labels), CLOUD)
 
 
-PICTURES = {"gallery": draw_gallery, "kitchen": draw_kitchen, "superpoints": draw_superpoints}
+PICTURES = {"gallery": draw_gallery, "kitchen": draw_kitchen, "superpoints": draw_superpoints, "sensors": draw_sensors}
 
 
 def main() -> None:

@@ -1,20 +1,27 @@
 """Measures whether an image can split or join what a LiDAR scan leaves undecided: method scan, its weights changed.
 
-`python lab/studies/street_images.py --data FOLDER`, FOLDER with `kitti/`; also on generated streets (the seeds to
-develop on), one image each. Each row changes the weights of edges whose two ends the image sees, and shows the mean
-difference to method scan without images, with its standard error.
+`python lab/studies/street_images.py --data FOLDER --write`, FOLDER with `kitti/` and `vod/`; also on twenty generated
+streets, one image each, and there with masks of three levels of error. Each row changes the weights of edges whose two
+ends the image sees, and shows the mean difference to method scan without images, with its standard error over the
+scans. Each scan has --runs runs, on points that are moved by 1 cm, and with other errors of the masks.
 """
 
 import argparse
+import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
-from statistics import fmean, stdev
 from typing import NamedTuple
 
+import report
+import sensors
 import streets
 import torch
 from torch import Tensor
-from torchjoint_lab.synthetic import make_domain_scene
+from torchjoint_lab.benchmark.disturbances import moved
+from torchjoint_lab.synthetic import MASK_LEVELS, make_domain_scene, with_network_masks
+from tqdm import tqdm
 
 from torchjoint import ops
 from torchjoint.cloud.graph import undirected_edges
@@ -22,13 +29,21 @@ from torchjoint.config import Config, ScanConfig
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.joint import JointSegmenter
 from torchjoint.runtime.threads import one_thread_per_operation
-from torchjoint.scene import Frame
+from torchjoint.scene import Frame, Scene
 from torchjoint.segments.scan.gaps import JOINING_GAP
 from torchjoint.segments.scan.scan_segments import scan_gaps
 from torchjoint.views.projection import in_any_view
 
 #: Number of places along the line between two points at which the boundary is looked at.
 SAMPLES = 9
+
+
+class Scan(NamedTuple):
+    """A scan and the image of its camera."""
+
+    sweep: streets.Sweep
+    frame: Frame
+    scene: Scene | None = None  #: with a true image, of which masks can be made
 
 
 class Edges(NamedTuple):
@@ -40,7 +55,10 @@ class Edges(NamedTuple):
     boundary: Tensor  #: [E] strongest boundary between the ends, in [0, 1]
 
 
-CHANGES: dict[str, Callable[[Edges], Tensor]] = {
+Change = Callable[[Edges], Tensor]
+Pair = tuple[float, float]
+#: What the package's own segments and boundaries of an image may do, and what masks of a network may.
+OF_SEGMENTS: dict[str, Change] = {
     "two image segments: weight x 1.5": lambda e: torch.where(e.differ, 1.5 * e.weight, e.weight),
     "two image segments: weight x 4": lambda e: torch.where(e.differ, 4 * e.weight, e.weight),
     "boundary > .05: weight x 2": lambda e: torch.where(e.boundary > 0.05, 2 * e.weight, e.weight),
@@ -50,21 +68,38 @@ CHANGES: dict[str, Callable[[Edges], Tensor]] = {
         e.same, 0.7 * e.weight, torch.where(e.differ, 1.5 * e.weight, e.weight)
     ),
 }
+OF_MASKS: dict[str, Change] = {
+    "two masks: weight x 2": lambda e: torch.where(e.differ, 2 * e.weight, e.weight),
+    "two masks: never together": lambda e: torch.where(e.differ, torch.inf, e.weight),
+    "one mask: weight x .7": lambda e: torch.where(e.same, 0.7 * e.weight, e.weight),
+    "one: x .7, two: never": lambda e: torch.where(e.same, 0.7 * e.weight, torch.where(e.differ, torch.inf, e.weight)),
+}
 
 
-def kitti(data: Path) -> Iterator[tuple[streets.Sweep, Frame]]:
+def kitti(data: Path) -> Iterator[Scan]:
     frames = (load_scene(path).frames[0] for path in list_scenes(data / "kitti" / "training").values())
-    yield from zip(streets.kitti(data), frames, strict=True)
+    for sweep, frame in zip(streets.kitti(data), frames, strict=True):
+        yield Scan(sweep, frame)
 
 
-def generated() -> Iterator[tuple[streets.Sweep, Frame]]:
-    for seed, sweep in zip(streets.SEEDS["develop"], streets.streets("develop"), strict=True):
-        frame = make_domain_scene("street", seed, num_views=1).scene.frames[0]
-        seen = in_any_view(sweep.points, [frame])
-        yield (
-            sweep._replace(points=sweep.points[seen], instance=sweep.instance[seen], other=sweep.other[seen]),
-            frame,
-        )
+def view_of_delft(data: Path) -> Iterator[Scan]:
+    """Its truth has -2 for clutter, which a plain folder refuses: so the frame is read as one without truth."""
+    (sweep,) = sensors.plain("vod", data)
+    with tempfile.TemporaryDirectory() as folder:
+        for path in (data / "vod").glob("[!.]*"):
+            if not path.name.endswith(".truth.npy"):
+                (Path(folder) / path.name).symlink_to(path.resolve())
+        frame = load_scene(folder).frames[0]
+        yield Scan(sweep, replace(frame, image=frame.image))
+
+
+def generated() -> Iterator[Scan]:
+    for half in streets.SEEDS:
+        for seed, sweep in zip(streets.SEEDS[half], streets.streets(half), strict=True):
+            scene = make_domain_scene("street", seed, num_views=1).scene
+            seen = in_any_view(sweep.points, scene.frames)
+            sweep = sweep._replace(points=sweep.points[seen], instance=sweep.instance[seen], other=sweep.other[seen])
+            yield Scan(sweep, scene.frames[0], scene)
 
 
 def seen_edges(points: Tensor, frame: Frame, edges: Tensor, weight: Tensor, config: Config) -> Edges:
@@ -110,37 +145,67 @@ def components(edges: Tensor, weight: Tensor, on_ground: Tensor, config: ScanCon
     return ops.felzenszwalb(torch.cat([edges[:, near], chain], 1), excess, len(on_ground), 0.0, config.min_size)
 
 
-def differences(sweep: streets.Sweep, frame: Frame, config: Config) -> dict[str, tuple[float, float]]:
+def differences(scan: Scan, frame: Frame, changes: dict[str, Change], config: Config, seed: int) -> list[Pair]:
     """F and best IoU without images, and the differences of all changes."""
+    points = moved(scan.sweep.points, sensors.NOISE, torch.Generator().manual_seed(seed))
+    sweep = scan.sweep._replace(points=points)
     edges, weight, on_ground = scan_graph(sweep.points, config.scan)
     seen = seen_edges(sweep.points, frame, edges, weight, config)
 
     def score(weights: Tensor) -> streets.Score:
         return streets.judge(components(edges, weights, on_ground, config.scan), sweep)
 
-    plain, found = score(weight), {}
-    for name, change in CHANGES.items():
-        changed = score(change(seen))
-        found[name] = (changed.f - plain.f, changed.best_iou - plain.best_iou)
-    return {"method scan": (plain.f, plain.best_iou), **found}
+    plain = score(weight)
+    changed = [score(change(seen)) for change in changes.values()]
+    return [(plain.f, plain.best_iou), *((one.f - plain.f, one.best_iou - plain.best_iou) for one in changed)]
+
+
+def column(scans: list[Scan], level: str | None, runs: int, config: Config) -> list[str]:
+    """The method without images, and the changes by masks of a level of error; None: by the image's own segments."""
+    changes = OF_SEGMENTS if level is None else OF_MASKS
+
+    def frame_of(scan: Scan, seed: int) -> Frame:
+        if level is None:
+            return scan.frame
+        assert scan.scene is not None
+        return with_network_masks(scan.scene, level, seed).frames[0]
+
+    found = torch.tensor(
+        [
+            [differences(scan, frame_of(scan, seed), changes, config, seed) for seed in range(runs)]
+            for scan in tqdm(scans, unit="scan")
+        ]
+    ).mean(1)  # [scans, rows, 2]
+    error = found.std(0) / len(scans) ** 0.5
+    plain, *rest = zip(found.mean(0).tolist(), error.tolist(), strict=True)
+    changed = (" / ".join(f"{m:+.3f} ± {e:.3f}" for m, e in zip(*both, strict=True)) for both in rest)
+    return [" / ".join(f"{mean:.3f}" for mean in plain[0]), *changed]
+
+
+def table(columns: dict[str, list[str]], changes: dict[str, Change]) -> str:
+    return report.table(
+        ["", *columns], [list(row) for row in zip(["method scan", *changes], *columns.values(), strict=True)]
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, required=True, help="folder with kitti/")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True, help="folder with kitti/ and vod/")
+    parser.add_argument("--runs", type=int, default=4, help="runs of each scan")
+    parser.add_argument("--scans", type=int, metavar="COUNT", help="at most so many of each kind")
+    report.add_write(parser, "the tables in lab/studies/README.md")
     arguments = parser.parse_args()
     config = Config.from_preset("scan")
-    for name, scans in (("KITTI", kitti(arguments.data)), ("generated streets", generated())):
-        found = [differences(sweep, frame, config) for sweep, frame in scans]
-        print(f"\n| {len(found)} scans, {name} | F | best IoU |\n|---|---:|---:|")
-        for row in found[0]:
-            columns = [[of_scan[row][i] for of_scan in found] for i in (0, 1)]
-            error = [stdev(column) / len(column) ** 0.5 for column in columns]
-            cells = (
-                f"{fmean(c):.3f}" if row == "method scan" else f"{fmean(c):+.3f} ± {e:.3f}"
-                for c, e in zip(columns, error, strict=True)
-            )
-            print(f"| {row} | {' | '.join(cells)} |")
+    real = [*kitti(arguments.data), *view_of_delft(arguments.data)][: arguments.scans]
+    made = list(islice(generated(), arguments.scans))
+    settings = arguments.runs, config
+    segments = {
+        f"{len(real)} real scans": column(real, None, *settings),
+        f"{len(made)} generated streets": column(made, None, *settings),
+    }
+    masks = {f"streets, masks {level}": column(made, level, *settings) for level in MASK_LEVELS}
+    text = f"{table(segments, OF_SEGMENTS)}\n\n{table(masks, OF_MASKS)}"
+    report.show("street images", text, arguments.write)
 
 
 if __name__ == "__main__":
