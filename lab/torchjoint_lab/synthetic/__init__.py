@@ -10,11 +10,13 @@ workshops, LiDAR streets); :func:`domain_settings` returns the difficulties that
 from torchjoint.synthetic import SyntheticScene
 from torchjoint_lab.synthetic.domains import make_domain_scene
 from torchjoint_lab.synthetic.hard_rooms import make_scene
+from torchjoint_lab.synthetic.lidar_scan import LIDARS
 from torchjoint_lab.synthetic.network_masks import MASK_LEVELS, known_things, make_network_masks, with_network_masks
 from torchjoint_lab.synthetic.settings import DOMAINS, DomainSettings, domain_settings
 
 __all__ = [
     "DOMAINS",
+    "LIDARS",
     "MASK_LEVELS",
     "DomainSettings",
     "SyntheticScene",

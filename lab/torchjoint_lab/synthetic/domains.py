@@ -55,6 +55,7 @@ def make_domain_scene(
     num_points: int | None = None,
     models: Path | str | None = None,
     held_out: bool = False,
+    lidar: str | None = None,
 ) -> SyntheticScene:
     """A scene of one of :data:`DOMAINS`, with exact truth; equal arguments give equal scenes.
 
@@ -71,12 +72,16 @@ def make_domain_scene(
         models: a folder of Sweet Home 3D catalogues (``*.sh3f``), or of OBJ and GLB files: half of the things are
             models of it, one model an instance. None: built-in shapes only.
         held_out: takes only those kinds of models that False never takes (a fifth of the kinds of things).
+        lidar: only streets: the sensor, a name of :data:`LIDARS`; drawn if None.
 
     Raises:
         ValueError: the message names the argument.
         ModuleNotFoundError: embreex, which casts the rays, is not installed.
     """
     settings = _resolved(domain_settings(domain, seed), num_views, num_points)
+    if lidar is not None and (domain != "street" or lidar not in lidar_scan.LIDARS):
+        names = ", ".join(lidar_scan.LIDARS)
+        raise ValueError(f"lidar: expected None, or for streets one of {names}; got {lidar!r} for {domain}")
     base = np.random.SeedSequence([DOMAINS.index(domain), int(seed)], spawn_key=(1,))
     of_world, of_cameras, of_poses, of_cloud, *of_views = (
         np.random.default_rng(s) for s in base.spawn(4 + 2 * settings.num_views)
@@ -92,7 +97,7 @@ def make_domain_scene(
     shots, truths = _shoot(renderer, of_views, true_poses, poses, intrinsics, settings)
     colors: Array | None = None
     if domain == "street":
-        points, labels = _at_most(of_cloud, *lidar_scan.turn(of_cloud, renderer, settings), settings.num_points)
+        points, labels = _at_most(of_cloud, *lidar_scan.scan(of_cloud, renderer, settings, lidar), settings.num_points)
         known = np.isin(np.array(world.names), streets.KNOWN)
     else:
         seen = bleeding.observe(of_cloud, shots, intrinsics, layout.crop if settings.cropped else None)
