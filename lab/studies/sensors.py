@@ -1,6 +1,6 @@
-"""Judges the default on real scans of several sensors, beside TRAVEL, and planes and DBSCAN.
+"""Judges the default on scans of several sensors, real and generated, beside TRAVEL, and planes and DBSCAN.
 
-`python lab/studies/sensors.py --data FOLDER --simple 40 --travel PYTHON --write` makes the table in docs/evaluation.md.
+`python lab/studies/sensors.py --data FOLDER --simple 40 --travel PYTHON --write` makes tables in docs/evaluation.md.
 FOLDER has `kitti/`, `semantickitti/`, `vod/`, `argo/` and `nuscenes/`. PYTHON is the interpreter of an environment with
 `pip install travel-seg` (GPL), which is run as a program. Scores are those of streets.py, of runs on points that are
 moved by 1 cm.
@@ -19,16 +19,20 @@ from statistics import fmean
 import numpy as np
 import report
 import torch
-from streets import Sweep, best_simple, kitti, known_instances, run, semantickitti
+from streets import Sweep, best_simple, kitti, known_instances, run, semantickitti, street
 from torch import Tensor
 from torchjoint_lab.benchmark.disturbances import moved
 from torchjoint_lab.benchmark.planes import planes_and_clusters
+from torchjoint_lab.synthetic import LIDARS
 
 from torchjoint.datasets import list_scenes, load_scene
+from torchjoint.segments.scan.one_view import look_for_scan
 from torchjoint.segments.scan.scan_segments import segment_scan
 
 #: Metres along each axis, about the noise of a sensor: what moves the points of each run; and the number of runs.
 NOISE, RUNS = 0.01, 4
+#: Seeds of streets on which nothing was chosen.
+FRESH = range(40, 60)
 EVALUATION = Path(__file__).parents[2] / "docs" / "evaluation.md"
 #: The sensors of the data with things in boxes or a full annotation.
 SENSORS = {
@@ -53,7 +57,8 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="folder with those of SENSORS")
     parser.add_argument("--simple", type=int, default=0, metavar="COUNT", help="tries plane removal + DBSCAN")
     parser.add_argument("--travel", type=Path, metavar="PYTHON", help="interpreter that has travel-seg")
-    report.add_write(parser, "the table in docs/evaluation.md")
+    parser.add_argument("--streets", type=int, default=6, metavar="COUNT", help="generated streets of each sensor")
+    report.add_write(parser, "the tables in docs/evaluation.md")
     arguments = parser.parse_args()
     loaders = {"kitti": kitti, "semantickitti": semantickitti, "nuscenes": nuscenes}
     columns, rows = ["method"], dict[str, list[str]]()
@@ -70,10 +75,26 @@ def main() -> None:
         for method, function in methods.items():
             rows.setdefault(method, []).append(cell(function, sweeps))
             print(name, method, rows[method][-1], flush=True)
-    text = report.table(columns, [[method, *cells] for method, cells in rows.items()])
-    print(text)
-    if arguments.write:
-        report.write_part("sensors", text, EVALUATION)
+    tables = {"sensors": report.table(columns, [[method, *cells] for method, cells in rows.items()])}
+    tables["generated sensors"] = of_generated(arguments.streets, arguments.travel)
+    for part, text in tables.items():
+        print(text)
+        if arguments.write:
+            report.write_part(part, text, EVALUATION)
+
+
+def of_generated(count: int, python: Path | None) -> str:
+    """The default, and TRAVEL, on the same streets as each kind of sensor sees them."""
+    methods: dict[str, Callable[[Tensor], Tensor]] = {"default": segment_scan}
+    if python:
+        methods["TRAVEL"] = partial(travel, python)
+    rows = []
+    for kind in LIDARS:
+        sweeps = [street(seed, kind) for seed in FRESH[:count]]
+        recognised = sum(look_for_scan(sweep.points).is_scan for sweep in sweeps)
+        rows.append([kind, f"{recognised} of {len(sweeps)}", *(cell(method, sweeps) for method in methods.values())])
+        print(*rows[-1], flush=True)
+    return report.table(["sensor", "recognised", *methods], rows)
 
 
 def plain(name: str, data: Path) -> Iterator[Sweep]:

@@ -78,12 +78,16 @@ def semantickitti(data: Path) -> Iterator[Sweep]:
 
 
 def streets(half: str) -> Iterator[Sweep]:
-    """Generated streets; vegetation, houses and fences are no instances."""
-    for seed in SEEDS[half]:
-        made = make_domain_scene("street", seed, num_views=1)
-        instance = known_instances(made.scene)
-        other = (instance < 0) & (made.point_labels >= 0)
-        yield Sweep(made.scene.name, made.scene.points, instance, other, made.instance_names.index("ground"))
+    """Generated streets."""
+    yield from map(street, SEEDS[half])
+
+
+def street(seed: int, lidar: str | None = None) -> Sweep:
+    """A generated street; vegetation, houses and fences are no instances."""
+    made = make_domain_scene("street", seed, num_views=1, lidar=lidar)
+    instance = known_instances(made.scene)
+    other = (instance < 0) & (made.point_labels >= 0)
+    return Sweep(made.scene.name, made.scene.points, instance, other, made.instance_names.index("ground"))
 
 
 def known_instances(scene: Scene) -> Tensor:
