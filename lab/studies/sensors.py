@@ -1,9 +1,9 @@
-"""Judges the default on scans of several sensors, real and generated, beside TRAVEL, and planes and DBSCAN.
+"""Judges the default on scans of several sensors, real and generated, beside TRAVEL and ground removal with DBSCAN.
 
 `python lab/studies/sensors.py --data FOLDER --simple 40 --travel PYTHON --write` makes tables in docs/evaluation.md.
 FOLDER has `kitti/`, `semantickitti/`, `vod/`, `argo/` and `nuscenes/`. PYTHON is the interpreter of an environment with
-`pip install travel-seg` (GPL), which is run as a program. Scores are those of streets.py, of runs on points that are
-moved by 1 cm.
+`pip install travel-seg pypatchworkpp` (GPL, BSD), which are run as programs. Scores are those of streets.py, of runs on
+points that are moved by 1 cm.
 """
 
 from __future__ import annotations
@@ -13,12 +13,16 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import product
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 import numpy as np
 import report
 import torch
+from numpy.typing import NDArray
+from sklearn.cluster import DBSCAN
 from streets import Sweep, best_simple, kitti, known_instances, run, semantickitti, street
 from torch import Tensor
 from torchjoint_lab.benchmark.disturbances import moved
@@ -42,13 +46,27 @@ SENSORS = {
     "argo": "Argoverse 2, two sensors",
     "nuscenes": "nuScenes, a sweep",
 }
-#: What TRAVEL's interpreter runs: a file of points, a file for its labels. Its log goes to stdout.
+#: Settings of Patchwork++ and DBSCAN: heights of the sensor, metres; radius, metres, and least number of points.
+HEIGHTS, RADII, LEAST = (0.3, 1.2, 1.75), (0.3, 0.5, 0.8), (1, 3, 6)
+#: What the other interpreter runs: a file of points, a file for what is found. Logs go to stdout.
 TRAVEL = """
 import sys
 import numpy as np
 import travel_seg
 found = travel_seg.segment(np.load(sys.argv[1]))
 np.savez(sys.argv[2], ground=found.ground_mask, thing=found.instance_labels)
+"""
+PATCHWORK = """
+import sys
+import numpy as np
+import pypatchworkpp
+parameters = pypatchworkpp.Parameters()
+parameters.sensor_height = float(sys.argv[3])
+parameters.enable_RNR = False  # there are no intensities
+parameters.max_range = 200.0
+found = pypatchworkpp.patchworkpp(parameters)
+found.estimateGround(np.load(sys.argv[1]))
+np.savez(sys.argv[2], ground=found.getGroundIndices())
 """
 
 
@@ -67,6 +85,8 @@ def main() -> None:
         methods: dict[str, Callable[[Tensor], Tensor]] = {"default": segment_scan}
         if arguments.travel:
             methods["TRAVEL"] = partial(travel, arguments.travel)
+        if arguments.travel and arguments.simple:
+            methods["Patchwork++ and DBSCAN, tuned on the column"] = best_patchwork(arguments.travel, sweeps)
         if arguments.simple:
             setting = best_simple(sweeps, arguments.simple)[1]
             methods["planes and DBSCAN, tuned on the column"] = partial(planes_and_clusters, **setting)
@@ -114,13 +134,40 @@ def nuscenes(data: Path) -> Iterator[Sweep]:
 
 def travel(python: Path, points: Tensor) -> Tensor:
     """Labels [N] of TRAVEL (M. Oh et al., RA-L 2022): 0 ground, -1 none."""
+    found = other_program(python, TRAVEL, points)
+    thing = torch.from_numpy(found["thing"].astype(np.int64))
+    return torch.where(torch.from_numpy(found["ground"].astype(bool)), 0, torch.where(thing > 0, thing, -1))
+
+
+def other_program(python: Path, code: str, points: Tensor, *arguments: str) -> dict[str, NDArray[Any]]:
+    """The arrays that a program makes of points, which get an intensity of 0."""
     with tempfile.TemporaryDirectory() as folder:
-        given, made = Path(folder) / "points.npy", Path(folder) / "labels.npz"
+        given, made = Path(folder) / "points.npy", Path(folder) / "found.npz"
         np.save(given, np.pad(points.float().numpy(), ((0, 0), (0, 1))))
-        subprocess.run([str(python), "-c", TRAVEL, str(given), str(made)], check=True, capture_output=True)
-        found = np.load(made)
-        thing = torch.from_numpy(found["thing"].astype(np.int64))
-        return torch.where(torch.from_numpy(found["ground"].astype(bool)), 0, torch.where(thing > 0, thing, -1))
+        subprocess.run([str(python), "-c", code, str(given), str(made), *arguments], check=True, capture_output=True)
+        with np.load(made) as found:
+            return dict(found)
+
+
+def patchwork(python: Path, height: float, radius: float, least: int, points: Tensor) -> Tensor:
+    """Labels [N] of Patchwork++ (S. Lee et al., IROS 2022) and DBSCAN of what is not ground: 0 ground, -1 none."""
+    labels = torch.full((len(points),), -1)
+    labels[torch.from_numpy(other_program(python, PATCHWORK, points, str(height))["ground"].astype(np.int64))] = 0
+    rest = torch.nonzero(labels < 0).flatten()
+    cluster = DBSCAN(eps=radius, min_samples=least).fit_predict(points[rest].numpy())
+    labels[rest] = torch.from_numpy(cluster + (cluster >= 0)).long()
+    return labels
+
+
+def best_patchwork(python: Path, sweeps: list[Sweep]) -> Callable[[Tensor], Tensor]:
+    """Patchwork++ and DBSCAN at the best of all settings for these very scans; (F + best IoU) / 2."""
+    methods = [partial(patchwork, python, *setting) for setting in product(HEIGHTS, RADII, LEAST)]
+
+    def quality(method: Callable[[Tensor], Tensor]) -> float:
+        scores = [run(method, sweep) for sweep in sweeps]
+        return fmean(score.f + score.best_iou for score in scores)
+
+    return max(methods, key=quality)
 
 
 def cell(method: Callable[[Tensor], Tensor], sweeps: list[Sweep]) -> str:
