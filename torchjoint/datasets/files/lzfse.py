@@ -6,7 +6,7 @@ from torchjoint.runtime.extras import needed_for
 
 #: A packed block starts so. It holds at most 10,000 matches of 2,359 bytes, whatever size its header declares.
 _BLOCKS = (b"bvx1", b"bvx2")
-#: The encoder begins a new block after so many bytes or more.
+#: Apple's encoder begins a new block after so many bytes or more: 10,000 matches of at least 4, or 40,000 literals.
 _BLOCK_BYTES = 40_000
 
 

@@ -34,8 +34,8 @@ from torchjoint.scene import Frame, Scene
 
 WHAT = "an .r3d file, metadata with rgbd/, or EXR_RGBD/ with metadata.json, rgb/ and depth/ (Record3D)"
 EXPORT = "EXR_RGBD"
-#: Of a depth image; those of LiDAR have 256 x 192, those of TrueDepth 640 x 480.
-MAX_DEPTH = 1 << 20
+#: Pixels of packed depth: those of TrueDepth; a LiDAR has 256 x 192.
+MAX_DEPTH = 640 * 480
 
 
 def recognizes(path: Path) -> bool:
@@ -82,7 +82,7 @@ def _read_depth(files: Members, number: int, values: Record) -> Tensor | None:
     exr, packed, confidence = f"depth/{number}.exr", f"rgbd/{number}.depth", f"rgbd/{number}.conf"
     if exr not in files.names and packed not in files.names:
         return None
-    depth = read_exr(files.path / exr, "R", MAX_DEPTH) if exr in files.names else _unpack(files, packed, values, "<f4")
+    depth = read_exr(files.path / exr, "R", MAX_PIXELS) if exr in files.names else _unpack(files, packed, values, "<f4")
     known = torch.isfinite(depth) & (depth > 0)
     if confidence in files.names:
         known &= _unpack(files, confidence, values, "u1") > 0
