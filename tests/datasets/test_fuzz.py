@@ -35,7 +35,7 @@ def _read_all(path):
 def test_a_sample_is_read(name, tmp_path):
     scene = read_all(samples.write(name, tmp_path / "sample"))
     assert len(scene.points) > 0
-    assert (len(scene.frames) == 0) == (samples.format_of(name) == "cloud_alone")
+    assert (len(scene.frames) == 0) == (samples.format_of(name) in samples.WITHOUT_IMAGES)
 
 
 @pytest.mark.parametrize("name", samples.FORMATS)

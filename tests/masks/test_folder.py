@@ -32,7 +32,9 @@ def write_labels(path, size=SIZE, value=1):
     Image.fromarray(labels).save(path)
 
 
-@pytest.mark.parametrize("name", [name for name in samples.FORMATS if samples.format_of(name) != "cloud_alone"])
+@pytest.mark.parametrize(
+    "name", [name for name in samples.FORMATS if samples.format_of(name) not in samples.WITHOUT_IMAGES]
+)
 def test_frames_of_every_data_set_get_the_masks_of_their_name(tmp_path, name):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -9,6 +9,8 @@ from importlib import import_module
 from pathlib import Path
 
 FORMATS = tuple(sorted(file.stem for file in Path(__file__).parent.glob("[a-z]*.py")))
+#: Formats of clouds without images.
+WITHOUT_IMAGES = ("cloud_alone", "s3dis")
 
 
 def write(name, folder):

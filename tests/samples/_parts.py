@@ -30,3 +30,20 @@ def write_ply(path, points):
     header = ["ply", "format ascii 1.0", f"element vertex {len(points)}"]
     header += [f"property float {axis}" for axis in "xyz"] + ["end_header"]
     path.write_text("\n".join(header + lines) + "\n")
+
+
+#: World-to-camera of a camera that looks along y: x stays, z of the world is -y of the camera. OpenCV's axes.
+ALONG_Y = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+def pose_along_y(index, flip=(1, -1, -1)):
+    """Camera-to-world of a camera at x = index / 10; OpenGL's axes, or with flip=(1, 1, 1) OpenCV's."""
+    pose = np.eye(4)
+    pose[:3, :3] = ALONG_Y.T * flip
+    pose[0, 3] = 0.1 * index
+    return pose
+
+
+def wall_along_y():
+    """The wall before that camera."""
+    return wall()[:, [0, 2, 1]] * [1, 1, -1]

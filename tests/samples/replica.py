@@ -5,7 +5,7 @@ import json
 import numpy as np
 from PIL import Image
 
-from samples._parts import HEIGHT, WIDTH, wall, write_depth, write_ply
+from samples._parts import HEIGHT, WIDTH, pose_along_y, wall_along_y, write_depth, write_ply
 
 
 def write(folder):
@@ -16,12 +16,10 @@ def write(folder):
         (room / "results").mkdir(parents=True, exist_ok=True)
         Image.fromarray(pixels).save(room / "results" / f"frame{index:06d}.jpg", quality=95)
         write_depth(room / "results" / f"depth{index:06d}.png", 13107)  # 2 m
-        pose = np.eye(4)
-        pose[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # the camera's z axis is y of the world, its y axis is -z
-        pose[0, 3] = 0.1 * index
+        pose = pose_along_y(index, flip=(1, 1, 1))
         lines.append(" ".join(f"{value:.18e}" for value in pose.flatten()))
     (room / "traj.txt").write_text("\n".join(lines) + "\n")
     camera = {"w": WIDTH, "h": HEIGHT, "fx": 14.0, "fy": 14.0, "cx": 7.5, "cy": 5.5, "scale": 6553.5}
     (folder / "cam_params.json").write_text(json.dumps({"camera": camera}))
-    write_ply(folder / "room0_mesh.ply", wall()[:, [0, 2, 1]] * [1, 1, -1])
+    write_ply(folder / "room0_mesh.ply", wall_along_y())
     return room

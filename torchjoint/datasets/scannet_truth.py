@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files.json_record import Record, read_record
+from torchjoint.datasets.files.members import Members
 from torchjoint.datasets.files.readers import MAX_PIXELS, decode_image, labels_of, read_label_image
 from torchjoint.datasets.resampling import resize_labels
 from torchjoint.runtime.lazy import LazySequence
@@ -32,14 +31,33 @@ def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
-    record = read_record(folder / f"{scan}{SEGMENTS}", "segments of a mesh")
+    return point_instances(folder / f"{scan}{SEGMENTS}", folder / f"{scan}{OBJECTS}", num_points)
+
+
+def point_instances(segments_file: Path, objects_file: Path, num_points: int, *, smallest: bool = False) -> Tensor:
+    """Reads [N] int64, the objectId of each vertex of a mesh; -1 = none.
+
+    Args:
+        segments_file: the segment of each vertex.
+        objects_file: the segments of each object.
+        num_points: of the mesh.
+        smallest: a vertex of several objects belongs to the one of fewest vertices; else to the last in the file.
+
+    Raises:
+        FileNotFoundError, ValueError: the message names the file and its error.
+    """
+    record = read_record(segments_file, "segments of a mesh")
     segments = _integers(record, "segIndices")
     if len(segments) != num_points:
         raise ValueError(f"{record.name}: expected the segments of {num_points} points, got {len(segments)}")
-    numbers, segment_of_point = np.unique(segments, return_inverse=True)
+    numbers, segment_of_point, sizes = np.unique(segments, return_inverse=True, return_counts=True)
+    groups = []
+    for group in read_record(objects_file, "segments of objects").records("segGroups"):
+        inside = np.isin(numbers, _integers(group, "segments"))
+        groups.append((int(sizes[inside].sum()) if smallest else 0, _object_id(group), inside.nonzero()[0]))
     objects = np.full(len(numbers), -1, dtype=np.int64)
-    for group in read_record(folder / f"{scan}{OBJECTS}", "segments of objects").records("segGroups"):
-        objects[np.isin(numbers, _integers(group, "segments"))] = _object_id(group)
+    for _, instance, members in sorted(groups, key=lambda group: -group[0]):
+        objects[members] = instance
     return torch.from_numpy(objects[segment_of_point])
 
 
@@ -83,37 +101,20 @@ def _folder_reader(folder: Path, names: Sequence[str]) -> Callable[[str], Tensor
 def _archive_reader(file: Path, names: Sequence[str]) -> Callable[[str], Tensor] | None:
     if not file.is_file():
         return None
-    try:
-        with ZipFile(file) as archive:
-            inside = set(archive.namelist())
-    except (BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        raise ValueError(f"{file}: not a whole archive: {error}") from error
+    archive = Members(file)
     for name in names:
-        if _member(name) not in inside:
+        if _member(name) not in archive.names:
             raise FileNotFoundError(f"{file}: expected a member for every frame; {_member(name)} is missing")
-    return lambda name: _read_member(file, _member(name))
+    return lambda name: _read_label_member(archive, _member(name))
 
 
 def _member(name: str) -> str:
     return f"instance-filt/{name}.png"
 
 
-def _read_member(file: Path, member: str) -> Tensor:
-    try:
-        with ZipFile(file) as archive, archive.open(member) as stream:
-            data = stream.read(4 * MAX_PIXELS)
-    except (
-        BadZipFile,
-        OSError,
-        ValueError,
-        NotImplementedError,
-        RuntimeError,
-        EOFError,
-        KeyError,
-        zlib.error,
-    ) as error:
-        raise ValueError(f"{file}: {member} in it is damaged: {error}") from error
-    return labels_of(decode_image(data, f"{file}, {member}"), f"{file}, {member}")
+def _read_label_member(archive: Members, member: str) -> Tensor:
+    name = f"{archive.path}, {member}"
+    return labels_of(decode_image(archive.read(member, 4 * MAX_PIXELS), name), name)
 
 
 def _object_id(group: Record) -> int:

@@ -86,11 +86,20 @@ def read_record(path: Path, expected: str) -> Record:
         raise FileNotFoundError(f"{path}: missing; expected {expected}")
     if path.stat().st_size > MAX_BYTES:
         raise ValueError(f"{path}: expected {expected}, at most {MAX_BYTES} bytes, got {path.stat().st_size}")
+    return parse_record(path.read_bytes(), str(path))
+
+
+def parse_record(data: bytes, name: str) -> Record:
+    """Reads the bytes of a JSON file that holds an object.
+
+    Raises:
+        ValueError: the bytes are not JSON, or hold no object.
+    """
     try:
-        values = json.loads(path.read_bytes())
+        values = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: not a whole JSON file: {error}") from error
-    return _as_record(values, str(path))
+        raise ValueError(f"{name}: not a whole JSON file: {error}") from error
+    return _as_record(values, name)
 
 
 def _as_record(values: object, name: str) -> Record:

@@ -29,8 +29,8 @@ from torchjoint.scene.checks import Invalid, kept_points
 MAX_PIXELS = 64_000_000
 #: Folders with one of these files hold results, of one recording or of many. They are no part of a recording.
 RESULTS = frozenset({"run.yaml", "batch.yaml"})
-#: Suffixes of clouds that stand alone: no other file belongs to them.
-ALONE = (".ply", ".npy", ".npz", ".xyz", ".txt", *las.SUFFIXES, ".e57", ".off", ".stl")
+#: Suffixes of clouds and recordings that stand alone: no other file belongs to them.
+ALONE = (".ply", ".npy", ".npz", ".xyz", ".txt", *las.SUFFIXES, ".e57", ".off", ".stl", ".r3d")
 
 
 def read_image(path: Path, camera_size: tuple[int, int] | None = None) -> Tensor:
@@ -165,7 +165,7 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     """Returns a hash of file names, sizes and times, to detect changed files.
 
     That of a folder covers all files in and below it, without folders of results; links are followed. That of a file
-    covers its folder, and files with the same stem in sibling folders (KITTI's layout). That of a cloud with a suffix
+    covers its folder, and files with the same stem in sibling folders (KITTI's layout). That of a file with a suffix
     in `ALONE` covers only itself.
 
     Args:

@@ -26,10 +26,14 @@ from torchjoint.datasets.formats import (
     nerfstudio,
     nuscenes,
     organized_pcd,
+    polycam,
     posed_images,
+    record3d,
     replica,
     ros,
+    s3dis,
     scannet,
+    scannetpp,
     tum,
     ycb_video,
 )
@@ -65,6 +69,10 @@ FORMATS: dict[str, Format] = {
     "posed_images": cast(Format, posed_images),
     "replica": cast(Format, replica),
     "arkitscenes": cast(Format, arkitscenes),
+    "record3d": cast(Format, record3d),
+    "polycam": cast(Format, polycam),
+    "scannetpp": cast(Format, scannetpp),
+    "s3dis": cast(Format, s3dis),
     "ros": cast(Format, ros),
     "cloud_alone": cast(Format, cloud_alone),  # last: other formats have clouds with images
 }

@@ -96,7 +96,7 @@ def _shot(file: Path, frame: Record) -> _Shot:
     unit = frame.number("depth_unit_scale_factor") if "depth_unit_scale_factor" in frame else None
     if unit is not None and unit <= 0:
         raise ValueError(f"{frame.name}: depth_unit_scale_factor: expected the metres per unit, above 0, got {unit}")
-    return _Shot(color, _camera(frame, color), _world_to_camera(frame), depth, unit)
+    return _Shot(color, read_camera(frame, color), _world_to_camera(frame), depth, unit)
 
 
 def _read_frame(shot: _Shot, name: str) -> Frame:
@@ -126,7 +126,8 @@ def _world_to_camera(frame: Record) -> Tensor:
     return invert_pose(as_pose(matrix, name) @ FLIP_YZ)
 
 
-def _camera(frame: Record, color: Path) -> Camera:
+def read_camera(frame: Record, color: Path) -> Camera:
+    """Returns the camera of a frame, whose size is that of the image `color` if the frame does not give it."""
     model = frame.text("camera_model", "OPENCV")
     if model not in (*_PERSPECTIVE, _FISHEYE):
         raise ValueError(

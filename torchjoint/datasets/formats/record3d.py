@@ -1,0 +1,117 @@
+"""Reads recordings of Record3D (record3d.app), of an iPhone's depth cameras: .r3d files, and its export "EXR + JPG".
+
+FILE.r3d, a zip, or the folder of the unpacked zip:
+  metadata       JSON: w, h, K (3x3, column after column), dw, dh; of each frame `poses` qx qy qz qw tx ty tz,
+                 camera-to-world, OpenGL axes (y up, z back), and (optional) `perFrameIntrinsicCoeffs` fx fy cx cy
+  rgbd/N.jpg     8-bit RGB, N from 0
+  rgbd/N.depth   LZFSE: dh x dw float32, metres along z; NaN = unknown
+  rgbd/N.conf    LZFSE: dh x dw bytes, 0 low to 2 high (optional); depth of low confidence is left out
+EXR_RGBD/, or the folder that holds it: metadata.json, rgb/N.jpg, depth/N.exr (channel R, metres)
+
+The cloud is `cloud.ply` in the folder, or fused from depth. No recording was at hand: the layout is that of public
+readers, nerfstudio's record3d_utils.py (poses, K, the export) and USA-Net's r3d.py (zip, LZFSE, confidence, axes).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.cameras import FLIP_YZ, Camera, pinhole_matrix, rotations_from_quaternions
+from torchjoint.datasets.files.exr import read_exr
+from torchjoint.datasets.files.json_record import MAX_BYTES, Record, parse_record
+from torchjoint.datasets.files.lzfse import decompress
+from torchjoint.datasets.files.members import Members
+from torchjoint.datasets.files.readers import MAX_PIXELS, decode_image, rgb_of
+from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene
+
+WHAT = "an .r3d file, metadata with rgbd/, or EXR_RGBD/ with metadata.json, rgb/ and depth/ (Record3D)"
+EXPORT = "EXR_RGBD"
+#: Pixels of packed depth: those of TrueDepth; a LiDAR has 256 x 192.
+MAX_DEPTH = 640 * 480
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether `path` is an .r3d file, its unpacked folder, or an export."""
+    if path.is_file():
+        return path.suffix.lower() == ".r3d"
+    unpacked = (path / "metadata").is_file() and (path / "rgbd").is_dir()
+    folder = _folder(path)
+    return unpacked or ((folder / "metadata.json").is_file() and any((folder / "depth").glob("*.exr")))
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the recording; see :func:`torchjoint.load_scene`."""
+    scene = scene_of_frames(path, _read_frames(Members(_folder(path))), options)
+    return replace(scene, name=path.stem if path.is_file() else path.name)
+
+
+def _folder(path: Path) -> Path:
+    return path / EXPORT if (path / EXPORT).is_dir() else path
+
+
+def _read_frames(files: Members) -> LazySequence[Frame]:
+    metadata, folder = ("metadata", "rgbd") if "metadata" in files.names else ("metadata.json", "rgb")
+    values = parse_record(files.read(metadata, MAX_BYTES), f"{files.path}: {metadata}")
+    found = (re.fullmatch(rf"{folder}/([0-9]{{1,9}})\.jpg", file) for file in files.names)
+    images = sorted((int(match[1]), match[0]) for match in found if match)
+    poses = _read_poses(values)
+    if not images or images[-1][0] >= len(poses):
+        last = images[-1][1] if images else "none"
+        raise ValueError(f"{values.name}: poses: expected one for each image, got {len(poses)}; last image: {last}")
+    cameras = _read_cameras(values, len(poses))
+
+    def read(index: int) -> Frame:
+        number, file = images[index]
+        name = f"{files.path}: {file}"
+        image = rgb_of(decode_image(files.read(file, 4 * MAX_PIXELS), name), name)
+        depth = _read_depth(files, number, values)
+        return cameras[number].frame(image, poses[number], depth, str(number))
+
+    return LazySequence(len(images), read, [str(number) for number, _ in images])
+
+
+def _read_depth(files: Members, number: int, values: Record) -> Tensor | None:
+    exr, packed, confidence = f"depth/{number}.exr", f"rgbd/{number}.depth", f"rgbd/{number}.conf"
+    if exr not in files.names and packed not in files.names:
+        return None
+    depth = read_exr(files.path / exr, "R", MAX_PIXELS) if exr in files.names else _unpack(files, packed, values, "<f4")
+    known = torch.isfinite(depth) & (depth > 0)
+    if confidence in files.names:
+        known &= _unpack(files, confidence, values, "u1") > 0
+    return torch.where(known, depth, 0.0)
+
+
+def _unpack(files: Members, file: str, values: Record, dtype: str) -> Tensor:
+    height, width = round(values.number("dh")), round(values.number("dw"))
+    if not (width > 0 and height > 0 and width * height <= MAX_DEPTH):
+        raise ValueError(f"{values.name}: dw, dh: expected the size of depth images, got {width} x {height}")
+    size = np.dtype(dtype).itemsize * height * width
+    raw = decompress(files.read(file, 2 * size + 64), size, f"{files.path}: {file}")
+    return torch.from_numpy(np.frombuffer(raw, dtype).reshape(height, width).copy())
+
+
+def _read_poses(values: Record) -> list[Tensor]:
+    """World-to-camera poses [4, 4] float64."""
+    rows = values.matrix("poses", 7)
+    poses = torch.eye(4, dtype=torch.float64).repeat(len(rows), 1, 1)
+    if len(rows):
+        rotations = rotations_from_quaternions(rows[:, :4].numpy(), f"{values.name}: poses")
+        poses[:, :3, :3], poses[:, :3, 3] = torch.from_numpy(rotations.as_matrix()), rows[:, 4:]
+    return [invert_pose(pose @ FLIP_YZ) for pose in poses]
+
+
+def _read_cameras(values: Record, count: int) -> list[Camera]:
+    """The camera of each of `count` frames."""
+    size, key = (round(values.number("h")), round(values.number("w"))), "perFrameIntrinsicCoeffs"
+    rows = values.matrix(key, 4) if values.values.get(key) else values.numbers("K", 9)[None, [0, 4, 6, 7]]
+    if len(rows) not in (1, count):
+        raise ValueError(f"{values.name}: {key}: expected a row for each of {count} poses, got {len(rows)} rows")
+    return [Camera(pinhole_matrix(*row), size, name=values.name) for row in rows.expand(count, 4).tolist()]

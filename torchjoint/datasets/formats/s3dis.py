@@ -1,0 +1,64 @@
+"""Reads S3DIS (Armeni et al., CVPR 2016), Stanford3dDataset_v1.2 (also _Aligned_Version): one room, without images.
+
+Area_1/office_1/Annotations/CLASS_N.txt   the points of one thing: lines of x y z r g b; metres, colours 0-255
+Area_1/office_1/office_1.txt              the same points without instances; not read
+
+The points are those of Annotations/, file after file, sorted by name, as in PointNet's collect_indoor3d_data.py; the
+instance of a point is the number of its file. No room was at hand: the layout is that of public readers.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from torchjoint.datasets.recording import Options
+from torchjoint.scene import Scene, Truth
+
+WHAT = "Annotations/ with CLASS_N.txt, such as chair_1.txt (a room of S3DIS)"
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether `path` is a room's folder."""
+    return path.is_dir() and bool(_things(path))
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the room; see :func:`torchjoint.load_scene`."""
+    parts = [_read_points(file) for file in _things(path)]
+    rows = torch.from_numpy(np.concatenate(parts))
+    instances = torch.cat([torch.full((len(part),), index) for index, part in enumerate(parts)])
+    return Scene(rows[:, :3], colors=(rows[:, 3:] / 255).float(), name=path.name, truth=Truth(instances))
+
+
+def scenes(path: Path) -> dict[str, Path]:
+    """Returns the rooms of an area, or of all areas."""
+    if not path.is_dir():
+        return {}
+    rooms = [one.parent for one in sorted(path.glob("*/Annotations")) if recognizes(one.parent)]
+    if rooms:
+        return {one.name: one for one in rooms}
+    rooms = [one.parent for one in sorted(path.glob("Area_*/*/Annotations")) if recognizes(one.parent)]
+    return {f"{one.parent.name}_{one.name}": one for one in rooms}
+
+
+def _things(path: Path) -> list[Path]:
+    files = (path / "Annotations").glob("*.txt")
+    return sorted(file for file in files if re.fullmatch(r"[A-Za-z]+_[0-9]+", file.stem))
+
+
+def _read_points(file: Path) -> npt.NDArray[np.float64]:
+    # A separator of Area_5/hallway_6/Annotations/ceiling_1.txt is byte 16 instead of a space.
+    text = file.read_bytes().replace(b"\x10", b" ")
+    try:
+        rows = np.loadtxt(io.BytesIO(text), comments=None, ndmin=2) if text.strip() else np.empty((0, 0))
+    except ValueError as error:
+        raise ValueError(f"{file}: expected lines of x y z r g b: {error}") from error
+    if rows.shape[1] != 6 or not np.isfinite(rows).all() or rows[:, 3:].min() < 0 or rows[:, 3:].max() > 255:
+        raise ValueError(f"{file}: expected lines of x y z r g b, colours 0 to 255, got an array {list(rows.shape)}")
+    return rows

@@ -1,0 +1,116 @@
+"""Reads ScanNet++ (Yeshwanth et al., ICCV 2023): one scene, data/SCENE, or its folder dslr or iphone.
+
+scans/mesh_aligned_0.05.ply        the cloud: the mesh's vertices (fused from the iPhone's depth if absent)
+scans/segments.json,               the vertices' instances (optional); a vertex of several objects belongs to the
+scans/segments_anno.json           smallest, as in the data set's toolkit
+dslr/colmap/                       poses in the mesh's world, and cameras, as text or .bin
+dslr/resized_images/NAME.JPG       the images (fisheye); or, without distortion, resized_undistorted_images/ (or
+                                   undistorted_images/), with the camera of nerfstudio/transforms_undistorted.json
+iphone/rgb/frame_NNNNNN.jpg        as the toolkit (iphone/prepare_iphone_data.py) extracts them from rgb.mkv,
+iphone/depth/frame_NNNNNN.png      and from depth.bin: 16-bit, millimetres (optional)
+iphone/colmap/                     poses and cameras of some frames; without it all frames are read, with
+iphone/pose_intrinsic_imu.json     {"frame_NNNNNN": {"aligned_pose": 4x4 camera-to-world, "intrinsic": 3x3}}
+
+A scene has the images of dslr if they are there, else those of iphone. Images that are not there are left out. Poses
+of transforms*.json are not read: their world is not that of the mesh. No scene was at hand: the layout is that of the
+toolkit, github.com/scannetpp/scannetpp (common/scene_release.py, iphone/arkit_pcl.py, semantic/transforms/mesh.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.files.colmap_model import ColmapImage, has_model, read_images
+from torchjoint.datasets.files.json_record import read_record
+from torchjoint.datasets.files.readers import read_depth, read_image
+from torchjoint.datasets.formats.nerfstudio import read_camera
+from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.datasets.scannet_truth import point_instances
+from torchjoint.runtime.lazy import LazySequence
+from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene.checks import as_pose
+
+WHAT = "scans/mesh_aligned_0.05.ply, dslr/colmap/ with images, or iphone/ with rgb/ (ScanNet++)"
+MESH, SEGMENTS, OBJECTS = "mesh_aligned_0.05.ply", "segments.json", "segments_anno.json"
+POSES, UNDISTORTED = "pose_intrinsic_imu.json", "nerfstudio/transforms_undistorted.json"
+#: (H, W) of the images of an iPhone.
+PHONE_SIZE = (1440, 1920)
+#: The folders of a scene's cameras, and those of their images; the first that exists is used.
+CAMERAS = ("dslr", "iphone")
+IMAGES = ("resized_undistorted_images", "undistorted_images", "resized_images", "rgb")
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether `path` is a scene's folder, or that of one of its cameras."""
+    scene, camera = _places(path)
+    return path.is_dir() and ((scene / "scans" / MESH).is_file() or _images(scene / camera) is not None)
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the scene; see :func:`torchjoint.load_scene`."""
+    folder, camera = _places(path)
+    mesh, objects = folder / "scans" / MESH, folder / "scans" / OBJECTS
+    scene = replace(scene_of_frames(path, _read_frames(folder / camera), options, [mesh]), name=folder.name)
+    if find_cloud(path, options, [mesh]) != mesh or not objects.is_file():
+        return scene
+    return replace(
+        scene, truth=Truth(point_instances(objects.with_name(SEGMENTS), objects, len(scene.points), smallest=True))
+    )
+
+
+def scenes(path: Path) -> dict[str, Path]:
+    """Returns the scenes of the data set's own folder, which holds them in `data/`."""
+    folders = sorted((path / "data").iterdir()) if (path / "data").is_dir() else []
+    return {one.name: one for one in folders if recognizes(one)}
+
+
+def _places(path: Path) -> tuple[Path, str]:
+    """The scene's folder, and the camera whose images are read."""
+    path = path.absolute()
+    if path.name in CAMERAS:
+        return path.parent, path.name
+    return path, next((camera for camera in CAMERAS if _images(path / camera) is not None), CAMERAS[0])
+
+
+def _images(folder: Path) -> Path | None:
+    has_poses = has_model(folder / "colmap") or (folder / POSES).is_file()
+    return next((folder / name for name in IMAGES if has_poses and (folder / name).is_dir()), None)
+
+
+def _read_frames(folder: Path) -> LazySequence[Frame]:
+    images = _images(folder)
+    if images is None:
+        nothing: list[Frame] = []
+        return LazySequence(0, nothing.__getitem__)
+    shots = read_images(folder / "colmap") if has_model(folder / "colmap") else _read_shots(folder / POSES)
+    # A name may begin with a folder that is not there: it does not matter, nor can it lead out of the folder.
+    files = [(images / Path(shot.name).name, shot) for shot in shots]
+    kept = [(file, shot) for file, shot in files if file.is_file()]
+    if not kept:
+        raise FileNotFoundError(f"{images}: expected images that have poses, such as {files[0][0].name}, got none")
+    undistorted = None
+    if "undistorted" in images.name:
+        undistorted = read_camera(read_record(folder / UNDISTORTED, "the camera of images"), kept[0][0])
+
+    def read(index: int) -> Frame:
+        file, shot = kept[index]
+        camera, depth = undistorted or shot.camera, folder / "depth" / f"{file.stem}.png"
+        measured = read_depth(depth) if depth.is_file() else None
+        return camera.frame(read_image(file, camera.size), shot.world_to_camera, measured, file.stem)
+
+    return LazySequence(len(kept), read, [file.stem for file, _ in kept])
+
+
+def _read_shots(file: Path) -> list[ColmapImage]:
+    """The poses of ARKit."""
+    values, shots = read_record(file, "poses of an iPhone"), []
+    for name in sorted(values.values):
+        frame = values.record(name)
+        pose = as_pose(frame.matrix("aligned_pose", 4), f"{frame.name}: aligned_pose")
+        camera = Camera(frame.matrix("intrinsic", 3), PHONE_SIZE, name=frame.name)
+        shots.append(ColmapImage(f"{name}.jpg", camera, invert_pose(pose)))
+    if not shots:
+        raise ValueError(f"{file}: expected poses of frames, got none")
+    return shots
