@@ -184,6 +184,24 @@ def test_points_on_a_mesh_are_even_and_in_its_colours():
     assert bool((points[of_first, 0] / 2 + points[of_first, 1] <= 1 + 1e-9).all())
 
 
+def test_triangles_give_a_mesh_its_normals(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    points = torch.from_numpy(np.concatenate([ball.vertices, [[0, 0, 1.1]]]))  # the last has no triangle
+    faces, outwards = torch.from_numpy(ball.faces).long(), torch.nn.functional.normalize(points, dim=1)
+    normals = meshes.vertex_normals(points, faces)
+    assert (normals - outwards).norm(dim=1).max() < 0.05
+    assert torch.allclose(meshes.vertex_normals(points, faces.flip(1)), -normals)
+    torn = faces.clone()
+    torn[::3] = torn[::3].flip(1)
+    assert meshes.vertex_normals(points, torn) is None  # no common side
+    assert meshes.vertex_normals(points[faces].reshape(-1, 3), torch.arange(faces.numel()).view(-1, 3)) is None
+    assert meshes.vertex_normals(torch.zeros(3, 3), torch.tensor([[0, 1, 2], [0, 2, 1]])) is None
+    mesh = trimesh.Trimesh(points.numpy(), faces.numpy(), process=False)
+    (tmp_path / "ball.ply").write_bytes(mesh.export(file_type="ply", vertex_normal=False))
+    assert torch.allclose(tj.load_scene(tmp_path / "ball.ply").normals, normals, atol=1e-4)
+
+
 def test_a_fine_mesh_has_its_vertices():
     line = torch.linspace(0, 1, 60)
     points = torch.stack([*torch.meshgrid(line, line, indexing="ij"), torch.zeros(60, 60)], -1).reshape(-1, 3)
