@@ -308,15 +308,16 @@ def test_words_find_things(browser, out, tmp_path):
     shutil.copytree(out, folder)
     vectors = torch.eye(int(labels.max()) + 1)
     Embeddings(vectors, labels).save(folder)
-    words = {"a mug": vectors[3] + 0.5 * vectors[5]}
+    words = {"a mug": vectors[3] + 0.5 * vectors[5], "a mu": torch.ones(2)}
     viewer = Viewer(tj.load_result(folder, edits=False), Shown(folder, text_encoder=words.__getitem__), port=8985)
     page = browser.new_page(viewport={"width": 1280, "height": 1000})
     page.goto(viewer.url)
     page.wait_for_selector("#tj-table")
-    page.locator("xpath=//*[text()='Words']/following::input[1]").fill("a mug")
-    wait(lambda: viewer._panel.words.value == "a mug")
-    page.get_by_role("button", name="Find the words").click()
-    wait(lambda: "segment 3:" in panel(page))
+    for typed, told in (("a mu", "query: expected"), ("a mug", "segment 3:")):
+        page.locator("xpath=//*[text()='Words']/following::input[1]").fill(typed)
+        wait(lambda typed=typed: viewer._panel.words.value == typed)
+        page.get_by_role("button", name="Find the words").click()
+        wait(lambda told=told: told in page.inner_text("body"))
     assert page.inner_text("#tj-found").splitlines()[:2] == ["0.89 segment 3", "0.45 segment 5"]
     page.click('#tj-found [data-found="5"]')
     wait(lambda: "segment 5:" in panel(page))

@@ -62,7 +62,6 @@ class Viewer:
         self.model = Model(result, self._shown.edits(result, granularity), upward)
         self._lock = threading.RLock()  # viser calls the functions below on several threads
         self._order, self._can_save = "points", True
-        self._query: Tensor | None = None  # the vector of the words that were searched
         self.server, self._distance, self.url = start_server(result.scene, upward, host, port)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), self.model.point_colors())
         self._relations = RelationLines(self.server)
@@ -135,6 +134,7 @@ class Viewer:
     def _add_panel(self, frame: int = 0, cameras: bool = False) -> None:
         """Builds a new panel, and connects its elements to their actions."""
         panel = self._panel = Panel(self.server.gui, self.model, self._shown, frame, cameras)
+        self._query: Tensor | None = None  # the vector of the words that were searched
 
         def then(action: Any) -> Any:
             return lambda _: self._guarded(action)
@@ -295,8 +295,10 @@ class Viewer:
 
     def _on_find(self) -> None:
         assert self._shown.text_encoder is not None  # without it there is no button
-        self._query = self._shown.text_encoder(self._panel.words.value)
-        self._select(tuple(segment for segment, _ in self.model.find(self._query, 1)))
+        query = self._shown.text_encoder(self._panel.words.value)
+        best = self.model.find(query, 1)  # raises before the list is made of it
+        self._query = query
+        self._select(tuple(segment for segment, _ in best))
 
     def _on_save(self) -> None:
         assert self.folder is not None  # without a folder there is no button
