@@ -9,11 +9,15 @@ import laspy
 import numpy as np
 import pytest
 import samples
+import torch
 from copc_files import write_copc
 from folder_files import write_folder, write_truth
 from las_town import town, write_las
 from PIL import Image
 from scannet_files import shots_of, write_mesh, write_point_truth, write_sens
+
+import torchjoint as tj
+from torchjoint.results.embeddings import Embeddings
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -75,6 +79,7 @@ def world(tmp_path_factory, scene_of):
     shutil.copy(samples.write("ros_one", folder / "ros"), folder / "walk.bag")
     (folder / "bags").mkdir()
     shutil.copy(folder / "walk.bag", folder / "bags" / "one.bag")
+    (folder / "words.py").write_text("def encode(words): ...\n")
     return folder
 
 
@@ -82,6 +87,7 @@ def world(tmp_path_factory, scene_of):
 def place(world, monkeypatch):
     """The world is the current folder, and pages in the browser end when they are served."""
     monkeypatch.chdir(world)
+    monkeypatch.syspath_prepend(world)
     for module in ("show", "live"):
         monkeypatch.setattr(f"torchjoint.cli.{module}.serve_until_interrupted", lambda viewer: viewer.stop())
     monkeypatch.setattr("webbrowser.open", lambda url: None)
@@ -100,6 +106,8 @@ def test_the_commands_of_a_page_run(page, place, run):
             out.unlink(missing_ok=True)
         elif words[0] in ("show", "evaluate", "export") and not Path("out").exists():
             run("segment", "recording", "-o", "out")  # on another page
+            labels = tj.load_result("out").points
+            Embeddings(torch.eye(int(labels.max()) + 1), labels).save("out")  # by a program of the page
         run(*words)
         assert "-o" not in words or out.exists(), words
 

@@ -4,13 +4,17 @@ The encoder is real but small: the mean colour of an image's pixels that are not
 are colours. No package here ships the weights of a larger one.
 """
 
+import json
+
 import numpy as np
 import pytest
 import torch
 from torch import nn
 
 import torchjoint as tj
+from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.embeddings import Embeddings
+from torchjoint.results.folder import write_result
 
 
 class ColorEncoder(nn.Module):
@@ -71,10 +75,75 @@ def test_it_is_the_mean_of_both_images_of_all_views(result):
 def test_saved_and_loaded(result, tmp_path):
     made = result.embed(ColorEncoder(), size=16)
     made.save(tmp_path / "embeddings.npz")
-    assert torch.equal(Embeddings.load(tmp_path / "embeddings.npz").vectors, made.vectors)
-    np.savez(tmp_path / "bad.npz", vectors=np.full((2, 2), np.nan, np.float32))
-    with pytest.raises(ValueError, match=r"bad\.npz: expected finite vectors"):
-        Embeddings.load(tmp_path / "bad.npz")
+    read = Embeddings.load(tmp_path / "embeddings.npz")
+    assert torch.equal(read.vectors, made.vectors)
+    assert torch.equal(read.labels, result.points)
+    good = {"vectors": np.ones((2, 2), np.float32), "labels": np.array([0, 1, -1], np.int32)}
+    for bad, message in (
+        ({"vectors": np.full((2, 2), np.nan, np.float32)}, "expected finite vectors"),
+        ({"labels": np.array([0, 2], np.int32)}, "expected labels below 2, got 0 to 2"),
+        ({"labels": np.array([0.5])}, r"expected labels \[N\] of int32"),
+    ):
+        np.savez(tmp_path / "bad.npz", **(good | bad))
+        with pytest.raises(ValueError, match=rf"bad\.npz: {message}"):
+            Embeddings.load(tmp_path / "bad.npz")
+
+
+def test_vectors_of_other_segments():
+    vectors = torch.tensor([[1.0, 0], [0, 1], [0, 0]])
+    made = Embeddings(vectors, torch.tensor([0, 0, 0, 1, 2, -1]))
+    assert made.of(made.labels.clone()) is made
+    other = made.of(torch.tensor([1, 1, 1, 1, 0, 2]))
+    assert torch.allclose(other.vectors, torch.tensor([[0, 0], [3 / 10**0.5, 1 / 10**0.5], [0, 0]]))
+    assert other.seen.tolist() == [False, True, False]
+    assert torch.equal(made.of(torch.tensor([0, 1, 2, -1, -1, -1])).vectors, vectors[[0, 0, 0]])  # parts inherit
+
+
+@pytest.fixture
+def saved(result, tmp_path):
+    """A result on disk with its vectors; its first two segments are joined by hand."""
+    folder = tmp_path / "room"
+    folder.mkdir()
+    write_result(folder, result.scene, result, tj.Config(), "test")
+    tj.load_result(folder).embed(ColorEncoder(), size=32).save(folder)
+    write_edits(folder, Edits(4, None, (Edit("join", (0, 1)),)))
+    return folder
+
+
+def test_a_result_keeps_its_vectors(saved):
+    record = json.loads((saved / "segments.json").read_text())
+    assert record["embeddings"] == "embeddings.npz"
+    assert [one["embedding"] for one in record["segments"]] == [0, 1, 2, 3]
+    assert record["segments"][2]["points"] == 2  # the rest stays
+    plain, joined = tj.load_result(saved, edits=False).embeddings, tj.load_result(saved).embeddings
+    assert plain.find(torch.eye(3)[1] - 0.5)[0][0] == 1
+    both = nn.functional.normalize(plain.vectors[0] + plain.vectors[1], dim=0)
+    assert torch.allclose(joined.vectors[0], both)
+    assert torch.equal(joined.vectors[1], plain.vectors[2])
+    tj.load_result(saved).embed(ColorEncoder(), size=32).save(saved)  # after the correction
+    record = json.loads((saved / "segments.json").read_text())
+    assert [one["embedding"] for one in record["segments"]] == [0, 0, 1, 2]
+    with pytest.raises(ValueError, match="expected a result of 2 points, got 8"):
+        Embeddings(plain.vectors, torch.zeros(2, dtype=torch.int64)).save(saved)
+    Embeddings(plain.vectors, torch.zeros(2, dtype=torch.int64)).save(saved / "embeddings.npz")
+    with pytest.raises(ValueError, match=r"embeddings\.npz: expected labels of 8 points, got 2; of another result"):
+        tj.load_result(saved)
+
+
+def test_the_layout_of_openmask3d(run, saved, tmp_path):
+    """As its `visualization/` and `evaluation/` read it: a column is a mask, a row is its vector."""
+    run("export", saved, "--format", "openmask3d", "-o", tmp_path / "out")
+    run("export", saved, "--format", "openmask3d", "-o", tmp_path / "out", "--overwrite")
+    masks, features = torch.load(tmp_path / "out" / "room_masks.pt"), tmp_path / "out" / "room_openmask3d_features.npy"
+    read = tj.load_result(saved)
+    assert masks.dtype == torch.bool
+    assert torch.equal(masks.int().argmax(1), read.points)
+    assert masks.sum(1).eq(1).all()
+    np.testing.assert_array_equal(np.load(features), read.embeddings.vectors)
+    (saved / "embeddings.npz").unlink()
+    with pytest.raises(SystemExit, match="openmask3d: expected saved embeddings, got none"):
+        run("export", saved, "--format", "openmask3d", "-o", tmp_path / "other")
+    assert not (tmp_path / "other").exists()
 
 
 def test_what_is_refused(result):

@@ -20,7 +20,7 @@ def result_of(points, labels, colors=None):
 @pytest.fixture
 def splats(tmp_path, scene_of):
     """A room's cloud as splats, and 200 faint ones between them; the rows, and the true labels of the others."""
-    made, rng = scene_of(2), np.random.default_rng(0)
+    made, rng = scene_of(3), np.random.default_rng(0)
     points = made.scene.points.numpy()
     floaters = rng.uniform(points.min(0), points.max(0), (200, 3))
     opacity = np.concatenate([rng.uniform(0.3, 0.99, len(points)), rng.uniform(0.01, 0.09, 200)])
@@ -70,6 +70,18 @@ def test_splats_get_labels_and_keep_every_byte(splats, run, tmp_path):
     (tmp_path / "things" / "thesis.tex").write_text("precious")
     with pytest.raises(SystemExit, match=r"holds more than \.ply files"):
         run("label", tmp_path / "result", path, "-o", tmp_path / "things", "--overwrite")
+
+
+@pytest.mark.filterwarnings("ignore:.*fainter")
+def test_splats_of_a_room_are_segmented_and_scored(splats, run, tmp_path):
+    """From the file of splats to labels in it: by itself, without cameras, a small room has a best IoU of .44."""
+    path, _, truth = splats
+    run("segment", path, "-o", tmp_path / "result")
+    run("label", tmp_path / "result", path, "-o", tmp_path / "out.ply")
+    labels = torch.from_numpy(read_vertex_property(tmp_path / "out.ply", "label"))
+    target = truth.where(truth > -2, -1)  # faint splats are void
+    assert tj.metrics.mean_best_iou(labels, target) > 0.38
+    assert tj.metrics.objects_and_parts(labels, target).f > 0.6
 
 
 #: Two squares of two triangles beside each other, 10 cm apart.
@@ -170,6 +182,24 @@ def test_points_on_a_mesh_are_even_and_in_its_colours():
     assert torch.allclose(points[of_first].mean(0), torch.tensor([2 / 3, 1 / 3, 0]).double(), atol=0.01)
     assert torch.allclose(colors, points.float() / 5, atol=1e-5)
     assert bool((points[of_first, 0] / 2 + points[of_first, 1] <= 1 + 1e-9).all())
+
+
+def test_triangles_give_a_mesh_its_normals(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    points = torch.from_numpy(np.concatenate([ball.vertices, [[0, 0, 1.1]]]))  # the last has no triangle
+    faces, outwards = torch.from_numpy(ball.faces).long(), torch.nn.functional.normalize(points, dim=1)
+    normals = meshes.vertex_normals(points, faces)
+    assert (normals - outwards).norm(dim=1).max() < 0.05
+    assert torch.allclose(meshes.vertex_normals(points, faces.flip(1)), -normals)
+    torn = faces.clone()
+    torn[::3] = torn[::3].flip(1)
+    assert meshes.vertex_normals(points, torn) is None  # no common side
+    assert meshes.vertex_normals(points[faces].reshape(-1, 3), torch.arange(faces.numel()).view(-1, 3)) is None
+    assert meshes.vertex_normals(torch.zeros(3, 3), torch.tensor([[0, 1, 2], [0, 2, 1]])) is None
+    mesh = trimesh.Trimesh(points.numpy(), faces.numpy(), process=False)
+    (tmp_path / "ball.ply").write_bytes(mesh.export(file_type="ply", vertex_normal=False))
+    assert torch.allclose(tj.load_scene(tmp_path / "ball.ply").normals, normals, atol=1e-4)
 
 
 def test_a_fine_mesh_has_its_vertices():

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 import torchjoint as tj
 from torchjoint.datasets.files import clouds
+from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.folder import write_result
 from torchjoint.results.label_colors import label_colors
 from torchjoint.scene.camera import camera_center
@@ -261,6 +262,70 @@ def test_relations_are_lines_of_the_selected_thing(viewer, page):
     assert 0 < len(of_one.points) != everything
     page.get_by_role("checkbox", name="Relations").uncheck()
     wait(lambda: viewer._relations._handle is None)
+
+
+def test_clicks_walk_the_tree_and_make_one_thing(viewer, page):
+    (first, here), (_, there) = visible_segments(viewer)[:2]
+    page.get_by_role("checkbox", name="Thing from clicks").check()
+    page.mouse.click(*here)
+    wait(lambda: viewer.model.selected == (first,))
+    page.mouse.click(*there)
+    wait(lambda: len(viewer.model.clicks) == 2)
+    points = torch.tensor([point for point, _ in viewer.model.clicks])
+    both = viewer.result.pick(points)
+    of_point = viewer.model.table[viewer.model.parts.of_point]
+    np.testing.assert_array_equal(of_point == viewer.model.selected[0], both.points)
+    wait(lambda: f": {int(both.points.sum())} points" in panel(page))
+    before = pixels(page)
+    page.keyboard.down("Shift")
+    page.mouse.click(*here)
+    page.keyboard.up("Shift")
+    wait(lambda: "expected points apart from the chosen ones" in page.inner_text("body"))
+    page.get_by_role("button", name="Undo").click()
+    wait(lambda: viewer.model.selected == (first,))
+    page.keyboard.down("Shift")
+    page.mouse.click(*there)
+    page.keyboard.up("Shift")
+    wait(lambda: [belongs for _, belongs in viewer.model.clicks] == [True, False])
+    thing = viewer.result.pick(points[:1], negative=points[1:]).points
+    wait(lambda: f": {int(thing.sum())} points" in panel(page))
+    wait(lambda: (np.abs(pixels(page) - before).max(2) > 40).sum() > 500)
+    red = pixels(page)[round(there[1]) - 12 : round(there[1]) + 12, round(there[0]) - 12 : round(there[0]) + 12]
+    assert ((red[..., 0] > 120) & (red[..., 1:].max(2) < 80)).any()  # the ball of a click beside the thing
+    page.get_by_role("button", name="Make it one thing").click()
+    wait(lambda: len(viewer.model.edits.steps) == 1)
+    page.get_by_role("button", name="Save corrections").click()
+    wait(lambda: (viewer.folder / "edits.json").is_file())
+    corrected = tj.load_result(viewer.folder).points
+    np.testing.assert_array_equal(corrected == corrected[points[0]], thing)
+
+
+def test_words_find_things(browser, out, tmp_path):
+    from torchjoint.viewer.app import Viewer
+    from torchjoint.viewer.shown import Shown
+
+    folder, labels = tmp_path / "out", tj.load_result(out).points
+    shutil.copytree(out, folder)
+    vectors = torch.eye(int(labels.max()) + 1)
+    Embeddings(vectors, labels).save(folder)
+    words = {"a mug": vectors[3] + 0.5 * vectors[5], "a mu": torch.ones(2)}
+    viewer = Viewer(tj.load_result(folder, edits=False), Shown(folder, text_encoder=words.__getitem__), port=8985)
+    page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    page.goto(viewer.url)
+    page.wait_for_selector("#tj-table")
+    for typed, told in (("a mu", "query: expected"), ("a mug", "segment 3:")):
+        page.locator("xpath=//*[text()='Words']/following::input[1]").fill(typed)
+        wait(lambda typed=typed: viewer._panel.words.value == typed)
+        page.get_by_role("button", name="Find the words").click()
+        wait(lambda told=told: told in page.inner_text("body"))
+    assert page.inner_text("#tj-found").splitlines()[:2] == ["0.89 segment 3", "0.45 segment 5"]
+    page.click('#tj-found [data-found="5"]')
+    wait(lambda: "segment 5:" in panel(page))
+    viewer.open(viewer.result, Shown(folder))  # without an encoder
+    wait(lambda: page.get_by_role("button", name="Find the words").count() == 0)
+    wait(lambda: "seen in" in panel(page))  # nothing works any more
+    page.close()
+    viewer.stop()
 
 
 def test_a_click_goes_through_a_camera(viewer, page):

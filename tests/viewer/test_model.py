@@ -9,6 +9,7 @@ import torch
 
 import torchjoint as tj
 from torchjoint.results.edits import Edit, Edits, read_edits, write_edits
+from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.shading import Shading
 from torchjoint.results.splits import place_to_split
@@ -203,6 +204,96 @@ def test_a_join_takes_the_name_along_and_a_level_is_kept(tmp_path):
     assert edited(model.result, replace(model.edits, granularity=fine)).segment_names == {0: "table"}
 
 
+@pytest.fixture
+def picked():
+    """A model of six pieces, one point each: ((0 1) .2, (2 3) .4) .6, (4 5) .3, and all at .9."""
+    merges = torch.tensor([[0, 1], [2, 3], [1, 2], [4, 5], [0, 5]])
+    heights = torch.tensor([0.2, 0.4, 0.6, 0.3, 0.9], dtype=torch.float64)
+    hierarchy = Hierarchy(torch.arange(6), merges, heights)
+    points = torch.arange(6.0)[:, None] * torch.tensor([1.0, 0, 0])
+    vectors = Embeddings(torch.eye(3), hierarchy.at())
+    segmentation = tj.Segmentation(hierarchy.at(), (), hierarchy=hierarchy)
+    result = replace(tj.Result.of(segmentation, tj.Scene(points)), saved_embeddings=vectors)
+    return Model(result, Edits(6), UP)
+
+
+def test_clicks_walk_the_tree(picked, tmp_path):
+    before = picked.table.tolist()
+    assert before == [0, 0, 2, 2, 4, 4]
+    for click, expected in (
+        ((0, True), [0, 0, 2, 2, 4, 4]),  # the segment of the level
+        ((3, True), [0, 0, 0, 0, 4, 4]),  # the smallest with both
+        ((1, False), [0, 1, 0, 0, 4, 4]),
+    ):
+        picked.click(*click)
+        assert picked.table.tolist() == expected
+        assert picked.selected == (0,)
+    assert picked.row(0).points == 3
+    assert picked.edits.steps == ()
+    picked.unclick()
+    assert picked.table.tolist() == [0, 0, 0, 0, 4, 4]
+    with pytest.raises(ValueError, match="negative: expected points apart from the chosen ones"):
+        picked.click(3, False)
+    assert picked.clicks == ((0, True), (3, True))
+    picked.select((4,))  # something else: nothing was corrected
+    assert (picked.table.tolist(), picked.clicks, picked.selected) == (before, (), (4,))
+    with pytest.raises(ValueError, match="one thing: expected clicks on a thing, got none"):
+        picked.keep()
+    with pytest.raises(ValueError, match="expected at least one point"):
+        picked.click(0, False)
+
+
+def test_what_was_clicked_becomes_one_thing(picked, tmp_path):
+    def click():
+        for one in ((0, True), (3, True), (1, False)):
+            picked.click(*one)
+
+    click()
+    picked.keep()
+    assert picked.clicks == ()
+    assert picked.edits.steps == (Edit("gather", (0, 2, 3)),)
+    write_edits(tmp_path, picked.edits)
+    assert read_edits(tmp_path, 6) == picked.edits
+    assert edited(picked.result, picked.edits).points.tolist() == [0, 1, 0, 0, 2, 2]
+    for level, expected in ((1.0, [0, 1, 0, 0, 4, 5]), (0.0, [0, 1, 0, 0, 1, 1])):
+        picked.set_granularity(level)
+        assert picked.table.tolist() == expected
+    picked.set_granularity(None)
+    assert picked.undo()
+    click()
+    picked.name("chair")  # keeps it, too
+    assert picked.names() == {0: "chair"}
+    assert [step.kind for step in picked.edits.steps] == ["gather", "name"]
+    assert picked.undo()
+    assert picked.table.tolist() == [0, 0, 2, 2, 4, 4]
+
+
+def test_clicks_begin_at_the_shown_level(picked):
+    picked.set_granularity(0.0)
+    picked.click(0)
+    assert picked.table.tolist() == [0] * 6
+    picked.click(5, False)
+    assert picked.table.tolist() == [0, 0, 0, 0, 4, 4]
+    picked.set_granularity(1.0)
+    picked.click(0)
+    assert picked.table.tolist() == [0, 1, 2, 3, 4, 5]
+    picked.select((0, 1))
+    picked.join()
+    picked.click(1)
+    assert picked.selected == (0,)  # with its corrections
+    assert picked.table.tolist() == [0, 0, 2, 3, 4, 5]
+
+
+def test_words_find_segments_of_any_level(picked):
+    assert picked.find(torch.tensor([0, 0, 1.0]), 1) == [(4, 1.0)]
+    picked.set_granularity(0.3)  # the first two are one
+    ((segment, cosine), _) = picked.find(torch.tensor([1.0, 0, 0]))
+    assert segment == 0
+    assert cosine == pytest.approx(0.5**0.5)
+    picked.result = replace(picked.result, saved_embeddings=None)
+    assert picked.find(torch.tensor([1.0, 0, 0])) == []
+
+
 def test_names_of_an_older_file(tmp_path):
     parts = Parts(tree())
     fine, coarse = levels_of(parts)[2:4]
@@ -267,6 +358,10 @@ def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
         ),
         (
             '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "split", "pieces": [0, 1]}]}',
+            "expected an edit, got",
+        ),
+        (
+            '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "gather", "pieces": []}]}',
             "expected an edit, got",
         ),
         *(

@@ -11,6 +11,7 @@ import torch
 from folder_files import write_folder, write_truth
 
 import torchjoint as tj
+from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.page import write_page
 from torchjoint.viewer.superpoint_file import read_labelled_cloud
 from torchjoint.viewer.truth import with_truth
@@ -94,6 +95,26 @@ def test_a_page_for_the_network_says_so(run, out, monkeypatch, capsys):
     assert "--host 0.0.0.0: whoever gets the address below from this network sees this result, and may change" in text
     assert re.search(r"http://localhost:899\d/\S{32}/\n", text)
     assert "Websocket" not in text  # viser's own addresses, which are refused
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")  # of viser and websockets
+def test_an_encoder_of_text_is_imported(run, out, tmp_path, monkeypatch):
+    from torchjoint.viewer.app import Viewer
+
+    folder, found = tmp_path / "out", []
+    shutil.copytree(out, folder)
+    with pytest.raises(SystemExit, match="--text-encoder: expected a result with embeddings"):
+        run("show", folder, "--text-encoder", "words:encode")
+    labels = tj.load_result(folder).points
+    Embeddings(torch.eye(int(labels.max()) + 1), labels).save(folder)
+    with pytest.raises(SystemExit, match="--text-encoder: words:encode cannot be imported: No module named 'words'"):
+        run("show", folder, "--text-encoder", "words:encode")
+    (tmp_path / "words.py").write_text("def encode(words):\n    return len(words)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(Viewer, "wait", lambda viewer: (found.append(viewer._shown.text_encoder), viewer.stop()))
+    monkeypatch.setattr(Viewer, "_work_behind", lambda viewer: None)
+    run("show", folder, "--no-open-browser", "--port", 8995, "--text-encoder", "words:encode")
+    assert found[0]("a mug") == 5
 
 
 def test_up_turns_the_page(run, out, tmp_path):

@@ -64,14 +64,14 @@ def check_output(out: Path, names: Iterable[str], overwrite: bool) -> None:
 
 
 @contextmanager
-def folder_of(out: Path, kind: str) -> Iterator[Path]:
+def folder_of(out: Path, *kinds: str) -> Iterator[Path]:
     """Yields the path of a new folder beside `out`, to be written; then it becomes `out`, and replaces an earlier one.
 
     Raises:
-        FileExistsError: the earlier one holds more than files with the suffix `kind`, and folders of them.
+        FileExistsError: the earlier one holds more than files with the suffixes `kinds`, and folders of them.
     """
-    if out.exists() and not (out.is_dir() and all(_is_kind(file, kind) for file in out.iterdir())):
-        raise FileExistsError(f"{out}: holds more than {kind} files and will not be overwritten")
+    if out.exists() and not (out.is_dir() and all(_is_kind(file, kinds) for file in out.iterdir())):
+        raise FileExistsError(f"{out}: holds more than {', '.join(kinds)} files and will not be overwritten")
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as temporary:
         yield Path(temporary) / "new"
         if out.exists():
@@ -79,8 +79,8 @@ def folder_of(out: Path, kind: str) -> Iterator[Path]:
         os.replace(Path(temporary) / "new", out)
 
 
-def _is_kind(file: Path, kind: str) -> bool:
+def _is_kind(file: Path, kinds: tuple[str, ...]) -> bool:
     """Whether an earlier run may have written a file, or the folder of ScanNet's masks."""
     if file.is_dir():
-        return file.name == "predicted_masks" and all(mask.suffix == kind for mask in file.iterdir())
-    return file.suffix == kind
+        return file.name == "predicted_masks" and all(mask.suffix in kinds for mask in file.iterdir())
+    return file.suffix in kinds

@@ -12,10 +12,15 @@ from torchjoint.results.exports import FORMATS, SUFFIXES
 from torchjoint.results.loading import load_result
 from torchjoint.results.mask_report import select_masked
 
+#: What a folder of a format has in it.
+_IN_FOLDER = {"sam": (".json",), "ply": (".ply",), "scannet": (".txt",), "openmask3d": (".pt", ".npy")}
+
 
 def export(
     result: tyro.conf.Positional[Path],
-    format: Literal["coco", "sam", "ply", "las", "npz", "scannet", "masks", "graph", "openpcdet", "labelcloud"],
+    format: Literal[
+        "coco", "sam", "ply", "las", "npz", "scannet", "masks", "openmask3d", "graph", "openpcdet", "labelcloud"
+    ],
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     granularity: float | None = None,
     only_masked: bool = False,
@@ -28,11 +33,12 @@ def export(
         format: coco: COCO's JSON of instances, for all images; sam: a JSON for each image, as in SA-1B; ply: a cloud
             for each segment; las: the cloud with the extra dimension `label`; npz: all labels as arrays;
             scannet: instances as its benchmark reads them, SCENE.txt and predicted_masks/; masks: the same as an
-            archive with pred_masks, pred_score and pred_classes; graph: what stands on what, as NetworkX reads it;
-            openpcdet, labelcloud: upright boxes with names, for networks of detection and for annotation (`torchjoint
-            edits import` brings them back). coco, sam and las need `pip install 'torchjoint[export]'`.
-        out: file, or folder for sam, ply and scannet; default: RESULT-FORMAT in the current folder, with the format's
-            suffix.
+            archive with pred_masks, pred_score and pred_classes; openmask3d: SCENE_masks.pt and the saved embeddings,
+            SCENE_openmask3d_features.npy; graph: what stands on what, as NetworkX reads it; openpcdet, labelcloud:
+            upright boxes with names, for networks of detection and for annotation (`torchjoint edits import` brings
+            them back). coco, sam and las need `pip install 'torchjoint[export]'`.
+        out: file, or folder for sam, ply, scannet and openmask3d; default: RESULT-FORMAT in the current folder, with
+            the format's suffix.
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); needs a result of method learned.
         only_masked: only what the masks of the run show: segments that lie in masks with at least half of their pixels.
             The others are -1, or left out. Corrections by hand are not in it.
@@ -56,6 +62,6 @@ def export(
     if suffix:
         FORMATS[format](out, loaded)
     else:
-        with folder_of(out, {"sam": ".json", "ply": ".ply", "scannet": ".txt"}[format]) as folder:
+        with folder_of(out, *_IN_FOLDER[format]) as folder:
             FORMATS[format](folder, loaded)
     print(out)

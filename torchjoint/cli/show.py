@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import webbrowser
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,6 +40,7 @@ def show(
     host: str = "127.0.0.1",
     port: int = 8080,
     open_browser: bool = True,
+    text_encoder: str | None = None,
 ) -> None:
     """Shows a result in the browser: cloud, images, a table of segments, levels, and corrections by hand.
 
@@ -53,6 +56,8 @@ def show(
             printed address.
         port: of the page; if it is in use, the next free one.
         open_browser: open the page.
+        text_encoder: package.module:function of yours that makes a vector of words, by the network that made the
+            embeddings of OUT; the page then finds things by words.
     """
     if up is not None and not any(up):
         raise ValueError("--up: expected a direction, got 0 0 0")
@@ -68,7 +73,8 @@ def show(
     if static is not None:
         _write_static(static, result, out if is_folder else None, granularity, direction)
     else:
-        _serve(result, out if is_folder else None, granularity, direction, host, port, open_browser)
+        encoder = None if text_encoder is None else _text_encoder(text_encoder, result)
+        _serve(result, out if is_folder else None, granularity, direction, host, port, open_browser, encoder)
 
 
 def live_view(now: bool) -> LiveView | None:
@@ -144,6 +150,7 @@ def _serve(
     host: str,
     port: int,
     open_browser: bool,
+    text_encoder: Callable[[str], Tensor] | None,
 ) -> None:
     from torchjoint.viewer.app import Viewer
     from torchjoint.viewer.server import is_loopback
@@ -151,9 +158,21 @@ def _serve(
 
     if not is_loopback(host):
         print(f"--host {host}: whoever gets the address below from this network sees this result, and may change it")
-    viewer = Viewer(result, Shown(folder), granularity=granularity, up=up, host=host, port=port)
+    shown = Shown(folder, text_encoder=text_encoder)
+    viewer = Viewer(result, shown, granularity=granularity, up=up, host=host, port=port)
     _open_page(viewer.url, open_browser)
     serve_until_interrupted(viewer)
+
+
+def _text_encoder(name: str, result: Result) -> Callable[[str], Tensor]:
+    if result.embeddings is None:
+        raise ValueError("--text-encoder: expected a result with embeddings; result.embed(...).save(OUT) saves them")
+    module, _, function = name.partition(":")
+    try:
+        found: Callable[[str], Tensor] = getattr(import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"--text-encoder: {name} cannot be imported: {error}") from error
+    return found
 
 
 def serve_until_interrupted(viewer: Viewer) -> None:

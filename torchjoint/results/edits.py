@@ -1,4 +1,4 @@
-"""Corrections by hand (output after step 8): segments joined, split and named. They lie on top of the labels.
+"""Corrections by hand (output after step 8): segments joined, split, gathered and named, on top of the labels.
 
 An edit names a segment by one of its pieces, so it means the same at every level. A name also has the level at which it
 was given: it belongs to that segment and to finer ones. edits.json holds the edits; the labels on disk stay the same.
@@ -31,14 +31,14 @@ class Edit:
 
     Attributes:
         kind: join: the segments of two pieces become one. split: the segment of a piece is divided where its last merge
-            joined it; with three pieces, where the merge of the other two joined it. name: the segment of a piece gets
-            a name; "" removes its name.
-        pieces: one piece, the two of a join, or the three of a split at a merge.
+            joined it; with three pieces, where the merge of the other two joined it. gather: these pieces leave their
+            segments and become one. name: the segment of a piece gets a name; "" removes its name.
+        pieces: one piece, the two of a join, the three of a split at a merge, or all of a gathered segment.
         name: of a segment.
         granularity: the level at which the name was given; None: the labels of the result.
     """
 
-    kind: Literal["join", "split", "name"]
+    kind: Literal["join", "split", "gather", "name"]
     pieces: tuple[int, ...]
     name: str = ""
     granularity: float | None = None
@@ -78,6 +78,9 @@ class Edits:
                 table[np.isin(table, ends)] = min(ends)
             elif step.kind == "split":
                 table = split(table, step.pieces, hierarchy)
+            elif step.kind == "gather":
+                table[list(step.pieces)] = len(table)
+                table = first_pieces(table)
         return table
 
 
@@ -121,7 +124,8 @@ def read_edits(folder: Path, num_pieces: int) -> Edits:
 
 def _parse(step: Mapping[str, Any], num_pieces: int) -> Edit:
     kind, pieces, name = step["kind"], tuple(_integer(piece) for piece in step["pieces"]), step.get("name", "")
-    if len(pieces) not in {"join": (2,), "split": (1, 3), "name": (1,)}.get(kind, ()):
+    lengths = {"join": (2,), "split": (1, 3), "gather": range(1, num_pieces + 1), "name": (1,)}
+    if len(pieces) not in lengths.get(kind, ()):
         raise ValueError(f"expected an edit, got {dict(step)}")
     if not all(0 <= piece < num_pieces for piece in pieces):
         raise ValueError(f"expected pieces below {num_pieces}, got {dict(step)}")

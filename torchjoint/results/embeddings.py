@@ -13,12 +13,14 @@ from torch.nn import functional
 
 from torchjoint.images._eval_mode import eval_mode
 from torchjoint.results.crops import Camera, Crop, crops_of
-from torchjoint.results.objects import segment_records
+from torchjoint.results.objects import segment_records, write_rows
 from torchjoint.runtime.archives import read_archive
-from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.files import atomic_write, no_link
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene, Segmentation
 
+#: In a result's folder.
+FILE = "embeddings.npz"
 #: Images [B, 3, size, size] in [0, 1] to vectors [B, D].
 Encoder = Callable[[Tensor], Tensor]
 #: Of the frames that see a thing, so many with the most pixels are compared.
@@ -33,9 +35,11 @@ class Embeddings:
 
     Attributes:
         vectors: [S, D] float32 of unit length; zeros for a segment that no frame sees.
+        labels: [N] int64, the segment of each point.
     """
 
     vectors: Tensor
+    labels: Tensor
 
     @property
     def seen(self) -> Tensor:
@@ -66,10 +70,47 @@ class Embeddings:
         best = torch.sort(cosine, descending=True, stable=True).indices[: min(k, int(self.seen.sum()))]
         return [(int(segment), float(cosine[segment])) for segment in best]
 
+    def of(self, labels: Tensor) -> Embeddings:
+        """The vectors of other segments of the same points, such as those of another level, or after corrections.
+
+        A segment gets the mean direction of the vectors that its points have here.
+
+        Args:
+            labels: [N] int64; -1 = none.
+        """
+        if torch.equal(labels, self.labels):
+            return self
+        segment, row, points = _shared(labels, self.labels)
+        sums = torch.zeros(int(labels.max()) + 1, self.vectors.shape[1])
+        sums.index_add_(0, segment, self.vectors[row] * points[:, None])
+        return Embeddings(functional.normalize(sums, dim=1), labels)
+
     def save(self, path: str | Path) -> None:
-        """Writes an .npz archive with the array `vectors`."""
-        with atomic_write(Path(path)) as partial, partial.open("wb") as stream:
-            np.savez_compressed(stream, vectors=self.vectors.numpy())
+        """Writes an .npz archive with the arrays `vectors` and `labels`.
+
+        Args:
+            path: the file; or a result's folder: then :func:`torchjoint.load_result` finds the vectors again, and
+                segments.json has the row of embeddings.npz of each segment (of most of its points, after corrections).
+
+        Raises:
+            FileNotFoundError, ValueError: the folder is no result, or one of another number of points.
+        """
+        path = Path(path)
+        rows = self._rows(path) if path.is_dir() else None
+        file = path if rows is None else path / FILE
+        with atomic_write(no_link(file)) as partial, partial.open("wb") as stream:
+            np.savez_compressed(stream, vectors=self.vectors.numpy(), labels=self.labels.to(torch.int32).numpy())
+        if rows is not None:
+            write_rows(path, FILE, rows)
+
+    def _rows(self, path: Path) -> dict[int, int]:
+        """For each segment of a result's folder the row of its vector."""
+        stored = torch.from_numpy(read_archive(path / "points.npz", ("labels",)).get("labels", np.empty(0))).long()
+        if len(stored) != len(self.labels):
+            raise ValueError(f"{path}: expected a result of {len(self.labels)} points, got {len(stored)}")
+        segment, row, points = _shared(stored, self.labels)
+        order = torch.argsort(points, stable=True)  # of several rows of a segment, the last one is kept
+        return dict(zip(segment[order].tolist(), row[order].tolist(), strict=True))
 
     @classmethod
     def load(cls, path: str | Path) -> Embeddings:
@@ -78,10 +119,38 @@ class Embeddings:
         Raises:
             FileNotFoundError, ValueError: the message names the file and its error.
         """
-        vectors = read_archive(Path(path), ("vectors",)).get("vectors")
+        arrays = read_archive(Path(path), ("vectors", "labels"))
+        vectors, labels = arrays.get("vectors"), arrays.get("labels")
         if vectors is None or vectors.ndim != 2 or vectors.dtype != np.float32 or not np.isfinite(vectors).all():
             raise ValueError(f"{path}: expected finite vectors [S, D] of float32")
-        return cls(torch.from_numpy(vectors))
+        if labels is None or labels.ndim != 1 or labels.dtype != np.int32 or not labels.size:
+            raise ValueError(f"{path}: expected labels [N] of int32")
+        if not -1 <= labels.min() <= labels.max() < len(vectors):
+            raise ValueError(f"{path}: expected labels below {len(vectors)}, got {labels.min()} to {labels.max()}")
+        return cls(torch.from_numpy(vectors), torch.from_numpy(labels).long())
+
+
+def read_embeddings(folder: Path, num_points: int) -> Embeddings | None:
+    """The vectors that were saved with a result; None if there are none.
+
+    Raises:
+        ValueError: the file is damaged, or of another result; the message names it.
+    """
+    if not (folder / FILE).is_file():
+        return None
+    found = Embeddings.load(folder / FILE)
+    if len(found.labels) != num_points:
+        raise ValueError(
+            f"{folder / FILE}: expected labels of {num_points} points, got {len(found.labels)}; of another result?"
+        )
+    return found
+
+
+def _shared(labels: Tensor, others: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Pairs [K] of a label and another one that have common points, and their number; -1 is in no pair."""
+    both, count = (labels >= 0) & (others >= 0), int(others.max()) + 1
+    pairs, points = torch.unique(labels[both] * count + others[both], return_counts=True)
+    return pairs // count, pairs % count, points
 
 
 def embed(
@@ -104,7 +173,8 @@ def embed(
             vectors[record.id] = _mean_vector(encoder, images)
     dimension = next((len(vector) for vector in vectors.values()), 0)
     zeros = torch.zeros(dimension)
-    return Embeddings(torch.stack([vectors.get(record, zeros) for record in range(result.num_point_segments)]))
+    found = [vectors.get(segment, zeros) for segment in range(result.num_point_segments)]
+    return Embeddings(torch.stack(found), result.points)
 
 
 def _inputs(crop: Crop, size: int) -> tuple[Tensor, Tensor]:

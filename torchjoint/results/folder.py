@@ -109,7 +109,7 @@ def write_result(
 
 def _remove_earlier(folder: Path) -> None:
     """Deletes the files of an interrupted run: with other parameters it may have written other files."""
-    for name in ("points.ply", "points.npz", FILE, CAMERAS, "overview.png", "run.yaml", MANIFEST):
+    for name in ("points.ply", "points.npz", FILE, CAMERAS, "overview.png", "run.yaml", MANIFEST, "embeddings.npz"):
         (folder / name).unlink(missing_ok=True)
     for name in ("images", FOLDER):
         shutil.rmtree(folder / name, ignore_errors=True)

@@ -6,6 +6,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from torchjoint.results.edits import FILE, read_edits
+from torchjoint.results.embeddings import read_embeddings
 from torchjoint.results.folder import read_config, read_points, read_record, read_result
 from torchjoint.results.inputs import CAMERAS, read_inputs
 from torchjoint.results.manifest import open_manifest, unchecked
@@ -18,6 +19,8 @@ from torchjoint.scene import Scene, Segmentation
 @on_cpu()
 def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) -> Result:
     """Reads a folder that ``torchjoint segment`` wrote: labels, all levels, the cloud, cameras and parameters.
+
+    :attr:`Result.embeddings <torchjoint.results.result.Result.embeddings>` are those that were saved with it.
 
     Images and frames are read when they are used, in the order of their names. Frames have the images as they were
     saved, in JPEG. A result of an earlier version has no frames.
@@ -48,7 +51,8 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
     frames = read_inputs(folder, segmentation.names, check) if (folder / CAMERAS).is_file() else ()
     scene = Scene(stored.points, frames, stored.colors, name=folder.resolve().name)
     values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
-    result = Result(**values, scene=scene, config=config)
+    vectors = read_embeddings(folder, len(stored.points))
+    result = Result(**values, scene=scene, config=config, saved_embeddings=vectors)
     if not edits or not (folder / FILE).is_file():
         return result
     return edited(result, read_edits(folder, Parts(result).count))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchjoint.results.oriented_box import OrientedBox, oriented_box
 from torchjoint.results.upright import up_direction
-from torchjoint.runtime.files import write_text
+from torchjoint.runtime.files import no_link, write_text
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene, Segmentation
 
@@ -114,9 +114,27 @@ def segment_records(scene: Scene, result: Segmentation, up: Tensor | None = None
 def write_segments(folder: Path, scene: Scene, result: Segmentation) -> None:
     """Writes segments.json: the upward direction, and a line for each segment of the cloud."""
     up = up_direction(scene)
-    lines = ",\n".join(json.dumps(record.to_dict()) for record in segment_records(scene, result, up))
-    head = f'"units": "metres", "up": {json.dumps(_rounded(up.tolist(), 6))}'
-    write_text(folder / FILE, f'{{{head}, "segments": [\n{lines}\n]}}\n')
+    head = {"units": "metres", "up": _rounded(up.tolist(), 6)}
+    _write(folder, head, [record.to_dict() for record in segment_records(scene, result, up)])
+
+
+def write_rows(folder: Path, vectors: str, rows: Mapping[int, int]) -> None:
+    """Writes into segments.json which row of a file of vectors each segment has.
+
+    Raises:
+        FileNotFoundError, ValueError: segments.json is missing or damaged.
+    """
+    try:
+        head = json.loads((folder / FILE).read_text(encoding="utf-8"))
+        segments = [one | {"embedding": rows.get(one["id"])} for one in head.pop("segments")]
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{folder / FILE}: not the segments of a result: {error!r}") from error
+    _write(folder, head | {"embeddings": vectors}, segments)
+
+
+def _write(folder: Path, head: Mapping[str, Any], segments: Sequence[Mapping[str, Any]]) -> None:
+    lines = ",\n".join(map(json.dumps, segments))
+    write_text(no_link(folder / FILE), f'{json.dumps(head)[:-1]}, "segments": [\n{lines}\n]}}\n')
 
 
 def image_views(labels: Tensor, num_segments: int) -> list[tuple[int, int, tuple[int, int, int, int]]]:

@@ -35,6 +35,12 @@ class Parts:
         """P, the number of pieces."""
         return int(self.of_point.max()) + 1
 
+    def middle(self, piece: int) -> int:
+        """The point of a piece that is nearest to its centre."""
+        own = np.flatnonzero(self.of_point == piece)
+        points = self.result.scene.points.numpy()[own]
+        return int(own[np.square(points - points.mean(0)).sum(1).argmin()])
+
     @cached_property
     def stored(self) -> Table:
         """[P] the label on disk of each piece."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 
 from torch import Tensor
 
@@ -24,11 +25,13 @@ class Result(Segmentation):
         scene: the cloud, and the frames in the order of the images. Frames are read when they are used.
         config: the parameters of the run; None if unknown.
         segment_names: names that were given by hand, by id.
+        saved_embeddings: the vectors that were saved with the result, of the segments at that time.
     """
 
     scene: Scene = field(kw_only=True)
     config: Config | None = field(default=None, kw_only=True)
     segment_names: Mapping[int, str] = field(default_factory=dict, kw_only=True)
+    saved_embeddings: Embeddings | None = field(default=None, kw_only=True)
 
     @classmethod
     def of(cls, segmentation: Segmentation, scene: Scene, config: Config | None = None) -> Result:
@@ -45,6 +48,11 @@ class Result(Segmentation):
             )
         values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
         return cls(**values, scene=scene, config=config)
+
+    @cached_property
+    def embeddings(self) -> Embeddings | None:
+        """The saved vectors, for the segments of this level, with their corrections; None: none were saved."""
+        return None if self.saved_embeddings is None else self.saved_embeddings.of(self.points)
 
     def records(self) -> list[SegmentRecord]:
         """Describes each segment: points, centre, box, colour, and the frames that see it."""
@@ -77,6 +85,8 @@ class Result(Segmentation):
 
     def embed(self, encoder: Encoder, k: int = 3, size: int = 224, margin: float = 0.1) -> Embeddings:
         """Embeds each segment of the cloud by its best views; then words find things: ``embeddings.find(text)``.
+
+        ``embeddings.save(folder)`` saves them with a result on disk; :attr:`embeddings` are those that were saved.
 
         A view gives two images: the thing on grey, and the thing with what is around it. The vector of a segment is the
         mean of the unit vectors of all its images, of unit length.

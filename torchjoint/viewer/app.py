@@ -16,7 +16,7 @@ from torchjoint.results.shading import Shading
 from torchjoint.results.upright import up_direction
 from torchjoint.viewer.cameras import Cameras, Viewpoint, add_camera, viewpoint
 from torchjoint.viewer.cloud import CloudView
-from torchjoint.viewer.html import PREFIX, image_html, note_html, panel_html, table_html
+from torchjoint.viewer.html import PREFIX, found_html, image_html, note_html, panel_html, table_html
 from torchjoint.viewer.model import Model
 from torchjoint.viewer.panel import RESET, Panel
 from torchjoint.viewer.pick import pick_point
@@ -134,6 +134,7 @@ class Viewer:
     def _add_panel(self, frame: int = 0, cameras: bool = False) -> None:
         """Builds a new panel, and connects its elements to their actions."""
         panel = self._panel = Panel(self.server.gui, self.model, self._shown, frame, cameras)
+        self._query: Tensor | None = None  # the vector of the words that were searched
 
         def then(action: Any) -> Any:
             return lambda _: self._guarded(action)
@@ -143,7 +144,12 @@ class Viewer:
         panel.name.on_update(then(self._on_name))
         panel.relations.on_update(then(self._draw_relations))
         panel.search.on_update(then(self._draw_table))
+        panel.find.on_click(then(self._on_find))
         panel.correct.on_click(then(self._on_correct))
+        panel.by_clicks.on_update(
+            lambda _: setattr(panel.keep, "visible", panel.by_clicks.value and self.folder is not None)
+        )
+        panel.keep.on_click(then(self._on_keep))
         panel.export.on_click(lambda event: self._guarded(self._on_export, event.client))
         panel.save.on_click(then(self._on_save))
         panel.view.on_click(lambda event: self._guarded(self._on_view, event.client))
@@ -199,12 +205,20 @@ class Viewer:
         elif kind == "image":
             pieces = self.model.parts.image(self._frame_index())
             piece = int(pieces[min(int(values[1]), len(pieces) - 1), min(int(values[0]), pieces.shape[1] - 1)])
-            self._choose(None if piece < 0 else int(self.model.table[piece]), values[2] == "1")
+            self._on_point(None if piece < 0 else self.model.parts.middle(piece), values[2] == "1")
 
     def _on_ray(self, event: Any, more: bool) -> None:
         ray = np.array(event.ray_origin), np.array(event.ray_direction)
         point = pick_point(self.result.scene.points.numpy(), *ray, 0.5 * self._cloud.size)
-        self._choose(None if point is None else int(self.model.table[self.model.parts.of_point[point]]), more)
+        self._on_point(point, more)
+
+    def _on_point(self, point: int | None, more: bool) -> None:
+        """A click on a point of the cloud: selects its segment, or belongs to the thing that is being picked."""
+        if self._panel.by_clicks.value and point is not None:
+            self.model.click(point, not more)
+            self._draw()
+        else:
+            self._choose(None if point is None else int(self.model.table[self.model.parts.of_point[point]]), more)
 
     def _choose(self, segment: int | None, more: bool) -> None:
         """Selects a segment; with shift, adds it to the selection or removes it. None clears the selection."""
@@ -265,13 +279,26 @@ class Viewer:
     def _on_correct(self) -> None:
         action = self._panel.correct.value
         if action == "Undo":
-            if not self.model.undo():
+            if self.model.clicks:
+                self.model.unclick()
+            elif not self.model.undo():
                 self._say("there is nothing to undo", "blue")
         elif action == "Join":
             self.model.join()
         else:
             self.model.split()
         self._draw()
+
+    def _on_keep(self) -> None:
+        self.model.keep()
+        self._draw()
+
+    def _on_find(self) -> None:
+        assert self._shown.text_encoder is not None  # without it there is no button
+        query = self._shown.text_encoder(self._panel.words.value)
+        best = self.model.find(query, 1)  # raises before the list is made of it
+        self._query = query
+        self._select(tuple(segment for segment, _ in best))
 
     def _on_save(self) -> None:
         assert self.folder is not None  # without a folder there is no button
@@ -297,6 +324,7 @@ class Viewer:
 
     def _draw(self) -> None:
         self._cloud.recolor(self.model.point_colors())
+        self._cloud.mark(self.model.clicks)
         self._panel.name.value = self._selected_name()
         self._draw_lists()
         self._draw_relations()
@@ -311,6 +339,8 @@ class Viewer:
         frames = self.model.frames_of(selected[0]) if len(selected) == 1 else []
         seen = [(self.result.names[index], pixels) for index, pixels in frames]
         self._panel.selection.content = panel_html([self.model.row(segment) for segment in selected[:10]], seen)
+        found = [] if self._query is None else self.model.find(self._query)
+        self._panel.found.content = found_html([(self.model.row(segment), cosine) for segment, cosine in found])
         self._draw_table()
 
     def _draw_table(self) -> None:

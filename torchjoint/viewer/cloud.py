@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from torchjoint.viewer.model import Bytes
 Array = npt.NDArray[np.float32]
 #: Largest numbers of points: in the sample, which is always drawn; in a block; drawn at the same time.
 SAMPLE, BLOCK, BUDGET = 400_000, 60_000, 1_600_000
+
+#: Radius of the ball at a click, in sizes of a point.
+MARK = 4.0
 
 
 def point_spacing(points: Array) -> float:
@@ -58,12 +62,27 @@ class CloudView:
         self._current: set[int] = set()  # parts whose colours are up to date
         self._shown = {0}
         self._handles: dict[int, Any] = {}
+        self._marks: list[Any] = []
         self._draw()
 
     def remove(self) -> None:
         """Removes the points from the page."""
-        for handle in self._handles.values():
+        for handle in (*self._handles.values(), *self._marks):
             handle.remove()
+
+    def mark(self, clicks: Sequence[tuple[int, bool]]) -> None:
+        """Draws a ball at each clicked point: green on the thing, red beside it."""
+        for handle in self._marks:
+            handle.remove()
+        self._marks = [
+            self._server.scene.add_icosphere(
+                f"/click/{index}",
+                MARK * self.size,
+                (0, 150, 60) if belongs else (210, 30, 30),
+                position=self._points[point],
+            )
+            for index, (point, belongs) in enumerate(clicks)
+        ]
 
     def recolor(self, colors: Bytes) -> None:
         """Changes the colours; those of hidden blocks change when the blocks are shown."""

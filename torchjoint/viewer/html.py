@@ -87,6 +87,16 @@ def note_html(note: str) -> str:
     return f'<div id="tj-note" style="{_TEXT}">{escape(note)}</div>'
 
 
+def found_html(found: Sequence[tuple[Row, float]]) -> str:
+    """The things that words found, and how well they fit, best first; a click on a line sends `row KEY SHIFT`."""
+    lines = []
+    for row, cosine in found:
+        send = f"const line='row {row.key} '+(event.shiftKey?1:0);{_SEND}"
+        told = f"{cosine:.2f} segment <b>{row.key}</b> {escape(row.name)}"
+        lines.append(f'<div data-found="{row.key}" style="cursor:pointer" onclick="{send}">{told}</div>')
+    return f'<div id="tj-found" style="{_TEXT}">{"".join(lines)}</div>'
+
+
 def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
     """Describes the selected segments; `frames`: name and number of pixels of each frame that sees the first one."""
     if not rows:

@@ -36,6 +36,7 @@ class Model:
 
     Attributes:
         shading: of the points, once it is computed; without it colours are flat.
+        clicks: (point, whether it belongs to it) of the thing that is being picked.
     """
 
     def __init__(self, result: Result, edits: Edits, up: npt.NDArray[np.float64]) -> None:
@@ -46,6 +47,8 @@ class Model:
         self.mode: Mode = "segments"
         self.shading: Shading | None = None
         self._table, self._names = self.parts.table(edits), self.parts.names(edits)
+        self.clicks: tuple[tuple[int, bool], ...] = ()
+        self._picked: tuple[Edit, ...] = ()  # shown as if it were a correction
         self._before: list[tuple[Edit, ...]] = []  # the corrections before each change, for undo
         self._measures = Measures(self.parts, up)
         self._measures.of_table(self._table)
@@ -108,8 +111,63 @@ class Model:
     # Changes
 
     def select(self, segments: tuple[int, ...]) -> None:
-        """Selects segments of the table; others fade."""
+        """Selects segments of the table; others fade. What was picked by clicks is dropped."""
         self.selected = tuple(dict.fromkeys(segments))
+        if self._picked:
+            self._edit(self.edits)
+
+    def click(self, point: int, belongs: bool = True) -> None:
+        """Selects the thing of all clicks so far: see :meth:`torchjoint.results.result.Result.pick`.
+
+        A single click shows the segment of the table. The thing is no correction until :meth:`keep`, or until it is
+        named, joined or split.
+
+        Args:
+            point: index of the point that was clicked.
+            belongs: False: the thing ends before it.
+
+        Raises:
+            ValueError: no click is on the thing, or two that disagree are in one piece.
+        """
+        self._show((*self.clicks, (point, belongs)))
+
+    def unclick(self) -> None:
+        """Takes the last click back."""
+        self._show(self.clicks[:-1])
+
+    def keep(self) -> None:
+        """Makes the thing of the clicks a segment of its own, at every level.
+
+        Raises:
+            ValueError: there were no clicks.
+        """
+        if not self._picked:
+            raise ValueError("one thing: expected clicks on a thing, got none")
+        self._add()
+
+    def _show(self, clicks: tuple[tuple[int, bool], ...]) -> None:
+        if not clicks:
+            self.select(())
+            return
+        if len(clicks) == 1 and clicks[0][1]:
+            table = self.parts.table(self.edits)
+            pieces = np.flatnonzero(table == table[self.parts.of_point[clicks[0][0]]])
+        else:
+            on, off = (
+                torch.tensor([p for p, belongs in clicks if belongs == wanted], dtype=torch.int64)
+                for wanted in (True, False)
+            )
+            pieces = self._at_level.pick(on, negative=off).pieces.numpy()
+        self._edit(self.edits, (Edit("gather", tuple(pieces.tolist())),))
+        self.clicks, self.selected = clicks, (int(pieces[0]),)
+
+    @property
+    def _at_level(self) -> Result:
+        """The result whose default level is the shown one."""
+        hierarchy, level = self.result.hierarchy, self.edits.granularity
+        if hierarchy is None or level is None:
+            return self.result
+        return replace(self.result, hierarchy=replace(hierarchy, default=hierarchy.height_of(level)))
 
     def set_granularity(self, granularity: float | None) -> None:
         """Shows another level; corrections stay."""
@@ -167,16 +225,31 @@ class Model:
 
     def _add(self, *steps: Edit) -> None:
         before = self.edits.steps
-        self._edit(replace(self.edits, steps=(*before, *steps)))
+        self._edit(replace(self.edits, steps=(*before, *self._picked, *steps)))
         self._before.append(before)
 
-    def _edit(self, edits: Edits) -> None:
-        before = self._table
-        self._table = self.parts.table(edits)  # raises before anything changes
-        self.edits, self._names = edits, self.parts.names(edits)
+    def _edit(self, edits: Edits, picked: tuple[Edit, ...] = ()) -> None:
+        before, shown = self._table, replace(edits, steps=edits.steps + picked)
+        self._table = self.parts.table(shown)  # raises before anything changes
+        self.edits, self._names = edits, self.parts.names(shown)
+        self._picked, self.clicks = picked, ()
         if not np.array_equal(before, self._table):
             self.selected = tuple(dict.fromkeys(int(self._table[segment]) for segment in self.selected))
             self._measures.of_table(self._table)
+
+    # Words
+
+    def find(self, query: torch.Tensor, k: int = 5) -> list[tuple[int, float]]:
+        """The segments that are most similar to a vector, and the cosines, best first; none without embeddings.
+
+        Raises:
+            ValueError: the vector has another dimension than the embeddings, is zero or not finite.
+        """
+        if self.result.saved_embeddings is None:
+            return []
+        firsts, number = np.unique(self._table, return_inverse=True)
+        vectors = self.result.saved_embeddings.of(torch.from_numpy(number[self.parts.of_point]))
+        return [(int(firsts[segment]), cosine) for segment, cosine in vectors.find(query, k)]
 
     # Colours
 

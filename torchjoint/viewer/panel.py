@@ -42,6 +42,7 @@ class Panel:
             )
         with gui.add_folder("Selection"):
             self.selection = gui.add_html(panel_html((), ()))
+            self._add_clicks(gui, model.result.hierarchy is not None)
             self._add_buttons(gui, shown.folder is not None, not shown.is_running)
             self.relations = gui.add_checkbox(
                 "Relations",
@@ -50,6 +51,10 @@ class Panel:
                 hint="what stands on (green), hangs on (orange), contains (blue), touches (grey) the selected",
             )
         with gui.add_folder("Segments"):
+            can_find = shown.text_encoder is not None and model.result.saved_embeddings is not None
+            self.words = gui.add_text("Words", "", hint="of a thing, such as: a red chair", visible=can_find)
+            self.find = gui.add_button("Find the words", color="gray", visible=can_find)
+            self.found = gui.add_html("", visible=can_find)
             self.search = gui.add_text("Search", "", hint="a part of a name, or an id")
             self.table = gui.add_html("")
         if len(model.result.scene.frames):
@@ -72,6 +77,15 @@ class Panel:
             self.image = gui.add_html("")
             self.stand = gui.add_button("Stand at this camera", color="gray")
             self.cameras = gui.add_checkbox("Cameras", cameras, hint="draw them in the cloud")
+
+    def _add_clicks(self, gui: Any, has_levels: bool) -> None:
+        self.by_clicks = gui.add_checkbox(
+            "Thing from clicks",
+            False,
+            visible=has_levels,
+            hint="click: this belongs to it, too; with shift: this does not; Undo takes the last click back",
+        )
+        self.keep = gui.add_button("Make it one thing", visible=False, hint="a segment of its own, at every level")
 
     def _add_buttons(self, gui: Any, can_save: bool, can_export: bool) -> None:
         self.name = gui.add_text("Name", "", hint="of the selected segment; Save keeps it", visible=can_save)

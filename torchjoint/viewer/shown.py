@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+from torch import Tensor
 
 from torchjoint.results.edits import Edits, read_edits
 from torchjoint.results.parts import Parts
@@ -19,11 +22,13 @@ class Shown:
         folder: for corrections (edits.json); None: the result cannot be corrected.
         run: the run that made the result, if it is still in memory; its parameters can then be changed on the page.
         is_running: whether the run is not finished, so that segments will change.
+        text_encoder: makes a vector [D] of words, as the encoder of the result's embeddings made them of images.
     """
 
     folder: Path | None = None
     run: LiveRun | None = None
     is_running: bool = False
+    text_encoder: Callable[[str], Tensor] | None = None
 
     def edits(self, result: Result, granularity: float | None = None) -> Edits:
         """The corrections of the result on disk, at another level if one is given.

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from torchjoint.datasets.files.ply import Ply
 from torchjoint.runtime.extras import needed_for
@@ -17,6 +19,8 @@ SUFFIXES = (".obj", ".glb", ".gltf", ".off", ".stl")
 LARGE = 0.02
 #: Points are drawn if large triangles have more than this share of the area; this is the number of points.
 MUCH, SAMPLES = 0.1, 200_000
+#: Triangles agree on their outer side if this share of their edges runs the other way in a neighbouring triangle.
+AGREED = 0.9
 
 
 def read_mesh_file(path: Path) -> Ply:
@@ -62,6 +66,30 @@ def has_large_triangles(points: Tensor, faces: Tensor) -> bool:
     area = _areas(corners)
     diagonal = (points.double().amax(0) - points.double().amin(0)).norm()
     return bool(area[edges > LARGE * diagonal].sum() > MUCH * area.sum())
+
+
+def vertex_normals(points: Tensor, faces: Tensor) -> Tensor | None:
+    """The mean normals of the triangles around each vertex, weighted by area; a vertex of none has the nearest one's.
+
+    Args:
+        points: [V, 3] vertices.
+        faces: [F, 3] int64, counter-clockwise from outside.
+
+    Returns:
+        [V, 3] float32 of unit length; None if the triangles do not agree on an outer side, as those of loose surfaces.
+    """
+    a, b = torch.stack([faces, faces.roll(-1, 1)]).flatten(1)
+    if float(torch.isin(b * len(points) + a, a * len(points) + b).float().mean()) < AGREED:
+        return None
+    first, second, third = points[faces].double().unbind(1)
+    areas = torch.linalg.cross(second - first, third - first, dim=1).repeat_interleave(3, 0)
+    normals = torch.zeros(len(points), 3, dtype=torch.float64).index_add_(0, faces.flatten(), areas)
+    has = normals.any(1)
+    if not bool(has.any()):
+        return None
+    if not bool(has.all()):
+        normals[~has] = normals[has][cKDTree(points[has].numpy()).query(points[~has].numpy())[1]]
+    return normalize(normals, dim=1, eps=0).float()
 
 
 def points_on(points: Tensor, faces: Tensor, colors: Tensor | None, name: str) -> tuple[Tensor, Tensor | None]:

@@ -1,8 +1,8 @@
 """Reads a point cloud or a mesh alone, without images.
 
-The scene has no frames: segmenting it is plain 3D segmentation. The points of a mesh are its vertices; where its
-triangles are large, points are drawn on them. :mod:`torchjoint.datasets.files.clouds` says what the
-files hold.
+The scene has no frames: segmenting it is plain 3D segmentation. The points of a mesh are its vertices, with
+the normals of its triangles; where these are large, points are drawn on them. :mod:`torchjoint.datasets.files.clouds`
+says what the files hold.
 """
 
 from __future__ import annotations
@@ -30,4 +30,7 @@ def load(path: Path, options: Options) -> Scene:
     if cloud.faces is not None and meshes.has_large_triangles(points, cloud.faces):
         points, colors = meshes.points_on(points, cloud.faces, cloud.colors, str(path))
         return Scene(points, colors=colors, name=path.stem)
-    return Scene(points, colors=cloud.colors, normals=cloud.normals, name=path.stem)
+    normals = cloud.normals
+    if normals is None and cloud.faces is not None:
+        normals = meshes.vertex_normals(points, cloud.faces)
+    return Scene(points, colors=cloud.colors, normals=normals, name=path.stem)

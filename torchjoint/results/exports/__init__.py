@@ -12,6 +12,7 @@ from torchjoint.results.exports.boxes import export_labelcloud, export_openpcdet
 from torchjoint.results.exports.clouds import export_las, export_npz, export_ply
 from torchjoint.results.exports.coco import export_coco
 from torchjoint.results.exports.graph import export_graph
+from torchjoint.results.exports.openmask3d import export_openmask3d
 from torchjoint.results.exports.sam import export_sam
 from torchjoint.results.exports.scannet import export_masks, export_scannet
 from torchjoint.results.result import Result
@@ -25,6 +26,7 @@ FORMATS: dict[str, Callable[[Path, Result], None]] = {
     "npz": export_npz,
     "scannet": export_scannet,
     "masks": export_masks,
+    "openmask3d": export_openmask3d,
     "graph": export_graph,
     "openpcdet": export_openpcdet,
     "labelcloud": export_labelcloud,

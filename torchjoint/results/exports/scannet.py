@@ -23,7 +23,7 @@ def export_scannet(folder: Path, result: Result) -> None:
     SCENE is the scene's name. A line of SCENE.txt is ``predicted_masks/SCENE_000.txt 1 score``; the score is the
     confidence in the segment, or 1 where the result has none.
     """
-    name = file_name("_".join(result.scene.name.split()) or "scene")
+    name = scene_name(result)
     (folder / "predicted_masks").mkdir(parents=True)
     lines = []
     for segment, score in enumerate(_scores(result).tolist()):
@@ -46,6 +46,11 @@ def export_masks(path: Path, result: Result) -> None:
             pred_score=_scores(result).numpy(),
             pred_classes=np.full(count, LABEL, dtype=np.int32),
         )
+
+
+def scene_name(result: Result) -> str:
+    """The scene's name as a word, for names of files."""
+    return file_name("_".join(result.scene.name.split()) or "scene")
 
 
 def _scores(result: Result) -> Tensor:
