@@ -66,6 +66,8 @@ def test_any_name_is_written_read_and_exported(run, place, tmp_path):
         assert read.scene.frames[index].name == name
         assert (read.images[index] == result.images[0]).all()
     assert read.at(1.0).images[0].max() >= 0  # reads the pieces
+    read.embed(lambda crops: crops.mean((2, 3)), size=8).save(out)  # an export needs vectors
+    read = tj.load_result(out)
     for form, export in FORMATS.items():
         export(place / f"{form}.{form}", read)
     arrays = np.load(place / "npz.npz")
