@@ -28,7 +28,7 @@ class ScanConfig(Stage):
         low=0, sensible="0.01-0.04",
     )  # fmt: skip
     min_size: int = parameter(
-        15, "smallest segment; smaller segments are joined to a neighbour within 1.25 gaps", unit="points", low=0,
+        15, "smallest segment; smaller segments are joined to a neighbour within 1.1 gaps", unit="points", low=0,
         sensible="5-30",
     )  # fmt: skip
 

@@ -117,10 +117,10 @@ def test_beams_whose_neighbours_are_their_own_are_joined(monkeypatch):
 
 def test_bits_join_what_is_near_and_only_that(monkeypatch):
     points, what = scan(BOXES[0])
-    near, far = torch.tensor([[7.6, 0.0, -0.5]]), torch.tensor([[20.0, 10.0, 0.5]])
+    near, far = torch.tensor([[7.63, 0.0, -0.5]]), torch.tensor([[20.0, 10.0, 0.5]])
     labels = segment_scan(torch.cat([points, near, far]))
     car = labels[: len(points)][what == 1].mode().values
-    assert labels[-2] == car  # .4 m away: 1.15 gaps
+    assert labels[-2] == car  # .37 m away: 1.05 gaps
     assert (labels == labels[-1]).sum() == 1
     monkeypatch.setattr(gaps, "JOINING_GAP", 1)
     assert segment_scan(torch.cat([points, near, far]))[-2] != car

@@ -17,7 +17,7 @@ NEIGHBORS = 12
 
 #: Largest distance over which a small segment is joined to a neighbour, in allowed gaps. Farther away it is mostly
 #: another object. A person at 40 m has as few points as a crumb: 2 joined many of them to what they stand beside.
-JOINING_GAP = 1.25
+JOINING_GAP = 1.1
 
 
 class Gaps(NamedTuple):
