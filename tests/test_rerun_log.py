@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 import torchjoint as tj
 from torchjoint.live import RerunLog
@@ -81,9 +82,9 @@ def test_cameras_and_images_are_those_of_the_frames(tmp_path, frames, results):
     found = written(tmp_path / "a.rrd", frames, results, [1, 2, 3])
     camera, images = found["/world/camera"], found["/world/camera/image"]["EncodedImage:blob"]
     for number, frame in enumerate(frames, start=1):
-        (place,), (turn,) = (camera[f"Transform3D:{name}"][number] for name in ("translation", "mat3x3"))
+        (place,), (turn,) = (camera[f"Transform3D:{name}"][number] for name in ("translation", "quaternion"))
         assert np.allclose(place, camera_center(frame.world_to_camera), atol=1e-6)
-        assert np.allclose(np.reshape(turn, (3, 3)).T, frame.world_to_camera[:3, :3].T, atol=1e-6)  # column by column
+        assert np.allclose(Rotation.from_quat(turn).as_matrix(), frame.world_to_camera[:3, :3].T, atol=1e-6)
         (lens,) = camera["Pinhole:image_from_camera"][number]
         expected = frame.intrinsics.double() + torch.tensor([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
         assert np.allclose(np.reshape(lens, (3, 3)).T, expected)

@@ -37,6 +37,8 @@ def live(
     voxel_size: float = 0.02,
     step: float = 0.1,
     turn: float = 10.0,
+    views: int = 40,
+    memory: str | None = None,
     topics: tuple[str, ...] = (),
     time_limit: float = 0.02,
     overwrite: bool = False,
@@ -58,6 +60,8 @@ def live(
         voxel_size: metres, the distance of the points.
         step: metres; a frame is a keyframe if its camera has moved at least so far since the last one.
         turn: degrees; or if it has turned by at least this angle.
+        views: a frame is no keyframe if at least half of its surface is in so many already; 0: no limit.
+        memory: memory for the data of the keyframes, such as 2GB; the rest goes to a temporary file.
         topics: for a ROS recording, if several topics fit a role: --topics color=/front/image_raw.
         time_limit: for a ROS recording: largest time from an image to its depth image and its pose, seconds.
         overwrite: replace OUT if it is an earlier result, and the file of --rerun.
@@ -70,7 +74,7 @@ def live(
         raise FileExistsError(f"--rerun: {rerun} exists already; choose another name, or --overwrite")
     config = parameters.config()
     view = growing_view(show)
-    segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn)
+    segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn, views=views, memory=memory)
     logged = nullcontext() if rerun is None else RerunLog.to_file(rerun)
     key = f"live {scene.absolute()}"
     with printed_log(), logged as log, output_folder(out, key, overwrite=overwrite) as partial:

@@ -63,12 +63,16 @@ class RerunLog:
             frame: it may be no keyframe.
             number: of the frame, its place on the timeline.
         """
+        from scipy.spatial.transform import Rotation
+
         self._at(number)
         if frame.name:
             self._numbers[frame.name] = number
         pose = frame.world_to_camera.double()
         place = self._relative(camera_center(pose)[None])[0]
-        self._log("world/camera", self._rerun.Transform3D(translation=place, mat3x3=pose[:3, :3].T.numpy()))
+        # Rerun draws no camera whose matrix is a rotation up to a few digits.
+        turn = Rotation.from_matrix(pose[:3, :3].T.numpy()).as_quat()
+        self._log("world/camera", self._rerun.Transform3D(translation=place, quaternion=turn))
         height, width = frame.image.shape[1:]
         lens = frame.intrinsics.double().clone()
         lens[:2, 2] += 0.5  # the middle of Rerun's first pixel
@@ -86,7 +90,7 @@ class RerunLog:
         self._log("world/things", self._rerun.Points3D(points, class_ids=_classes(live.labels)))
         said = [f"{what} {str(which).strip('(){,}')}" for what, which in live.changes._asdict().items() if which]
         self._log("changes", self._rerun.TextLog("; ".join(said)))
-        images = zip(live.segmentation.names, live.segmentation.images, strict=False)  # there may be none
+        images = zip(live.segmentation.names, live.segmentation.images, strict=True)
         labelled = {self._numbers[name]: labels for name, labels in images if name in self._numbers}
         of_thing = torch.cat([live.ids, torch.tensor([-1])])
         for at, labels in labelled.items():
