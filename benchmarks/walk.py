@@ -18,7 +18,6 @@ import torch
 from torch.nn.functional import interpolate
 
 import torchjoint as tj
-from torchjoint.runtime.packing import Packed
 from torchjoint.runtime.peak_memory import peak_memory, reset_peak_memory
 from torchjoint.synthetic import trajectory
 from torchjoint.synthetic.render import Renderer
@@ -80,7 +79,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("minutes", type=float, nargs="?", default=30)
     parser.add_argument("--rooms", type=int, default=4)
-    parser.add_argument("--memory", default="200MB", help="of a result")
+    parser.add_argument("--memory", default="200MB", help="for the keyframes")
     arguments = parser.parse_args()
     frames = walk(arguments.minutes, arguments.rooms)
     ahead, segmenter, rows = next(frames), tj.LiveSegmenter(memory=arguments.memory), []
@@ -91,20 +90,18 @@ def main() -> None:
         if number % 100 == 0:
             print(number, len(segmenter.names), f"{peak_memory() or 0:.0f} MB", flush=True)
         if number % (EVERY * 60 * RATE) == 0:
-            kept = sum(
-                len(packed.data()) for one in segmenter._keyframes for packed in one if isinstance(packed, Packed)
-            )
-            sizes = len(segmenter.names), len(segmenter._volume._key), kept / 1e9
+            sizes = len(segmenter.names), len(segmenter._volume._key)
             rows.append([f"{number // (60 * RATE)}", number, *sizes, (peak_memory() or 0) / 1000])
     start = time.perf_counter()
     result = segmenter.result(images=False)
     seconds = time.perf_counter() - start
     about = (
-        f"{before:.2f} GB of the memory are the program, its rooms and the segmenter before the first frame. A result "
-        f"at the end, of {len(result.cloud.points):,} points, takes {seconds:.0f} s; the peak with it is "
+        f"{before:.2f} GB of the memory are the program, its rooms and the segmenter before the first frame; at most "
+        f"{arguments.memory} are keyframes, the others are on the disk. A result at the end, of "
+        f"{len(result.cloud.points):,} points, takes {seconds:.0f} s; the peak with it is "
         f"{(peak_memory() or 0) / 1000:.2f} GB."
     )
-    columns = {"minutes": 0, "frames": 0, "keyframes": 0, "blocks of surface": 0, "keyframes, GB": 2}
+    columns = {"minutes": 0, "frames": 0, "keyframes": 0, "blocks of surface": 0}
     report.save("walk", [report.Table(columns | {"peak memory, GB": 2}, rows)], about=about)
 
 

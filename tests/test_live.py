@@ -118,9 +118,18 @@ def test_a_long_walk_has_few_keyframes(frames, tmp_path):
         assert len(one.names) == count + 1
 
 
-def test_the_memory_of_a_result_changes_no_label(frames):
-    one, other = (played(frames, step=0, memory=memory).result() for memory in (None, 0))
-    assert torch.equal(one.segmentation.points, other.segmentation.points)
+def test_less_memory_changes_no_label(frames, tmp_path):
+    small = played(frames, step=0, memory=0)
+    small.save(tmp_path / "state")
+    restored = tj.LiveSegmenter(voxel_size=VOXEL, step=0, memory=0)
+    restored.restore(tmp_path / "state")
+    expected = played(frames, step=0).result()
+    for segmenter in (small, restored):
+        assert not any(isinstance(one.image.content, bytes) for one in segmenter._keyframes)
+        found = segmenter.result()
+        assert torch.equal(found.segmentation.points, expected.segmentation.points)
+        for one, other in zip(found.segmentation.images, expected.segmentation.images, strict=True):
+            assert torch.equal(one, other)
     with pytest.raises(ValueError, match="memory: expected a size such as '2GB'"):
         tj.LiveSegmenter(memory="much")
 

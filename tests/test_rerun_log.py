@@ -134,5 +134,7 @@ def test_a_log_that_fails_leaves_no_file(tmp_path, frames):
     (tmp_path / "a.rrd").write_text("an earlier one")
     with pytest.raises(IndexError), RerunLog.to_file(tmp_path / "a.rrd") as log:
         [log.camera(frames[index], index) for index in range(len(frames) + 1)]
+    with pytest.raises(FileNotFoundError, match="nowhere"), RerunLog.to_file(tmp_path / "nowhere" / "a.rrd"):
+        pass
     assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
     assert (tmp_path / "a.rrd").read_text() == "an earlier one"

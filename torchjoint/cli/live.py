@@ -61,7 +61,8 @@ def live(
         step: metres; a frame is a keyframe if its camera has moved at least so far since the last one.
         turn: degrees; or if it has turned by at least this angle.
         views: a frame is no keyframe if at least half of its surface is in so many already; 0: no limit.
-        memory: memory for the data of the keyframes, such as 2GB; the rest goes to a temporary file.
+        memory: memory for the data of the keyframes, such as 2GB; the rest goes to a temporary file. Default: a quarter
+            of the memory of the machine or container.
         topics: for a ROS recording, if several topics fit a role: --topics color=/front/image_raw.
         time_limit: for a ROS recording: largest time from an image to its depth image and its pose, seconds.
         overwrite: replace OUT if it is an earlier result, and the file of --rerun.

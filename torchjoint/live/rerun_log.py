@@ -50,6 +50,7 @@ class RerunLog:
         """A log in a file .rrd, which appears as a whole at the end of the block, unless that raises an error."""
         recording = _import_rerun().RecordingStream("torchjoint")
         with atomic_write(Path(path)) as partial:
+            partial.touch()  # its errors are those of other files
             recording.save(partial)
             try:
                 yield cls(recording)
@@ -72,40 +73,39 @@ class RerunLog:
         place = self._relative(camera_center(pose)[None])[0]
         # Rerun draws no camera whose matrix is a rotation up to a few digits.
         turn = Rotation.from_matrix(pose[:3, :3].T.numpy()).as_quat()
-        self._log("world/camera", self._rerun.Transform3D(translation=place, quaternion=turn))
+        self._recording.log("world/camera", self._rerun.Transform3D(translation=place, quaternion=turn))
         height, width = frame.image.shape[1:]
         lens = frame.intrinsics.double().clone()
         lens[:2, 2] += 0.5  # the middle of Rerun's first pixel
-        self._log("world/camera", self._rerun.Pinhole(image_from_camera=lens.numpy(), resolution=[width, height]))
+        self._recording.log(
+            "world/camera", self._rerun.Pinhole(image_from_camera=lens.numpy(), resolution=[width, height])
+        )
         pixels = (frame.image * 255).round().to(torch.uint8).permute(1, 2, 0).contiguous().numpy()
-        self._log("world/camera/image", self._rerun.Image(pixels).compress(QUALITY))
+        self._recording.log("world/camera/image", self._rerun.Image(pixels).compress(QUALITY))
 
     def show(self, live: LiveResult, number: int) -> None:
         """Writes a result after the frame with this number: the things so far, and what has become of others."""
         colors = (label_colors(torch.arange(int(live.ids.max()) + 1)[:CLASSES]) * 255).byte().tolist()
         names = [(0, "none", (0, 0, 0, 0)), *((1 + index, f"{index}", color) for index, color in enumerate(colors))]
-        self._log("/", self._rerun.AnnotationContext(names), static=True)
+        self._recording.log("/", self._rerun.AnnotationContext(names), static=True)
         self._at(number)
         points = self._relative(live.cloud.points)
-        self._log("world/things", self._rerun.Points3D(points, class_ids=_classes(live.labels)))
+        self._recording.log("world/things", self._rerun.Points3D(points, class_ids=_classes(live.labels)))
         said = [f"{what} {str(which).strip('(){,}')}" for what, which in live.changes._asdict().items() if which]
-        self._log("changes", self._rerun.TextLog("; ".join(said)))
+        self._recording.log("changes", self._rerun.TextLog("; ".join(said)))
         images = zip(live.segmentation.names, live.segmentation.images, strict=True)
         labelled = {self._numbers[name]: labels for name, labels in images if name in self._numbers}
         of_thing = torch.cat([live.ids, torch.tensor([-1])])
         for at, labels in labelled.items():
             self._at(at)
             classes = _classes(of_thing[torch.where(labels < len(live.ids), labels, -1)])
-            self._log("world/camera/things", self._rerun.SegmentationImage(classes, opacity=0.5))
+            self._recording.log("world/camera/things", self._rerun.SegmentationImage(classes, opacity=0.5))
             if at + 1 not in labelled:  # they are those of this frame alone
                 self._at(at + 1)
-                self._log("world/camera/things", self._rerun.Clear(recursive=False))
+                self._recording.log("world/camera/things", self._rerun.Clear(recursive=False))
 
     def _at(self, number: int) -> None:
         self._recording.set_time("frame", sequence=number)
-
-    def _log(self, entity: str, what: Any, *, static: bool = False) -> None:
-        self._recording.log(entity, what, static=static)
 
     def _relative(self, points: Tensor) -> Any:
         if self._origin is None:

@@ -27,6 +27,7 @@ from torchjoint.labels.lasting_ids import Changes, LastingIds
 from torchjoint.live.keyframe import Keyframe
 from torchjoint.runtime.checked_files import read_checked, write_checked
 from torchjoint.runtime.memory import as_bytes
+from torchjoint.runtime.spill import SpillFile
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Segmentation
@@ -76,7 +77,8 @@ class LiveSegmenter(nn.Module):
             memory grows with the surface, however long the walk is. 0: no limit.
         granularity: level of the things, 0 (coarse) to 1 (superpoints, for a network that works live).
         keep_depth: keep the depth of keyframes in memory, which :meth:`set_poses` needs.
-        memory: largest memory of the keyframes' evidence while a result is computed, as of :class:`JointSegmenter`.
+        memory: largest memory of the packed keyframes, and of their evidence while a result is computed; the rest goes
+            to a temporary file, as of :class:`JointSegmenter`.
         boundary, image_segmenter: as of :class:`JointSegmenter`.
 
     Example:
@@ -124,6 +126,8 @@ class LiveSegmenter(nn.Module):
         self._pose: Tensor | None = None  # of the last keyframe
         self._views: Counter[int] = Counter()  # the keyframes that see each block of the volume
         self._keyframes: list[Keyframe] = []
+        self._in_memory = 0  # bytes of the keyframes
+        self._file: SpillFile | None = None  # what does not fit
         self._to_compare: list[Frame] | None = []  # None: they were compared
         self._ids = LastingIds()
         self._lock = threading.Lock()  # of the volume and the keyframes
@@ -161,7 +165,7 @@ class LiveSegmenter(nn.Module):
                 self._compare(frame)
                 developed = self._method.developed(frame)
                 (segments,) = self.image_segmenter([developed], self.stopwatch)
-                self._keyframes.append(Keyframe.packed(frame, developed, segments, FAR if self.keep_depth else None))
+                self._keep(Keyframe.packed(frame, developed, segments, FAR if self.keep_depth else None))
 
     @torch.no_grad()
     @one_thread_per_operation()
@@ -267,10 +271,20 @@ class LiveSegmenter(nn.Module):
         self._origin, self._pose = values["origin"], values["pose"]
         self._views = Counter(values["views"])
         self._volume.restore(values["volume"])
-        self._keyframes = [Keyframe.from_dict(one) for one in values["keyframes"]]
+        self._keyframes, self._in_memory, self._file = [], 0, None
+        for one in values["keyframes"]:
+            self._keep(Keyframe.from_dict(one))
         compared = values["to_compare"]
         self._to_compare = None if compared is None else [Frame(**one) for one in compared]
         self._ids.restore(values["ids"])
+
+    def _keep(self, keyframe: Keyframe) -> None:
+        size = keyframe.num_bytes
+        if self._in_memory + size > self.memory:
+            self._file = self._file or SpillFile()
+            keyframe, size = keyframe.spilled(self._file), 0
+        self._keyframes.append(keyframe)
+        self._in_memory += size
 
     def _settings(self) -> dict[str, Any]:
         own = {"voxel_size": self._volume.voxel_size, "step": self.step, "turn": self.turn, "views": self.views}
