@@ -21,8 +21,6 @@ from torchjoint.scene.camera import camera_center
 CLASSES = 2**16 - 1
 #: Metres: the origin is at a multiple of this, because Rerun's coordinates are float32.
 ORIGIN = 1000.0
-#: Of images, percent.
-QUALITY = 80
 
 
 class RerunLog:
@@ -58,12 +56,7 @@ class RerunLog:
                 recording.disconnect()  # writes what is left
 
     def camera(self, frame: Frame, number: int) -> None:
-        """Writes the image and the camera of a frame.
-
-        Args:
-            frame: it may be no keyframe.
-            number: of the frame, its place on the timeline.
-        """
+        """Writes the image and the camera of a frame, keyframe or not; `number` is its place on the timeline."""
         from scipy.spatial.transform import Rotation
 
         self._at(number)
@@ -81,7 +74,7 @@ class RerunLog:
             "world/camera", self._rerun.Pinhole(image_from_camera=lens.numpy(), resolution=[width, height])
         )
         pixels = (frame.image * 255).round().to(torch.uint8).permute(1, 2, 0).contiguous().numpy()
-        self._recording.log("world/camera/image", self._rerun.Image(pixels).compress(QUALITY))
+        self._recording.log("world/camera/image", self._rerun.Image(pixels).compress(jpeg_quality=80))
 
     def show(self, live: LiveResult, number: int) -> None:
         """Writes a result after the frame with this number: the things so far, and what has become of others."""
