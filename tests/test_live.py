@@ -100,6 +100,40 @@ def test_masks_are_taken(frames):
     assert len(result.segmentation.images) == 2
 
 
+def test_a_long_walk_has_few_keyframes(frames, tmp_path):
+    assert len(played(list(frames) * 10, step=0, views=0).names) == 40
+    segmenter = played(frames * 3, step=0, views=3, keep_depth=True)
+    count = len(segmenter.names)
+    assert len(frames) <= count <= 3 * len(frames)
+    blank = replace(frames[0], depth=None)
+    segmenter.update(blank)
+    assert len(segmenter.names) == count + 1  # without depth, nothing tells what it shows
+    poses = {frame.name: frame.world_to_camera for frame in frames}
+    segmenter.set_poses(torch.stack([poses[name] for name in segmenter.names]))
+    segmenter.save(tmp_path / "state")
+    restored = tj.LiveSegmenter(voxel_size=VOXEL, step=0, views=3, keep_depth=True)
+    restored.restore(tmp_path / "state")
+    for one in (segmenter, restored):
+        one.update(list(frames) * 2)
+        assert len(one.names) == count + 1
+
+
+def test_less_memory_changes_no_label(frames, tmp_path):
+    small = played(frames, step=0, memory=0)
+    small.save(tmp_path / "state")
+    restored = tj.LiveSegmenter(voxel_size=VOXEL, step=0, memory=0)
+    restored.restore(tmp_path / "state")
+    expected = played(frames, step=0).result()
+    for segmenter in (small, restored):
+        assert not any(isinstance(one.image.content, bytes) for one in segmenter._keyframes)
+        found = segmenter.result()
+        assert torch.equal(found.segmentation.points, expected.segmentation.points)
+        for one, other in zip(found.segmentation.images, expected.segmentation.images, strict=True):
+            assert torch.equal(one, other)
+    with pytest.raises(ValueError, match="memory: expected a size such as '2GB'"):
+        tj.LiveSegmenter(memory="much")
+
+
 def test_wrong_input_is_named(frames):
     with pytest.raises(RuntimeError, match=r"call update\(frame\) first"):
         tj.LiveSegmenter().result()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+import samples
 import torch
 from folder_files import write_folder
 
@@ -88,3 +89,38 @@ def test_a_page_shows_each_result(recording, tmp_path, run, monkeypatch, capsys)
     assert results[-1][2].startswith("at the end: ")
     assert served == ["viewer"]
     assert "after 1 frames: " in capsys.readouterr().out
+
+
+def test_a_recording_of_rerun_is_written(recording, tmp_path, run):
+    pytest.importorskip("rerun", reason="recordings of Rerun need rerun: pip install 'torchjoint[rerun]'")
+    from rerun.chunk import RrdReader
+
+    options = ("--rate", "None", "--voxel-size", "0.05", "--every", "2", "--rerun", tmp_path / "a.rrd")
+    run("live", recording, "-o", tmp_path / "out", *options)
+    numbers = {}
+    for chunk in RrdReader(tmp_path / "a.rrd").stream():
+        rows = chunk.to_record_batch().to_pydict()
+        numbers.setdefault(chunk.entity_path, set()).update(rows.get("frame", ()))
+    count = len(tj.load_scene(recording).frames)
+    assert numbers["/world/camera/image"] == set(range(1, count + 1))
+    assert {2, count} <= numbers["/world/things"]
+    assert numbers["/world/camera/things"]
+
+
+def test_no_file_of_rerun_is_overwritten(recording, tmp_path, run):
+    (tmp_path / "a.rrd").write_text("mine")
+    with pytest.raises(SystemExit, match=r"--rerun: .*a\.rrd exists already; choose another name, or --overwrite"):
+        run("live", recording, "-o", tmp_path / "out", "--rerun", tmp_path / "a.rrd")
+    assert (tmp_path / "a.rrd").read_text() == "mine"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_bag_is_played(tmp_path, run, capsys):
+    pytest.importorskip("rosbags", reason="ROS recordings need rosbags: pip install 'torchjoint[ros]'")
+    bag = samples.write("ros", tmp_path / "ros")
+    run("live", bag, "-o", tmp_path / "out", "--rate", "None", "--topics", "color=/camera/image_raw")
+    assert "2 frames, the slowest in" in capsys.readouterr().out
+    names = [frame.name for frame in tj.load_scene(bag).frames]
+    assert list(tj.load_result(tmp_path / "out").names) == names
+    with pytest.raises(SystemExit, match=r"topics: color: .* has no messages of /front"):
+        run("live", bag, "-o", tmp_path / "other", "--topics", "color=/front")

@@ -12,6 +12,7 @@ import torch
 from torchjoint_lab.synthetic.models import load_parts
 
 import torchjoint as tj
+from torchjoint.live import RerunLog
 from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.page import write_page
 from torchjoint.runtime.extras import needed_for
@@ -22,6 +23,7 @@ MISSING = {
     "torchmetrics": (lambda path, result: tj.metrics.ObjectsAndPartsMetric, "torchmetrics", "metrics"),
     "plotly": (lambda path, result: write_page(path, result), "plotly", "viewer"),
     "laspy": (lambda path, result: export_las(path, result), "laspy", "export"),
+    "rerun": (lambda path, result: RerunLog(None), "rerun", "rerun"),
 }
 
 

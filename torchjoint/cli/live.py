@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -11,10 +12,10 @@ import tyro
 
 from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
-from torchjoint.cli.arguments import DEFAULTS, Flat, Out
+from torchjoint.cli.arguments import DEFAULTS, Flat, Out, read_topics
 from torchjoint.cli.show import growing_view, serve_until_interrupted
 from torchjoint.datasets import load_scene
-from torchjoint.live import LiveResult, LiveSegmenter
+from torchjoint.live import LiveResult, LiveSegmenter, RerunLog
 from torchjoint.recordings.playing import play
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
@@ -32,9 +33,14 @@ def live(
     rate: float | None = 30.0,
     every: int = 0,
     show: bool = False,
+    rerun: Path | None = None,
     voxel_size: float = 0.02,
     step: float = 0.1,
     turn: float = 10.0,
+    views: int = 40,
+    memory: str | None = None,
+    topics: tuple[str, ...] = (),
+    time_limit: float = 0.02,
     overwrite: bool = False,
 ) -> None:
     """Plays a recording with depth as its camera took it, segments what has been seen, and writes the last result.
@@ -42,29 +48,41 @@ def live(
     The cloud grows with the frames; a cloud of the recording is not used. What becomes of things is printed.
 
     Args:
-        scene: folder of frames with depth; docs/your_data.md lists the layouts.
+        scene: folder of frames with depth, or a ROS recording; docs/your_data.md lists the layouts.
         out: folder for the last result, as of `torchjoint segment`, with the keyframes.
         parameters: parameters of the method.
         rate: frames a second; frames for which there is no time are dropped. "None": all frames, as fast as possible.
         every: compute the things after so many frames, besides after the last one; 0: only then, with --show one time
             after the other. It takes seconds, while frames go on.
         show: open a page in the browser in which the things appear, keep their colours, and can be clicked.
+        rerun: write this file, too, which the viewer of Rerun plays: things, camera, images, changes. Needs
+            `pip install 'torchjoint[rerun]'`.
         voxel_size: metres, the distance of the points.
         step: metres; a frame is a keyframe if its camera has moved at least so far since the last one.
         turn: degrees; or if it has turned by at least this angle.
-        overwrite: replace OUT if it is an earlier result.
+        views: a frame is no keyframe if at least half of its surface is in so many already; 0: no limit.
+        memory: memory for the data of the keyframes, such as 2GB; the rest goes to a temporary file. Default: a quarter
+            of the memory of the machine or container.
+        topics: for a ROS recording, if several topics fit a role: --topics color=/front/image_raw.
+        time_limit: for a ROS recording: largest time from an image to its depth image and its pose, seconds.
+        overwrite: replace OUT if it is an earlier result, and the file of --rerun.
     """
     if rate is not None and not 0 < rate <= 1000:
         raise ValueError(f"--rate: expected more than 0 and up to 1000 frames a second, or None, got {rate}")
     if every < 0:
         raise ValueError(f"--every: expected a number of frames of at least 0, got {every}")
+    if rerun is not None and (rerun.is_dir() or (rerun.exists() and not overwrite)):
+        raise FileExistsError(f"--rerun: {rerun} exists already; choose another name, or --overwrite")
     config = parameters.config()
     view = growing_view(show)
-    segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn)
-    with printed_log(), output_folder(out, f"live {scene.absolute()}", overwrite=overwrite) as partial:
+    segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn, views=views, memory=memory)
+    logged = nullcontext() if rerun is None else RerunLog.to_file(rerun)
+    key = f"live {scene.absolute()}"
+    with printed_log(), logged as log, output_folder(out, key, overwrite=overwrite) as partial:
         assert partial is not None  # only runs with a key can be finished
-        recording = load_scene(scene, voxel_size=voxel_size)
-        last = _Results(segmenter, recording.frames, view)
+        chosen = dict(read_topics(topics))
+        recording = load_scene(scene, voxel_size=voxel_size, topics=chosen, time_limit=time_limit)
+        last = _Results(segmenter, recording.frames, view, log)
 
         with ThreadPoolExecutor(1) as beside:
             running: list[Future[LiveResult]] = []
@@ -74,6 +92,8 @@ def live(
                     running.pop().result()  # raises its error
                 if view is not None and frame is not None:
                     view.camera(frame)
+                if log is not None and frame is not None:
+                    log.camera(frame, count)
                 is_time = count % every == 0 if every else show
                 if is_time and not running and segmenter.names:
                     running.append(beside.submit(last.compute, count))
@@ -100,12 +120,15 @@ class _Results(NamedTuple):
     segmenter: LiveSegmenter
     frames: Sequence[Frame]
     view: GrowingView | None
+    log: RerunLog | None
 
     def compute(self, count: int, is_last: bool = False) -> LiveResult:
         """Of the first `count` frames."""
         result = self.segmenter.result(images=is_last)
         when = "at the end" if is_last else f"after {count} frames"
         print(f"{when}: {_described(result)}", flush=True)
+        if self.log is not None:
+            self.log.show(result, count)
         if self.view is not None:
             self.view.show(result, subset(self.frames, range(count)), f"{when}: {len(result.ids)} things")
         return result

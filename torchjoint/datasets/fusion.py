@@ -85,13 +85,13 @@ def fuse_cloud(
     return points, colors
 
 
-def add_frame(volume: Volume, frame: Frame, origin: Tensor) -> None:
-    """Adds a frame with depth to a volume whose origin is at `origin` [3] float64 in the world."""
+def add_frame(volume: Volume, frame: Frame, origin: Tensor) -> Tensor:
+    """Adds a frame with depth to a volume whose origin is at `origin` [3] float64; returns the keys of its blocks."""
     assert frame.depth is not None
     color = (frame.image * 255).round().to(torch.uint8).permute(1, 2, 0)
     pose = frame.world_to_camera.double().clone()
     pose[:3, 3] += pose[:3, :3] @ origin
-    volume.integrate(frame.depth, color, frame.intrinsics.double(), pose)
+    return volume.integrate(frame.depth, color, frame.intrinsics.double(), pose)
 
 
 def surface_cloud(volume: Volume, origin: Tensor) -> tuple[Tensor, Tensor]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -39,7 +40,7 @@ class Volume:
         self._row = torch.zeros(0, dtype=torch.int64)  # [B] the row of each block in the sums
         self._sums = torch.zeros(0, SIDE**3, CHANNELS, dtype=torch.int32)
 
-    def integrate(self, depth: Tensor, color: Tensor, intrinsics: Tensor, world_to_camera: Tensor) -> None:
+    def integrate(self, depth: Tensor, color: Tensor, intrinsics: Tensor, world_to_camera: Tensor) -> Tensor:
         """Adds an image.
 
         Args:
@@ -47,6 +48,9 @@ class Volume:
             color: [H, W, 3] uint8 RGB.
             intrinsics: [3, 3] float64 pixels.
             world_to_camera: [4, 4] float64.
+
+        Returns:
+            the keys of the blocks that it sees, int64, ascending.
 
         Raises:
             ValueError: the volume becomes too large, or a point is too far from the origin.
@@ -57,6 +61,7 @@ class Volume:
         image, lengths = (depth, color, intrinsics, world_to_camera), (self.voxel_size, self.truncation, self.far)
         with all_threads():
             integrate_depth(self._sums, row, _position(key[order]), *image, *lengths)
+        return key
 
     def state(self) -> dict[str, Tensor]:
         """All tensors of the volume, copied, for :meth:`restore`."""
@@ -109,7 +114,8 @@ class Volume:
             )
         if total > len(self._sums):
             length = min(max(total, 2 * len(self._sums)), MOST_BLOCKS)
-            grown = torch.zeros(length, *self._sums.shape[1:], dtype=torch.int32)
+            # NumPy's zeros take no memory before they are written; torch's do.
+            grown = torch.from_numpy(np.zeros((length, *self._sums.shape[1:]), np.int32))
             grown[: len(self._sums)] = self._sums
             self._sums = grown
         row = torch.arange(len(self._key), total)

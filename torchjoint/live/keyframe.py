@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchjoint.images.segmenter import ImageSegments
 from torchjoint.runtime.packing import Packed, pack
+from torchjoint.runtime.spill import SpillFile
 from torchjoint.scene import Frame, Masks
 
 #: Metres: kept depth is rounded to this, less than any sensor's noise.
@@ -71,6 +72,21 @@ class Keyframe(NamedTuple):
         packed = {name: Packed.from_dict(values[name]) for name in _PACKED if values[name] is not None}
         masks = None if values["masks"] is None else Masks(**values["masks"])
         return cls(**{**values, **packed, "masks": masks})
+
+    @property
+    def num_bytes(self) -> int:
+        """Of the packed data."""
+        return sum(len(part.data()) for part in self._parts().values())
+
+    def spilled(self, file: SpillFile) -> Keyframe:
+        """The same, with its packed data in a file."""
+        parts = self._parts()
+        spans = file.write([part.data() for part in parts.values()])
+        values: dict[str, Any] = {name: parts[name].at(span) for name, span in zip(parts, spans, strict=True)}
+        return self._replace(**values)
+
+    def _parts(self) -> dict[str, Packed]:
+        return {name: part for name in _PACKED if (part := getattr(self, name)) is not None}
 
     def opened(self) -> tuple[Frame, ImageSegments]:
         """The frame as steps 1 and 2 saw it, and their results."""

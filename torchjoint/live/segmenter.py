@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import math
 import threading
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +26,9 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.labels.lasting_ids import Changes, LastingIds
 from torchjoint.live.keyframe import Keyframe
 from torchjoint.runtime.checked_files import read_checked, write_checked
+from torchjoint.runtime.free_memory import give_back
+from torchjoint.runtime.memory import as_bytes
+from torchjoint.runtime.spill import SpillFile
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Segmentation
@@ -68,10 +72,14 @@ class LiveSegmenter(nn.Module):
         config: parameters; default ``Config()``. The method of step 6 is learned.
         voxel_size: metres, 0.005 to 0.05 for rooms: the distance of the points.
         step, turn: metres, degrees: a frame is a keyframe if its camera is at least this far from the last keyframe's,
-            or turned by at least this angle. Smaller numbers give more evidence, and cost time and memory. 0: all
-            frames are keyframes.
+            or turned by at least this angle. Smaller numbers give more evidence, and cost time and memory. 0, with
+            views=0: all frames are keyframes.
+        views: a frame is no keyframe if at least half of the surface that it shows is in so many keyframes already. So
+            memory grows with the surface, however long the walk is. 0: no limit.
         granularity: level of the things, 0 (coarse) to 1 (superpoints, for a network that works live).
         keep_depth: keep the depth of keyframes in memory, which :meth:`set_poses` needs.
+        memory: largest memory of the packed keyframes, and of their evidence while a result is computed; the rest goes
+            to a temporary file, as of :class:`JointSegmenter`.
         boundary, image_segmenter: as of :class:`JointSegmenter`.
 
     Example:
@@ -91,15 +99,17 @@ class LiveSegmenter(nn.Module):
         voxel_size: float = 0.02,
         step: float = 0.1,
         turn: float = 10.0,
+        views: int = 40,
         granularity: float = 0.5,
         keep_depth: bool = False,
+        memory: int | str | None = None,
         boundary: nn.Module | None = None,
         image_segmenter: nn.Module | None = None,
     ) -> None:
         super().__init__()
         if not 1e-4 <= voxel_size <= 10:
             raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
-        for name, value in (("step", step), ("turn", turn)):
+        for name, value in (("step", step), ("turn", turn), ("views", views)):
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name}: expected a number >= 0, got {value}")
         check_granularity(granularity)
@@ -107,14 +117,18 @@ class LiveSegmenter(nn.Module):
         name = self.config.point_segments.method
         if name in ("scan", "paper"):
             raise ValueError(f"config: expected point_segments.method learned (or auto, or a model), got {name}")
-        self.step, self.turn, self.granularity, self.keep_depth = step, turn, granularity, keep_depth
+        self.step, self.turn, self.views, self.granularity = step, turn, views, granularity
+        self.keep_depth, self.memory = keep_depth, as_bytes(memory)
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
         self._method = Learned(self.config)
         self._volume = Volume(voxel_size, FAR)
         self._origin: Tensor | None = None
         self._pose: Tensor | None = None  # of the last keyframe
+        self._views: Counter[int] = Counter()  # the keyframes that see each block of the volume
         self._keyframes: list[Keyframe] = []
+        self._in_memory = 0  # bytes of the keyframes
+        self._file: SpillFile | None = None  # what does not fit
         self._to_compare: list[Frame] | None = []  # None: they were compared
         self._ids = LastingIds()
         self._lock = threading.Lock()  # of the volume and the keyframes
@@ -142,15 +156,17 @@ class LiveSegmenter(nn.Module):
         for frame in frames:
             if self._origin is None:
                 self._origin = volume_origin([frame], self._volume.voxel_size)
+            seen: list[int] = []
             if frame.depth is not None:
                 with self.stopwatch("fusion"), self._lock:
-                    add_frame(self._volume, frame, self._origin)
-            if self._is_keyframe(frame.world_to_camera):
+                    seen = add_frame(self._volume, frame, self._origin).tolist()
+            if self._is_keyframe(frame.world_to_camera, seen):
+                self._views.update(seen)
                 self._pose = frame.world_to_camera
                 self._compare(frame)
                 developed = self._method.developed(frame)
                 (segments,) = self.image_segmenter([developed], self.stopwatch)
-                self._keyframes.append(Keyframe.packed(frame, developed, segments, FAR if self.keep_depth else None))
+                self._keep(Keyframe.packed(frame, developed, segments, FAR if self.keep_depth else None))
 
     @torch.no_grad()
     @one_thread_per_operation()
@@ -172,7 +188,7 @@ class LiveSegmenter(nn.Module):
         if not len(points):
             check_unit(self._to_compare or [])
             raise ValueError("depth: the frames so far give no surface; expected depth in metres, and right poses")
-        segmenter = JointSegmenter(self.config, method=lambda config, _: Learned(config))
+        segmenter = JointSegmenter(self.config, method=lambda config, _: Learned(config), memory=self.memory)
         segmenter.reset(points, colors)
         for first in range(0, len(keyframes), BATCH):
             opened = parallel_map(Keyframe.opened, keyframes[first : first + BATCH])
@@ -210,12 +226,12 @@ class LiveSegmenter(nn.Module):
         poses = [as_pose(pose, f"world_to_camera[{index}]") for index, pose in enumerate(world_to_camera)]
         moved = [one._replace(world_to_camera=pose) for one, pose in zip(self._keyframes, poses, strict=True)]
         assert self._origin is not None
-        volume = Volume(self._volume.voxel_size, FAR)
+        volume, views = Volume(self._volume.voxel_size, FAR), Counter[int]()
         with self.stopwatch("fusion"):
             for frame in filter(None, map(Keyframe.measured, moved)):
-                add_frame(volume, frame, self._origin)
+                views.update(add_frame(volume, frame, self._origin).tolist())
         with self._lock:
-            self._volume, self._keyframes, self._pose = volume, moved, poses[-1]
+            self._volume, self._keyframes, self._pose, self._views = volume, moved, poses[-1], views
 
     def save(self, path: str | Path) -> None:
         """Writes what :meth:`restore` needs to go on from here: one file, which is replaced as a whole.
@@ -230,6 +246,7 @@ class LiveSegmenter(nn.Module):
             "settings": self._settings(),
             "origin": self._origin,
             "pose": self._pose,
+            "views": dict(self._views),
             "volume": self._volume.state(),
             "keyframes": [keyframe.to_dict() for keyframe in self._keyframes],
             "to_compare": None if compared is None else [_frame_values(frame) for frame in compared],
@@ -253,19 +270,33 @@ class LiveSegmenter(nn.Module):
         if values["settings"] != self._settings():
             raise ValueError(f"{path}: expected a state with {self._settings()}, got {values['settings']}")
         self._origin, self._pose = values["origin"], values["pose"]
+        self._views = Counter(values["views"])
         self._volume.restore(values["volume"])
-        self._keyframes = [Keyframe.from_dict(one) for one in values["keyframes"]]
+        self._keyframes, self._in_memory, self._file = [], 0, None
+        for one in values["keyframes"]:
+            self._keep(Keyframe.from_dict(one))
         compared = values["to_compare"]
         self._to_compare = None if compared is None else [Frame(**one) for one in compared]
         self._ids.restore(values["ids"])
 
+    def _keep(self, keyframe: Keyframe) -> None:
+        size = keyframe.num_bytes
+        if self._in_memory + size > self.memory:
+            self._file = self._file or SpillFile()
+            keyframe, size = keyframe.spilled(self._file), 0
+            give_back()  # a tenth of a gigabyte that lies between the keyframes in memory
+        self._keyframes.append(keyframe)
+        self._in_memory += size
+
     def _settings(self) -> dict[str, Any]:
-        own = {"voxel_size": self._volume.voxel_size, "step": self.step, "turn": self.turn}
+        own = {"voxel_size": self._volume.voxel_size, "step": self.step, "turn": self.turn, "views": self.views}
         return own | {"granularity": self.granularity, "keep_depth": self.keep_depth, "config": self.config.to_dict()}
 
-    def _is_keyframe(self, pose: Tensor) -> bool:
+    def _is_keyframe(self, pose: Tensor, seen: Sequence[int]) -> bool:
         if self._pose is None:
             return True
+        if self.views and seen and 2 * sum(self._views[block] < self.views for block in seen) <= len(seen):
+            return False
         moved = float((camera_center(pose) - camera_center(self._pose)).norm())
         cosine = (float((pose[:3, :3] * self._pose[:3, :3]).sum()) - 1) / 2
         return moved >= self.step or math.degrees(math.acos(max(-1.0, min(1.0, cosine)))) >= self.turn
