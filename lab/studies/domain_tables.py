@@ -19,9 +19,8 @@ SIMPLE = ("normals", "distance_normal_color", "ransac_dbscan")
 def show_tables(work: Path, kinds: Sequence[str], runs: int, write: bool) -> None:
     """Prints the tables of what has been scored so far; `write`: also into lab/studies/README.md and PAGES."""
     show_default(work, kinds, runs, write)
-    columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "mean of models", "default"]
-    columns += [*(f"preset {preset}" for preset in PRESETS), "best simple method", "left out - preset regions"]
-    columns += ["left out - best simple method"]
+    columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "mean of models"]
+    columns += ["left out - default", "left out - preset regions", "left out - best simple method"]
     rows = []
     for kind in kinds:
         files = sorted(work.glob(f"left-out-{kind}-[0-9]*.json"))
@@ -32,14 +31,11 @@ def show_tables(work: Path, kinds: Sequence[str], runs: int, write: bool) -> Non
         of_mean, default, others, *seeds = found
         left = np.concatenate([seed["learned, left out"] for seed in seeds])  # [seeds * runs, scenes, 2]
         blind = np.concatenate([seed["learned, left out, no images"] for seed in seeds])
-        simple = max(SIMPLE, key=lambda name: float(others[name].mean()))
-        gains = [left.mean(0) - others[name].mean(0) for name in ("preset_regions", simple)]
+        simple = others[max(SIMPLE, key=lambda name: float(others[name].mean()))]
+        rivals = (default["default"], others["preset_regions"], simple)
         cells = [f"{TITLES.get(kind, kind)}, {left.shape[1]}", f"{_both(left)}, {len(seeds)}"]
         cells += [_both(blind), _both(of_mean["learned, left out"])]
-        cells += [_both(default["default"])]
-        cells += [_both(others[f"preset_{preset}"]) for preset in PRESETS]
-        cells += [f"{_both(others[simple])} ({simple})", *map(difference, gains)]
-        rows.append(cells)
+        rows.append([*cells, *(difference(left.mean(0) - rival.mean(0)) for rival in rivals)])
     if rows:
         report.show("domains", report.table(columns, rows), write)
     show_images(work, kinds, runs, write)
