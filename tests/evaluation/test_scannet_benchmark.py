@@ -188,6 +188,9 @@ def test_scannetpp_counts_what_its_toolkit_counts(scannetpp):
     assert counted(truth, scannetpp, "scannetpp", table).tolist() == [1] * 20 + [-1] * 20
     table.write_text(table.read_text().replace("None,book", "book,"))
     assert counted(truth, scannetpp / "dslr", "scannetpp", table).tolist() == [1] * 5 + [2] * 5 + [1] * 10 + [-1] * 20
+    # A class without another one in the table is a class itself.
+    table.with_name("top100_instance.txt").write_text("wall\n")
+    assert counted(truth, scannetpp, "scannetpp", table).tolist() == [-1] * 20 + [3] * 10 + [-1] * 10
 
 
 def test_scannetpp_needs_its_lists(scannetpp, run, tmp_path, capsys):

@@ -47,6 +47,7 @@ def test_pieces_go_to_the_object_of_most_of_their_points():
     assert changes_of(parts, [7, 7, 7, 7, 3, 3, 4, 4])[0] == (Edit("gather", (3,)),)
     assert changes_of(parts, [7] * 8)[0] == (Edit("gather", (0, 1, 2, 3)),)
     # Points without an object follow their segment, and those that are fewer their piece.
+    assert changes_of(parts, [7, 7, 0, 0, 7, 7, 7, 7])[0] == (Edit("gather", (0, 1, 2, 3)),)
     assert changes_of(parts, [7, 7, 0, 0, 3, 3, 3, 7]) == ((), 1)
 
 
