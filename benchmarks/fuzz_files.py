@@ -22,6 +22,7 @@ from torch import Tensor
 
 import torchjoint as tj
 from torchjoint.results.exports import FORMATS as EXPORTS
+from torchjoint.results.exports import SUFFIXES
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -182,20 +183,24 @@ def make_instances(folder: Path) -> list[Sample]:
 
 
 def make_boxes(folder: Path) -> list[Sample]:
-    """Boxes of programs of annotation."""
+    """Boxes and labels of programs of annotation."""
     from torchjoint.results.boxes import read_boxes
+    from torchjoint.results.point_edits import read_point_labels
 
     labels = torch.arange(60) // 20
     scene = tj.Scene(torch.rand(60, 3, generator=torch.Generator().manual_seed(0)))
     result = tj.Result.of(tj.Segmentation(labels, ()), scene)
 
     def read(path: Path) -> Content:
+        labels = read_point_labels(path, 60)
+        if labels is not None:
+            return {"labels": torch.from_numpy(labels.of_point), "named": torch.tensor([*labels.names])}
         boxes = read_boxes(path)
         return {"boxes": torch.tensor([[*box.center, *box.size, box.yaw] for box in boxes])}
 
     made = []
-    for name, suffix in (("openpcdet", ".txt"), ("labelcloud", ".json")):
-        path = folder / f"boxes_{name}" / f"boxes{suffix}"
+    for name in ("openpcdet", "labelcloud", "segmentsai", "segmentsai-cuboids"):
+        path = folder / f"boxes_{name}" / f"boxes{SUFFIXES[name]}"
         path.parent.mkdir()
         EXPORTS[name](path, result)
         made.append(Sample(f"boxes {name}", path.parent, lambda path=path: read(path)))

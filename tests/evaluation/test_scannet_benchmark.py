@@ -4,12 +4,13 @@ import json
 
 import numpy as np
 import pytest
+import samples
 import torch
 from scannet_files import write_mesh, write_point_truth
 
 import torchjoint as tj
 from torchjoint.evaluation.instances import Instances, painted, read_instances
-from torchjoint.evaluation.protocols import PROTOCOLS, counted
+from torchjoint.evaluation.protocols import PROTOCOLS, counted, find_table
 from torchjoint.results.exports.scannet import export_masks, export_scannet
 
 SCAN = "scene0011_00"
@@ -159,3 +160,54 @@ def test_a_protocol_needs_its_table_and_its_truth(scans, run, tmp_path, scene_of
     table.write_text("id\traw_category\tnyu40id\n1\twall\tone\n")
     with pytest.raises(ValueError, match="nyu40id: expected whole numbers"):
         counted(scene_of(2).point_labels, scan, "scannetv2", table)
+
+
+@pytest.fixture
+def scannetpp(tmp_path):
+    """A scene of 40 vertices: object 3 has 20 to 30, 1 has 0 to 20, and within it 2 has 5 to 10 and 4 has 12 to 14."""
+    scene = samples.write("scannetpp", tmp_path / "set")
+    file = scene / "scans" / "segments_anno.json"
+    groups = json.loads(file.read_text())["segGroups"]
+    groups.append({"id": 4, "objectId": 4, "segments": [12, 13], "label": "dust"})
+    for group, label in zip(groups, ("book on desk", "desks", "wall", "dust"), strict=True):
+        group["label"] = label
+    file.write_text(json.dumps({"segGroups": groups}))
+    metadata = tmp_path / "set" / "metadata" / "semantic_benchmark"
+    metadata.mkdir(parents=True)
+    rows = ["class,count,semantic_map_to,instance_map_to", "desks,3,table,", "book on desk,1,None,book", "wall,9,,wall"]
+    (metadata / "map_benchmark.csv").write_text("\n".join([*rows, "dust,1,dust,dust"]) + "\n")
+    (metadata / "top100.txt").write_text("wall\ntable\nbook\n")
+    (metadata / "top100_instance.txt").write_text("table\nbook\n")
+    return scene
+
+
+def test_scannetpp_counts_what_its_toolkit_counts(scannetpp):
+    table = find_table(scannetpp, "scannetpp")
+    truth = tj.load_scene(scannetpp).truth.points
+    # Objects without a class of the benchmark take no vertices from the table; walls are void.
+    assert counted(truth, scannetpp, "scannetpp", table).tolist() == [1] * 20 + [-1] * 20
+    table.write_text(table.read_text().replace("None,book", "book,"))
+    assert counted(truth, scannetpp / "dslr", "scannetpp", table).tolist() == [1] * 5 + [2] * 5 + [1] * 10 + [-1] * 20
+    # A class without another one in the table is a class itself.
+    table.with_name("top100_instance.txt").write_text("wall\n")
+    assert counted(truth, scannetpp, "scannetpp", table).tolist() == [-1] * 20 + [3] * 10 + [-1] * 10
+
+
+def test_scannetpp_needs_its_lists(scannetpp, run, tmp_path, capsys):
+    np.save(tmp_path / "a.npy", np.repeat([0, 1], 20))
+    arguments = ("evaluate", tmp_path / "a.npy", scannetpp, "--protocol", "scannetpp")
+    row = "| 1ada7a0617 |    3D |    1.000 |     1.000 |  1.000 | 1.000 |    1.000 |"
+    run(*arguments[:3])
+    assert row not in capsys.readouterr().out
+    run(*arguments)
+    assert row in capsys.readouterr().out
+    table = find_table(scannetpp, "scannetpp")
+    table.with_name("top100.txt").unlink()
+    with pytest.raises(SystemExit, match=r"top100\.txt: missing; expected the benchmark's classes"):
+        run(*arguments)
+    table.write_text("class\nwall\n")
+    with pytest.raises(SystemExit, match="expected columns class and semantic_map_to; missing: semantic_map_to"):
+        run(*arguments)
+    table.unlink()
+    with pytest.raises(SystemExit, match=r"map_benchmark\.csv: missing, also in the two folders above"):
+        run(*arguments)

@@ -12,8 +12,15 @@ from hypothesis import strategies as st
 
 import torchjoint as tj
 from torchjoint.results import box_edits
-from torchjoint.results.boxes import Box, boxes_of, labelcloud_record, openpcdet_lines, read_boxes
-from torchjoint.results.exports.boxes import export_labelcloud, export_openpcdet
+from torchjoint.results.boxes import (
+    Box,
+    boxes_of,
+    labelcloud_record,
+    openpcdet_lines,
+    read_boxes,
+    segmentsai_label,
+)
+from torchjoint.results.exports.boxes import export_cuboids, export_labelcloud, export_openpcdet
 from torchjoint.results.folder import write_result
 
 
@@ -66,6 +73,19 @@ def test_files_are_as_the_programs_read_them(tmp_path):
     assert box["name"] == "a chair"
     assert box["rotations"]["z"] == pytest.approx(90, abs=0.01)
     assert box["dimensions"] == pytest.approx({"length": 1, "width": 0.5, "height": 0.4}, abs=1e-4)
+    export_cuboids(tmp_path / "label.json", result)
+    label = json.loads((tmp_path / "label.json").read_text())
+    (cuboid,) = label["annotations"]
+    assert label["format_version"] == "0.2"
+    assert {key: cuboid[key] for key in ("id", "category_id", "type", "attributes")} == {
+        "id": 1,
+        "category_id": 1,
+        "type": "cuboid",
+        "attributes": {"name": "a chair"},
+    }
+    assert cuboid["position"] == pytest.approx({"x": 3, "y": 1, "z": 0.2}, abs=1e-4)
+    assert cuboid["dimensions"] == pytest.approx({"x": 1, "y": 0.5, "z": 0.4}, abs=1e-4)
+    assert cuboid["yaw"] == pytest.approx(math.pi / 2, abs=1e-4)
 
 
 def test_a_tilted_scene_is_told(tmp_path):
@@ -80,12 +100,26 @@ def test_a_tilted_scene_is_told(tmp_path):
         export_openpcdet(tmp_path / "boxes.txt", result)
 
 
-@pytest.mark.parametrize("suffix", [".txt", ".json"])
-def test_what_nobody_edited_changes_nothing(tmp_path, suffix):
+@pytest.mark.parametrize("export", [export_openpcdet, export_labelcloud, export_cuboids])
+def test_what_nobody_edited_changes_nothing(tmp_path, export):
     result = replace(three(), segment_names={1: "a red block"})
-    file = tmp_path / f"boxes{suffix}"
-    (export_openpcdet if suffix == ".txt" else export_labelcloud)(file, result)
+    file = tmp_path / ("boxes.txt" if export is export_openpcdet else "boxes.json")
+    export(file, result)
     assert edits_of_boxes(result, read_boxes(file)[::-1]) == ((), 0, 0, ())
+
+
+def test_cuboids_without_names_leave_the_names(tmp_path):
+    """An editor without the attribute drops it; an empty one removes the name."""
+    result = replace(three(), segment_names={1: "a red block"})
+    label = segmentsai_label(boxes_of(result))
+    for one in label["annotations"]:
+        del one["attributes"]
+    (tmp_path / "a.json").write_text(json.dumps({"label_status": "LABELED", "attributes": label}))
+    assert edits_of_boxes(result, read_boxes(tmp_path / "a.json")) == ((), 0, 0, ())
+    label["annotations"][1]["attributes"] = {"name": ""}
+    (tmp_path / "a.json").write_text(json.dumps(label))
+    (step,) = edits_of_boxes(result, read_boxes(tmp_path / "a.json")).steps
+    assert (step.kind, step.pieces, step.name) == ("name", (1,), "")
 
 
 def test_a_deleted_box_joins_and_a_name_is_taken():
@@ -129,7 +163,8 @@ def test_any_boxes_come_back(tmp_path_factory, boxes):
     folder = tmp_path_factory.mktemp("boxes")
     (folder / "a.txt").write_text(openpcdet_lines(boxes), encoding="utf-8")
     (folder / "a.json").write_text(json.dumps(labelcloud_record(boxes, folder / "a.ply")), encoding="utf-8")
-    for file in ("a.txt", "a.json"):
+    (folder / "b.json").write_text(json.dumps(segmentsai_label(dict(enumerate(boxes)))), encoding="utf-8")
+    for file in ("a.txt", "a.json", "b.json"):
         found = read_boxes(folder / file)
         assert [box.name for box in found] == [box.name for box in boxes]
         for one, other in zip(found, boxes, strict=True):
@@ -147,6 +182,8 @@ def test_any_boxes_come_back(tmp_path_factory, boxes):
         ("a.json", "[1]", "expected boxes of labelCloud, with a list `objects`"),
         ("a.json", '{"objects": 3}', "objects is int"),
         ("a.json", '{"objects": [{"name": "a"}]}', "object 0: expected name, centroid"),
+        ("a.json", '{"annotations": 3}', "annotations is int"),
+        ("a.json", '{"annotations": [{"type": "polygon", "points": []}]}', "object 0: expected a cuboid with position"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, name, content, message):
@@ -157,10 +194,17 @@ def test_what_is_wrong_is_named(tmp_path, name, content, message):
 
 def test_a_tilted_box_is_refused(tmp_path):
     record = labelcloud_record([Box("a", (0, 0, 0), (1, 1, 1), 0.0)], tmp_path / "a.ply")
-    record["objects"][0]["rotations"]["x"] = 20
-    (tmp_path / "a.json").write_text(json.dumps(record))
-    with pytest.raises(ValueError, match="expected a box that turns about z alone"):
-        read_boxes(tmp_path / "a.json")
+    label = segmentsai_label({0: Box("a", (0, 0, 0), (1, 1, 1), 0.63)})
+    label["annotations"][0]["rotation"] = {"qx": 0, "qy": 0.0491566, "qz": 0.3096865, "qw": 0.9495672}
+    for turn in (20, -20):
+        record["objects"][0]["rotations"]["x"] = turn
+        for tilted in (record, label):
+            (tmp_path / "a.json").write_text(json.dumps(tilted))
+            with pytest.raises(ValueError, match="object 0: expected a box that turns about z alone"):
+                read_boxes(tmp_path / "a.json")
+    label["annotations"][0]["rotation"] |= {"qy": 0}
+    (tmp_path / "a.json").write_text(json.dumps(label))
+    assert read_boxes(tmp_path / "a.json")[0].yaw == 0.63
 
 
 def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):

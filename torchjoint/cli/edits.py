@@ -13,33 +13,44 @@ from torchjoint.results.boxes import read_boxes
 from torchjoint.results.edits import FILE, read_edits, write_edits
 from torchjoint.results.loading import load_result
 from torchjoint.results.parts import Parts, edited
+from torchjoint.results.point_edits import edits_of_points, read_point_labels
 
 
 def edits(
     action: tyro.conf.Positional[Literal["import"]],
     result: tyro.conf.Positional[Path],
-    boxes: tyro.conf.Positional[Path],
+    file: tyro.conf.Positional[Path],
 ) -> None:
-    """Brings boxes that were edited in another program back into a result, as corrections by hand.
+    """Brings boxes or labels that were edited in another program back into a result, as corrections by hand.
 
-    A thing whose box was deleted joins the one in whose box it lies; names of boxes become names of things. The labels
-    stay; RESULT/edits.json has the corrections, as those of the viewer, and `show`, `export` and `load_result` use
-    them. Boxes that nobody edited change nothing.
+    A thing whose box was deleted joins the one in whose box it lies; pieces whose points have another label now go to
+    the thing of that label; names come along. The labels of RESULT stay; RESULT/edits.json has the corrections, as
+    those of the viewer, and `show`, `export` and `load_result` use them. What nobody edited changes nothing.
 
     Args:
         action: import.
-        result: folder that `torchjoint segment` wrote, from which the boxes were exported, at its own level.
-        boxes: .json of labelCloud (centroid_abs), or .txt of OpenPCDet's custom data sets.
+        result: folder that `torchjoint segment` wrote, from which the file was exported, at its own level.
+        file: .json of labelCloud (centroid_abs); .json of Segments.ai, a label of points or cuboids; or .txt of
+            OpenPCDet's custom data sets.
     """
-    found, stored = read_boxes(boxes), load_result(result, edits=False)
+    stored = load_result(result, edits=False)
     parts = Parts(stored)
     before = read_edits(result, parts.count)
-    changes = edits_of_boxes(edited(stored, before), found, parts.of_point)
-    if changes.steps:
-        steps = tuple(replace(step, granularity=before.granularity) for step in changes.steps)
+    labels = read_point_labels(file, len(stored.points))
+    if labels is not None:
+        steps, others = edits_of_points(parts, before, labels)
+        kinds = [step.kind for step in steps]
+        print(f"labels of points: {kinds.count('gather')} things gathered, {kinds.count('name')} names changed")
+        if others:
+            print(f"{others} points stay with their piece, of which most points have another label")
+    else:
+        boxes = read_boxes(file)
+        changes = edits_of_boxes(edited(stored, before), boxes, parts.of_point)
+        steps, empty = changes.steps, changes.empty
+        print(f"{len(boxes)} boxes: {changes.joined} things joined others, {changes.named} names changed")
+        if empty:
+            print(f"{len(empty)} boxes are those of no thing, such as box {empty[0]}; split in the viewer")
+    if steps:
+        steps = tuple(replace(step, granularity=before.granularity) for step in steps)
         write_edits(result, replace(before, steps=before.steps + steps))
-    print(f"{len(found)} boxes: {changes.joined} things joined others, {changes.named} names changed")
-    if changes.empty:
-        print(f"{len(changes.empty)} boxes are those of no thing, such as box {changes.empty[0]}; split in the viewer")
-    if changes.steps:
         print(result / FILE)

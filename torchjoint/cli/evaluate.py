@@ -42,9 +42,10 @@ def evaluate(
             benchmark, .txt with predicted_masks/, or .npz with pred_masks; or, for a data set, a folder of such folders
             or files, named like the scenes.
         scene: a scene with ground truth, or a data set of such scenes; docs/your_data.md lists the layouts.
-        protocol: for scans of ScanNet: which true instances count, those of the 18 classes of ScanNet v2, or of the 198
-            of ScanNet200; all others are void. Classes are not compared.
-        label_table: scannetv2-labels.combined.tsv; default: the one in SCENE, or in the two folders above.
+        protocol: for scans of ScanNet or ScanNet++: which true instances count, those of the 18 classes of ScanNet v2,
+            of the 198 of ScanNet200, or of the 84 of ScanNet++; all others are void. Classes are not compared.
+        label_table: scannetv2-labels.combined.tsv, or metadata/semantic_benchmark/map_benchmark.csv of ScanNet++;
+            default: the one in SCENE, or in the two folders above.
         out: folder for scores.csv and scores.png, and for levels.csv if there are levels.
         voxel_size: metres, for fusing a cloud from depth; used only if PRED does not hold the cloud.
         overwrite: replace files in OUT.
@@ -53,7 +54,7 @@ def evaluate(
         check_output(out, (TABLE, PICTURE, LEVELS), overwrite)
     if protocol is None and label_table is not None:
         raise ValueError("--label-table: expected a --protocol, too")
-    table = (label_table or find_table(scene)) if protocol is not None else None
+    table = (label_table or find_table(scene, protocol)) if protocol is not None else None
     scenes = list_scenes(scene)
     scored = _ScoreCollector()
     try:
@@ -127,7 +128,7 @@ def _of_scene(pred: Path, name: str) -> Path:
 def _with_truth_of(protocol: Name, scene: Scene, path: Path, table: Path) -> Scene:
     """The scene with the instances of the cloud that the protocol counts; images are not scored."""
     if scene.truth is None or scene.truth.points is None:
-        raise ValueError(f"--protocol {protocol}: expected a scan of ScanNet with annotated vertices, got {path}")
+        raise ValueError(f"--protocol {protocol}: expected a scan of the data set with annotated vertices, got {path}")
     return replace(scene, truth=Truth(counted(scene.truth.points, path, protocol, table)))
 
 

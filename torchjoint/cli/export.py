@@ -19,7 +19,19 @@ _IN_FOLDER = {"sam": (".json",), "ply": (".ply",), "scannet": (".txt",), "openma
 def export(
     result: tyro.conf.Positional[Path],
     format: Literal[
-        "coco", "sam", "ply", "las", "npz", "scannet", "masks", "openmask3d", "graph", "openpcdet", "labelcloud"
+        "coco",
+        "sam",
+        "ply",
+        "las",
+        "npz",
+        "scannet",
+        "masks",
+        "openmask3d",
+        "graph",
+        "openpcdet",
+        "labelcloud",
+        "segmentsai",
+        "segmentsai-cuboids",
     ],
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     granularity: float | None = None,
@@ -34,9 +46,10 @@ def export(
             for each segment; las: the cloud with the extra dimension `label`; npz: all labels as arrays;
             scannet: instances as its benchmark reads them, SCENE.txt and predicted_masks/; masks: the same as an
             archive with pred_masks, pred_score and pred_classes; openmask3d: SCENE_masks.pt and the saved embeddings,
-            SCENE_openmask3d_features.npy; graph: what stands on what, as NetworkX reads it; openpcdet, labelcloud:
-            upright boxes with names, for networks of detection and for annotation (`torchjoint edits import` brings
-            them back). coco, sam and las need `pip install 'torchjoint[export]'`.
+            SCENE_openmask3d_features.npy; graph: what stands on what, as NetworkX reads it; openpcdet, labelcloud,
+            segmentsai-cuboids: upright boxes with names, for networks of detection and for annotation; segmentsai:
+            the label of each point, for annotation (`torchjoint edits import` brings boxes and labels back). coco, sam
+            and las need `pip install 'torchjoint[export]'`.
         out: file, or folder for sam, ply, scannet and openmask3d; default: RESULT-FORMAT in the current folder, with
             the format's suffix.
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); needs a result of method learned.

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -34,7 +33,14 @@ def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
     return point_instances(folder / f"{scan}{SEGMENTS}", folder / f"{scan}{OBJECTS}", num_points)
 
 
-def point_instances(segments_file: Path, objects_file: Path, num_points: int, *, smallest: bool = False) -> Tensor:
+def point_instances(
+    segments_file: Path,
+    objects_file: Path,
+    num_points: int,
+    *,
+    smallest: bool = False,
+    among: Set[int] | None = None,
+) -> Tensor:
     """Reads [N] int64, the objectId of each vertex of a mesh; -1 = none.
 
     Args:
@@ -42,32 +48,36 @@ def point_instances(segments_file: Path, objects_file: Path, num_points: int, *,
         objects_file: the segments of each object.
         num_points: of the mesh.
         smallest: a vertex of several objects belongs to the one of fewest vertices; else to the last in the file.
+        among: the objectIds of the objects that are there; None: all.
 
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
     record = read_record(segments_file, "segments of a mesh")
-    segments = _integers(record, "segIndices")
+    segments = record.integers("segIndices")
     if len(segments) != num_points:
         raise ValueError(f"{record.name}: expected the segments of {num_points} points, got {len(segments)}")
     numbers, segment_of_point, sizes = np.unique(segments, return_inverse=True, return_counts=True)
     groups = []
     for group in read_record(objects_file, "segments of objects").records("segGroups"):
-        inside = np.isin(numbers, _integers(group, "segments"))
-        groups.append((int(sizes[inside].sum()) if smallest else 0, _object_id(group), inside.nonzero()[0]))
+        instance = _object_id(group)
+        if among is not None and instance not in among:
+            continue
+        inside = np.isin(numbers, group.integers("segments"))
+        groups.append((int(sizes[inside].sum()) if smallest else 0, instance, inside.nonzero()[0]))
     objects = np.full(len(numbers), -1, dtype=np.int64)
     for _, instance, members in sorted(groups, key=lambda group: -group[0]):
         objects[members] = instance
     return torch.from_numpy(objects[segment_of_point])
 
 
-def read_object_classes(folder: Path, scan: str) -> dict[int, str]:
+def read_object_classes(objects_file: Path) -> dict[int, str]:
     """Reads the raw category of each annotated object, by its objectId.
 
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
-    groups = read_record(folder / f"{scan}{OBJECTS}", "segments of objects").records("segGroups")
+    groups = read_record(objects_file, "segments of objects").records("segGroups")
     return {_object_id(group): group.text("label") for group in groups}
 
 
@@ -122,13 +132,3 @@ def _object_id(group: Record) -> int:
     if type(instance) is not int or not 0 <= instance < 2**31:
         raise ValueError(f"{group.name}: objectId: expected an integer >= 0")
     return instance
-
-
-def _integers(record: Record, key: str) -> npt.NDArray[np.int64]:
-    values = record.values.get(key)
-    try:
-        if isinstance(values, list) and all(type(value) is int for value in values):
-            return np.array(values, dtype=np.int64)
-    except OverflowError:
-        pass
-    raise ValueError(f"{record.name}: {key}: expected a list of integers of at most 64 bits")

@@ -2,6 +2,9 @@
 
 ScanNet v2 has 18 classes (Dai et al., CVPR 2017), by their number among the 40 of NYU. ScanNet200 has 198 (Rozenberszki
 et al., ECCV 2022), by their number in ScanNet's table of labels. Void points never count against a prediction.
+
+ScanNet++ (Yeshwanth et al., ICCV 2023) has 84, by their name; its lists of classes come with the data set, beside its
+table. The instances are those of the toolkit (github.com/scannetpp/scannetpp, semantic/transforms/mesh.py).
 """
 
 from __future__ import annotations
@@ -14,11 +17,14 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.scannet_truth import read_object_classes
+from torchjoint.datasets.formats.scannetpp import truth_files
+from torchjoint.datasets.scannet_truth import OBJECTS, point_instances, read_object_classes
 
-Name = Literal["scannetv2", "scannet200"]
-#: The table of labels that ScanNet's download brings.
-TABLE = "scannetv2-labels.combined.tsv"
+Name = Literal["scannetv2", "scannet200", "scannetpp"]
+#: The tables of labels that the downloads of ScanNet and ScanNet++ bring.
+TABLE, TABLE_PP = "scannetv2-labels.combined.tsv", "metadata/semantic_benchmark/map_benchmark.csv"
+#: Beside the table of ScanNet++: all classes whose objects take vertices, and those whose objects are counted.
+CLASSES_PP, INSTANCES_PP = "top100.txt", "top100_instance.txt"
 
 
 class Protocol(NamedTuple):
@@ -48,18 +54,17 @@ PROTOCOLS: dict[Name, Protocol] = {
 }
 
 
-def find_table(scans: Path) -> Path:
-    """The table of labels beside or above the scans.
+def find_table(scans: Path, name: Name) -> Path:
+    """The table of a benchmark's labels beside or above the scans.
 
     Raises:
         FileNotFoundError: there is none.
     """
+    table = TABLE_PP if name == "scannetpp" else TABLE
     for folder in (scans, *scans.resolve().parents[:2]):
-        if (folder / TABLE).is_file():
-            return folder / TABLE
-    raise FileNotFoundError(
-        f"{scans / TABLE}: missing, also in the two folders above; it comes with ScanNet's download"
-    )
+        if (folder / table).is_file():
+            return folder / table
+    raise FileNotFoundError(f"{scans / table}: missing, also in the two folders above; it comes with the data set")
 
 
 def read_table(file: Path, name: Name) -> dict[str, int]:
@@ -68,20 +73,27 @@ def read_table(file: Path, name: Name) -> dict[str, int]:
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
-    if not file.is_file():
-        raise FileNotFoundError(f"{file}: missing; expected ScanNet's table of labels")
     column = PROTOCOLS[name].column
-    with file.open(encoding="utf-8", errors="replace", newline="") as stream:
-        reader = csv.DictReader(stream, delimiter="\t")
-        missing = {"raw_category", column} - {*(reader.fieldnames or ())}
-        if missing:
-            raise ValueError(
-                f"{file}: expected columns raw_category and {column}; missing: {', '.join(sorted(missing))}"
-            )
-        try:
-            return {row["raw_category"]: int(row[column]) for row in reader if row[column]}
-        except (ValueError, TypeError, csv.Error) as error:
-            raise ValueError(f"{file}: {column}: expected whole numbers: {error}") from error
+    rows = _pairs(file, "raw_category", column, "\t")
+    try:
+        return {raw: int(number) for raw, number in rows if number}
+    except ValueError as error:
+        raise ValueError(f"{file}: {column}: expected whole numbers: {error}") from error
+
+
+def _pairs(file: Path, first: str, second: str, delimiter: str) -> list[tuple[str, str]]:
+    """Two columns of a table, row by row."""
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: missing; expected the data set's table of labels")
+    try:
+        with file.open(encoding="utf-8", errors="replace", newline="") as stream:
+            reader = csv.DictReader(stream, delimiter=delimiter)
+            rows, missing = list(reader), {first, second} - {*(reader.fieldnames or ())}
+    except csv.Error as error:
+        raise ValueError(f"{file}: expected a table: {error}") from error
+    if missing:
+        raise ValueError(f"{file}: expected columns {first} and {second}; missing: {', '.join(sorted(missing))}")
+    return [(row[first], row[second]) for row in rows]
 
 
 def counted(truth: Tensor, scan: Path, name: Name, table: Path) -> Tensor:
@@ -89,15 +101,34 @@ def counted(truth: Tensor, scan: Path, name: Name, table: Path) -> Tensor:
 
     Args:
         truth: [N] int64 objectIds, -1: none.
-        scan: the scan's folder, or its .sens file.
+        scan: the scan's folder, or its .sens file; of ScanNet++, the scene's.
         name: the benchmark.
-        table: ScanNet's table of labels.
+        table: the table of labels; of ScanNet++, beside its lists of classes.
 
     Raises:
         FileNotFoundError, ValueError: the scan has no annotation, or a file is damaged; the message names the file.
     """
+    if name == "scannetpp":
+        return _counted_of_scannetpp(len(truth), scan, table)
     folder, stem = (scan.parent, scan.stem) if scan.is_file() else (scan, scan.name)
     class_of, classes = read_table(table, name), PROTOCOLS[name].classes
-    of_object = read_object_classes(folder, stem)
+    of_object = read_object_classes(folder / f"{stem}{OBJECTS}")
     kept = [one for one, category in of_object.items() if class_of.get(category) in classes]
     return torch.where(torch.isin(truth, torch.tensor(kept, dtype=torch.int64)), truth, -1)
+
+
+def _counted_of_scannetpp(num_points: int, scan: Path, table: Path) -> Tensor:
+    """A vertex belongs to the smallest of the objects that have one of the benchmark's classes; some do not count."""
+    class_of = {raw: to or raw for raw, to in _pairs(table, "class", "semantic_map_to", ",")}
+    segments, objects = truth_files(scan)
+    of_object = {one: class_of.get(raw) for one, raw in read_object_classes(objects).items()}
+
+    def objects_of(name: str) -> list[int]:
+        file = table.with_name(name)
+        if not file.is_file():
+            raise FileNotFoundError(f"{file}: missing; expected the benchmark's classes, a line each")
+        classes = file.read_text(encoding="utf-8", errors="replace").splitlines()
+        return [one for one, found in of_object.items() if found in classes]
+
+    truth = point_instances(segments, objects, num_points, smallest=True, among=set(objects_of(CLASSES_PP)))
+    return torch.where(torch.isin(truth, torch.tensor(objects_of(INSTANCES_PP), dtype=torch.int64)), truth, -1)

@@ -33,7 +33,7 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], piece: npt.NDArray[np.i
     Each box belongs to one segment: the pairs are taken by the IoU of the points in the box with those in the segment's
     own box, largest first (ties: the first box, the lowest id). So boxes that nobody edited change nothing. A segment
     whose box was deleted joins the segment of the smallest box that holds more than half of its points; otherwise it
-    stays. A name that is not UNNAMED becomes that of the segment.
+    stays. The name of a box becomes that of the segment; UNNAMED removes it.
 
     Args:
         result: its labels are those from which the boxes were exported, with all corrections before.
@@ -55,6 +55,8 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], piece: npt.NDArray[np.i
             joined += 1
     named = 0
     for number, segment in sorted(segment_of.items()):
+        if not boxes[number].name:
+            continue
         name = "" if boxes[number].name == UNNAMED else boxes[number].name
         if _words(name) != _words(result.segment_names.get(segment, "")):
             steps.append(Edit("name", (first[segment],), name))

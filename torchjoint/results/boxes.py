@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,7 +29,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 class Box(NamedTuple):
     """A box that stands upright."""
 
-    name: str
+    name: str  #: "": not known
     center: tuple[float, float, float]  #: metres
     size: tuple[float, float, float]  #: metres, along its own x, y and z
     yaw: float  #: radians, from the world's x to its own x, counterclockwise as seen from above
@@ -63,24 +63,36 @@ def openpcdet_lines(boxes: Iterable[Box]) -> str:
 
 def labelcloud_record(boxes: Iterable[Box], file: Path) -> dict[str, Any]:
     """The record of labelCloud's format centroid_abs: angles are degrees."""
-
-    def named(names: str, values: Sequence[float]) -> dict[str, float]:
-        return {name: round(value, 6) for name, value in zip(names.split(), values, strict=True)}
-
     objects = [
         {
             "name": box.name,
-            "centroid": named("x y z", box.center),
-            "dimensions": named("length width height", box.size),
-            "rotations": named("x y z", (0.0, 0.0, math.degrees(box.yaw) % 360)),
+            "centroid": _named("x y z", box.center),
+            "dimensions": _named("length width height", box.size),
+            "rotations": _named("x y z", (0.0, 0.0, math.degrees(box.yaw) % 360)),
         }
         for box in boxes
     ]
     return {"folder": file.parent.name, "filename": file.name, "path": str(file), "objects": objects}
 
 
+def segmentsai_label(boxes: Mapping[int, Box]) -> dict[str, Any]:
+    """A label of cuboids as Segments.ai takes it (docs.segments.ai, label types), of the boxes by their segments."""
+    annotations = [
+        segmentsai_object(segment, box.name)
+        | {"type": "cuboid", "position": _named("x y z", box.center), "dimensions": _named("x y z", box.size)}
+        | {"yaw": round(box.yaw, 6)}
+        for segment, box in boxes.items()
+    ]
+    return {"format_version": "0.2", "annotations": annotations}
+
+
+def segmentsai_object(segment: int, name: str) -> dict[str, Any]:
+    """A segment as an object of Segments.ai. Its labels have numbers of categories only: an attribute has the name."""
+    return {"id": segment + 1, "category_id": 1, "attributes": {"name": "" if name == UNNAMED else name}}
+
+
 def read_boxes(file: Path) -> list[Box]:
-    """Reads boxes of either format; a .json is labelCloud's centroid_abs, anything else has lines of OpenPCDet.
+    """Reads boxes: a .json has labelCloud's centroid_abs or a label of Segments.ai, anything else lines of OpenPCDet.
 
     Raises:
         OSError: the file cannot be read.
@@ -91,32 +103,54 @@ def read_boxes(file: Path) -> list[Box]:
         rows = [(number, line.split(maxsplit=7)) for number, line in enumerate(text.splitlines(), start=1)]
         return [_box(row[7:], row[:7], f"{file}, line {number}") for number, row in rows if row]
     try:
-        objects = json.loads(text)["objects"]
+        record = json.loads(text)
+        record = record.get("attributes", record)  # of a whole label of Segments.ai
+        key = "annotations" if "annotations" in record else "objects"
+        objects = record[key]
         if not isinstance(objects, list):
-            raise TypeError(f"objects is {type(objects).__name__}")
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"{file}: expected boxes of labelCloud, with a list `objects` ({error!r})") from error
-    return [_of_labelcloud(one, f"{file}, object {number}") for number, one in enumerate(objects)]
+            raise TypeError(f"{key} is {type(objects).__name__}")
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        expected = "expected boxes of labelCloud, with a list `objects`, or of Segments.ai, with `annotations`"
+        raise ValueError(f"{file}: {expected} ({error!r})") from error
+    return [_of_record(one, key, f"{file}, object {number}") for number, one in enumerate(objects)]
 
 
-def _of_labelcloud(record: Any, where: str) -> Box:
+def _of_labelcloud(record: Any) -> tuple[Any, list[Any], list[float]]:
+    center = [record["centroid"][name] for name in "xyz"]
+    size = [record["dimensions"][name] for name in ("length", "width", "height")]
+    turns = [math.radians(float(record["rotations"][name])) for name in "xyz"]
+    return record["name"], [*center, *size, turns[2]], [math.sin(turn / 2) for turn in turns[:2]]
+
+
+def _of_segmentsai(record: Any) -> tuple[Any, list[Any], list[float]]:
+    numbers = [record[key][axis] for key in ("position", "dimensions") for axis in "xyz"]
+    turn, name = record.get("rotation") or {}, (record.get("attributes") or {}).get("name")
+    name = UNNAMED if name == "" else "" if name is None else name
+    return name, [*numbers, record["yaw"]], [float(turn.get(axis, 0)) for axis in ("qx", "qy")]
+
+
+#: How a box is read from an object: its name, seven numbers, and sines of the half angles by which it is tilted.
+_READERS = {
+    "objects": (_of_labelcloud, "name, centroid (x, y, z), dimensions (length, width, height), rotations (x, y, z)"),
+    "annotations": (_of_segmentsai, "a cuboid with position (x, y, z), dimensions (x, y, z), yaw"),
+}
+
+
+def _of_record(record: Any, key: str, where: str) -> Box:
+    read, expected = _READERS[key]
     try:
-        center = [record["centroid"][name] for name in "xyz"]
-        size = [record["dimensions"][name] for name in ("length", "width", "height")]
-        turns = [float(record["rotations"][name]) for name in "xyz"]
-        name = [record["name"]]
-    except (KeyError, TypeError, ValueError) as error:
-        expected = "expected name, centroid (x, y, z), dimensions (length, width, height), rotations (x, y, z)"
-        raise ValueError(f"{where}: {expected}; {error!r}") from error
-    if any(math.sin(math.radians(turn / 2)) > 1e-3 for turn in turns[:2]):
-        raise ValueError(f"{where}: expected a box that turns about z alone, got rotations {turns}")
-    return _box(name, [*center, *size, math.radians(turns[2])], where)
+        name, numbers, tilt = read(record)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise ValueError(f"{where}: expected {expected}; {error!r}") from error
+    if not all(abs(one) <= 1e-3 for one in tilt):
+        raise ValueError(f"{where}: expected a box that turns about z alone, got sines of half angles {tilt}")
+    return _box([name], numbers, where)
 
 
 def _box(name: Sequence[Any], numbers: Sequence[Any], where: str) -> Box:
     try:
         values = [float(value) for value in numbers]
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{where}: expected seven numbers, got {list(numbers)}") from error
     if len(values) != 7 or len(name) != 1 or not isinstance(name[0], str):
         raise ValueError(f"{where}: expected x y z dx dy dz heading name, got {[*numbers, *name]}")
@@ -130,6 +164,10 @@ def _box(name: Sequence[Any], numbers: Sequence[Any], where: str) -> Box:
 def _three(values: Sequence[float]) -> tuple[float, float, float]:
     x, y, z = values
     return x, y, z
+
+
+def _named(names: str, values: Sequence[float]) -> dict[str, float]:
+    return {name: round(value, 6) for name, value in zip(names.split(), values, strict=True)}
 
 
 def _numbers(values: Sequence[float]) -> str:

@@ -68,7 +68,7 @@ def scannet200(
         max_frames: number of frames of a scan, evenly spread; default: all.
         engine: workers for the frames: loky, dask or ray, as `torchjoint segment --engine`.
     """
-    table, found = label_table or find_table(scans), list_scenes(scans)
+    table, found = label_table or find_table(scans, protocol), list_scenes(scans)
     out.mkdir(parents=True, exist_ok=True)
     metric, scored, failed = ScannetAveragePrecisionMetric(), 0, {}
     options = RecordingOptions(max_frames=max_frames)

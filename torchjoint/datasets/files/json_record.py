@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -48,6 +50,16 @@ class Record:
         if not isinstance(values, list) or len(values) != count:
             raise ValueError(f"{self.name}: {key}: expected {count} numbers, got {_brief(values)}")
         return torch.tensor([_number(value, f"{self.name}: {key}") for value in values], dtype=torch.float64)
+
+    def integers(self, key: str) -> npt.NDArray[np.int64]:
+        """Returns a list of integers, of any length, as [length] int64."""
+        values = self.values.get(key)
+        try:
+            if isinstance(values, list) and all(type(value) is int for value in values):
+                return np.array(values, dtype=np.int64)
+        except OverflowError:
+            pass
+        raise ValueError(f"{self.name}: {key}: expected a list of integers of at most 64 bits")
 
     def matrix(self, key: str, columns: int) -> Tensor:
         """Returns rows of numbers as [rows, columns] float64."""

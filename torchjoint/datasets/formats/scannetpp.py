@@ -51,13 +51,18 @@ def recognizes(path: Path) -> bool:
 def load(path: Path, options: Options) -> Scene:
     """Loads the scene; see :func:`torchjoint.load_scene`."""
     folder, camera = _places(path)
-    mesh, objects = folder / "scans" / MESH, folder / "scans" / OBJECTS
+    mesh = folder / "scans" / MESH
+    segments, objects = truth_files(path)
     scene = replace(scene_of_frames(path, _read_frames(folder / camera), options, [mesh]), name=folder.name)
     if find_cloud(path, options, [mesh]) != mesh or not objects.is_file():
         return scene
-    return replace(
-        scene, truth=Truth(point_instances(objects.with_name(SEGMENTS), objects, len(scene.points), smallest=True))
-    )
+    return replace(scene, truth=Truth(point_instances(segments, objects, len(scene.points), smallest=True)))
+
+
+def truth_files(path: Path) -> tuple[Path, Path]:
+    """Returns the file with the segment of each vertex, and the one with the objects; neither needs to exist."""
+    scans = _places(path)[0] / "scans"
+    return scans / SEGMENTS, scans / OBJECTS
 
 
 def scenes(path: Path) -> dict[str, Path]:

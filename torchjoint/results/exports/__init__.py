@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from torchjoint.results.exports.boxes import export_labelcloud, export_openpcdet
+from torchjoint.results.exports.boxes import export_cuboids, export_labelcloud, export_openpcdet, export_point_labels
 from torchjoint.results.exports.clouds import export_las, export_npz, export_ply
 from torchjoint.results.exports.coco import export_coco
 from torchjoint.results.exports.graph import export_graph
@@ -30,6 +30,8 @@ FORMATS: dict[str, Callable[[Path, Result], None]] = {
     "graph": export_graph,
     "openpcdet": export_openpcdet,
     "labelcloud": export_labelcloud,
+    "segmentsai": export_point_labels,
+    "segmentsai-cuboids": export_cuboids,
 }
 #: Suffix of the file of a format; formats that are not listed write a folder.
 SUFFIXES = {
@@ -40,4 +42,6 @@ SUFFIXES = {
     "graph": ".json",
     "openpcdet": ".txt",
     "labelcloud": ".json",
+    "segmentsai": ".json",
+    "segmentsai-cuboids": ".json",
 }

@@ -1,4 +1,7 @@
-"""Boxes of the segments, for programs of annotation and networks of detection: see :mod:`torchjoint.results.boxes`."""
+"""Boxes of the segments, for programs of annotation and networks of detection: see :mod:`torchjoint.results.boxes`.
+
+Labels of points for such a program are here, too; :mod:`torchjoint.results.point_edits` reads them.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import math
 import warnings
 from pathlib import Path
 
-from torchjoint.results.boxes import boxes_of, labelcloud_record, openpcdet_lines
+from torchjoint.results.boxes import boxes_of, labelcloud_record, openpcdet_lines, segmentsai_label, segmentsai_object
 from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.files import write_text
@@ -30,6 +33,25 @@ def export_labelcloud(path: Path, result: Result) -> None:
     _warn_if_tilted(result)
     record = labelcloud_record(boxes_of(result).values(), path.with_suffix(".ply"))
     write_text(path, json.dumps(record, indent=1, ensure_ascii=False))
+
+
+@on_cpu()
+def export_cuboids(path: Path, result: Result) -> None:
+    """Writes the boxes as a label of cuboids of Segments.ai; its cloud is ``points.ply`` of the result."""
+    _warn_if_tilted(result)
+    write_text(path, json.dumps(segmentsai_label(boxes_of(result)), indent=1, ensure_ascii=False))
+
+
+@on_cpu()
+def export_point_labels(path: Path, result: Result) -> None:
+    """Writes a label of segmentation of Segments.ai; its cloud is ``points.ply`` of the result, in the same order."""
+    found = [segment for segment in result.points.unique().tolist() if segment >= 0]
+    label = {
+        "format_version": "0.1",
+        "annotations": [segmentsai_object(one, result.segment_names.get(one, "")) for one in found],
+        "point_annotations": (result.points + 1).clamp(min=0).tolist(),
+    }
+    write_text(path, json.dumps(label, ensure_ascii=False))
 
 
 def _warn_if_tilted(result: Result) -> None:

@@ -1,0 +1,132 @@
+"""Labels of points: out, edited in another program, and back."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+import torchjoint as tj
+from torchjoint.results.edits import Edit, Edits
+from torchjoint.results.exports.boxes import export_point_labels
+from torchjoint.results.folder import write_result
+from torchjoint.results.parts import Parts
+from torchjoint.results.point_edits import PointLabels, edits_of_points, read_point_labels
+
+
+def parts_of(piece, stored):
+    """A result whose pieces [N] form the stored segments [P]."""
+    piece, stored = torch.tensor(piece), torch.tensor(stored)
+    scene = tj.Scene(torch.arange(3.0 * len(piece)).reshape(-1, 3))
+    result = tj.Result.of(tj.Segmentation(stored[piece].unique(return_inverse=True)[1], ()), scene)
+    parts = Parts(result)
+    vars(parts).update(of_point=piece.numpy(), stored=stored.numpy())  # as of a hierarchy
+    return parts
+
+
+def changes_of(parts, of_point, names=None, before=None):
+    labels = PointLabels(np.array(of_point), names or {})
+    return edits_of_points(parts, before or Edits(parts.count), labels)
+
+
+#: Four pieces of two points each; the first two form segment 0, the others 1.
+PIECES, STORED = [0, 0, 1, 1, 2, 2, 3, 3], [0, 0, 1, 1]
+
+
+def test_what_nobody_edited_changes_nothing():
+    assert changes_of(parts_of(PIECES, STORED), [7, 7, 7, 7, 3, 3, 3, 3]) == ((), 0)
+    assert changes_of(parts_of(PIECES, STORED), [0] * 8) == ((), 0)  # all objects were deleted
+
+
+def test_pieces_go_to_the_object_of_most_of_their_points():
+    parts = parts_of(PIECES, STORED)
+    assert changes_of(parts, [7, 7, 3, 3, 3, 3, 3, 3])[0] == (Edit("gather", (1, 2, 3)),)
+    assert changes_of(parts, [7, 7, 7, 7, 3, 3, 4, 4])[0] == (Edit("gather", (3,)),)
+    assert changes_of(parts, [7] * 8)[0] == (Edit("gather", (0, 1, 2, 3)),)
+    # Points without an object follow their segment, and those that are fewer their piece.
+    assert changes_of(parts, [7, 7, 0, 0, 7, 7, 7, 7])[0] == (Edit("gather", (0, 1, 2, 3)),)
+    assert changes_of(parts, [7, 7, 0, 0, 3, 3, 3, 7]) == ((), 1)
+
+
+def test_names_are_those_after_the_edits():
+    parts = parts_of(PIECES, STORED)
+    before = Edits(4, None, (Edit("name", (1,), "chair"),))
+    assert changes_of(parts, [7, 7, 7, 7, 3, 3, 3, 3], {7: "chair", 3: "", 9: "gone"}, before) == ((), 0)
+    # The named piece leaves, so its segment has to be named again.
+    steps, _ = changes_of(parts, [7, 7, 3, 3, 3, 3, 3, 3], {7: "chair", 3: "desk"}, before)
+    assert steps == (
+        Edit("gather", (1, 2, 3)),
+        Edit("name", (1,), "desk"),
+        Edit("name", (0,), "chair"),
+    )
+
+
+@given(st.data())
+def test_the_edits_make_the_objects(data):
+    """Where each piece has one object, the segments after the edits are the objects."""
+    count = data.draw(st.integers(1, 8))
+    numbers = st.lists(st.integers(0, 3), min_size=count, max_size=count)
+    stored, wanted = data.draw(numbers), np.array(data.draw(numbers)) + 1
+    joins = data.draw(st.lists(st.tuples(*[st.integers(0, count - 1)] * 2), max_size=2))
+    before = Edits(count, None, tuple(Edit("join", pair) for pair in joins))
+    parts = parts_of(list(range(count)), stored)
+    steps = changes_of(parts, wanted, before=before)[0]
+    table = parts.table(replace(before, steps=before.steps + steps))
+    assert np.array_equal(table[:, None] == table, wanted[:, None] == wanted)
+
+
+def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
+    config = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
+    scene, out, file = scene_of(3).scene, tmp_path / "out", tmp_path / "points.json"
+    out.mkdir()
+    write_result(out, scene, tj.JointSegmenter(config)(scene), config, "test")
+    run("export", out, "--format", "segmentsai", "-o", file)
+    label = json.loads(file.read_text())
+    before = tj.load_result(out)
+    assert label["point_annotations"] == (before.points + 1).tolist()
+    assert label["annotations"][1] == {"id": 2, "category_id": 1, "attributes": {"name": ""}}
+    run("edits", "import", out, file)
+    assert "0 things gathered, 0 names changed" in capsys.readouterr().out
+    assert not (out / "edits.json").exists()
+    pieces = before.hierarchy.piece
+    moved = pieces == pieces[before.points == before.points.bincount().argmax()][0]  # one piece of the largest
+    ids = torch.where(moved | (before.points == 0), 1, before.points + 1)
+    label["point_annotations"] = ids.tolist()
+    label["annotations"][0]["attributes"]["name"] = "a thing of two"
+    file.write_text(json.dumps({"attributes": label}))
+    run("edits", "import", out, file)
+    assert "1 things gathered, 1 names changed" in capsys.readouterr().out
+    after = tj.load_result(out)
+    same = torch.stack([after.points, ids]).unique(dim=1)
+    assert same.shape[1] == after.points.unique().numel() == ids.unique().numel()
+    assert after.segment_names == {int(after.points[ids == 1][0]): "a thing of two"}
+    export_point_labels(file, after)
+    run("edits", "import", out, file)
+    assert "0 things gathered, 0 names changed" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[1]", "expected an object, got list"),
+        ('{"point_annotations": [1, 2], "annotations": []}', "expected ids >= 0 of 3 points, got 2"),
+        ('{"point_annotations": [1, -2, 1], "annotations": []}', "expected ids >= 0"),
+        ('{"point_annotations": [1, 2.5, 1], "annotations": []}', "expected a list of integers"),
+        ('{"point_annotations": [1, 2, 1]}', "annotations: missing"),
+        ('{"point_annotations": [1, 2, 1], "annotations": [{"attributes": {"name": 3}}]}', "expected a string, got 3"),
+        ('{"point_annotations": [1, 2, 1], "annotations": [{"attributes": {"name": "a"}}]}', "id: missing"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, content, message):
+    (tmp_path / "a.json").write_text(content)
+    with pytest.raises(ValueError, match=message):
+        read_point_labels(tmp_path / "a.json", 3)
+
+
+def test_other_files_have_no_labels(tmp_path):
+    (tmp_path / "a.json").write_text('{"objects": []}')
+    assert read_point_labels(tmp_path / "a.json", 3) is None
+    assert read_point_labels(tmp_path / "boxes.txt", 3) is None
