@@ -24,17 +24,17 @@ def show_tables(work: Path, kinds: Sequence[str], runs: int, write: bool) -> Non
     rows = []
     for kind in kinds:
         files = sorted(work.glob(f"left-out-{kind}-[0-9]*.json"))
-        mean = f"left-out-{kind}-mean{len(files)}"  # a mean of fewer seeds is another model
-        found = _read(work, (mean, f"default-{kind}", f"others-{kind}", *(file.stem for file in files)), runs)
-        if not found:
+        of_mean = _read(work, [f"left-out-{kind}-mean{len(files)}"], runs)  # a mean of fewer seeds is another model
+        found = _read(work, (f"default-{kind}", f"others-{kind}", *(file.stem for file in files)), runs)
+        if not found or not files:
             continue
-        of_mean, default, others, *seeds = found
+        default, others, *seeds = found
         left = np.concatenate([seed["learned, left out"] for seed in seeds])  # [seeds * runs, scenes, 2]
         blind = np.concatenate([seed["learned, left out, no images"] for seed in seeds])
         simple = others[max(SIMPLE, key=lambda name: float(others[name].mean()))]
         rivals = (default["default"], others["preset_regions"], simple)
         cells = [f"{TITLES.get(kind, kind)}, {left.shape[1]}", f"{_both(left)}, {len(seeds)}"]
-        cells += [_both(blind), _both(of_mean["learned, left out"])]
+        cells += [_both(blind), _both(of_mean[0]["learned, left out"]) if of_mean else "–"]
         rows.append([*cells, *(difference(left.mean(0) - rival.mean(0)) for rival in rivals)])
     if rows:
         report.show("domains", report.table(columns, rows), write)
