@@ -17,7 +17,7 @@ test:
 	$(PYTHON) -m pytest -n 2
 
 slow: # the sweeps, which `test` leaves out; a worker takes files as a whole, as far as it can, and makes fixtures once
-	$(PYTHON) -m pytest -n 3 --dist worksteal -m slow
+	$(PYTHON) -m pytest -n 2 --dist worksteal -m slow
 
 coverage: # which lines the tests run
 	$(PYTHON) -m pytest -n 2 --cov --cov-report=term:skip-covered --cov-report=html:build/coverage
