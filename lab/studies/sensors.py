@@ -36,7 +36,7 @@ from torchjoint.segments.scan.scan_segments import segment_scan
 #: Metres along each axis, about the noise of a sensor: what moves the points of each run; and the number of runs.
 NOISE, RUNS = 0.01, 4
 #: Seeds of streets. On 41 and 44 settings of small segments were compared; on the others nothing was chosen.
-OTHERS = range(40, 60)
+STREETS = range(40, 60)
 EVALUATION = Path(__file__).parents[2] / "docs" / "evaluation.md"
 #: The sensors of the data with things in boxes or a full annotation.
 SENSORS = {
@@ -74,7 +74,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="folder with those of SENSORS")
     parser.add_argument("--simple", type=int, default=0, metavar="COUNT", help="tries plane removal + DBSCAN")
-    parser.add_argument("--travel", type=Path, metavar="PYTHON", help="interpreter that has travel-seg")
+    parser.add_argument("--travel", type=Path, metavar="PYTHON", help="interpreter of the peers")
     parser.add_argument("--streets", type=int, default=6, metavar="COUNT", help="generated streets of each sensor")
     report.add_write(parser, "the tables in docs/evaluation.md")
     arguments = parser.parse_args()
@@ -110,7 +110,7 @@ def of_generated(count: int, python: Path | None) -> str:
         methods["TRAVEL"] = partial(travel, python)
     rows = []
     for kind in LIDARS:
-        sweeps = [street(seed, kind) for seed in OTHERS[:count]]
+        sweeps = [street(seed, kind) for seed in STREETS[:count]]
         recognised = sum(look_for_scan(sweep.points).is_scan for sweep in sweeps)
         rows.append([kind, f"{recognised} of {len(sweeps)}", *(cell(method, sweeps) for method in methods.values())])
         print(*rows[-1], flush=True)

@@ -131,6 +131,8 @@ def test_rooms_have_few_loose_sheets_left() -> None:
     ("arguments", "message"),
     [
         ({"domain": "moon"}, "domain: expected one of"),
+        ({"domain": "table", "lidar": "64"}, "lidar: expected None, or for streets one of"),
+        ({"domain": "street", "lidar": "8"}, "lidar: expected None, or for streets one of"),
         ({"domain": "table", "seed": -1}, "seed: expected"),
         ({"domain": "table", "num_views": 0}, "num_views: expected"),
         ({"domain": "table", "num_points": True}, "num_points: expected"),

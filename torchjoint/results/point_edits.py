@@ -38,8 +38,10 @@ def read_point_labels(file: Path, num_points: int) -> PointLabels | None:
     if "point_annotations" not in record:
         return None
     of_point, names = record.integers("point_annotations"), {}
-    if len(of_point) != num_points or of_point.min(initial=0) < 0:
+    if len(of_point) != num_points:
         raise ValueError(f"{file}: point_annotations: expected ids >= 0 of {num_points} points, got {len(of_point)}")
+    if (lowest := int(of_point.min(initial=0))) < 0:
+        raise ValueError(f"{file}: point_annotations: expected ids >= 0, got {lowest}")
     for one in record.records("annotations"):
         if "attributes" in one and "name" in one.record("attributes"):
             name = one.record("attributes").text("name").strip()
