@@ -94,7 +94,7 @@ def scores(scene: Scene) -> list[tuple[float, float]]:
     with one_thread_per_operation():
         evidence = build_piece_graph(cloud.graph, cloud.graph.scales, segmenter.state)
         for one in (replace(evidence, occlusions=None), evidence):
-            labels = build_consensus(one, load_boundary_model()).at()
+            labels = build_consensus([one], load_boundary_model()).at()
             judged = score(labels[cloud.of_point], scene.truth.points)
             found.append((judged.f, judged.best_iou))
     return found

@@ -91,7 +91,7 @@ def scores(scene: Scene, model: BoundaryModel, num_frames: int | None) -> list[t
     for given in (None, image_colors(graph.num_points, state.observations), graph.colors):
         with one_thread_per_operation(), patch.object(evidence_of_points, "image_colors", return_value=None):
             evidence = build_piece_graph(replace(graph, colors=given), graph.scales, state)
-            labels = build_consensus(evidence, model).at()
+            labels = build_consensus([evidence], model).at()
         judged = score(labels[segmenter.cloud.of_point], scene.truth.points)
         found.append((judged.f, judged.best_iou))
     return found

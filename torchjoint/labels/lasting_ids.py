@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.most_frequent import most_frequent
+
 
 class Changes(NamedTuple):
     """What became of the things of the result before."""
@@ -92,10 +94,5 @@ class LastingIds:
 
 def _majority(cube: Tensor, segment: Tensor) -> tuple[Tensor, Tensor]:
     """The cubes, ascending, and the segment that has most points of each; ties: the lowest."""
-    (cube, segment), count = torch.unique(torch.stack([cube, segment]), dim=1, return_counts=True)
-    order = torch.argsort(count, descending=True, stable=True)
-    order = order[torch.argsort(cube[order], stable=True)]
-    cube, segment = cube[order], segment[order]
-    first = torch.ones_like(cube, dtype=torch.bool)
-    first[1:] = cube[1:] != cube[:-1]
-    return cube[first], segment[first]
+    cube, group = torch.unique(cube, return_inverse=True)
+    return cube, most_frequent(segment, group, torch.ones_like(group))

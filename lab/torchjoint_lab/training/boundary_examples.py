@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchjoint.config import Config
 from torchjoint.joint import JointSegmenter
+from torchjoint.runtime.most_frequent import most_frequent
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
@@ -150,12 +151,7 @@ def labelled_evidence(scene: Scene, config: Config | None = None, images: bool =
 def _majority(instance: Tensor, of_point: Tensor) -> Tensor:
     """The most frequent instance [W] of the given points [N] of each working point; of equally many the lowest."""
     values, number = torch.unique(instance, return_inverse=True)
-    key, count = torch.unique(of_point * len(values) + number, return_counts=True)
-    working, number = key // len(values), key % len(values)
-    most = torch.zeros(int(of_point.max()) + 1, dtype=torch.int64).scatter_reduce(0, working, count, "amax")
-    wins = count == most[working]
-    best = torch.full_like(most, len(values)).scatter_reduce(0, working[wins], number[wins], "amin")
-    return values[best]
+    return values[most_frequent(number, of_point, torch.ones_like(number))]
 
 
 def boundary_examples(evidence: PieceGraph, region: Tensor, instance: Tensor) -> BoundaryExamples:

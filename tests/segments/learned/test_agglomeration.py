@@ -17,6 +17,7 @@ from torchjoint.segments.learned.agglomeration import (
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 from torchjoint.segments.learned.consensus import build_consensus
+from torchjoint.segments.learned.draws import DRAWS, drawn_anew
 from torchjoint.segments.learned.method import Learned
 from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.views.state import JointState
@@ -161,7 +162,10 @@ class TestMethod:
         monkeypatch.setattr("torchjoint.segments.learned.method.load_boundary_model", lambda _: ByCrease(0.1, 0.2, 0.3))
 
     def test_is_the_consensus(self, segmenter, evidence):
-        hierarchy = build_consensus(evidence, ByCrease(0.1, 0.2, 0.3))
+        graph = segmenter.cloud.graph
+        others = [drawn_anew(graph, graph.scales, number) for number in range(1, DRAWS)]
+        draws = [evidence, *(build_piece_graph(other, graph.scales, segmenter.state) for other in others)]
+        hierarchy = build_consensus(draws, ByCrease(0.1, 0.2, 0.3))
         expected = hierarchy.transferred(segmenter.cloud.of_point)[0].at()
         result = segmenter.compute()
         assert torch.equal(result.points, expected)

@@ -1,5 +1,8 @@
 """Step 6, method learned: the vote of several segmentations, by hand and against a slow twin; the model's members."""
 
+from collections import Counter
+from dataclasses import replace
+
 import pytest
 import torch
 from hypothesis import given
@@ -12,6 +15,7 @@ from torchjoint.segments.learned.agglomeration import build_hierarchy
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 from torchjoint.segments.learned.consensus import NOISE, Panel, build_consensus, segments_of_judges, vote
+from torchjoint.segments.learned.draws import DEVIATION, drawn_anew
 from torchjoint.segments.learned.pieces import build_piece_graph
 
 
@@ -85,7 +89,7 @@ class TestPanel:
         judge = torch.tensor([0, 1, 2, 6, 7, 8])
         found = panel.probabilities(0, torch.zeros(6, 1), judge)
         assert found.tolist() == pytest.approx([0.2, 0.4, 0.9, 0.65, 0.55, 0.3])
-        assert panel.first_probabilities(torch.zeros(2, 1))[[0, 1, 2, 6, 7, 8], 1].tolist() == pytest.approx(found)
+        assert panel.first_probabilities(torch.zeros(2, 1), judge)[:, 1].tolist() == pytest.approx(found)
 
     def test_the_only_member_judges_alone(self):
         panel = Panel(BoundaryModel((Always(0.3),)))
@@ -125,11 +129,16 @@ class Always:
 
 
 @pytest.fixture(scope="module")
-def evidence():
+def segmenter():
     scene = make_domain_scene("table", 11, num_views=2).scene
     segmenter = tj.JointSegmenter()
     segmenter.reset(scene.points, scene.colors)
     segmenter.update(scene.frames)
+    return segmenter
+
+
+@pytest.fixture(scope="module")
+def evidence(segmenter):
     graph = segmenter.cloud.graph
     return build_piece_graph(graph, graph.scales, segmenter.state)
 
@@ -144,17 +153,40 @@ class Silent(Panel):
 class TestConsensus:
     def test_trees_are_those_of_each_judge_by_itself(self, evidence):
         model = load_boundary_model()
-        levels, segments = segments_of_judges(evidence, Silent(model), model.thresholds)
+        levels, segments = segments_of_judges([evidence], Silent(model), model.thresholds)
         assert levels == [0.075, 0.15, 0.2, 0.25, 0.3, 0.35, 0.425, 0.5, 0.65, 0.8, 0.9, 1.0]
         for judge, members in ((1, [1]), (6, [6]), (14, [0, 1, 2, 3, 5, 6, 7, 8])):
             alone = build_hierarchy(evidence, BoundaryModel(tuple(model.members[member] for member in members)))
             for level, of_judges in zip(levels, segments, strict=True):
                 assert torch.equal(of_judges[judge], alone.segments_of_pieces(level))
 
+    def test_each_draw_has_its_share_of_the_judges(self, evidence):
+        model = load_boundary_model()
+        _, expected = segments_of_judges([evidence], Silent(model), model.thresholds)
+        _, segments = segments_of_judges([evidence, evidence], Silent(model), model.thresholds)
+        order = [*range(0, 15, 2), *range(1, 15, 2)]
+        for of_judges, alone in zip(segments, expected, strict=True):
+            assert all(torch.equal(one, alone[judge]) for one, judge in zip(of_judges, order, strict=True))
+
+    def test_a_piece_is_where_most_of_its_points_are(self, evidence, segmenter):
+        graph, model = segmenter.cloud.graph, load_boundary_model()
+        other = build_piece_graph(drawn_anew(graph, graph.scales, 1), graph.scales, segmenter.state)
+        assert not torch.equal(other.piece, evidence.piece)
+        _, segments = segments_of_judges([evidence, other], Silent(model), model.thresholds)
+        _, own = segments_of_judges([other], Silent(model), model.thresholds)
+        of_point = own[0][1][other.piece]  # judge 1 after the first step
+        for piece in range(len(evidence.statistics.size)):
+            most = Counter(sorted(of_point[evidence.piece == piece].tolist())).most_common(1)
+            assert int(segments[0][8][piece]) == most[0][0]  # of equally many the lowest comes first
+        for level in range(1, len(own)):
+            after = torch.full((int(own[0][1].max()) + 1,), -1)
+            after[own[0][1]] = own[level][1]
+            assert torch.equal(segments[level][8], after[segments[0][8]])
+
     def test_the_default_level_has_together_what_most_trees_have(self, evidence):
         model = load_boundary_model()
-        levels, segments = segments_of_judges(evidence, Panel(model), model.thresholds)
-        of_piece = build_consensus(evidence, model).segments_of_pieces(0.5)
+        levels, segments = segments_of_judges([evidence], Panel(model), model.thresholds)
+        of_piece = build_consensus([evidence], model).segments_of_pieces(0.5)
         a, b = evidence.pairs
         trees = torch.stack(segments[levels.index(0.5)])
         share = (trees[:, a] == trees[:, b]).double().mean(0)
@@ -164,7 +196,7 @@ class TestConsensus:
         assert share[~together].mean() < 0.5
 
     def test_levels_are_nested_and_end_in_pieces(self, evidence):
-        hierarchy = build_consensus(evidence, load_boundary_model())
+        hierarchy = build_consensus([evidence], load_boundary_model())
         assert torch.equal(hierarchy.at(1), evidence.piece)
         counts = [int(hierarchy.at(granularity).max()) + 1 for granularity in (0, 0.3, 0.5, 0.7, 0.9, 1)]
         assert counts == sorted(counts)
@@ -172,9 +204,38 @@ class TestConsensus:
 
     def test_threads_do_not_matter(self, evidence, set_threads):
         model = load_boundary_model()
-        expected = build_consensus(evidence, model)
+        expected = build_consensus([evidence], model)
         for threads in (1, 3):
             set_threads(threads)
-            again = build_consensus(evidence, model)
+            again = build_consensus([evidence], model)
             assert torch.equal(again.merges, expected.merges)
             assert torch.equal(again.heights, expected.heights)
+
+
+class TestDraws:
+    def test_points_move_and_normals_follow(self, segmenter):
+        graph = segmenter.cloud.graph
+        draw = drawn_anew(graph, graph.scales, 1)
+        step = (draw.points - graph.points) / graph.scales.spacing[:, None]
+        assert step.std(0).tolist() == pytest.approx([DEVIATION] * 3, rel=0.1)
+        assert step.abs().max() < DEVIATION * 3**0.5 * 1.01
+        nearest = graph.neighbors[:, : graph.scales.normal_neighbors]
+        some = torch.arange(0, graph.num_points, 97)
+        around = torch.cat([draw.points[some, None], draw.points[nearest[some].long()]], 1).double()
+        centred = around - around.mean(1, keepdim=True)
+        expected = torch.linalg.svd(centred).Vh[:, 2]
+        assert (expected * draw.normals[some]).sum(1).abs().min() > 1 - 1e-4
+        assert (draw.normals * graph.normals).sum(1).min() >= 0
+        assert not torch.equal(draw.wide_normals, graph.wide_normals)
+        assert draw.edge_index is graph.edge_index
+
+    def test_equal_numbers_give_equal_draws(self, segmenter):
+        graph = segmenter.cloud.graph
+        one, same, other = (drawn_anew(graph, graph.scales, number) for number in (1, 1, 2))
+        assert torch.equal(one.points, same.points)
+        assert torch.equal(one.normals, same.normals)
+        assert not torch.equal(one.points, other.points)
+
+    def test_given_normals_stay(self, segmenter):
+        graph = replace(segmenter.cloud.graph, has_given_normals=True)
+        assert drawn_anew(graph, graph.scales, 1).normals is graph.normals

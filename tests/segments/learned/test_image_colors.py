@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 import torchjoint as tj
 from torchjoint.scene.pose_warning import PoseWarning
 from torchjoint.segments.learned.image_colors import image_colors
+from torchjoint.segments.learned.draws import DRAWS
 from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.views.observation import Observation
 from torchjoint.views.observations import Observations
@@ -93,7 +94,7 @@ def test_a_cloud_without_colors_has_those_of_the_images(monkeypatch):
 
     monkeypatch.setattr("torchjoint.segments.learned.pieces.image_colors", spy)
     filled = tj.JointSegmenter()(scene)
-    assert asked == [len(scene.frames)]
+    assert asked == [len(scene.frames)] * DRAWS
     monkeypatch.setattr("torchjoint.segments.learned.pieces.image_colors", lambda num_points, observations: None)
     assert not torch.equal(filled.points, tj.JointSegmenter()(scene).points)
 

@@ -2,7 +2,8 @@
 
 Merging is greedy: one boundary that is judged a hair higher changes all that merges later, so that points moved by a
 tenth of a millimetre may give other objects. Several judges, each of which merges by itself, rarely make the same
-accidental merge. Two pieces are kept together where most of their trees have them together.
+accidental merge. Two pieces are kept together where most of their trees have them together. The judges also see
+different draws of the evidence (:mod:`~torchjoint.segments.learned.draws`), because pieces grow greedily, too.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.ops.mask_merges import WEIGHT_UNIT, mask_merges
 from torchjoint.runtime.first_places import numbers_by_first_place
+from torchjoint.runtime.most_frequent import most_frequent
 from torchjoint.runtime.sorted_groups import members_of_groups
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
@@ -23,7 +25,6 @@ from torchjoint.scene.votes import Votes
 from torchjoint.segments.learned.agglomeration import (
     COARSER,
     Merges,
-    build_hierarchy,
     crossing_edges,
     merge_pieces,
     merging_steps,
@@ -78,13 +79,13 @@ class Panel:
             probability[rows] += weight[rows] * member.probability(number, values[rows])
         return self._disturbed(probability, self._is_unsure[judge])
 
-    def first_probabilities(self, values: Tensor) -> Tensor:
-        """The probabilities [T, B] of all judges in the first round, of boundaries [B, F] that all of them see."""
+    def first_probabilities(self, values: Tensor, judges: Tensor) -> Tensor:
+        """The probabilities [J, B] of some `judges` [J] int64 in the first round, of boundaries [B, F] that all see."""
         members = parallel_map(lambda member: member.probability(0, values), self._members)
-        probability = torch.zeros(len(self.weights), len(values), dtype=torch.float64)
+        probability = torch.zeros(len(judges), len(values), dtype=torch.float64)
         for of_member, weight in zip(members, self.weights.T, strict=True):  # the bits of `@` differ between machines
-            probability += weight[:, None] * of_member
-        return self._disturbed(probability, self._is_unsure[:, None].expand_as(probability))
+            probability += weight[judges, None] * of_member
+        return self._disturbed(probability, self._is_unsure[judges, None].expand_as(probability))
 
     def _disturbed(self, probability: Tensor, is_unsure: Tensor) -> Tensor:
         # Uniform noise: the bits of normal deviates differ between processors.
@@ -93,13 +94,12 @@ class Panel:
         return probability.masked_scatter(is_unsure, torch.sigmoid(log_odds))
 
 
-def build_consensus(pieces: PieceGraph, model: BoundaryModel) -> Hierarchy:
+def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierarchy:
     """The consensus of the trees of many judges: :class:`Panel`.
 
-    With masks, which say much more than a judge, there is one tree, of the model.
-
     Args:
-        pieces: the pieces and what is known about their boundaries.
+        draws: the pieces and what is known about their boundaries, one or several times. Each draw has its share of the
+            judges. The first one has the pieces of the result.
         model: the judges are made of its members.
 
     Returns:
@@ -107,10 +107,9 @@ def build_consensus(pieces: PieceGraph, model: BoundaryModel) -> Hierarchy:
         this threshold. Between two thresholds, heights ascend with the share of the trees that are against a merge.
         Its votes are the trees' segments at the default level.
     """
-    if pieces.masks is not None:
-        return build_hierarchy(pieces, model)
+    pieces = draws[0]
     size = pieces.statistics.size.long()
-    levels, segments = segments_of_judges(pieces, Panel(model), model.thresholds)
+    levels, segments = segments_of_judges(draws, Panel(model), model.thresholds)
     merges, below, default = Merges(len(size)), 0.0, max(model.thresholds)
     of_piece = torch.arange(len(size))
     for level, of_judges in zip(levels, segments, strict=True):
@@ -128,28 +127,22 @@ def build_consensus(pieces: PieceGraph, model: BoundaryModel) -> Hierarchy:
 
 
 def segments_of_judges(
-    pieces: PieceGraph, panel: Panel, thresholds: Sequence[float]
+    draws: Sequence[PieceGraph], panel: Panel, thresholds: Sequence[float]
 ) -> tuple[list[float], list[list[Tensor]]]:
-    """The thresholds of the L levels of the merging; and for each level the segments [P] of each judge's tree."""
-    num_pieces = len(pieces.statistics.size)
-    pairs, values, of_edge = boundary_features(pieces, pieces.piece)
+    """The thresholds of the L levels of the merging; and for each level the segments of each judge's tree.
+
+    The segments [P] are those of the first draw's pieces: a piece is where most of its points are after the first step.
+    """
     levels = sorted({threshold for _, threshold in merging_steps(thresholds)})
-
-    ends, crossing = crossing_edges(pairs, of_edge)
-
-    def first_regions(probability: Tensor) -> Tensor:
-        joined, _ = ops.region_dendrogram(ends, probability.float().index_select(0, crossing), num_pieces, levels[0])
-        return ops.connected_components(joined, num_pieces)
-
-    regions = parallel_map(first_regions, panel.first_probabilities(values))
-    # The first step merges nearly everything, and nearly the same for all judges. What is left is small, so that all
-    # judges' graphs together fit in one. First without what no judge needs any more: the edges inside cells, which are
-    # the pieces that all judges have together.
-    cell = _together(regions)
-    cells = pieces.grouped(cell)
-    of_cells = [torch.empty_like(cells.piece).index_put_((cell,), region) for region in regions]
-    graphs = parallel_map(cells.grouped, of_cells)
-    judge = torch.arange(len(graphs)).repeat_interleave(torch.tensor([len(graph.piece) for graph in graphs]))
+    judges = [torch.arange(number, len(panel.weights), len(draws)) for number in range(len(draws))]
+    regions, graphs, piece = [], [], None
+    for pieces, judges_of_draw in zip(draws, judges, strict=True):
+        after, merged = _after_first_step(pieces, panel, judges_of_draw, levels[0])
+        piece = pieces.piece if piece is None else piece
+        regions += _of_other_pieces(after, pieces.piece, piece)
+        graphs += merged
+    # The first step merges nearly everything. What is left is small, so that all judges' graphs together fit in one.
+    judge = torch.cat(judges).repeat_interleave(torch.tensor([len(graph.piece) for graph in graphs]))
     forest = merge_pieces(
         disjoint_union(graphs),
         thresholds,
@@ -162,6 +155,38 @@ def segments_of_judges(
         of_judges = forest.segments_of_pieces(level).split([len(graph.piece) for graph in graphs])
         segments.append([(one - one[0])[region] for one, region in zip(of_judges, regions, strict=True)])
     return levels, segments
+
+
+def _after_first_step(
+    pieces: PieceGraph, panel: Panel, judges: Tensor, threshold: float
+) -> tuple[list[Tensor], list[PieceGraph]]:
+    """The regions [P] of the pieces after the first step, for each judge of [J], and the graphs of these regions."""
+    num_pieces = len(pieces.statistics.size)
+    pairs, values, of_edge = boundary_features(pieces, pieces.piece)
+    ends, crossing = crossing_edges(pairs, of_edge)
+
+    def first_regions(probability: Tensor) -> Tensor:
+        joined, _ = ops.region_dendrogram(ends, probability.float().index_select(0, crossing), num_pieces, threshold)
+        return ops.connected_components(joined, num_pieces)
+
+    regions = parallel_map(first_regions, panel.first_probabilities(values, judges))
+    # First without what no judge needs any more: edges inside cells, which are the pieces that all have together.
+    cell = _together(regions)
+    cells = pieces.grouped(cell)
+    of_cells = [torch.empty_like(cells.piece).index_put_((cell,), region) for region in regions]
+    return regions, parallel_map(cells.grouped, of_cells)
+
+
+def _of_other_pieces(regions: Sequence[Tensor], piece: Tensor, other: Tensor) -> list[Tensor]:
+    """For regions of pieces, the region of each piece of an `other` division of the points: where most of them are.
+
+    Args:
+        regions: each [P] int64, 0, 1, ...
+        piece, other: [N] int64, the piece of each point, of P pieces and of the others.
+    """
+    width = int(piece.max()) + 1
+    key, count = torch.unique(other * width + piece, return_counts=True)
+    return [most_frequent(region[key % width], key // width, count) for region in regions]
 
 
 def _together(segments: Sequence[Tensor]) -> Tensor:

@@ -12,12 +12,16 @@ from torchjoint.cloud.working_cloud import working_cloud
 from torchjoint.config import Config
 from torchjoint.images.exposure import brightened
 from torchjoint.images.segmenter import ImageSegments
+from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.scene import Cloud, Frame, Hierarchy
+from torchjoint.segments.learned.agglomeration import build_hierarchy
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 from torchjoint.segments.learned.consensus import build_consensus
+from torchjoint.segments.learned.draws import DRAWS, drawn_anew
 from torchjoint.segments.learned.mask_majority import move_to_majority
 from torchjoint.segments.learned.occluded_surfaces import lines_across
+from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.segments.method import Method
 from torchjoint.views.frame_evidence import FrameEvidence
@@ -72,11 +76,16 @@ class Learned(Method):
         """
         if graph.scales is None:
             raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
-        pieces = build_piece_graph(graph, graph.scales, state)
-        hierarchy = build_consensus(pieces, load_boundary_model(self._model))
-        if pieces.masks is None:
-            return hierarchy
-        return move_to_majority(hierarchy, graph.edge_index, pieces.masks, state.observations)
+        scales, model = graph.scales, load_boundary_model(self._model)
+        pieces = build_piece_graph(graph, scales, state)
+        if pieces.masks is not None:  # they say much more than a judge, so there is one tree, of the model
+            hierarchy = build_hierarchy(pieces, model)
+            return move_to_majority(hierarchy, graph.edge_index, pieces.masks, state.observations)
+
+        def draw(number: int) -> PieceGraph:
+            return build_piece_graph(drawn_anew(graph, scales, number), scales, state) if number else pieces
+
+        return build_consensus(LazySequence(DRAWS, draw), model)
 
     def measured(self, graph: PointGraph) -> str:
         """Spacing and noise of the points, and where the normals come from."""
