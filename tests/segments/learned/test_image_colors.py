@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 import torchjoint as tj
 from torchjoint.scene.pose_warning import PoseWarning
-from torchjoint.segments.learned.image_colors import image_colors
 from torchjoint.segments.learned.draws import DRAWS
+from torchjoint.segments.learned.image_colors import image_colors
 from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.views.observation import Observation
 from torchjoint.views.observations import Observations
