@@ -1,10 +1,11 @@
 """What do normals that a file tells bring to a cloud alone? Of a mesh's triangles, and of splats' shortest axes.
 
-    python lab/studies/normals.py [--first 10] [--rooms 4] [--runs 2]
+    python lab/studies/normals.py [--first 10] [--rooms 4] [--runs 2] [--edges]
 
 The meshes are fused (TSDF, 2 cm) of the frames of generated rooms; a vertex has the label of the point within 5 cm. The
 splats are the rooms' points: their axes are 15 degrees off, a fifth are no discs and have the normals of their
-neighbours, and the side of an axis is not known. All points are moved by .1 mm in each run.
+neighbours, and the side of an axis is not known. All points are moved by .1 mm in each run. With --edges, meshes only:
+what do the edges of the triangles bring in the graph, beside those to nearest neighbours or alone?
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from __future__ import annotations
 import argparse
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import torch
@@ -21,12 +24,18 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 import torchjoint as tj
+from torchjoint.cloud.adjacency import CsrAdjacency
+from torchjoint.cloud.mesh import face_edges
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
+from torchjoint.cloud.prepared import PreparedCloud
 from torchjoint.datasets.files.meshes import vertex_normals
+from torchjoint.segments.learned.method import Learned
 from torchjoint.synthetic import SyntheticScene, make_scene
 
 VOXEL, NEAR, OFF, DISCS = 0.02, 0.05, 15.0, 0.8
+#: Which edges of triangles are in the graph: all, or no others.
+EDGES = ("beside", "alone")
 #: A cloud, its labels, and the normals to compare, by name.
 Trial = tuple[tj.Scene, Tensor, dict[str, Tensor | None]]
 
@@ -49,7 +58,8 @@ def mesh_of(made: SyntheticScene) -> Any:
     return volume.extract_triangle_mesh()
 
 
-def of_mesh(made: SyntheticScene) -> Trial:
+def of_mesh(made: SyntheticScene) -> tuple[Trial, Tensor]:
+    """The trial, and the triangles [F, 3]."""
     mesh = mesh_of(made)
     points, faces = torch.from_numpy(np.asarray(mesh.vertices)), torch.from_numpy(np.asarray(mesh.triangles)).long()
     away, near = cKDTree(made.scene.points.numpy()).query(points.numpy())
@@ -57,7 +67,8 @@ def of_mesh(made: SyntheticScene) -> Trial:
     assert normals is not None
     colors = torch.from_numpy(np.asarray(mesh.vertex_colors)).float().clamp(0, 1)
     labels = torch.where(torch.from_numpy(away < NEAR), made.point_labels[near], -1)
-    return tj.Scene(points, colors=colors), labels, {"none": None, "triangles": normals, "inside out": -normals}
+    kinds = {"none": None, "triangles": normals, "inside out": -normals}
+    return (tj.Scene(points, colors=colors), labels, kinds), faces
 
 
 def of_splats(made: SyntheticScene, random: torch.Generator) -> Trial:
@@ -78,11 +89,25 @@ def of_splats(made: SyntheticScene, random: torch.Generator) -> Trial:
     return tj.Scene(points, colors=made.scene.colors), made.point_labels, {"none": None, "axes": axes}
 
 
-def scores(trial: Trial, random: torch.Generator) -> Iterator[tuple[str, float, float]]:
+def with_edges(cloud: PreparedCloud, faces: Tensor, alone: bool) -> PreparedCloud:
+    """The cloud with the edges of triangles in its graph, too, or alone."""
+    count = cloud.graph.num_points
+    edges = cloud.of_point[face_edges(faces)].sort(0).values
+    edges = edges[:, edges[0] < edges[1]]  # others have both ends in one point of a thinned cloud
+    edges = edges if alone else torch.cat([cloud.graph.edge_index, edges], 1)
+    code = torch.unique(edges[0] * count + edges[1])
+    edges = torch.stack([code // count, code % count])
+    return cloud._replace(graph=replace(cloud.graph, edge_index=edges, adjacency=CsrAdjacency.of(edges, count)))
+
+
+def scores(trial: Trial, random: torch.Generator, faces: Tensor) -> Iterator[tuple[str, float, float]]:
     scene, labels, kinds = trial
     points = (scene.points + 1e-4 * torch.randn(scene.points.shape, generator=random)).float()
+    prepare = Learned.prepare
     for name, normals in kinds.items():
-        got = tj.JointSegmenter()(tj.Scene(points, colors=scene.colors, normals=normals)).points
+        way = (lambda *of, name=name: with_edges(prepare(*of), faces, name == "alone")) if name in EDGES else prepare
+        with patch.object(Learned, "prepare", way):
+            got = tj.JointSegmenter()(tj.Scene(points, colors=scene.colors, normals=normals)).points
         yield name, tj.metrics.objects_and_parts(got, labels).f, tj.metrics.mean_best_iou(got, labels)
 
 
@@ -91,13 +116,18 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=10)
     parser.add_argument("--rooms", type=int, default=4)
     parser.add_argument("--runs", type=int, default=2)
+    parser.add_argument("--edges", action="store_true")
     arguments = parser.parse_args()
     found = defaultdict(list)
     for seed in range(arguments.first, arguments.first + arguments.rooms):
         made, random = make_scene(seed, "medium"), torch.Generator().manual_seed(seed)
-        for kind, trial in (("mesh", of_mesh(made)), ("splats", of_splats(made, random))):
+        scan, faces = of_mesh(made)
+        trials = [("mesh", scan), ("splats", of_splats(made, random))]
+        if arguments.edges:
+            trials = [("mesh", (*scan[:2], dict.fromkeys(("none", *EDGES), scan[2]["triangles"])))]
+        for kind, trial in trials:
             for _ in range(arguments.runs):
-                for name, *pair in scores(trial, random):
+                for name, *pair in scores(trial, random, faces):
                     found[f"{kind}, {name}"].append(pair)
                     print(f"room {seed}, {kind}, {name}: {pair[0]:.3f}/{pair[1]:.3f}", flush=True)
     for name, pairs in found.items():

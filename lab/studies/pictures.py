@@ -1,6 +1,7 @@
-"""Makes pictures for the documents from generated scenes: `python lab/studies/pictures.py` (about a minute).
+"""Makes pictures for the documents from generated scenes: `python lab/studies/pictures.py` (about two minutes).
 
-docs/mistakes.jpg and the table of messages in docs/your_data.md; docs/parameters-images.jpg and parameters-scan.jpg.
+docs/mistakes.jpg and the table of messages in docs/your_data.md; docs/parameters-images.jpg and parameters-scan.jpg;
+docs/meshes.jpg and boxes.jpg, which need Open3D.
 """
 
 from __future__ import annotations
@@ -15,13 +16,16 @@ from typing import Any
 import report
 import torch
 from matplotlib.figure import Figure
+from normals import of_mesh
 from torch import Tensor
+from torch.nn.functional import normalize
 from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
 from torchjoint.cloud.local import LocalFrame
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
+from torchjoint.results.boxes import boxes_of
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.render import render_cloud
 from torchjoint.scene.pose_warning import PoseWarning
@@ -191,12 +195,56 @@ def draw_scan() -> Figure:
     return figure
 
 
+def segmented_mesh() -> tj.Result:
+    """The vertices of a room that was fused to a mesh, and their segments."""
+    (room, _, kinds), _ = of_mesh(tj.synthetic.make_scene(12, "medium"))
+    scene = tj.Scene(room.points.float(), colors=room.colors, normals=kinds["triangles"])
+    return tj.Result.of(tj.JointSegmenter()(scene), scene)
+
+
+def draw_mesh(result: tj.Result) -> Figure:
+    """A mesh, its segments, and the segments apart, as in files of their own."""
+    points, normals, labels = result.scene.points, result.scene.normals, result.points
+    light = normalize(torch.tensor([0.3, -0.5, 0.8]), dim=0)
+    shade = 0.55 + 0.45 * (normals @ light)[:, None]
+    middles = torch.stack([points[labels == one].mean(0) for one in range(result.num_point_segments)])
+    apart = points + 0.8 * (middles - points.mean(0))[labels]
+    figure = Figure(figsize=(10, 2.75), layout="constrained")
+    three = (points, result.scene.colors), (points, label_colors(labels)), (apart, result.scene.colors)
+    for axis, (at, colors) in zip(figure.subplots(1, 3), three, strict=True):
+        axis.imshow(render_cloud(tj.Scene(at), (colors * shade).clamp(0, 1), (500, 640)).numpy())
+        axis.set(xticks=[], yticks=[])
+    return figure
+
+
+def draw_boxes(result: tj.Result) -> Figure:
+    """A cloud, and the boxes of its things that are no walls and not tiny."""
+    boxes = {one: box for one, box in boxes_of(result).items() if 0.2 < max(box.size) < 2.5}
+    corners = torch.tensor(list(itertools.product((-0.5, 0.5), repeat=3)), dtype=torch.float64)
+    pairs = [pair for pair in itertools.combinations(corners, 2) if (pair[0] != pair[1]).sum() == 1]
+    edges = torch.cat([torch.lerp(*pair, torch.linspace(0, 1, 200, dtype=torch.float64)[:, None]) for pair in pairs])
+    points, colors = [result.scene.points.double()], [0.4 + 0.6 * result.scene.colors]
+    for one, box in boxes.items():
+        turn = torch.tensor([box.yaw]).double()
+        turned = torch.tensor([[turn.cos(), turn.sin(), 0], [-turn.sin(), turn.cos(), 0], [0, 0, 1]]).double()
+        points.append(edges * torch.tensor(box.size) @ turned + torch.tensor(box.center))
+        colors.append(label_colors(torch.full((len(edges),), one)))
+    figure = Figure(figsize=(6, 4.2), layout="constrained")
+    axis = figure.subplots()
+    axis.imshow(render_cloud(tj.Scene(torch.cat(points)), torch.cat(colors), (560, 800)).numpy())
+    axis.set(xticks=[], yticks=[])
+    return figure
+
+
 def main() -> None:
     """Writes pictures and table."""
     jpeg = {"dpi": 100, "pil_kwargs": {"quality": 85, "subsampling": 0}}
     draw_mistakes().savefig(DOCS / "mistakes.jpg", **jpeg)
     draw_images().savefig(DOCS / "parameters-images.jpg", **jpeg)
     draw_scan().savefig(DOCS / "parameters-scan.jpg", **jpeg)
+    result = segmented_mesh()
+    draw_mesh(result).savefig(DOCS / "meshes.jpg", **jpeg)
+    draw_boxes(result).savefig(DOCS / "boxes.jpg", **jpeg)
     report.write_part("mistakes", messages(), DOCS / "your_data.md")
 
 

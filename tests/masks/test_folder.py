@@ -87,6 +87,30 @@ def test_a_coco_file(tmp_path):
         tj.masks.read_folder(path, scene_of("a"))
 
 
+def test_a_coco_file_of_cvat(tmp_path):
+    """As Datumaro, with which CVAT writes, has written a polygon, a mask of the brush and a rectangle."""
+    of_all = {"image_id": 1, "attributes": {"occluded": False}}
+    polygon = {"id": 1, "category_id": 1, "segmentation": [[0.0, 0.0, 3.0, 0.0, 3.0, 2.0, 0.0, 2.0]], "iscrowd": 0}
+    runs = {"counts": [13, 3, 3, 3, 3, 3, 20], "size": [6, 8]}
+    brush = {"id": 2, "category_id": 2, "segmentation": runs, "area": 9.0, "bbox": [2.0, 1.0, 2.0, 2.0], "iscrowd": 1}
+    rectangle = {"id": 3, "category_id": 1, "segmentation": [], "area": 6.0, "bbox": [1.0, 1.0, 3.0, 2.0], "iscrowd": 0}
+    image = {"id": 1, "width": 8, "height": 6, "file_name": "left/a.jpg", "license": 0, "date_captured": 0}
+    record = {
+        "licenses": [{"name": "", "id": 0, "url": ""}],
+        "info": {"contributor": "", "date_created": ""},
+        "categories": [{"id": i, "name": name, "supercategory": ""} for i, name in ((1, "object"), (2, "chair"))],
+        "images": [image],
+        "annotations": [one | of_all for one in (polygon, brush, rectangle)],
+    }
+    path = tmp_path / "instances_default.json"
+    path.write_text(json.dumps(record))
+    masks = tj.masks.read_folder(path, scene_of("a")).frames[0].masks
+    assert (masks.ids, masks.names) == ((1, 2, 3), ("object", "chair", "object"))
+    assert masks.stack()[0].nonzero().tolist() == [[y, x] for y in range(2) for x in range(3)]
+    assert masks.stack()[1].nonzero().tolist() == [[y, x] for y in range(1, 4) for x in range(2, 5)]
+    assert not masks.stack()[2].any()  # a rectangle is no mask
+
+
 def test_frames_and_masks_without_a_partner_are_reported(tmp_path):
     for name in ("b", "x", "y"):
         write_labels(tmp_path / f"{name}.png")

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from damage import CLEAR, damages
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,12 +16,13 @@ from torchjoint.results import box_edits
 from torchjoint.results.boxes import (
     Box,
     boxes_of,
+    datumaro_record,
     labelcloud_record,
     openpcdet_lines,
     read_boxes,
     segmentsai_label,
 )
-from torchjoint.results.exports.boxes import export_cuboids, export_labelcloud, export_openpcdet
+from torchjoint.results.exports.boxes import export_cuboids, export_cvat, export_labelcloud, export_openpcdet
 from torchjoint.results.folder import write_result
 
 
@@ -86,6 +88,15 @@ def test_files_are_as_the_programs_read_them(tmp_path):
     assert cuboid["position"] == pytest.approx({"x": 3, "y": 1, "z": 0.2}, abs=1e-4)
     assert cuboid["dimensions"] == pytest.approx({"x": 1, "y": 0.5, "z": 0.4}, abs=1e-4)
     assert cuboid["yaw"] == pytest.approx(math.pi / 2, abs=1e-4)
+    export_cvat(tmp_path / "cvat.json", result)
+    record = json.loads((tmp_path / "cvat.json").read_text())
+    (item,) = record["items"]
+    (cuboid,) = item["annotations"]
+    assert record["categories"]["label"]["labels"][cuboid["label_id"]]["name"] == "a chair"
+    assert (cuboid["type"], item["attr"]) == ("cuboid_3d", {"frame": 0})
+    assert cuboid["position"] == pytest.approx([3, 1, 0.2], abs=1e-4)
+    assert cuboid["rotation"] == pytest.approx([0, 0, math.pi / 2], abs=1e-4)
+    assert cuboid["scale"] == pytest.approx([1, 0.5, 0.4], abs=1e-4)
 
 
 def test_a_tilted_scene_is_told(tmp_path):
@@ -100,7 +111,7 @@ def test_a_tilted_scene_is_told(tmp_path):
         export_openpcdet(tmp_path / "boxes.txt", result)
 
 
-@pytest.mark.parametrize("export", [export_openpcdet, export_labelcloud, export_cuboids])
+@pytest.mark.parametrize("export", [export_openpcdet, export_labelcloud, export_cuboids, export_cvat])
 def test_what_nobody_edited_changes_nothing(tmp_path, export):
     result = replace(three(), segment_names={1: "a red block"})
     file = tmp_path / ("boxes.txt" if export is export_openpcdet else "boxes.json")
@@ -164,7 +175,8 @@ def test_any_boxes_come_back(tmp_path_factory, boxes):
     (folder / "a.txt").write_text(openpcdet_lines(boxes), encoding="utf-8")
     (folder / "a.json").write_text(json.dumps(labelcloud_record(boxes, folder / "a.ply")), encoding="utf-8")
     (folder / "b.json").write_text(json.dumps(segmentsai_label(dict(enumerate(boxes)))), encoding="utf-8")
-    for file in ("a.txt", "a.json", "b.json"):
+    (folder / "c.json").write_text(json.dumps(datumaro_record(boxes)), encoding="utf-8")
+    for file in ("a.txt", "a.json", "b.json", "c.json"):
         found = read_boxes(folder / file)
         assert [box.name for box in found] == [box.name for box in boxes]
         for one, other in zip(found, boxes, strict=True):
@@ -179,17 +191,83 @@ def test_any_boxes_come_back(tmp_path_factory, boxes):
         ("a.txt", "\n1 2 3 4 5 six 0.1 chair", r"line 2: expected seven numbers"),
         ("a.txt", "1 2 3 4 -5 6 0.1 chair", r"line 1: expected finite numbers and sizes of at least 0"),
         ("a.txt", "1 2 nan 4 5 6 0.1 chair", r"line 1: expected finite numbers"),
-        ("a.json", "[1]", "expected boxes of labelCloud, with a list `objects`"),
+        ("a.json", "[1]", "expected boxes: `objects` of labelCloud, `annotations` of Segments.ai"),
         ("a.json", '{"objects": 3}', "objects is int"),
         ("a.json", '{"objects": [{"name": "a"}]}', "object 0: expected name, centroid"),
         ("a.json", '{"annotations": 3}', "annotations is int"),
         ("a.json", '{"annotations": [{"type": "polygon", "points": []}]}', "object 0: expected a cuboid with position"),
+        ("a.json", '{"items": [{"annotations": [{}]}]}', "or `items` of CVAT .*categories"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, name, content, message):
     (tmp_path / name).write_text(content)
     with pytest.raises(ValueError, match=message):
         read_boxes(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"label_id": -1}, "object 1: expected x y z dx dy dz heading name, got .*None"),
+        ({"label_id": []}, "unhashable"),
+        ({"type": "label", "position": None}, "object 1: expected a cuboid_3d with position"),
+        ({"rotation": [0.02, 0, 0]}, "object 1: expected a box that turns about z alone"),
+        ({"rotation": []}, "object 1: expected a cuboid_3d with position"),
+        ({"scale": [1, 2, -3]}, "object 1: expected finite numbers and sizes of at least 0"),
+    ],
+)
+def test_what_is_wrong_with_a_box_of_cvat(tmp_path, change, message):
+    record = datumaro_record([Box("a", (0, 0, 0), (1, 1, 1), 0.0)] * 2)
+    record["items"][0]["annotations"][1] |= change
+    (tmp_path / "a.json").write_text(json.dumps(record))
+    with pytest.raises(ValueError, match=message):
+        read_boxes(tmp_path / "a.json")
+
+
+def test_boxes_of_cvat_are_those_of_one_cloud(tmp_path):
+    """A task of several clouds has an item for each, whether it has boxes or not."""
+    record = datumaro_record([Box("a", (0, 0, 0), (1, 1, 1), 0.0)])
+    record["items"].append({"id": "other", "annotations": []})
+    (tmp_path / "a.json").write_text(json.dumps(record))
+    assert read_boxes(tmp_path / "a.json") == [Box("a", (0, 0, 0), (1, 1, 1), 0.0)]
+    record["items"][1]["annotations"] = record["items"][0]["annotations"]
+    (tmp_path / "a.json").write_text(json.dumps(record))
+    with pytest.raises(ValueError, match="got boxes of 2 clouds, expected those of one"):
+        read_boxes(tmp_path / "a.json")
+
+
+def with_one_changed(value, new):
+    """The JSON value, each time with another of its parts replaced."""
+    yield new
+    keys = value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
+    for key in keys:
+        for changed in with_one_changed(value[key], new):
+            copy = value.copy()
+            copy[key] = changed
+            yield copy
+
+
+@pytest.mark.parametrize("name", ["a.txt", "a.json", "b.json", "c.json"])
+def test_damaged_files_are_named(tmp_path, name):
+    boxes, file = [Box("tür", (1.0, 2, 3), (1.0, 1, 2), 0.5)] * 2, tmp_path / name
+    record = {"a.json": labelcloud_record(boxes, file), "b.json": segmentsai_label(dict(enumerate(boxes)))}
+    record = record.get(name, datumaro_record(boxes))
+
+    def read():
+        try:
+            found = read_boxes(file)
+        except CLEAR as error:
+            assert name in str(error)  # noqa: PT017
+        else:
+            assert np.isfinite([[*one.center, *one.size, one.yaw] for one in found]).all()
+
+    file.write_text(openpcdet_lines(boxes) if name == "a.txt" else json.dumps(record), encoding="utf-8")
+    for _ in damages(tmp_path, 200):
+        read()
+    for new in [] if name == "a.txt" else (None, -1, 1e999, 10**400, "a", [], {}, [[]], True):
+        for changed in with_one_changed(record, new):
+            file.write_text(json.dumps(changed))
+            read()
 
 
 def test_a_tilted_box_is_refused(tmp_path):

@@ -30,8 +30,8 @@ def edits(
     Args:
         action: import.
         result: folder that `torchjoint segment` wrote, from which the file was exported, at its own level.
-        file: .json of labelCloud (centroid_abs); .json of Segments.ai, a label of points or cuboids; or .txt of
-            OpenPCDet's custom data sets.
+        file: .json of labelCloud (centroid_abs); .json of Segments.ai, a label of points or cuboids; .json of CVAT
+            (annotations/default.json of format Datumaro 3D); or .txt of OpenPCDet's custom data sets.
     """
     stored = load_result(result, edits=False)
     parts = Parts(stored)

@@ -32,6 +32,7 @@ def export(
         "labelcloud",
         "segmentsai",
         "segmentsai-cuboids",
+        "cvat",
     ],
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     granularity: float | None = None,
@@ -47,9 +48,9 @@ def export(
             scannet: instances as its benchmark reads them, SCENE.txt and predicted_masks/; masks: the same as an
             archive with pred_masks, pred_score and pred_classes; openmask3d: SCENE_masks.pt and the saved embeddings,
             SCENE_openmask3d_features.npy; graph: what stands on what, as NetworkX reads it; openpcdet, labelcloud,
-            segmentsai-cuboids: upright boxes with names, for networks of detection and for annotation; segmentsai:
-            the label of each point, for annotation (`torchjoint edits import` brings boxes and labels back). coco, sam
-            and las need `pip install 'torchjoint[export]'`.
+            segmentsai-cuboids, cvat: upright boxes with names, for networks of detection and for annotation;
+            segmentsai: the label of each point, for annotation (`torchjoint edits import` brings boxes and labels
+            back). coco, sam and las need `pip install 'torchjoint[export]'`.
         out: file, or folder for sam, ply, scannet and openmask3d; default: RESULT-FORMAT in the current folder, with
             the format's suffix.
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); needs a result of method learned.

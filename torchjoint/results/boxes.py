@@ -86,13 +86,32 @@ def segmentsai_label(boxes: Mapping[int, Box]) -> dict[str, Any]:
     return {"format_version": "0.2", "annotations": annotations}
 
 
+def datumaro_record(boxes: Iterable[Box]) -> dict[str, Any]:
+    """The record of format Datumaro 3D, which CVAT reads and writes (docs.cvat.ai, formats): angles are radians.
+
+    CVAT puts the boxes into the frame that `attr` names: the first one of a task, whatever its file.
+    """
+    boxes = list(boxes)
+    names = sorted({box.name for box in boxes})
+    cuboids = [
+        {"id": number, "type": "cuboid_3d", "attributes": {"occluded": False}, "group": 0}
+        | {"label_id": names.index(box.name), "position": _rounded(box.center)}
+        | {"rotation": [0.0, 0.0, round(box.yaw, 6)], "scale": _rounded(box.size)}
+        for number, box in enumerate(boxes)
+    ]
+    cloud = {"id": "points", "attr": {"frame": 0}, "point_cloud": {"path": "points.pcd"}, "annotations": cuboids}
+    labels = [{"name": name, "parent": "", "attributes": []} for name in names]
+    categories = {"label": {"labels": labels, "attributes": ["occluded"]}}
+    return {"info": {}, "media_type": 6, "categories": categories, "items": [cloud]}  # 6: clouds
+
+
 def segmentsai_object(segment: int, name: str) -> dict[str, Any]:
     """A segment as an object of Segments.ai. Its labels have numbers of categories only: an attribute has the name."""
     return {"id": segment + 1, "category_id": 1, "attributes": {"name": "" if name == UNNAMED else name}}
 
 
 def read_boxes(file: Path) -> list[Box]:
-    """Reads boxes: a .json has labelCloud's centroid_abs or a label of Segments.ai, anything else lines of OpenPCDet.
+    """Reads boxes: a .json is of labelCloud (centroid_abs), Segments.ai or CVAT, anything else has lines of OpenPCDet.
 
     Raises:
         OSError: the file cannot be read.
@@ -105,14 +124,28 @@ def read_boxes(file: Path) -> list[Box]:
     try:
         record = json.loads(text)
         record = record.get("attributes", record)  # of a whole label of Segments.ai
-        key = "annotations" if "annotations" in record else "objects"
-        objects = record[key]
+        key = next((key for key in ("annotations", "items") if key in record), "objects")
+        objects = _cuboids(record) if key == "items" else record[key]
         if not isinstance(objects, list):
             raise TypeError(f"{key} is {type(objects).__name__}")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        expected = "expected boxes of labelCloud, with a list `objects`, or of Segments.ai, with `annotations`"
+        expected = "expected boxes: `objects` of labelCloud, `annotations` of Segments.ai, or `items` of CVAT"
         raise ValueError(f"{file}: {expected} ({error!r})") from error
     return [_of_record(one, key, f"{file}, object {number}") for number, one in enumerate(objects)]
+
+
+def _cuboids(record: Any) -> list[Any]:
+    """The cuboids of one cloud in Datumaro's record, each with the name of its label."""
+    names = dict(enumerate(label["name"] for label in record["categories"]["label"]["labels"]))
+    clouds = [item["annotations"] for item in record["items"] if item["annotations"]]
+    if len(clouds) > 1:
+        raise ValueError(f"got boxes of {len(clouds)} clouds, expected those of one")
+    return [one | {"name": names.get(one["label_id"])} for cloud in clouds for one in cloud]
+
+
+def _of_datumaro(record: Any) -> tuple[Any, list[Any], list[float]]:
+    *tilts, yaw = [float(turn) for turn in record["rotation"]]
+    return record["name"], [*record["position"], *record["scale"], yaw], [math.sin(turn / 2) for turn in tilts]
 
 
 def _of_labelcloud(record: Any) -> tuple[Any, list[Any], list[float]]:
@@ -133,6 +166,7 @@ def _of_segmentsai(record: Any) -> tuple[Any, list[Any], list[float]]:
 _READERS = {
     "objects": (_of_labelcloud, "name, centroid (x, y, z), dimensions (length, width, height), rotations (x, y, z)"),
     "annotations": (_of_segmentsai, "a cuboid with position (x, y, z), dimensions (x, y, z), yaw"),
+    "items": (_of_datumaro, "a cuboid_3d with position (x, y, z), rotation (x, y, z), scale (x, y, z)"),
 }
 
 
@@ -167,7 +201,11 @@ def _three(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _named(names: str, values: Sequence[float]) -> dict[str, float]:
-    return {name: round(value, 6) for name, value in zip(names.split(), values, strict=True)}
+    return dict(zip(names.split(), _rounded(values), strict=True))
+
+
+def _rounded(values: Sequence[float]) -> list[float]:
+    return [round(value, 6) for value in values]
 
 
 def _numbers(values: Sequence[float]) -> str:

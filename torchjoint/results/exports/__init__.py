@@ -8,7 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from torchjoint.results.exports.boxes import export_cuboids, export_labelcloud, export_openpcdet, export_point_labels
+from torchjoint.results.exports.boxes import (
+    export_cuboids,
+    export_cvat,
+    export_labelcloud,
+    export_openpcdet,
+    export_point_labels,
+)
 from torchjoint.results.exports.clouds import export_las, export_npz, export_ply
 from torchjoint.results.exports.coco import export_coco
 from torchjoint.results.exports.graph import export_graph
@@ -32,6 +38,7 @@ FORMATS: dict[str, Callable[[Path, Result], None]] = {
     "labelcloud": export_labelcloud,
     "segmentsai": export_point_labels,
     "segmentsai-cuboids": export_cuboids,
+    "cvat": export_cvat,
 }
 #: Suffix of the file of a format; formats that are not listed write a folder.
 SUFFIXES = {
@@ -44,4 +51,5 @@ SUFFIXES = {
     "labelcloud": ".json",
     "segmentsai": ".json",
     "segmentsai-cuboids": ".json",
+    "cvat": ".json",
 }

@@ -10,7 +10,14 @@ import math
 import warnings
 from pathlib import Path
 
-from torchjoint.results.boxes import boxes_of, labelcloud_record, openpcdet_lines, segmentsai_label, segmentsai_object
+from torchjoint.results.boxes import (
+    boxes_of,
+    datumaro_record,
+    labelcloud_record,
+    openpcdet_lines,
+    segmentsai_label,
+    segmentsai_object,
+)
 from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.files import write_text
@@ -40,6 +47,13 @@ def export_cuboids(path: Path, result: Result) -> None:
     """Writes the boxes as a label of cuboids of Segments.ai; its cloud is ``points.ply`` of the result."""
     _warn_if_tilted(result)
     write_text(path, json.dumps(segmentsai_label(boxes_of(result)), indent=1, ensure_ascii=False))
+
+
+@on_cpu()
+def export_cvat(path: Path, result: Result) -> None:
+    """Writes the boxes as CVAT reads them (format Datumaro 3D); its cloud is ``points.ply`` of the result, as .pcd."""
+    _warn_if_tilted(result)
+    write_text(path, json.dumps(datumaro_record(boxes_of(result).values()), ensure_ascii=False))
 
 
 @on_cpu()
