@@ -18,7 +18,7 @@ from torchjoint.cloud.scales import Scales
 #: Number of draws; the first one is the cloud itself.
 DRAWS = 3
 #: Standard deviation of the noise of the points along each axis, in multiples of their spacing.
-DEVIATION = 0.03
+DEVIATION = 0.1
 
 
 def drawn_anew(graph: PointGraph, scales: Scales, number: int) -> PointGraph:
