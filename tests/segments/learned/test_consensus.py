@@ -151,6 +151,15 @@ class TestConsensus:
             for level, of_judges in zip(levels, segments, strict=True):
                 assert torch.equal(of_judges[judge], alone.segments_of_pieces(level))
 
+    def test_trees_made_kind_by_kind_are_the_same(self, evidence, monkeypatch):
+        model = load_boundary_model()
+        _, expected = segments_of_judges(evidence, Panel(model), model.thresholds)
+        monkeypatch.setattr("torchjoint.segments.learned.consensus.MANY_EDGES", 0)
+        _, found = segments_of_judges(evidence, Panel(model), model.thresholds)
+        for one, other in zip(expected, found, strict=True):
+            assert all(map(torch.equal, one, other))
+            assert len(one) == len(other) == 15
+
     def test_the_default_level_has_together_what_most_trees_have(self, evidence):
         model = load_boundary_model()
         levels, segments = segments_of_judges(evidence, Panel(model), model.thresholds)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -40,6 +41,9 @@ NOISE = 0.4
 MOST_OF_A_KIND = 5
 #: Two regions merge if at most this share of the trees has them apart.
 MAJORITY = 0.5
+#: If more edges than this are left after the first step, the judges' trees are made kind by kind: this takes a third of
+#: the memory, and up to .2 s.
+MANY_EDGES = 1 << 17
 #: The operator wants a prior; this much of it changes nothing.
 NO_PRIOR = 1e-9
 
@@ -61,6 +65,8 @@ class Panel:
         others = 1 - torch.maximum(sure, unsure)
         others = torch.where(others.any(1, keepdim=True), others, sure)
         self.weights = torch.cat([sure, unsure, others / others.sum(1, keepdim=True)])  # [T, M]
+        #: the judges of each kind
+        self.kinds = [slice(first, first + each) for first in range(0, len(self.weights), each)]
         self._is_unsure = torch.arange(len(self.weights)) // each == 1
         self._random = torch.Generator().manual_seed(0)
 
@@ -131,37 +137,47 @@ def segments_of_judges(
     pieces: PieceGraph, panel: Panel, thresholds: Sequence[float]
 ) -> tuple[list[float], list[list[Tensor]]]:
     """The thresholds of the L levels of the merging; and for each level the segments [P] of each judge's tree."""
-    num_pieces = len(pieces.statistics.size)
-    pairs, values, of_edge = boundary_features(pieces, pieces.piece)
     levels = sorted({threshold for _, threshold in merging_steps(thresholds)})
-
-    ends, crossing = crossing_edges(pairs, of_edge)
-
-    def first_regions(probability: Tensor) -> Tensor:
-        joined, _ = ops.region_dendrogram(ends, probability.float().index_select(0, crossing), num_pieces, levels[0])
-        return ops.connected_components(joined, num_pieces)
-
-    regions = parallel_map(first_regions, panel.first_probabilities(values))
-    # The first step merges nearly everything, and nearly the same for all judges. What is left is small, so that all
-    # judges' graphs together fit in one. First without what no judge needs any more: the edges inside cells, which are
-    # the pieces that all judges have together.
+    regions = _first_regions(pieces, panel, levels[0])
+    levels += [threshold for threshold in COARSER if threshold > levels[-1]]
+    # The first step merges nearly everything, and nearly the same for all judges. What is left is small, so that the
+    # graphs of several judges together fit in one. First without what no judge needs any more: the edges inside cells,
+    # which are the pieces that all judges have together.
     cell = _together(regions)
     cells = pieces.grouped(cell)
     of_cells = [torch.empty_like(cells.piece).index_put_((cell,), region) for region in regions]
-    graphs = parallel_map(cells.grouped, of_cells)
-    judge = torch.arange(len(graphs)).repeat_interleave(torch.tensor([len(graph.piece) for graph in graphs]))
-    forest = merge_pieces(
-        disjoint_union(graphs),
-        thresholds,
-        lambda number, values, piece: panel.probabilities(number, values, judge[piece]),
-        begun=True,
-    )
-    levels += [threshold for threshold in COARSER if threshold > levels[-1]]
-    segments = [regions]
-    for level in levels[1:]:
-        of_judges = forest.segments_of_pieces(level).split([len(graph.piece) for graph in graphs])
-        segments.append([(one - one[0])[region] for one, region in zip(of_judges, regions, strict=True)])
+    sizes = [int(of_cell.max()) + 1 for of_cell in of_cells]
+    segments = [regions, *([] for _ in levels[1:])]
+    for kind in panel.kinds if len(cells.edges.pair) > MANY_EDGES else [slice(None)]:
+        judge = torch.arange(len(sizes))[kind].repeat_interleave(torch.tensor(sizes[kind]))
+        forest = merge_pieces(
+            disjoint_union(parallel_map(cells.grouped, of_cells[kind])),
+            thresholds,
+            partial(_ask, panel, judge),
+            begun=True,
+        )
+        for level, found in zip(levels[1:], segments[1:], strict=True):
+            of_judges = forest.segments_of_pieces(level).split(sizes[kind])
+            found += [(one - one[0])[region] for one, region in zip(of_judges, regions[kind], strict=True)]
     return levels, segments
+
+
+def _first_regions(pieces: PieceGraph, panel: Panel, threshold: float) -> list[Tensor]:
+    """The regions [P] of each judge after the first step."""
+    num_pieces = len(pieces.statistics.size)
+    pairs, values, of_edge = boundary_features(pieces, pieces.piece)
+    ends, crossing = crossing_edges(pairs, of_edge)
+
+    def merged(probability: Tensor) -> Tensor:
+        joined, _ = ops.region_dendrogram(ends, probability.float().index_select(0, crossing), num_pieces, threshold)
+        return ops.connected_components(joined, num_pieces)
+
+    return parallel_map(merged, panel.first_probabilities(values))
+
+
+def _ask(panel: Panel, judge: Tensor, number: int, values: Tensor, piece: Tensor) -> Tensor:
+    """What the judge [P] of one of each boundary's pieces [B] says."""
+    return panel.probabilities(number, values, judge[piece])
 
 
 def _together(segments: Sequence[Tensor]) -> Tensor:
