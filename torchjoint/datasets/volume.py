@@ -139,6 +139,7 @@ class Volume:
             self._map = self._file.mapped(length * BLOCK)
             grown = torch.frombuffer(self._map, dtype=torch.int32).view(-1, *self._sums.shape[1:])
         grown[: len(self._sums)] = self._sums
+        self._drop(len(self._sums))
         self._sums = grown
 
     def _drop(self, count: int) -> None:
