@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument("recording", type=Path)
     parser.add_argument("--voxel-size", type=float, nargs="+", default=[0.02, 0.01])
     arguments = parser.parse_args()
-    frames = tj.load_scene(arguments.recording).frames
+    frames = tj.load_scene(arguments.recording, fuse=False).frames
     images = [(frame, (frame.image * 255).round().byte().permute(1, 2, 0).contiguous()) for frame in frames]
     rows = []
     for voxel_size in arguments.voxel_size:

@@ -21,7 +21,7 @@ def main() -> None:
     parser.add_argument("recording", type=Path)
     parser.add_argument("--results", type=int, default=4, help="number of results")
     arguments = parser.parse_args()
-    frames = tj.load_scene(arguments.recording).frames
+    frames = tj.load_scene(arguments.recording, fuse=False).frames
     segmenter, rows, times = tj.LiveSegmenter(), [], []
     reset_peak_memory()
     for index in range(len(frames)):

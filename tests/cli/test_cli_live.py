@@ -43,6 +43,12 @@ def test_the_last_result_is_written(recording, tmp_path, run, capsys):
     assert torch.equal(result.scene.points, expected.cloud.points)
 
 
+def test_nothing_is_fused_before_it_plays(recording, tmp_path, run, monkeypatch):
+    monkeypatch.setattr("torchjoint.datasets.recording.fuse_or_recall", lambda *_: pytest.fail("fused while loading"))
+    run("live", recording, "-o", tmp_path / "out", "--rate", "None", "--voxel-size", "0.05")
+    assert len(tj.load_result(tmp_path / "out").scene.points) > 1000
+
+
 @pytest.mark.parametrize(
     ("option", "value", "message"),
     [

@@ -75,6 +75,16 @@ def test_a_cloud_is_fused_and_kept(tmp_path, synthetic):
     assert distance.median() < 0.06
 
 
+def test_frames_alone_are_loaded_without_fusing(tmp_path, synthetic, monkeypatch):
+    monkeypatch.setattr("torchjoint.datasets.recording.fuse_or_recall", lambda *_: pytest.fail("fused"))
+    recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
+    np.save(recording / "cloud.truth.npy", np.zeros(1000, np.int32))  # of a cloud that is not here
+    scene = tj.load_scene(recording, fuse=False)
+    assert (len(scene.points), len(scene.frames), scene.truth) == (1, len(synthetic.scene.frames), None)
+    whole = tj.load_scene(write_folder(tmp_path / "whole", synthetic), fuse=False)  # its cloud is no fused one
+    assert len(whole.points) == len(synthetic.scene.points)
+
+
 def test_a_fused_cloud_is_found_in_the_cache(tmp_path, synthetic, monkeypatch):
     recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
     fused = tj.load_scene(recording, voxel_size=0.05)  # without a cache

@@ -40,10 +40,12 @@ def test_a_file_of_ros_2_without_its_folder(storage, tmp_path):
 
 
 def test_scans_and_odometry(tmp_path):
-    scene = tj.load_scene(samples.write("ros_points", tmp_path / "bag"), voxel_size=1e-4)
+    bag = samples.write("ros_points", tmp_path / "bag")
+    scene = tj.load_scene(bag, voxel_size=1e-4)
     expected = np.concatenate([wall(), wall() + np.array([1, 0, 0])])
     assert len(scene.points) == len(expected)
     assert torch.cdist(scene.points.double(), torch.from_numpy(expected)).amin(0).max() < 1e-5
+    assert len(tj.load_scene(bag, fuse=False).points) == 1
     torch.testing.assert_close(scene.colors[0], torch.tensor([1, 128 / 255, 0]))
     assert [frame.world_to_camera[0, 3].item() for frame in scene.frames] == [0, -1]
 

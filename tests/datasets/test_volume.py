@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
-from torchjoint.datasets.volume import MOST_BLOCKS, Volume
+from torchjoint.datasets.volume import BLOCK, MOST_BLOCKS, Volume
 
 CAMERA = torch.tensor([[60.0, 0, 39.5], [0, 60, 29.5], [0, 0, 1]], dtype=torch.float64)
 EYE = torch.eye(4, dtype=torch.float64)
@@ -18,8 +21,8 @@ def synthetic(scene_of):
     return scene_of(1)
 
 
-def fused(images, voxel_size=0.04):
-    volume = Volume(voxel_size, 5.0)
+def fused(images, voxel_size=0.04, memory=None):
+    volume = Volume(voxel_size, 5.0, memory)
     for image in images:
         volume.integrate(*image)
     return volume
@@ -56,6 +59,39 @@ def test_the_order_of_images_changes_nothing(synthetic):
     one, other = fused(images).surface(), fused(images[::-1]).surface()
     assert len(one[0]) > 1000
     assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("memory", [0, 1 << 21])
+def test_a_volume_on_the_disk_is_the_same(synthetic, memory, tmp_path, monkeypatch):
+    images = arguments(synthetic.scene)
+    whole = fused(images)
+    assert len(whole._key) * BLOCK > 2 * memory
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    volume = fused(images[:-1], memory=memory)
+    assert volume._map is not None
+    again = Volume(0.04, 5.0, memory)
+    again.restore(volume.state())
+    for one in (volume, again):
+        one.integrate(*images[-1])
+        assert all(torch.equal(a, b) for a, b in zip(whole.surface(), one.surface(), strict=True))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux tells which pages are in memory")
+def test_blocks_on_the_disk_leave_the_memory(synthetic):
+    def resident(volume):
+        start = volume._sums.data_ptr()
+        lines = Path("/proc/self/smaps").read_text().splitlines()
+        found = next(index for index, line in enumerate(lines) if line.startswith(f"{start:08x}-"))
+        return next(int(line.split()[1]) for line in lines[found:] if line.startswith("Rss:")) * 1024
+
+    volume = fused(arguments(synthetic.scene), memory=0)
+    assert resident(volume) == 0
+    volume._sums.sum()
+    assert resident(volume) >= len(volume._key) * BLOCK
+    volume.surface()
+    assert resident(volume) == 0
 
 
 def test_missing_depth_measures_nothing():

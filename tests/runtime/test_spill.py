@@ -53,6 +53,23 @@ def test_a_full_disk_is_told_and_nothing_is_lost(tmp_path, monkeypatch):
     assert (before.read(), after.read()) == (b"before", b"after")
 
 
+def test_a_file_is_memory(tmp_path, monkeypatch):
+    file = SpillFile(tmp_path)
+    small = file.mapped(3)
+    small[:] = b"one"
+    large = file.mapped(spill.ZEROS + 10)
+    assert (large[:4], large[-1:], len(large)) == (b"one\0", b"\0", spill.ZEROS + 10)
+    large[1] = ord("w")
+    assert small[:] == b"owe"
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(spill.os, "pwrite", full)
+    with pytest.raises(OSError, match=r"memory: .*cannot be written \(No space left on device\)"):
+        file.mapped(spill.ZEROS + 11)
+
+
 def test_a_missing_folder_is_told(tmp_path):
     with pytest.raises(OSError, match=r"memory: .*\(No such file or directory\).*: '.*/gone'"):
         SpillFile(tmp_path / "gone")

@@ -16,7 +16,7 @@ from torchjoint.cli.arguments import DEFAULTS, Flat, Out, read_topics
 from torchjoint.cli.show import growing_view, serve_until_interrupted
 from torchjoint.datasets import load_scene
 from torchjoint.live import LiveResult, LiveSegmenter, RerunLog
-from torchjoint.recordings.playing import play
+from torchjoint.recordings.playing import Played, play
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
 from torchjoint.scene import Frame, Scene
@@ -67,12 +67,7 @@ def live(
         time_limit: for a ROS recording: largest time from an image to its depth image and its pose, seconds.
         overwrite: replace OUT if it is an earlier result, and the file of --rerun.
     """
-    if rate is not None and not 0 < rate <= 1000:
-        raise ValueError(f"--rate: expected more than 0 and up to 1000 frames a second, or None, got {rate}")
-    if every < 0:
-        raise ValueError(f"--every: expected a number of frames of at least 0, got {every}")
-    if rerun is not None and (rerun.is_dir() or (rerun.exists() and not overwrite)):
-        raise FileExistsError(f"--rerun: {rerun} exists already; choose another name, or --overwrite")
+    _check(rate, every, rerun, overwrite)
     config = parameters.config()
     view = growing_view(show)
     segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn, views=views, memory=memory)
@@ -80,38 +75,48 @@ def live(
     key = f"live {scene.absolute()}"
     with printed_log(), logged as log, output_folder(out, key, overwrite=overwrite) as partial:
         assert partial is not None  # only runs with a key can be finished
-        chosen = dict(read_topics(topics))
-        recording = load_scene(scene, voxel_size=voxel_size, topics=chosen, time_limit=time_limit)
-        last = _Results(segmenter, recording.frames, view, log)
-
-        with ThreadPoolExecutor(1) as beside:
-            running: list[Future[LiveResult]] = []
-
-            def tell(count: int, frame: Frame | None) -> None:
-                if running and running[-1].done():
-                    running.pop().result()  # raises its error
-                if view is not None and frame is not None:
-                    view.camera(frame)
-                if log is not None and frame is not None:
-                    log.camera(frame, count)
-                is_time = count % every == 0 if every else show
-                if is_time and not running and segmenter.names:
-                    running.append(beside.submit(last.compute, count))
-
-            played = play(recording.frames, segmenter, rate, tell)
-        for one in running:
-            one.result()
-        print(
-            f"{len(played.seconds)} frames, the slowest in {max(played.seconds):.2f} seconds; {len(played.dropped)} "
-            f"dropped; {len(played.keyframes)} keyframes"
-        )
-        result = last.compute(len(recording.frames), is_last=True)
+        recording = load_scene(scene, topics=dict(read_topics(topics)), time_limit=time_limit, fuse=False)
+        results = _Results(segmenter, recording.frames, view, log)
+        played = _play(results, rate, every or int(show))
+        result = results.compute(len(recording.frames), is_last=True)
         seen = recording.select_frames(played.keyframes)
         things = Scene(result.cloud.points, seen.frames, result.cloud.colors, name=recording.name)
         write_result(partial, things, result.segmentation, config, str(scene), seconds=segmenter.stopwatch.seconds)
     summarize(result.segmentation, out)
     if view is not None and view.viewer is not None:
         serve_until_interrupted(view.viewer)
+
+
+def _check(rate: float | None, every: int, rerun: Path | None, overwrite: bool) -> None:
+    if rate is not None and not 0 < rate <= 1000:
+        raise ValueError(f"--rate: expected more than 0 and up to 1000 frames a second, or None, got {rate}")
+    if every < 0:
+        raise ValueError(f"--every: expected a number of frames of at least 0, got {every}")
+    if rerun is not None and (rerun.is_dir() or (rerun.exists() and not overwrite)):
+        raise FileExistsError(f"--rerun: {rerun} exists already; choose another name, or --overwrite")
+
+
+def _play(results: _Results, rate: float | None, every: int) -> Played:
+    """Plays the frames. Beside it, computes a result after `every` frames if none is being computed; 0: no result."""
+    running: list[Future[LiveResult]] = []
+    with ThreadPoolExecutor(1) as beside:
+
+        def tell(count: int, frame: Frame | None) -> None:
+            if running and running[-1].done():
+                running.pop().result()  # raises its error
+            if frame is not None:
+                results.show_camera(frame, count)
+            if every and count % every == 0 and not running and results.segmenter.names:
+                running.append(beside.submit(results.compute, count))
+
+        played = play(results.frames, results.segmenter, rate, tell)
+    for one in running:
+        one.result()
+    print(
+        f"{len(played.seconds)} frames, the slowest in {max(played.seconds):.2f} seconds; {len(played.dropped)} "
+        f"dropped; {len(played.keyframes)} keyframes"
+    )
+    return played
 
 
 class _Results(NamedTuple):
@@ -121,6 +126,13 @@ class _Results(NamedTuple):
     frames: Sequence[Frame]
     view: GrowingView | None
     log: RerunLog | None
+
+    def show_camera(self, frame: Frame, count: int) -> None:
+        """Of the frame that came as number `count`."""
+        if self.view is not None:
+            self.view.camera(frame)
+        if self.log is not None:
+            self.log.camera(frame, count)
 
     def compute(self, count: int, is_last: bool = False) -> LiveResult:
         """Of the first `count` frames."""

@@ -25,6 +25,7 @@ def load_scene(
     time_limit: float = 0.02,
     drop_invalid: bool = False,
     least_opacity: float = 0.1,
+    fuse: bool = True,
 ) -> Scene:
     """Loads a scene; detects its format. Frames are read from disk on access.
 
@@ -42,6 +43,7 @@ def load_scene(
         drop_invalid: leave out the points of the cloud that are NaN or infinite, with a warning; else they are an
             error.
         least_opacity: Gaussian splats whose opacity is smaller are no part of the cloud, in [0, 1].
+        fuse: False: a recording without a cloud gets a single point in its place, for those who need the frames alone.
 
     Returns:
         The scene; `scene.truth` holds the ground-truth instances, if the data set has any.
@@ -64,6 +66,7 @@ def load_scene(
         time_limit,
         "drop" if drop_invalid else "refuse",
         least_opacity,
+        fuse,
     )
     for module in FORMATS.values():
         if module.recognizes(path):

@@ -31,6 +31,7 @@ class Options:
     time_limit: float = 0.02  #: for a ROS recording: most seconds from an image to its depth and pose
     invalid: Invalid = "refuse"  #: what becomes of points of the cloud that are NaN or infinite
     least_opacity: float = 0.1  #: of the cloud, if it consists of Gaussian splats
+    fuse: bool = True  #: False: one point stands for a cloud that would have to be fused
 
 
 def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:
@@ -43,6 +44,8 @@ def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, cloud
     if file is not None:
         points, colors, normals = read_cloud(file, options.invalid, options.least_opacity)
         return Scene(points, frames, colors, normals, name=path.name)
+    if not options.fuse:
+        return Scene(torch.zeros(1, 3), frames, name=path.name)
     points, colors = fuse_or_recall(path, frames, options.voxel_size, options.progress)
     if options.cloud is not None:
         write_cloud(options.cloud, points, colors)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Mapping
 
 import numpy as np
@@ -9,10 +10,13 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops.integrate_depth import CHANNELS, SIDE, UNIT, integrate_depth
+from torchjoint.runtime.spill import SpillFile
 from torchjoint.runtime.threads import all_threads, parallel_map
 
 #: Most blocks of a volume: 5 GB.
 MOST_BLOCKS = 2**19
+#: Bytes of a block.
+BLOCK = SIDE**3 * CHANNELS * 4
 #: Blocks whose surface is extracted at once.
 AT_ONCE = 2048
 #: Values farther from the surface, in units of the truncation, give no surface.
@@ -31,14 +35,18 @@ class Volume:
     Args:
         voxel_size: length of a voxel's side, metres.
         far: depth beyond this, metres, is ignored.
+        memory: bytes; a larger volume is in a temporary file, of which about so much is in memory. None: no limit.
     """
 
-    def __init__(self, voxel_size: float, far: float) -> None:
-        self.voxel_size, self.far = voxel_size, far
+    def __init__(self, voxel_size: float, far: float, memory: int | None = None) -> None:
+        self.voxel_size, self.far, self.memory = voxel_size, far, memory
         self.truncation = SIDE / 2 * voxel_size
         self._key = torch.zeros(0, dtype=torch.int64)  # [B] ascending: the blocks
         self._row = torch.zeros(0, dtype=torch.int64)  # [B] the row of each block in the sums
         self._sums = torch.zeros(0, SIDE**3, CHANNELS, dtype=torch.int32)
+        self._file: SpillFile | None = None
+        self._map: mmap.mmap | None = None  # of the sums, if they are in the file
+        self._used = 0  # bytes of the map since it was dropped
 
     def integrate(self, depth: Tensor, color: Tensor, intrinsics: Tensor, world_to_camera: Tensor) -> Tensor:
         """Adds an image.
@@ -54,6 +62,7 @@ class Volume:
 
         Raises:
             ValueError: the volume becomes too large, or a point is too far from the origin.
+            OSError: the temporary file cannot be written.
         """
         key = self._blocks_near(depth, intrinsics, world_to_camera)
         self._add(key)
@@ -61,6 +70,7 @@ class Volume:
         image, lengths = (depth, color, intrinsics, world_to_camera), (self.voxel_size, self.truncation, self.far)
         with all_threads():
             integrate_depth(self._sums, row, _position(key[order]), *image, *lengths)
+        self._drop(len(key))
         return key
 
     def state(self) -> dict[str, Tensor]:
@@ -70,6 +80,7 @@ class Volume:
     def restore(self, state: Mapping[str, Tensor]) -> None:
         """Takes the :meth:`state` of another volume with voxels of the same size."""
         self._key, self._sums = state["key"], state["sums"]
+        self._file = self._map = None
         self._row = torch.arange(len(self._key))
 
     def surface(self) -> tuple[Tensor, Tensor]:
@@ -113,14 +124,30 @@ class Volume:
                 f"{self.voxel_size:g} m; choose a larger one"
             )
         if total > len(self._sums):
-            length = min(max(total, 2 * len(self._sums)), MOST_BLOCKS)
-            # NumPy's zeros take no memory before they are written; torch's do.
-            grown = torch.from_numpy(np.zeros((length, *self._sums.shape[1:]), np.int32))
-            grown[: len(self._sums)] = self._sums
-            self._sums = grown
+            self._grow(min(max(total, 2 * len(self._sums)), MOST_BLOCKS))
         row = torch.arange(len(self._key), total)
         self._key, order = torch.cat([self._key, new]).sort()
         self._row = torch.cat([self._row, row])[order]
+
+    def _grow(self, length: int) -> None:
+        """Makes room for so many blocks."""
+        if self.memory is None or length * BLOCK <= self.memory:
+            # NumPy's zeros take no memory before they are written; torch's do.
+            grown = torch.from_numpy(np.zeros((length, *self._sums.shape[1:]), np.int32))
+        else:
+            self._file = self._file or SpillFile()
+            self._map = self._file.mapped(length * BLOCK)
+            grown = torch.frombuffer(self._map, dtype=torch.int32).view(-1, *self._sums.shape[1:])
+        grown[: len(self._sums)] = self._sums
+        self._drop(len(self._sums))
+        self._sums = grown
+
+    def _drop(self, count: int) -> None:
+        """Takes the blocks in the file out of memory if, with these `count` more, the limit is reached."""
+        self._used += count * BLOCK
+        if self._map is not None and self.memory is not None and self._used > self.memory:
+            self._map.madvise(mmap.MADV_DONTNEED)  # of a file: nothing is lost
+            self._used = 0
 
     def _find(self, key: Tensor) -> tuple[Tensor, Tensor]:
         """The places of blocks among the keys, and whether they are there."""
@@ -156,6 +183,7 @@ class Volume:
                 share,
             )
             found.append(torch.cat([center, color], 1))
+        self._drop(len(row))
         return torch.cat(found)
 
 

@@ -78,8 +78,8 @@ class LiveSegmenter(nn.Module):
             memory grows with the surface, however long the walk is. 0: no limit.
         granularity: level of the things, 0 (coarse) to 1 (superpoints, for a network that works live).
         keep_depth: keep the depth of keyframes in memory, which :meth:`set_poses` needs.
-        memory: largest memory of the packed keyframes, and of their evidence while a result is computed; the rest goes
-            to a temporary file, as of :class:`JointSegmenter`.
+        memory: largest memory of the packed keyframes, of the voxels, and of the evidence while a result is computed,
+            each; the rest goes to a temporary file, as of :class:`JointSegmenter`.
         boundary, image_segmenter: as of :class:`JointSegmenter`.
 
     Example:
@@ -122,7 +122,7 @@ class LiveSegmenter(nn.Module):
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
         self._method = Learned(self.config)
-        self._volume = Volume(voxel_size, FAR)
+        self._volume = Volume(voxel_size, FAR, self.memory)
         self._origin: Tensor | None = None
         self._pose: Tensor | None = None  # of the last keyframe
         self._views: Counter[int] = Counter()  # the keyframes that see each block of the volume
@@ -226,7 +226,7 @@ class LiveSegmenter(nn.Module):
         poses = [as_pose(pose, f"world_to_camera[{index}]") for index, pose in enumerate(world_to_camera)]
         moved = [one._replace(world_to_camera=pose) for one, pose in zip(self._keyframes, poses, strict=True)]
         assert self._origin is not None
-        volume, views = Volume(self._volume.voxel_size, FAR), Counter[int]()
+        volume, views = Volume(self._volume.voxel_size, FAR, self.memory), Counter[int]()
         with self.stopwatch("fusion"):
             for frame in filter(None, map(Keyframe.measured, moved)):
                 views.update(add_frame(volume, frame, self._origin).tolist())

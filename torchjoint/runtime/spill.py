@@ -6,12 +6,16 @@ nobody can delete it before.
 
 from __future__ import annotations
 
+import mmap
 import os
 import tempfile
 import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from threading import Lock
+
+#: Bytes of zeros that are written at once.
+ZEROS = 1 << 20
 
 
 class Span:
@@ -70,6 +74,17 @@ class SpillFile:
                 raise self._error(error) from error
             self._end = start
         return spans
+
+    def mapped(self, size: int) -> mmap.mmap:
+        """The first `size` bytes of the file as memory, whose pages the system may drop; bytes beyond its end are 0.
+
+        Raises:
+            OSError: for example if the disk is full.
+        """
+        # Written, because a full disk would otherwise end the process where the memory is used first.
+        full, rest = divmod(max(0, size - self._end), ZEROS)
+        self.write([bytes(ZEROS)] * full + [bytes(rest)])
+        return mmap.mmap(self._file.fileno(), size)
 
     def _write(self, part: bytes, start: int) -> None:
         rest = memoryview(part)

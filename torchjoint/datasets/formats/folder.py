@@ -20,7 +20,7 @@ from pathlib import Path
 from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_label_image, read_matrix
-from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_labels, as_pose
@@ -37,6 +37,8 @@ def recognizes(path: Path) -> bool:
 def load(path: Path, options: Options) -> Scene:
     """Loads the folder; see :func:`torchjoint.load_scene`."""
     scene = scene_of_frames(path, read_frames(path), options)
+    if not options.fuse and find_cloud(path, options) is None:
+        return scene  # the truth is that of another cloud
     return replace(scene, truth=_truth(path, _color_files(path), len(scene.points)))
 
 

@@ -89,7 +89,7 @@ def load(path: Path, options: Options) -> Scene:
     if topics.odometry is not None:
         poses.add_odometry(topics.odometry)
     frames = _frames(bag, topics, poses, options.time_limit)
-    if topics.points is None or find_cloud(path, options) is not None:
+    if topics.points is None or not options.fuse or find_cloud(path, options) is not None:
         return scene_of_frames(path, frames, options)
     points, colors = _merged_scans(bag, topics.points, poses, options.voxel_size)
     return Scene(points, frames, colors, name=path.stem)

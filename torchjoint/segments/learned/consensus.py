@@ -134,47 +134,54 @@ def segments_of_judges(
     The segments [P] are those of the first draw's pieces: a piece is where most of its points are after the first step.
     """
     levels = sorted({threshold for _, threshold in merging_steps(thresholds)})
-    judges = [torch.arange(number, len(panel.weights), len(draws)) for number in range(len(draws))]
-    regions, graphs, piece = [], [], None
-    for pieces, judges_of_draw in zip(draws, judges, strict=True):
-        after, merged = _after_first_step(pieces, panel, judges_of_draw, levels[0])
-        piece = pieces.piece if piece is None else piece
-        regions += _of_other_pieces(after, pieces.piece, piece)
-        graphs += merged
-    # The first step merges nearly everything. What is left is small, so that all judges' graphs together fit in one.
-    judge = torch.cat(judges).repeat_interleave(torch.tensor([len(graph.piece) for graph in graphs]))
-    forest = merge_pieces(
-        disjoint_union(graphs),
-        thresholds,
-        lambda number, values, piece: panel.probabilities(number, values, judge[piece]),
-        begun=True,
-    )
     levels += [threshold for threshold in COARSER if threshold > levels[-1]]
-    segments = [regions]
-    for level in levels[1:]:
-        of_judges = forest.segments_of_pieces(level).split([len(graph.piece) for graph in graphs])
-        segments.append([(one - one[0])[region] for one, region in zip(of_judges, regions, strict=True)])
+    segments: list[list[Tensor]] = [[] for _ in levels]
+    for number, pieces in enumerate(draws):
+        judges = torch.arange(number, len(panel.weights), len(draws))
+        regions = _first_regions(pieces, panel, judges, levels[0])
+        if number == 0:
+            piece = pieces.piece
+        of_first = _of_other_pieces(regions, pieces.piece, piece)
+        segments[0] += of_first
+        forest, sizes = _forest(pieces, regions, panel, judges, thresholds)
+        for level, found in zip(levels[1:], segments[1:], strict=True):
+            of_judges = forest.segments_of_pieces(level).split(sizes)
+            found += [(one - one[0])[region] for one, region in zip(of_judges, of_first, strict=True)]
     return levels, segments
 
 
-def _after_first_step(
-    pieces: PieceGraph, panel: Panel, judges: Tensor, threshold: float
-) -> tuple[list[Tensor], list[PieceGraph]]:
-    """The regions [P] of the pieces after the first step, for each judge of [J], and the graphs of these regions."""
+def _first_regions(pieces: PieceGraph, panel: Panel, judges: Tensor, threshold: float) -> list[Tensor]:
+    """The regions [P] of the pieces after the first step, for each of the judges [J]."""
     num_pieces = len(pieces.statistics.size)
     pairs, values, of_edge = boundary_features(pieces, pieces.piece)
     ends, crossing = crossing_edges(pairs, of_edge)
 
-    def first_regions(probability: Tensor) -> Tensor:
+    def merged(probability: Tensor) -> Tensor:
         joined, _ = ops.region_dendrogram(ends, probability.float().index_select(0, crossing), num_pieces, threshold)
         return ops.connected_components(joined, num_pieces)
 
-    regions = parallel_map(first_regions, panel.first_probabilities(values, judges))
-    # First without what no judge needs any more: edges inside cells, which are the pieces that all have together.
+    return parallel_map(merged, panel.first_probabilities(values, judges))
+
+
+def _forest(
+    pieces: PieceGraph, regions: Sequence[Tensor], panel: Panel, judges: Tensor, thresholds: Sequence[float]
+) -> tuple[Hierarchy, list[int]]:
+    """The merges of all judges [J] after the first step, which left regions [P]; and the number of regions of each."""
+    # The first step merges nearly everything, and nearly the same for all judges. What is left is small, so that the
+    # graphs of all judges together fit in one. First without what no judge needs any more: the edges inside cells,
+    # which are the pieces that all judges have together.
     cell = _together(regions)
     cells = pieces.grouped(cell)
     of_cells = [torch.empty_like(cells.piece).index_put_((cell,), region) for region in regions]
-    return regions, parallel_map(cells.grouped, of_cells)
+    sizes = [int(of_cell.max()) + 1 for of_cell in of_cells]
+    judge = judges.repeat_interleave(torch.tensor(sizes))
+    forest = merge_pieces(
+        disjoint_union(parallel_map(cells.grouped, of_cells)),
+        thresholds,
+        lambda number, values, piece: panel.probabilities(number, values, judge[piece]),
+        begun=True,
+    )
+    return forest, sizes
 
 
 def _of_other_pieces(regions: Sequence[Tensor], piece: Tensor, other: Tensor) -> list[Tensor]:
