@@ -2,13 +2,15 @@
 
 `python lab/studies/sensors.py --data FOLDER --simple 40 --travel PYTHON --write` makes tables in docs/evaluation.md.
 FOLDER has `kitti/`, `semantickitti/`, `vod/`, `argo/` and `nuscenes/`. PYTHON is the interpreter of an environment with
-`pip install travel-seg pypatchworkpp` (GPL, BSD), which are run as programs. Scores are those of streets.py, of runs on
-points that are moved by 1 cm.
+`pip install travel-seg pypatchworkpp` (GPL, BSD), which are run as programs. Scores are those of streets.py, and AP50
+as in ScanNet's benchmark, of runs on points that are moved by 1 cm. With `--done FILE` a cell that was measured is not
+measured again.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
@@ -23,15 +25,19 @@ import report
 import torch
 from numpy.typing import NDArray
 from sklearn.cluster import DBSCAN
-from streets import Sweep, best_simple, kitti, known_instances, run, semantickitti, street
+from streets import Sweep, best_simple, judge, kitti, known_instances, run, semantickitti, street
 from torch import Tensor
 from torchjoint_lab.benchmark.disturbances import moved
 from torchjoint_lab.benchmark.planes import planes_and_clusters
 from torchjoint_lab.synthetic import LIDARS
 
 from torchjoint.datasets import list_scenes, load_scene
+from torchjoint.metrics import ScannetAveragePrecisionMetric
 from torchjoint.segments.scan.one_view import look_for_scan
 from torchjoint.segments.scan.scan_segments import segment_scan
+
+#: Labels [N] of points [N, 3]; -1 = none.
+Method = Callable[[Tensor], Tensor]
 
 #: Metres along each axis, about the noise of a sensor: what moves the points of each run; and the number of runs.
 NOISE, RUNS = 0.01, 4
@@ -76,44 +82,62 @@ def main() -> None:
     parser.add_argument("--simple", type=int, default=0, metavar="COUNT", help="tries plane removal + DBSCAN")
     parser.add_argument("--travel", type=Path, metavar="PYTHON", help="interpreter of the peers")
     parser.add_argument("--streets", type=int, default=6, metavar="COUNT", help="generated streets of each sensor")
+    parser.add_argument("--done", type=Path, metavar="FILE", help="cells that were measured, JSON")
     report.add_write(parser, "the tables in docs/evaluation.md")
     arguments = parser.parse_args()
+    cells = Cells(arguments.done)
     loaders = {"kitti": kitti, "semantickitti": semantickitti, "nuscenes": nuscenes}
     columns, rows = ["method"], dict[str, list[str]]()
     for name, title in SENSORS.items():
         sweeps = list(loaders[name](arguments.data) if name in loaders else plain(name, arguments.data))
-        methods: dict[str, Callable[[Tensor], Tensor]] = {"default": segment_scan}
+        methods: dict[str, Callable[[], Method]] = {"default": lambda: segment_scan}
         if arguments.travel:
-            methods["TRAVEL"] = partial(travel, arguments.travel)
+            methods["TRAVEL"] = lambda: partial(travel, arguments.travel)
         if arguments.travel and arguments.simple:
-            methods["Patchwork++ and DBSCAN, tuned on the column"] = best_patchwork(arguments.travel, sweeps)
+            tuned = partial(best_patchwork, arguments.travel, sweeps)
+            methods["Patchwork++ and DBSCAN, tuned on the column"] = tuned
         if arguments.simple:
-            setting = best_simple(sweeps, arguments.simple)[1]
-            methods["planes and DBSCAN, tuned on the column"] = partial(planes_and_clusters, **setting)
+            methods["planes and DBSCAN, tuned on the column"] = partial(best_planes, sweeps, arguments.simple)
         things = sum(int((one.instance.unique() >= 0).sum()) for one in sweeps)
         columns.append(f"{title}: {len(sweeps)}, {things} things")
-        for method, function in methods.items():
-            rows.setdefault(method, []).append(cell(function, sweeps))
-            print(name, method, rows[method][-1], flush=True)
-    tables = {"sensors": report.table(columns, [[method, *cells] for method, cells in rows.items()])}
-    tables["generated sensors"] = of_generated(arguments.streets, arguments.travel)
+        for method, made in methods.items():
+            rows.setdefault(method, []).append(cells.get(f"{name}, {method}", made, sweeps))
+    tables = {"sensors": report.table(columns, [[method, *found] for method, found in rows.items()])}
+    tables["generated sensors"] = of_generated(arguments.streets, arguments.travel, cells)
     for part, text in tables.items():
         print(text)
         if arguments.write:
             report.write_part(part, text, EVALUATION)
 
 
-def of_generated(count: int, python: Path | None) -> str:
+class Cells:
+    """The cells of the tables that were measured; they are kept in a file, if there is one."""
+
+    def __init__(self, file: Path | None) -> None:
+        self._file = file
+        self._cells: dict[str, str] = json.loads(file.read_text()) if file and file.is_file() else {}
+
+    def get(self, name: str, method: Callable[[], Method], sweeps: list[Sweep]) -> str:
+        """The cell of this name; it is measured if it was not."""
+        if name not in self._cells:
+            self._cells[name] = cell(method(), sweeps)
+            print(name, self._cells[name], flush=True)
+            if self._file:
+                self._file.write_text(json.dumps(self._cells, indent=0))
+        return self._cells[name]
+
+
+def of_generated(count: int, python: Path | None, cells: Cells) -> str:
     """The default, and TRAVEL, on the same streets as each kind of sensor sees them."""
-    methods: dict[str, Callable[[Tensor], Tensor]] = {"default": segment_scan}
+    methods: dict[str, Callable[[], Method]] = {"default": lambda: segment_scan}
     if python:
-        methods["TRAVEL"] = partial(travel, python)
+        methods["TRAVEL"] = lambda: partial(travel, python)
     rows = []
     for kind in LIDARS:
         sweeps = [street(seed, kind) for seed in STREETS[:count]]
         recognised = sum(look_for_scan(sweep.points).is_scan for sweep in sweeps)
-        rows.append([kind, f"{recognised} of {len(sweeps)}", *(cell(method, sweeps) for method in methods.values())])
-        print(*rows[-1], flush=True)
+        found = [cells.get(f"{kind}, {name}", made, sweeps) for name, made in methods.items()]
+        rows.append([kind, f"{recognised} of {len(sweeps)}", *found])
     return report.table(["sensor", "recognised", *methods], rows)
 
 
@@ -159,26 +183,38 @@ def patchwork(python: Path, height: float, radius: float, least: int, points: Te
     return labels
 
 
-def best_patchwork(python: Path, sweeps: list[Sweep]) -> Callable[[Tensor], Tensor]:
+def best_planes(sweeps: list[Sweep], count: int) -> Method:
+    """Plane removal and DBSCAN at the best of `count` settings for these very scans."""
+    return partial(planes_and_clusters, **best_simple(sweeps, count)[1])
+
+
+def best_patchwork(python: Path, sweeps: list[Sweep]) -> Method:
     """Patchwork++ and DBSCAN at the best of all settings for these very scans; (F + best IoU) / 2."""
     methods = [partial(patchwork, python, *setting) for setting in product(HEIGHTS, RADII, LEAST)]
 
-    def quality(method: Callable[[Tensor], Tensor]) -> float:
+    def quality(method: Method) -> float:
         scores = [run(method, sweep) for sweep in sweeps]
         return fmean(score.f + score.best_iou for score in scores)
 
     return max(methods, key=quality)
 
 
-def cell(method: Callable[[Tensor], Tensor], sweeps: list[Sweep]) -> str:
-    """F / best IoU / share found: means over the scans of RUNS runs, and the deviation of these means."""
+def cell(method: Method, sweeps: list[Sweep]) -> str:
+    """F / best IoU / share found / AP50: means over the scans of RUNS runs, and the deviation of these means.
+
+    AP50 is that of all scans together. All segments have the same score. Where things are unknown, points do not count;
+    segments of which most are houses and the like are no false positives.
+    """
     of_runs = []
     for number in range(RUNS):
-        scores = []
+        scores, precision = [], ScannetAveragePrecisionMetric(min_size=1)
         for sweep in sweeps:
-            points = moved(sweep.points, NOISE, torch.Generator().manual_seed(number))
-            scores.append(run(method, sweep._replace(points=points)))
-        of_runs.append([fmean(getattr(score, name) for score in scores) for name in ("f", "best_iou", "found")])
+            labels = method(moved(sweep.points, NOISE, torch.Generator().manual_seed(number)))
+            scores.append(judge(labels, sweep))
+            counts = (sweep.instance >= 0) | sweep.other
+            precision.update(labels[counts], sweep.instance[counts])
+        means = [fmean(getattr(score, name) for score in scores) for name in ("f", "best_iou", "found")]
+        of_runs.append([*means, precision.compute().ap50])
     mean, spread = np.mean(of_runs, 0), np.std(of_runs, 0, ddof=1)
     return " / ".join(f"{value:.3f} ± {error:.3f}" for value, error in zip(mean, spread, strict=True))
 

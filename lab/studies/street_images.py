@@ -30,7 +30,7 @@ from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.joint import JointSegmenter
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame, Scene
-from torchjoint.segments.scan.gaps import JOINING_GAP
+from torchjoint.segments.scan.gaps import JOINING_GAP, NEIGHBORS
 from torchjoint.segments.scan.scan_segments import scan_gaps
 from torchjoint.views.projection import in_any_view
 
@@ -126,7 +126,7 @@ def scan_graph(points: Tensor, config: ScanConfig) -> tuple[Tensor, Tensor, Tens
     """Edges [2, E] between points over the ground; their lengths in allowed gaps [E]; [N] bool, True for ground."""
     with one_thread_per_operation():
         gaps, on_ground = scan_gaps(points, config, "search")
-        u, v = undirected_edges(gaps.neighbors)
+        u, v = undirected_edges(ops.nearest_neighbors(gaps.points, NEIGHBORS, 0)[0])  # also those beyond a gap
         length = (gaps.points[u].double() - gaps.points[v].double()).norm(dim=1)
         edges, weight = gaps.which[torch.stack([u, v])], (length / torch.minimum(gaps.gap[u], gaps.gap[v])).float()
         above = ~on_ground[edges].any(0)

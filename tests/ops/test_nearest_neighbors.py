@@ -58,6 +58,29 @@ def test_neighbours_in_a_deep_tree_are_the_twin_s(kind: str) -> None:
     check(cloud(kind, 700, 0, torch.float32), 1, 16, 130)  # the last is more than are sorted by rank
 
 
+@given(
+    st.sampled_from(KINDS), st.integers(1, 200), st.integers(1, 20), st.integers(0, 10_000),
+    st.sampled_from([torch.float32, torch.float64]),
+)  # fmt: skip
+def test_neighbours_within_limits_are_the_twin_s(
+    kind: str, num_points: int, count: int, seed: int, dtype: torch.dtype
+) -> None:
+    points = cloud(kind, num_points, seed, dtype)
+    # The limits are distances that occur, or shares of them: from 0 to beyond the last wanted neighbour.
+    limits = torch.cdist(points.double(), points.double())[:, seed % num_points] * (seed % 7) / 6
+    expected, measured = nearest_neighbors_reference(points, count, limits=limits)
+    indices, distances = nearest_neighbors(points, count, limits=limits)
+    assert torch.equal(indices, expected)
+    torch.testing.assert_close(distances, measured, rtol=1e-15 if dtype == torch.float64 else 1e-6, atol=0)
+
+
+def test_a_point_takes_the_place_of_neighbours_beyond_its_limit() -> None:
+    points = torch.tensor([[0.0, 0, 0], [1, 0, 0], [3, 0, 0]])
+    indices, distances = nearest_neighbors(points, 2, limits=torch.tensor([0.9, 1.0, 3.0], dtype=torch.float64))
+    assert indices.tolist() == [[0, 0], [0, 1], [1, 0]]
+    assert distances.tolist() == [[torch.inf, torch.inf], [1, torch.inf], [2, 3]]
+
+
 def test_of_equally_far_points_the_smaller_number_comes_first() -> None:
     cross = torch.tensor([[0.0, 1, 0], [1, 0, 0], [0, 0, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1]])
     indices, distances = nearest_neighbors(cross, 4, 2)

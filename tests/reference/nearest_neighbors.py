@@ -11,7 +11,8 @@ from torch import Tensor
 from reference.arguments import NAN, POINTS, changed
 from torchjoint.ops.nearest_neighbors import nearest_neighbors
 
-EXAMPLE: dict[str, Any] = {"points": POINTS, "count": 2, "num_distances": 1}
+LIMITS = torch.tensor([0.0, 1.0, 2.0, torch.inf], dtype=torch.float64)
+EXAMPLE: dict[str, Any] = {"points": POINTS, "count": 2, "num_distances": 1, "limits": LIMITS}
 ERRORS = [
     ({"points": POINTS.numpy()}, TypeError, "points: expected a torch.Tensor, got ndarray"),
     ({"points": POINTS.half()}, TypeError, "points: expected dtype torch.float32 or torch.float64"),
@@ -20,16 +21,23 @@ ERRORS = [
     ({"points": changed(POINTS, torch.inf, 3, 0)}, ValueError, "coordinates, got inf in row 3"),
     ({"count": -1}, ValueError, "count: expected a number >= 0, got -1"),
     ({"num_distances": 1.0}, TypeError, "num_distances: expected int, got float"),
+    ({"limits": LIMITS.float()}, TypeError, "limits: expected dtype torch.float64, got torch.float32"),
+    ({"limits": LIMITS[:3]}, ValueError, "limits: expected shape [N] = [4], got [3]"),
+    ({"limits": changed(LIMITS, NAN, 1)}, ValueError, "limits: expected numbers >= 0, got nan at 1"),
 ]
 REFUSED = [
     {"points": POINTS.half()},
     {"points": POINTS[:, :2]},
     {"count": -1},
     {"num_distances": -1},
+    {"limits": LIMITS[:3]},
+    {"limits": -LIMITS},
 ]
 
 
-def nearest_neighbors_reference(points: Tensor, count: int, num_distances: int | None = None) -> tuple[Tensor, Tensor]:
+def nearest_neighbors_reference(
+    points: Tensor, count: int, num_distances: int | None = None, limits: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
     """What :func:`torchjoint.ops.nearest_neighbors` computes, by sorting all distances; the arguments are not checked.
 
     Example:
@@ -42,7 +50,10 @@ def nearest_neighbors_reference(points: Tensor, count: int, num_distances: int |
     # A stable sort leaves equal distances in the order of the numbers; then the point itself is left out.
     order = squared.sort(dim=1, stable=True).indices
     order = order[~itself.gather(1, order)].view(len(points), max(len(points) - 1, 0))[:, :count]
-    distances = squared.gather(1, order[:, : count if num_distances is None else num_distances]).sqrt()
+    found = squared.gather(1, order)
+    far = found > (torch.inf if limits is None else limits.square()[:, None])
+    order = torch.where(far, torch.arange(len(points))[:, None], order)
+    distances = torch.where(far, torch.inf, found.sqrt())[:, : count if num_distances is None else num_distances]
     return order.int(), distances.to(points.dtype)
 
 

@@ -40,13 +40,14 @@ void connect(const Points& points, const Index* neighbors, int64_t count, int64_
   std::vector<Edge> far;
   for (int32_t u = 0; u < static_cast<int32_t>(components.num_nodes()); ++u) {
     if (!points.used[u]) continue;
+    int32_t a = components.find(u);
     for (const Index* v = neighbors + int64_t{u} * count; v < neighbors + int64_t{u + 1} * count; ++v) {
       if (!points.used[*v]) continue;
-      const int32_t a = components.find(u), b = components.find(static_cast<int32_t>(*v));
+      const int32_t b = components.find(static_cast<int32_t>(*v));
       if (a == b) continue;
       const double weight = points.weight(u, *v);
       if (weight <= 1) {
-        components.join(a, b);
+        a = components.join(a, b);
       } else if (min_size > 1 && weight <= joining * joining) {
         far.push_back({weight, std::min(u, static_cast<int32_t>(*v)), std::max(u, static_cast<int32_t>(*v))});
       }

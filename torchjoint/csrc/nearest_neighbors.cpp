@@ -4,6 +4,7 @@
 
 #include <atomic>
 #include <cmath>
+#include <optional>
 
 namespace torchjoint {
 namespace {
@@ -16,6 +17,7 @@ constexpr size_t kNoLimit = std::numeric_limits<size_t>::max();
 constexpr size_t kMostRanked = 96;
 // Factor for bounds, larger than their rounding errors.
 constexpr double kSlack = 1 + 1e-9;
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 struct Neighbor {
   double squared_distance;
@@ -36,9 +38,10 @@ double squared_distance(const Value* a, const Value* b) {
 template <typename Value>
 class Search {
  public:
-  Search(const PointTree<Value>& tree, int64_t count, int64_t num_distances, int32_t* indices, Value* distances)
-      : tree_(tree), count_(count), num_distances_(num_distances), wanted_(count + 1), indices_(indices),
-        distances_(distances) {}
+  Search(const PointTree<Value>& tree, const double* limits, int64_t count, int64_t num_distances, int32_t* indices,
+         Value* distances)
+      : tree_(tree), limits_(limits), count_(count), num_distances_(num_distances), wanted_(count + 1),
+        indices_(indices), distances_(distances) {}
 
   void search_leaf(int64_t leaf) {
     const int64_t size = tree_.num_points(leaf, leaf + 1);
@@ -51,44 +54,55 @@ class Search {
     Value at[3];
     int32_t index;
     double radius;  // distance from the centre of the points that are searched together
+    double limit;  // largest distance of its neighbours
   };
 
   // Searches the neighbours of some points of a leaf. If the points are too far apart, it returns false and does nothing.
   bool search_together(int64_t leaf, int64_t first, int64_t last) {
     Value center[3];
-    const double radius = take(tree_.leaf(leaf), first, last, center);
+    const auto [radius, limit] = take(tree_.leaf(leaf), first, last, center);
     // At least `wanted_` points are within `reach` of the centre. So a point at distance r from the centre has as many
-    // within reach + r, and all of these are within reach + 2 r of the centre. The first reach is a rough estimate.
+    // within reach + r, and all of these are within reach + 2 r of the centre. The first reach is a rough estimate. All
+    // that is within the points' limits is within limit + radius.
     double reach = reach_around(leaf, center);
-    gather(center, squared(reach), kNoLimit);
-    candidates_.measure(center);
-    reach = wanted_within();
+    if (reach < limit + radius) {
+      gather(center, squared(reach), kNoLimit);
+      candidates_.measure(center);
+      reach = wanted_within();
+    }
     const bool is_one_place = radius == 0;
-    if (!gather(center, squared(reach + 2 * radius), is_one_place ? kNoLimit : most_together())) return false;
+    const double all = std::min(reach + 2 * radius, limit + radius);
+    if (!gather(center, squared(all), is_one_place ? kNoLimit : most_together())) return false;
     candidates_.measure(center);
-    candidates_.keep_up_to(rounded_up<Value>(squared(reach + 2 * radius)));
+    candidates_.keep_up_to(rounded_up<Value>(squared(all)));
     if (is_one_place) keep_lowest_copies(center);
     last_ = rounded_up<Value>(squared(reach));
-    for (int64_t i = 0; i < last - first; ++i) choose(together_[i], squared(reach + together_[i].radius));
+    for (int64_t i = 0; i < last - first; ++i) {
+      choose(together_[i], squared(std::min(reach + together_[i].radius, together_[i].limit)));
+    }
     return true;
   }
 
   // The number of candidates beyond which the points of a leaf are searched one by one.
   size_t most_together() const { return std::max(kFewCandidates, kMostCandidates * wanted_); }
 
-  // Takes points [first, last) of a leaf, and finds the centre of their box and their largest distance from it.
-  double take(const typename PointTree<Value>::Leaf& leaf, int64_t first, int64_t last, Value* center) {
+  // Takes points [first, last) of a leaf, and finds the centre of their box, their largest distance from it, and their
+  // largest limit.
+  std::pair<double, double> take(const typename PointTree<Value>::Leaf& leaf, int64_t first, int64_t last,
+                                 Value* center) {
     for (int d = 0; d < 3; ++d) {
       const auto [low, high] = std::minmax_element(leaf.at[d] + first, leaf.at[d] + last);
       center[d] = *low == *high ? *low : *low / 2 + *high / 2;
     }
-    double largest = 0;
+    double radius = 0, limit = 0;
     for (int64_t i = first; i < last; ++i) {
-      Point& point = together_[i - first] = {{leaf.at[0][i], leaf.at[1][i], leaf.at[2][i]}, leaf.index[i], 0};
+      Point& point =
+          together_[i - first] = {{leaf.at[0][i], leaf.at[1][i], leaf.at[2][i]}, leaf.index[i], 0, kInfinity};
+      if (limits_ != nullptr) point.limit = limits_[point.index];
       point.radius = std::sqrt(squared_distance(center, point.at));
-      largest = std::max(largest, point.radius);
+      radius = std::max(radius, point.radius), limit = std::max(limit, point.limit);
     }
-    return largest;
+    return {radius, limit};
   }
 
   static double squared(double distance) { return distance * distance * kSlack; }
@@ -132,13 +146,13 @@ class Search {
     for (int d = 0; d < 3; ++d) std::fill_n(candidates_.at[d].begin(), wanted_, place[d]);
   }
 
-  // Writes the neighbours of a point; at least the wanted number is within sqrt(limit). All distances are first computed
-  // in Value, which is fast; those of possible neighbours are computed again in double.
+  // Writes the neighbours of a point; they are within sqrt(limit). All distances are first computed in Value, which is
+  // fast; those of possible neighbours are computed again in double.
   void choose(const Point& point, double limit) {
     candidates_.measure(point.at);
     const Value* distance = candidates_.distance.data();
     const Value high = rounded_up<Value>(limit);
-    last_ = threshold(distance, candidates_.size, wanted_, high, last_);
+    last_ = threshold(distance, candidates_.size, wanted_, high, std::min(last_, high / 2));
     sort(point, keep_near(rounded_up<Value>(last_)));
     write(point);
   }
@@ -191,18 +205,23 @@ class Search {
     }
   }
 
+  // Writes the neighbours within the limit of a point. Where there are too few, the point itself takes their place.
   void write(const Point& point) {
     int32_t* indices = indices_ + point.index * count_;
     Value* distances = distances_ + point.index * num_distances_;
+    std::fill_n(indices, count_, point.index);
+    std::fill_n(distances, num_distances_, std::numeric_limits<Value>::infinity());
     int64_t written = 0;
-    for (size_t i = 0; written < count_; ++i) {
-      if (sorted_[i].index == point.index) continue;
-      if (written < num_distances_) distances[written] = static_cast<Value>(std::sqrt(sorted_[i].squared_distance));
-      indices[written++] = sorted_[i].index;
+    for (const Neighbor& near : sorted_) {
+      if (written == count_ || near.squared_distance > point.limit * point.limit) return;
+      if (near.index == point.index) continue;
+      if (written < num_distances_) distances[written] = static_cast<Value>(std::sqrt(near.squared_distance));
+      indices[written++] = near.index;
     }
   }
 
   const PointTree<Value>& tree_;
+  const double* const limits_;  // none: no limits
   const int64_t count_, num_distances_;
   const size_t wanted_;  // neighbours and the point itself
   int32_t* indices_;
@@ -238,21 +257,22 @@ void (*block_search())(Search<Value>&, int64_t, int64_t) {
 }
 
 template <typename Value>
-void search_all(const Value* points, int64_t num_points, int64_t count, int64_t num_distances, int32_t* indices,
-                Value* distances) {
+void search_all(const Value* points, const double* limits, int64_t num_points, int64_t count, int64_t num_distances,
+                int32_t* indices, Value* distances) {
   const PointTree<Value> tree(points, num_points);
   const int64_t blocks = (tree.num_leaves() + kLeavesPerBlock - 1) / kLeavesPerBlock;
   const auto search_block = block_search<Value>();
   std::atomic<int64_t> next = 0;  // blocks take different times, so a free thread takes the next block
   torch::stable::parallel_for(0, blocks, 1, [&](int64_t, int64_t) {
-    Search<Value> search(tree, count, num_distances, indices, distances);
+    Search<Value> search(tree, limits, count, num_distances, indices, distances);
     for (int64_t block = next++; block < blocks; block = next++) {
       search_block(search, block * kLeavesPerBlock, std::min((block + 1) * kLeavesPerBlock, tree.num_leaves()));
     }
   });
 }
 
-std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count, int64_t num_distances) {
+std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count, int64_t num_distances,
+                                             const std::optional<Tensor>& limits) {
   check(points.is_cpu(), "points: expected a CPU tensor");
   check(is_floating(points), "points: expected dtype torch.float32 or torch.float64");
   check(points.dim() == 2 && points.size(1) == 3, "points: expected shape [N, 3]");
@@ -261,6 +281,14 @@ std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count
   check(count >= 0, "count: expected a number >= 0, got ", count);
   check(num_distances >= 0, "num_distances: expected a number >= 0, got ", num_distances);
   const Tensor coordinates = torch::stable::contiguous(points);
+  std::vector<double> limit;
+  if (limits) {
+    const Tensor given = checked_array(*limits, ScalarType::Double, {num_points}, "limits");
+    limit.assign(given.const_data_ptr<double>(), given.const_data_ptr<double>() + num_points);
+    for (int64_t i = 0; i < num_points; ++i) {
+      check(limit[i] >= 0, "limits: expected numbers >= 0, got ", limit[i], " at ", i);
+    }
+  }
   count = std::min(count, std::max<int64_t>(num_points - 1, 0));
   num_distances = std::min(num_distances, count);
   Tensor indices = torch::stable::new_empty(coordinates, {num_points, count}, ScalarType::Int);
@@ -272,8 +300,8 @@ std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count
     if (count == 0) return;
     use_huge_pages(indices.mutable_data_ptr<int32_t>(), num_points * count * sizeof(int32_t));
     use_huge_pages(distances.mutable_data_ptr<Value>(), num_points * num_distances * sizeof(Value));
-    search_all(values, num_points, count, num_distances, indices.mutable_data_ptr<int32_t>(),
-               distances.mutable_data_ptr<Value>());
+    search_all(values, limits ? limit.data() : nullptr, num_points, count, num_distances,
+               indices.mutable_data_ptr<int32_t>(), distances.mutable_data_ptr<Value>());
   });
   return {indices, distances};
 }
@@ -281,7 +309,7 @@ std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count
 }  // namespace
 
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("nearest_neighbors(Tensor points, int count, int num_distances) -> (Tensor, Tensor)");
+  m.def("nearest_neighbors(Tensor points, int count, int num_distances, Tensor? limits) -> (Tensor, Tensor)");
 }
 
 STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("nearest_neighbors", TORCH_BOX(&nearest_neighbors)); }

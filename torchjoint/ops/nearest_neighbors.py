@@ -8,10 +8,12 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops._call import call
-from torchjoint.ops._checks import FLOATING, check_number, check_tensor
+from torchjoint.ops._checks import FLOATING, check_array, check_number, check_tensor
 
 
-def nearest_neighbors(points: Tensor, count: int, num_distances: int | None = None) -> tuple[Tensor, Tensor]:
+def nearest_neighbors(
+    points: Tensor, count: int, num_distances: int | None = None, limits: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
     """Find the nearest neighbours of each point, nearest first, without the point itself.
 
     Exact: squared distances are computed and compared in float64, as ``(x² + y²) + z²``. Of equally far points the one
@@ -21,6 +23,8 @@ def nearest_neighbors(points: Tensor, count: int, num_distances: int | None = No
         points: ``[N, 3]`` float32 or float64, finite, N < 2^31.
         count: K >= 0; if there are fewer other points, K is their number.
         num_distances: D >= 0, the number of nearest neighbours whose distances are returned; default and maximum: K.
+        limits: ``[N]`` float64, not negative, the largest distance of each point's neighbours. If there are fewer than
+            K, the point itself takes the place of the others, at an infinite distance. None: no limits.
 
     Returns:
         ``[N, K]`` int32 numbers of the neighbours, and ``[N, D]`` their distances, in the dtype of the points. Runs on
@@ -46,12 +50,14 @@ def nearest_neighbors(points: Tensor, count: int, num_distances: int | None = No
     if num_distances is None:
         num_distances = count
     check_number("num_distances", num_distances, (int,))
-    found = call(torch.ops.torchjoint.nearest_neighbors.default, points, count, num_distances)
+    if limits is not None:
+        check_array("limits", limits, torch.float64, (len(points),), f"[N] = [{len(points)}]")
+    found = call(torch.ops.torchjoint.nearest_neighbors.default, points, count, num_distances, limits)
     return cast(tuple[Tensor, Tensor], found)
 
 
 @torch.library.register_fake("torchjoint::nearest_neighbors")
-def _fake(points: Tensor, count: int, num_distances: int) -> tuple[Tensor, Tensor]:
+def _fake(points: Tensor, count: int, num_distances: int, limits: Tensor | None) -> tuple[Tensor, Tensor]:
     num_points = points.shape[0]
     count = min(count, max(num_points - 1, 0))
     indices = points.new_empty((num_points, count), dtype=torch.int32)

@@ -18,6 +18,8 @@ NEIGHBORS = 12
 #: Largest distance over which a small segment is joined to a neighbour, in allowed gaps. Farther away it is mostly
 #: another object. A person at 40 m has as few points as a crumb: 2 joined many of them to what they stand beside.
 JOINING_GAP = 1.1
+#: Largest distance of neighbours, in allowed gaps: what is farther away is never joined. Larger by rounding errors.
+LIMIT = JOINING_GAP * (1 + 1e-9)
 
 
 class Gaps(NamedTuple):
@@ -26,14 +28,14 @@ class Gaps(NamedTuple):
     which: Tensor  #: [S] int64, numbers of the points
     points: Tensor  #: [S, 3] float32 metres
     gap: Tensor  #: [S] float64 metres that each allows
-    neighbors: Tensor  #: [S, K] int32
+    neighbors: Tensor  #: [S, K] int32, within LIMIT gaps; the point itself where there are fewer
 
     @classmethod
     def of(cls, points: Tensor, gap: Tensor, which: Tensor) -> Gaps:
         """The points `which` of all points [N, 3] float32, and of their gaps [N] float64."""
-        some = points[which]
+        some, own = points[which], gap[which]
         with all_threads():
-            return cls(which, some, gap[which], nearest_neighbors(some, NEIGHBORS, 0)[0])
+            return cls(which, some, own, nearest_neighbors(some, NEIGHBORS, 0, LIMIT * own)[0])
 
     def components(self, among: Tensor, min_size: int = 0) -> Tensor:
         """Labels [N] int64 of the components of the points `among` [N] bool: 1, 2, ...; 0 for other points.

@@ -102,8 +102,8 @@ def _contradiction(seen: Directions, ordered: Tensor) -> float:
     if not bool(together.any()):
         return math.inf
     differ = (seen.range[order].log().diff().abs() > DIFFERENCE)[together].double().mean()
-    similar = torch.searchsorted(ordered, ordered + DIFFERENCE) - torch.searchsorted(ordered, ordered - DIFFERENCE)
-    return float(differ / (1 - similar.double().mean() / len(ordered)))
+    farther = torch.searchsorted(ordered, ordered - DIFFERENCE).double().mean() / len(ordered)  # one way of two
+    return float(differ / (2 * farther))
 
 
 class Evidence(NamedTuple):
