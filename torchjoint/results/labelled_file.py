@@ -20,6 +20,7 @@ from torchjoint.results.label_colors import label_colors
 from torchjoint.results.result import Result
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import file_name
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.threads import on_cpu
 
 #: If half of the vertices are farther from the result than this share of its diagonal, the file is of another place.
@@ -76,7 +77,7 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
         FileNotFoundError, ValueError: the message names the file and its error.
     """
     mesh = _read(source)
-    try:
+    with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
         of_face = None if mesh.faces is None else nearest_labels(result, _centers(mesh.points, mesh.faces))
         if out.suffix == ".glb":
@@ -88,8 +89,6 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
             if of_face is not None and len(records.records.get("face", ())) == len(of_face):
                 labels["face"] = of_face.numpy()
             write_bytes(out, records.with_labels(name, labels))
-    except ValueError as error:
-        raise ValueError(f"{source}: {error}") from error
 
 
 @on_cpu()
@@ -106,7 +105,7 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
     """
     mesh = _read(source)
     folder.mkdir()
-    try:
+    with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
         if source.suffix.lower() == ".ply":
             parts = read_records(source)
@@ -121,8 +120,6 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
                 triangles = (which.cumsum(0) - 1)[inside].numpy()
             file = folder / f"{_stem(segment, result)}.ply"
             file.write_bytes(parts.some_vertices(which.numpy(), triangles))
-    except ValueError as error:
-        raise ValueError(f"{source}: {error}") from error
 
 
 def _read(source: Path) -> Ply:

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.lzf import decompress
 from torchjoint.datasets.files.text import parse_integer
+from torchjoint.runtime.foreign_files import damage_is, present
 
 #: Largest size of a header, bytes; real headers have a few hundred bytes.
 MAX_HEADER = 65536
@@ -101,9 +102,7 @@ def read_pcd(path: Path) -> Pcd:
         FileNotFoundError, ValueError: the message names the file and its error; sizes in the header are compared
             with the file's size before memory is allocated.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a point cloud, .pcd")
-    data = path.read_bytes()
+    data = present(path, "a point cloud, .pcd").read_bytes()
     header = _parse_header(path, data[:MAX_HEADER])
     body, dtype = memoryview(data)[header.size :], np.dtype(list(header.fields.items()))
     if header.encoding == "ascii":
@@ -134,7 +133,7 @@ def _parse_header(path: Path, start: bytes) -> PcdHeader:
             entries.setdefault(words[0], words[1:])
         if "DATA" in entries:
             break
-    try:
+    with damage_is(f"{path}: not a PCD file, or its header is damaged"):
         names, types, (encoding,) = entries["FIELDS"], entries["TYPE"], entries["DATA"]
         entries.setdefault("COUNT", ["1"] * len(names))
         entries.setdefault("POINTS", [])
@@ -142,8 +141,6 @@ def _parse_header(path: Path, start: bytes) -> PcdHeader:
             [parse_integer(word, key) for word in entries[key]]
             for key in ("SIZE", "COUNT", "POINTS", "WIDTH", "HEIGHT")
         )
-    except (KeyError, ValueError) as error:
-        raise ValueError(f"{path}: not a PCD file, or its header is damaged: {error}") from error
     if encoding not in ("ascii", "binary", "binary_compressed"):
         raise ValueError(f"{path}: expected DATA ascii, binary or binary_compressed, got {encoding!r}")
     if width < 1 or height < 1 or points not in ([], [width * height]):
@@ -172,10 +169,8 @@ def _field_types(
 
 def _read_ascii(path: Path, body: bytes, header: PcdHeader) -> dict[str, npt.NDArray[Any]]:
     columns = sum(int(np.prod(dtype.shape)) for dtype in header.fields.values())
-    try:
+    with damage_is(f"{path}: expected lines of {columns} numbers"):
         values = np.loadtxt(io.BytesIO(body), comments=None, ndmin=2) if body.strip() else np.empty((0, columns))
-    except ValueError as error:
-        raise ValueError(f"{path}: expected lines of {columns} numbers: {error}") from error
     if values.shape != (header.num_points, columns):
         expected = f"{header.num_points} points of {columns} numbers"
         raise ValueError(

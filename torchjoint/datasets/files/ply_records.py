@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from torchjoint.datasets.files.ply_header import MAX_HEADER, Element, PlyHeader, parse_header
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.foreign_files import damage_is, present
 
 #: Bytes [rows, size] of a binary file, or lines [rows] of an ascii one.
 Records = npt.NDArray[Any]
@@ -90,10 +91,8 @@ def read_records(path: Path) -> PlyRecords:
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a .ply")
-    data = path.read_bytes()
-    try:
+    data = present(path, "a .ply").read_bytes()
+    with damage_is(str(path)):
         header = parse_header(data[:MAX_HEADER])
         if not header.elements or header.elements[0].name != "vertex" or header.elements[0].lists:
             raise ValueError("expected vertices without lists as first element")
@@ -101,8 +100,6 @@ def read_records(path: Path) -> PlyRecords:
         head = [line.rstrip() for line in re.split(r"\r?\n", text) if line]
         read = _lines if header.encoding == "ascii" else _rows
         records, rest = read(data, header)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
     return PlyRecords(head, header, records, rest)
 
 

@@ -20,6 +20,7 @@ from torchjoint.datasets.files.colmap_model import ColmapImage, has_model, read_
 from torchjoint.datasets.files.readers import read_image
 from torchjoint.datasets.paths import frame_names, path_inside
 from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames
+from torchjoint.runtime.foreign_files import present
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene
 
@@ -52,8 +53,7 @@ def _read_frames(model: Path, bases: Sequence[Path]) -> Sequence[Frame]:
     folder = _image_folder(bases, images[0].name, str(model))
     files = [path_inside(folder, image.name, str(model)) for image in images]
     for file in files:
-        if not file.is_file():
-            raise FileNotFoundError(f"{file}: missing; expected an image of the model in {model}")
+        present(file, f"an image of the model in {model}")
     names = frame_names([image.name for image in images])
     return LazySequence(len(images), lambda i: _read_frame(files[i], images[i], names[i]), names)
 

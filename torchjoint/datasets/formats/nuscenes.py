@@ -28,6 +28,7 @@ from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.readers import read_image
 from torchjoint.datasets.paths import path_inside
 from torchjoint.datasets.recording import Options
+from torchjoint.runtime.foreign_files import present
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_intrinsics, as_pose
@@ -60,8 +61,7 @@ def _shot(path: Path, camera: Record) -> tuple[Path, Tensor, Tensor]:
     """Image, intrinsics, pose."""
     intrinsics = camera.matrix("cam2img", 3)
     image = path_inside(path, camera.text("img_path"), camera.name)
-    if not image.is_file():
-        raise FileNotFoundError(f"{image}: missing; expected the image of {camera.name}")
+    present(image, f"the image of {camera.name}")
     pose = as_pose(camera.matrix("lidar2cam", 4), f"{camera.name}: lidar2cam")
     return image, as_intrinsics(intrinsics, f"{camera.name}: cam2img"), pose
 

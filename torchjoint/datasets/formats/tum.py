@@ -33,6 +33,7 @@ from torchjoint.datasets.files.text import parse_numbers, read_lines
 from torchjoint.datasets.paths import frame_names, path_inside
 from torchjoint.datasets.pose_interpolation import interpolate_poses
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.runtime.foreign_files import present
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene
 
@@ -91,8 +92,7 @@ def read_frames(path: Path) -> Sequence[Frame]:
     if not shots:
         raise ValueError(f"{path}: no image of rgb.txt has a pose in groundtruth.txt within {TOLERANCE} s")
     for file in (file for shot in shots for file in (shot.color, shot.depth) if file is not None):
-        if not file.is_file():
-            raise FileNotFoundError(f"{file}: missing; expected the image that rgb.txt or depth.txt lists")
+        present(file, "the image that rgb.txt or depth.txt lists")
     camera, names = _camera(path), frame_names([str(shot.color) for shot in shots])
     return LazySequence(len(shots), lambda i: _read_frame(shots[i], camera, names[i]), names)
 
