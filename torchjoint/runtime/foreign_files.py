@@ -11,8 +11,10 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 #: What readers raise where bytes are damaged; RecursionError is a RuntimeError, OverflowError an ArithmeticError.
-DAMAGE: tuple[type[Exception], ...] = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RuntimeError,
-          EOFError, SyntaxError, struct.error, zlib.error, tokenize.TokenError, BadZipFile)  # fmt: skip
+DAMAGE: tuple[type[Exception], ...] = (
+    ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RuntimeError, EOFError, SyntaxError,
+    struct.error, zlib.error, tokenize.TokenError, BadZipFile,
+)  # fmt: skip
 
 
 def present(path: Path, expected: str) -> Path:
