@@ -47,17 +47,11 @@ class Edit:
 
 @dataclass(frozen=True)
 class Edits:
-    """Corrections, in the order in which they were made.
+    """Corrections, in the order in which they were made."""
 
-    Attributes:
-        num_pieces: number of pieces of the result's hierarchy; without a hierarchy, of its segments.
-        granularity: the level that was corrected; None: the labels of the result.
-        steps: the corrections.
-    """
-
-    num_pieces: int
-    granularity: float | None = None
-    steps: tuple[Edit, ...] = ()
+    num_pieces: int  #: number of pieces of the result's hierarchy; without a hierarchy, of its segments
+    granularity: float | None = None  #: the level that was corrected; None: the labels of the result
+    steps: tuple[Edit, ...] = ()  #: the corrections
 
     def apply(self, table: Table, hierarchy: Hierarchy | None) -> Table:
         """Applies the corrections to a level.

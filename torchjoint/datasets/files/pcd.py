@@ -38,20 +38,13 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class PcdHeader:
-    """The header of a PCD file.
+    """The header of a PCD file."""
 
-    Args:
-        fields: types [count] by name; a padding field has the name "_" and its index.
-        width, height: points per row, and rows; one row if the cloud is not organised.
-        encoding: ascii, binary, binary_compressed.
-        size: of the header, bytes.
-    """
-
-    fields: Mapping[str, np.dtype[Any]]
-    width: int
+    fields: Mapping[str, np.dtype[Any]]  #: types [count] by name; a padding field has the name "_" and its index
+    width: int  #: points per row, and rows; one row if the cloud is not organised
     height: int
-    encoding: str
-    size: int
+    encoding: str  #: ascii, binary, binary_compressed
+    size: int  #: of the header, bytes
 
     @property
     def num_points(self) -> int:
@@ -61,15 +54,11 @@ class PcdHeader:
 
 @dataclass(frozen=True)
 class Pcd:
-    """The cloud of a PCD file; points are in the order of the file.
+    """The cloud of a PCD file; points are in the order of the file."""
 
-    Args:
-        width, height: points per row, and rows.
-        fields: arrays [N] by name, or [N, count] if a field has several values per point.
-    """
-
-    width: int
+    width: int  #: points per row, and rows
     height: int
+    #: arrays [N] by name, or [N, count] if a field has several values per point
     fields: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def points(self) -> Tensor:
