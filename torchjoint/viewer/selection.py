@@ -34,7 +34,7 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     """
     if not model.selected:
         raise ValueError("export: select a segment first")
-    called = {model.key(segment): model.names().get(segment, "") for segment in model.selected}
+    called = {model.key(segment): model.names.get(segment, "") for segment in model.selected}
     name = file_name("-".join(f"{key}-{name}" if name else str(key) for key, name in [*called.items()][:5]))
     name += f"-and-{len(called) - 5}-more" if len(called) > 5 else ""
     result, keys = model.result, _keys_of_pieces(model)
