@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files import meshes
 from torchjoint.datasets.files.ply import Ply, read_ply, write_cloud
-from torchjoint.datasets.files.ply_records import read_records, write_bytes
+from torchjoint.datasets.files.ply_records import PlyRecords, parse_records, read_records, write_bytes
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.result import Result
 from torchjoint.runtime.extras import needed_for
@@ -107,12 +107,7 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
     folder.mkdir()
     with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
-        if source.suffix.lower() == ".ply":
-            parts = read_records(source)
-        else:
-            with tempfile.TemporaryDirectory() as temporary:
-                write_cloud(Path(temporary) / "mesh.ply", mesh.points, mesh.colors)
-                parts = read_records(Path(temporary) / "mesh.ply")
+        parts = read_records(source) if source.suffix.lower() == ".ply" else _vertices(mesh)
         for segment in of_vertex[of_vertex >= 0].unique().tolist():
             which, triangles = of_vertex == segment, None
             if mesh.faces is not None:
@@ -139,14 +134,16 @@ def _stem(segment: int, result: Result) -> str:
 
 
 def _write_mesh(out: Path, mesh: Ply, of_vertex: Tensor, of_face: Tensor | None, name: str) -> None:
+    every = np.ones(len(mesh.points), dtype=np.bool_)
+    whole = _vertices(mesh).some_vertices(every, None if mesh.faces is None else mesh.faces.numpy())
+    labels = {"vertex": of_vertex.numpy()} | ({} if of_face is None else {"face": of_face.numpy()})
+    write_bytes(out, parse_records(whole).with_labels(name, labels))
+
+
+def _vertices(mesh: Ply) -> PlyRecords:
     with tempfile.TemporaryDirectory() as temporary:
-        file = Path(temporary) / "mesh.ply"
-        write_cloud(file, mesh.points, mesh.colors)
-        every = np.ones(len(mesh.points), dtype=np.bool_)
-        triangles = None if mesh.faces is None else mesh.faces.numpy()
-        file.write_bytes(read_records(file).some_vertices(every, triangles))
-        labels = {"vertex": of_vertex.numpy()} | ({} if of_face is None else {"face": of_face.numpy()})
-        write_bytes(out, read_records(file).with_labels(name, labels))
+        write_cloud(Path(temporary) / "mesh.ply", mesh.points, mesh.colors)
+        return read_records(Path(temporary) / "mesh.ply")
 
 
 def _write_glb(out: Path, mesh: Ply, of_face: Tensor | None, result: Result) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -141,7 +142,7 @@ class Viewer:
             return lambda _: self._guarded(action)
 
         def changes(change: Any) -> Any:
-            return then(lambda: (change(), self._draw()))
+            return lambda _: self._guarded(self._change, change)
 
         panel.bridge.on_update(then(self._on_event))
         panel.mode.on_update(changes(lambda: setattr(self.model, "mode", panel.mode.value)))
@@ -224,6 +225,11 @@ class Viewer:
         else:
             self._choose(None if point is None else int(self.model.table[self.model.parts.of_point[point]]), more)
 
+    def _change(self, change: Callable[[], object]) -> None:
+        """Changes the model, and draws what it is now."""
+        change()
+        self._draw()
+
     def _choose(self, segment: int | None, more: bool) -> None:
         """Selects a segment; with shift, adds it to the selection or removes it. None clears the selection."""
         before = self.model.selected
@@ -233,8 +239,7 @@ class Viewer:
             self._select(tuple(s for s in before if s != segment) if segment in before else (*before, segment))
 
     def _select(self, segments: tuple[int, ...]) -> None:
-        self.model.select(segments)
-        self._draw()
+        self._change(lambda: self.model.select(segments))
 
     def _on_parameters(self) -> None:
         """Shows the result of other parameters; corrections that do not belong to it are dropped."""

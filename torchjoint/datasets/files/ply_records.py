@@ -91,15 +91,22 @@ def read_records(path: Path) -> PlyRecords:
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
-    data = present(path, "a .ply").read_bytes()
     with damage_is(str(path)):
-        header = parse_header(data[:MAX_HEADER])
-        if not header.elements or header.elements[0].name != "vertex" or header.elements[0].lists:
-            raise ValueError("expected vertices without lists as first element")
-        text = data[: header.size].decode("utf-8", "surrogateescape")
-        head = [line.rstrip() for line in re.split(r"\r?\n", text) if line]
-        read = _lines if header.encoding == "ascii" else _rows
-        records, rest = read(data, header)
+        return parse_records(present(path, "a .ply").read_bytes())
+
+
+def parse_records(data: bytes) -> PlyRecords:
+    """Reads the records of a file's bytes.
+
+    Raises:
+        ValueError: the bytes are damaged, or have no vertices.
+    """
+    header = parse_header(data[:MAX_HEADER])
+    if not header.elements or header.elements[0].name != "vertex" or header.elements[0].lists:
+        raise ValueError("expected vertices without lists as first element")
+    text = data[: header.size].decode("utf-8", "surrogateescape")
+    head = [line.rstrip() for line in re.split(r"\r?\n", text) if line]
+    records, rest = (_lines if header.encoding == "ascii" else _rows)(data, header)
     return PlyRecords(head, header, records, rest)
 
 
