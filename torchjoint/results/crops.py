@@ -98,7 +98,7 @@ def crops_of(
 ) -> list[Crop]:
     """As :func:`best_crops`, for the frames in `pixels`, which has the number of the segment's pixels in each."""
     points = scene.points[result.points == segment]
-    share = {index: _share_inside(points, cameras[index]) for index in pixels}
+    share = {index: len(project(points, *cameras[index]).point) / max(len(points), 1) for index in pixels}
     best = sorted(pixels, key=lambda index: (-pixels[index] * share[index] ** 2, index))
     return [_crop(scene, result, segment, index, share[index], margin) for index in best[:k]]
 
@@ -117,10 +117,6 @@ def check_segment(segment: int, count: int) -> int:
     if not 0 <= number < count:
         raise ValueError(f"segment: expected an id from 0 to {count - 1}, got {number}")
     return number
-
-
-def _share_inside(points: Tensor, camera: Camera) -> float:
-    return len(project(points, *camera).point) / max(len(points), 1)
 
 
 def _crop(scene: Scene, result: Segmentation, segment: int, index: int, whole: float, margin: float) -> Crop:

@@ -79,7 +79,7 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
     mesh = _read(source)
     with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
-        of_face = None if mesh.faces is None else nearest_labels(result, _centers(mesh.points, mesh.faces))
+        of_face = None if mesh.faces is None else nearest_labels(result, mesh.points[mesh.faces].double().mean(1))
         if out.suffix == ".glb":
             _write_glb(out, mesh, of_face, result)
         elif source.suffix.lower() != ".ply":
@@ -122,10 +122,6 @@ def _read(source: Path) -> Ply:
     if suffix not in (".ply", *meshes.SUFFIXES):
         raise ValueError(f"{source}: expected a file that ends in {', '.join(('.ply', *meshes.SUFFIXES))}")
     return read_ply(source) if suffix == ".ply" else meshes.read_mesh_file(source)
-
-
-def _centers(points: Tensor, faces: Tensor) -> Tensor:
-    return points[faces].double().mean(1)
 
 
 def _stem(segment: int, result: Result) -> str:
