@@ -67,7 +67,7 @@ def test_by_hand(data):
     assert torch.equal(found.nan_to_num(-1), backwards.nan_to_num(-1))
 
 
-room = functools.cache(lambda: tj.synthetic.make_scene(0, "small").scene)
+room = functools.cache(lambda: tj.synthetic.make_scene(0, num_views=4, num_points=3000, height=90, width=120).scene)
 
 
 def scene_of(colors):
