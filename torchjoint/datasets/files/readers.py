@@ -170,6 +170,7 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     """
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist")
+    path = path.absolute()  # a batch gives the same recording by a relative path and by the whole one
     if path.is_file() and path.suffix.lower() in ALONE:
         status = path.stat()
         return hashlib.sha256(repr((str(path.resolve()), status.st_size, status.st_mtime_ns)).encode()).hexdigest()
