@@ -12,8 +12,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-import torch
-
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results"
 
@@ -30,6 +28,8 @@ class Table(NamedTuple):
 
 def save(name: str, tables: Sequence[Table], about: str = "") -> None:
     """Prints the tables, and writes them with the command, the date, the versions and the kind of machine."""
+    import torch  # the page of the benchmarks does not need it
+
     result = {
         "command": command(sys.argv),
         "date": datetime.now(UTC).date().isoformat(),

@@ -182,4 +182,4 @@ def test_bash_completes_commands_and_options(run, capsys, tmp_path):
         $function; echo ${COMPREPLY[@]}
     done"""
     told = subprocess.run(["bash", "-c", ask], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    assert told.split("\n")[:2] == ["segment", "--max-frames --masks"]
+    assert told.split("\n")[:2] == ["segment", "--masks --max-frames"]

@@ -329,6 +329,11 @@ class TestFingerprint:
         (tmp_path / "images" / "0.png").write_bytes(b"other")
         assert fingerprint(tmp_path / "recording") != before
 
+    def test_a_relative_path_is_the_same_recording(self, tmp_path, monkeypatch, scene_of):
+        write_folder(tmp_path / "recording", scene_of(2))
+        monkeypatch.chdir(tmp_path)
+        assert fingerprint(Path("recording")) == fingerprint(tmp_path / "recording")
+
     def test_links_that_lead_back(self, tmp_path):
         (tmp_path / "0.png").write_bytes(b"one")
         (tmp_path / "again").symlink_to(tmp_path)

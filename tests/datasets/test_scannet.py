@@ -24,7 +24,7 @@ from scannet_files import (
 
 import torchjoint as tj
 from torchjoint.datasets.files.sens import SensFile
-from torchjoint.datasets.resampling import register_depth, resize_labels
+from torchjoint.datasets.resampling import register_depth, resize_nearest
 from torchjoint.datasets.scannet_cameras import Calibration, find_cameras
 
 SCAN = "scene0011_00"
@@ -147,8 +147,8 @@ def test_depth_is_brought_to_the_colour_image():
 
 def test_labels_of_another_size():
     labels = torch.tensor([[0, 1], [2, 3]])
-    assert resize_labels(labels, (3, 4)).tolist() == [[0, 0, 1, 1], [2, 2, 3, 3], [2, 2, 3, 3]]
-    assert resize_labels(torch.arange(6)[None], (1, 3)).tolist() == [[1, 3, 5]]
+    assert resize_nearest(labels, (3, 4)).tolist() == [[0, 0, 1, 1], [2, 2, 3, 3], [2, 2, 3, 3]]
+    assert resize_nearest(torch.arange(6)[None], (1, 3)).tolist() == [[1, 3, 5]]
 
 
 def test_instances_of_pixels_zipped_and_of_another_size(folder, synthetic):

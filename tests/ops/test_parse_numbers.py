@@ -38,7 +38,7 @@ def outcome(function, *arguments) -> list[bytes] | str:
 
 @few_and_many(
     100,
-    1500,
+    700,
     lines=st.lists(st.lists(WORDS, max_size=4), max_size=4),
     blank=BLANKS,
     num_rows=st.integers(0, 4),
@@ -54,7 +54,7 @@ def test_against_the_slow_twin(lines: list[list[str]], blank: str, num_rows: int
         assert got == expected
 
 
-@few_and_many(100, 1500, words=st.lists(WORDS, min_size=1, max_size=20))
+@few_and_many(100, 700, words=st.lists(WORDS, min_size=1, max_size=20))
 def test_a_column_of_numbers(words: list[str]) -> None:
     """Most are numbers, so that values are compared more often than errors."""
     numbers = [word for word in words if isinstance(outcome(parse_numbers_reference, as_text(word), 1, 1), list)]

@@ -10,7 +10,6 @@ import torch
 import torchjoint as tj
 from torchjoint.results.exports.graph import export_graph
 from torchjoint.results.relations import Relation
-from torchjoint.synthetic import make_scene
 
 UP = torch.tensor([0.0, 0, 1])
 
@@ -98,9 +97,9 @@ def test_apart_nothing_is_related():
     assert kinds(graph_of(grid((0, 0, 0), (1, 1, 0)), grid((5, 5, 3), (6, 6, 3)))) == []
 
 
-def test_a_generated_room():
+def test_a_generated_room(scene_of):
     """All that stands on a table or a cabinet is above it; most of what a person would name is found."""
-    made = make_scene(0, size="medium")
+    made = scene_of(0, num_points=15_000)
     ids, labels = made.point_labels.unique(return_inverse=True)
     graph = tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(made.scene.points)).graph(UP)
     names = [made.instance_names[int(one)] for one in ids]

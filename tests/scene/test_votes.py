@@ -103,8 +103,8 @@ def test_wrong_votes(segments, size, message):
         segmentation(Votes(torch.tensor(segments), torch.tensor(size)))
 
 
-def test_judges_of_a_small_room():
-    scene = tj.synthetic.make_scene(0, "small").scene
+def test_judges_of_a_small_room(scene_of):
+    scene = scene_of(0).scene
     result = tj.JointSegmenter()(scene)
     assert result.confidence.shape == (result.num_point_segments,)
     assert ((result.confidence > 0) & (result.confidence < 1)).all()

@@ -25,6 +25,7 @@ from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.folder import write_result
 from torchjoint.results.label_colors import label_colors
 from torchjoint.scene.camera import camera_center
+from torchjoint.viewer.painting import piece_colors, point_colors
 from torchjoint.viewer.pick import pick_point
 
 pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
@@ -146,7 +147,7 @@ def panel(page):
 
 def test_a_click_in_the_cloud_lights_the_segment_everywhere(viewer, page):
     (first, here), (second, there) = visible_segments(viewer)[:2]
-    expected = viewer.model.piece_colors()
+    expected = piece_colors(viewer.model)
     assert is_like(color_at(page, here), expected[first])
     assert is_like(color_at(page, there), expected[second])
     image = page.get_attribute("#tj-image", "src")
@@ -383,10 +384,10 @@ def test_a_name_stays_where_it_belongs(viewer, page):
     wait(lambda: "chair" not in page.inner_text("body"))
     slider.press("End")
     wait(lambda: "chair" in page.inner_text("#tj-table"))
-    (found,) = {*viewer.model.names().values()}
+    (found,) = {*viewer.model.names.values()}
     assert found == "chair"
     of_point = viewer.model.table[viewer.model.parts.of_point]
-    np.testing.assert_array_equal(np.isin(of_point, [*viewer.model.names()]), named)
+    np.testing.assert_array_equal(np.isin(of_point, [*viewer.model.names]), named)
 
 
 def test_split_name_undo_and_the_cameras(viewer, page):
@@ -428,7 +429,7 @@ def test_the_granularity_slider_and_the_frame_slider(viewer, page):
     assert len(np.unique(viewer.model.table)) > before
     wait(lambda: f"{len(np.unique(viewer.model.table))} segments" in page.inner_text("body"))
     fresh = [one for one in visible_segments(viewer) if viewer.model.key(one[0]) >= viewer.result.num_point_segments]
-    colors = viewer.model.piece_colors()
+    colors = piece_colors(viewer.model)
     segment, place = fresh[0]
     wait(lambda: is_like(color_at(page, place), colors[segment]))
     image = page.get_attribute("#tj-image", "alt")
@@ -510,10 +511,10 @@ def test_a_run_is_shown_while_its_frames_come(browser, scene_of, tmp_path):
         note = f"running: {len(segmenter.state.observations)} of 6 frames"
         wait(lambda: note in page.inner_text("#tj-note"))
         segment, place = visible_segments(live.viewer)[0]
-        expected = live.viewer.model.piece_colors()[segment]
+        expected = piece_colors(live.viewer.model)[segment]
         wait(lambda: is_like(color_at(page, place), expected))
         notes.append(note)
-        colors.append(live.viewer.model.point_colors())
+        colors.append(point_colors(live.viewer.model))
         images.append(page.get_attribute("#tj-image", "src"))
 
     segmenter = tj.JointSegmenter(config)
@@ -560,7 +561,7 @@ def test_the_cloud_grows_while_frames_come(browser, scene_of):
     page.mouse.click(*place)
     wait(lambda: view.viewer.model.selected == (segment,))
     thing = view.viewer.model.key(segment)
-    color = view.viewer.model.piece_colors()[segment]
+    color = piece_colors(view.viewer.model)[segment]
     segmenter.update(frames[2:])
     second = segmenter.result(images=False)
     assert len(second.cloud.points) > len(first.cloud.points)
@@ -570,7 +571,7 @@ def test_the_cloud_grows_while_frames_come(browser, scene_of):
     wait(lambda: "after all frames" in page.inner_text("#tj-note"))
     (segment,) = view.viewer.model.selected  # the same thing
     assert view.viewer.model.key(segment) == thing
-    assert np.array_equal(view.viewer.model.piece_colors()[segment], color)
+    assert np.array_equal(piece_colors(view.viewer.model)[segment], color)
     assert f"segment {thing}" in panel(page)
     place = dict(visible_segments(view.viewer))[segment]
     wait(lambda: is_like(color_at(page, place), color))

@@ -17,6 +17,7 @@ from torchjoint.scene import Hierarchy
 from torchjoint.segments.choice import METHODS
 from torchjoint.viewer.cloud import blocks_of
 from torchjoint.viewer.model import Model
+from torchjoint.viewer.painting import painted, point_colors
 from torchjoint.viewer.pick import pick_point
 from torchjoint.viewer.selection import export_selected
 
@@ -72,7 +73,7 @@ def test_join_split_name_and_undo(model):
     assert len(np.unique(model.table)) == len(np.unique(start))
     assert model.undo()
     assert model.undo()
-    assert model.names() == {}
+    assert model.names == {}
     assert model.undo()
     np.testing.assert_array_equal(model.table, start)
     assert not model.undo()
@@ -171,10 +172,10 @@ def test_a_name_stays_with_its_segment_and_finer_ones():
     model.set_granularity(fine)
     model.select((2,))
     model.name("chair")
-    assert model.names() == {2: "chair"}
+    assert model.names == {2: "chair"}
     for level, names in ((coarse, {}), (whole, {}), (finest, {2: "chair", 3: "chair"}), (None, {2: "chair"})):
         model.set_granularity(level)
-        assert model.names() == names
+        assert model.names == names
     # The name of a part counts more than that of the whole, whichever came first; "" takes a name away.
     model.set_granularity(finest)
     model.select((3,))
@@ -183,10 +184,10 @@ def test_a_name_stays_with_its_segment_and_finer_ones():
     model.select((0,))
     model.name("furniture")
     model.set_granularity(finest)
-    assert model.names() == {0: "furniture", 1: "furniture", 2: "chair", 3: "seat"}
+    assert model.names == {0: "furniture", 1: "furniture", 2: "chair", 3: "seat"}
     model.select((3,))
     model.name("")
-    assert model.names() == {0: "furniture", 1: "furniture", 2: "chair"}
+    assert model.names == {0: "furniture", 1: "furniture", 2: "chair"}
 
 
 def test_a_join_takes_the_name_along_and_a_level_is_kept(tmp_path):
@@ -197,7 +198,7 @@ def test_a_join_takes_the_name_along_and_a_level_is_kept(tmp_path):
     model.name("table")
     model.select((0, 4))
     model.join()
-    assert model.names() == {0: "table"}
+    assert model.names == {0: "table"}
     model.set_granularity(0.0)
     write_edits(tmp_path, model.edits)
     assert read_edits(tmp_path, 5) == model.edits
@@ -262,7 +263,7 @@ def test_what_was_clicked_becomes_one_thing(picked, tmp_path):
     assert picked.undo()
     click()
     picked.name("chair")  # keeps it, too
-    assert picked.names() == {0: "chair"}
+    assert picked.names == {0: "chair"}
     assert [step.kind for step in picked.edits.steps] == ["gather", "name"]
     assert picked.undo()
     assert picked.table.tolist() == [0, 0, 2, 2, 4, 4]
@@ -312,7 +313,7 @@ def test_what_one_click_did_is_undone_at_once(model):
     for name in ("b", "be", "bed"):  # as it is typed
         model.name(name)
     assert model.undo()
-    assert model.names() == {}
+    assert model.names == {}
     assert model.undo()
     np.testing.assert_array_equal(model.table, start)
     assert not model.undo()
@@ -411,16 +412,16 @@ def test_a_result_without_levels_can_be_joined(result):
 
 def test_what_is_selected_is_lit_and_the_rest_fades(model):
     first, _ = largest(model)
-    before = model.point_colors().astype(int)
+    before = point_colors(model).astype(int)
     model.select((first,))
-    after = model.point_colors().astype(int)
+    after = point_colors(model).astype(int)
     lit = model.table[model.parts.of_point] == first
     np.testing.assert_array_equal(after[lit], before[lit])
     assert after[~lit].min() > 190
     index = max(range(6), key=lambda i: (model.parts.image(i) >= 0).sum())
     seen = np.isin(model.parts.image(index), np.nonzero(model.table == first)[0])
     plain = model.result.scene.frames[index].image.permute(1, 2, 0).numpy() * 255
-    changed = np.abs(model.painted(index, 0.5).astype(int) - plain).max(2) > 1
+    changed = np.abs(painted(model, index, 0.5).astype(int) - plain).max(2) > 1
     assert changed[seen].mean() > 0.9
 
 
@@ -441,15 +442,15 @@ def test_light_shows_walls_and_floor_and_edges_are_dark():
 
 
 def test_only_labels_are_shaded(model):
-    flat = model.point_colors().astype(float)
+    flat = point_colors(model).astype(float)
     model.shading = Shading(model.result.scene.points, UP)
-    shaded = model.point_colors()
+    shaded = point_colors(model)
     factor = shaded / np.maximum(flat, 1)
     assert (shaded.max(1) < flat.max(1)).mean() > 0.9
     assert np.ptp(np.where(flat > 60, factor, np.nan), axis=1)[(flat > 60).all(1)].max() < 0.03  # the hue stays
     model.mode = "colours"
     own = model.result.scene.colors.numpy() * 255
-    np.testing.assert_array_equal(model.point_colors(), own.round().astype(np.uint8))
+    np.testing.assert_array_equal(point_colors(model), own.round().astype(np.uint8))
 
 
 @pytest.mark.parametrize("mode", ["segments", "colours", "confidence", "initial"])
@@ -457,8 +458,8 @@ def test_every_mode_has_colours(model, mode):
     assert mode in model.modes
     assert "truth" not in model.modes
     model.mode = mode
-    assert model.point_colors().shape == (6000, 3)
-    assert model.painted(0, 0.5).shape == (120, 160, 3)
+    assert point_colors(model).shape == (6000, 3)
+    assert painted(model, 0, 0.5).shape == (120, 160, 3)
 
 
 def test_the_table_sorts_and_searches(model, result):
@@ -468,7 +469,7 @@ def test_the_table_sorts_and_searches(model, result):
     assert sum(row.points for row in rows) == 6000
     assert [row.key for row in model.rows(order="id")[0]] == list(range(count))
     assert rows[0].frames is None
-    model.read_frames()
+    model.measures.read_frames()
     seen = [row.frames for row in model.rows(order="frames")[0]]
     assert seen == sorted(seen, reverse=True)
     assert seen[0] == max(sum(bool((i == k).any()) for i in result.images) for k in range(count))

@@ -7,8 +7,9 @@ import sys
 import tyro
 
 from torchjoint.cli._log import printed_log
-from torchjoint.cli.arguments import DEFAULTS, Flat, Out, read_topics
-from torchjoint.recordings import BatchReport, RecordingOptions
+from torchjoint.cli.arguments import DEFAULTS, Flat, Out
+from torchjoint.cli.reading import AS_IT_IS, FlatReading
+from torchjoint.recordings import BatchReport
 from torchjoint.recordings import batch as run_batch
 from torchjoint.recordings.scene_list import FAILURES, SUMMARY
 
@@ -20,20 +21,10 @@ def batch(
     scenes: tyro.conf.Positional[tuple[str, ...]],
     out: Out,
     parameters: Flat = DEFAULTS,
+    reading: FlatReading = AS_IT_IS,
     engine: str = "loky",
     threads: int = 1,
     overwrite: bool = False,
-    voxel_size: float = 0.02,
-    topics: tuple[str, ...] = (),
-    time_limit: float = 0.02,
-    max_frames: int | None = None,
-    in_view: bool = False,
-    thin: float | None = None,
-    merge_within: float = 0.0,
-    granularity: float | None = None,
-    ignore_poses: bool = False,
-    drop_invalid: bool = False,
-    least_opacity: float = 0.1,
 ) -> None:
     """Segments any number of recordings over many workers; each gets a result folder OUT/NAME.
 
@@ -44,38 +35,12 @@ def batch(
         scenes: recordings, patterns ('scans/*'), the folder of a data set, or a .txt file that lists any of these.
         out: folder for the results, summary.csv and failures.csv.
         parameters: parameters of the method.
+        reading: how recordings are read.
         engine: loky, dask or ray for this machine (loky:4: with 4 workers), dask://HOST:PORT or ray://HOST:PORT for a
             cluster. dask and ray need `pip install 'torchjoint[dask]'` or `[ray]`.
         threads: threads of one recording; workers on this machine never have more threads than there are cores.
         overwrite: replace earlier results.
-        voxel_size: metres, for fusing a cloud from depth if a recording has no cloud.
-        topics: for ROS recordings, if several topics fit a role: --topics color=/front/image_raw. The roles are color,
-            info, depth, points and odometry.
-        time_limit: for ROS recordings: largest time from an image to its depth image and its pose, seconds.
-        max_frames: number of frames to use, evenly spread over a recording.
-        in_view: leave out the points that no frame has in its view.
-        thin: keep one point per voxel of this size, metres.
-        merge_within: metres; all points in a cube with this side are treated as one point and get the same label.
-        ignore_poses: go on if the poses look wrong; else this is an error.
-        drop_invalid: leave out the points of the cloud that are NaN or infinite, and tell their number; else they are
-            an error.
-        least_opacity: of Gaussian splats (a .ply), 0 to 1: fainter ones are no part of the cloud. `torchjoint label`
-            gives them labels.
-        granularity: level of the labels, 0 (coarse) to 1 (fine); the default is 0.5.
     """
-    options = RecordingOptions(
-        voxel_size,
-        max_frames,
-        in_view,
-        thin,
-        merge_within,
-        granularity,
-        read_topics(topics),
-        time_limit,
-        ignore_poses,
-        drop_invalid,
-        least_opacity,
-    )
     with printed_log():
         report = run_batch(
             scenes,
@@ -83,7 +48,7 @@ def batch(
             engine=engine,
             threads=threads,
             config=parameters.config(),
-            options=options,
+            options=reading.options(),
             overwrite=overwrite,
             progress=sys.stderr.isatty(),
             allow_import=True,

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.lenses import undistort, undistort_fisheye
+from torchjoint.datasets.resampling import resize_nearest
 from torchjoint.scene import Frame
 from torchjoint.scene.checks import as_intrinsics
 
@@ -106,14 +107,8 @@ def resize_depth(depth: Tensor, size: tuple[int, int], name: str = "") -> Tensor
     """Resizes depth [h, w] to (H, W) by nearest neighbour: depth must not be averaged over edges."""
     if depth.ndim != 2 or 0 in depth.shape:
         raise ValueError(f"depth of frame {name!r}: expected shape [H, W], got {list(depth.shape)}")
-    old = (depth.shape[0], depth.shape[1])
-    if old == size:
-        return depth
-    _check_same_shape(old, size, f"depth of frame {name!r}")
-    rows, columns = (
-        ((torch.arange(n) + 0.5) * (o / n)).long().clamp(max=o - 1) for n, o in zip(size, old, strict=True)
-    )
-    return depth[rows[:, None], columns]
+    _check_same_shape((depth.shape[0], depth.shape[1]), size, f"depth of frame {name!r}")
+    return resize_nearest(depth, size)
 
 
 def rotations_from_quaternions(quaternions: Matrix, name: str) -> Rotation:

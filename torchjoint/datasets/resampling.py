@@ -34,12 +34,12 @@ def register_depth(depth: Tensor, depth_intrinsics: Tensor, intrinsics: Tensor, 
     return torch.where(inside, depth[indices[0]][:, indices[1]], 0)
 
 
-def resize_labels(labels: Tensor, size: tuple[int, int]) -> Tensor:
-    """Resizes a label image [h, w] to (H, W) by nearest neighbour."""
-    if labels.shape == size:
-        return labels
+def resize_nearest(image: Tensor, size: tuple[int, int]) -> Tensor:
+    """Resizes labels or depth [h, w] to (H, W) by nearest neighbour."""
+    if image.shape == size:
+        return image
     row, column = (
         ((torch.arange(new, dtype=torch.float64) + 0.5) * old / new).long()
-        for new, old in zip(size, labels.shape, strict=True)
+        for new, old in zip(size, image.shape, strict=True)
     )
-    return labels[row[:, None], column[None]]
+    return image[row[:, None], column]

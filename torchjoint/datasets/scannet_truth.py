@@ -12,7 +12,7 @@ from torch import Tensor
 from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.members import Members
 from torchjoint.datasets.files.readers import MAX_PIXELS, decode_image, labels_of, read_label_image
-from torchjoint.datasets.resampling import resize_labels
+from torchjoint.datasets.resampling import resize_nearest
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame
 
@@ -96,7 +96,7 @@ def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Seq
     )
     if read is None:
         return ()
-    return LazySequence(len(names), lambda i: resize_labels(read(names[i]) - 1, frames[i].size))
+    return LazySequence(len(names), lambda i: resize_nearest(read(names[i]) - 1, frames[i].size))
 
 
 def _folder_reader(folder: Path, names: Sequence[str]) -> Callable[[str], Tensor] | None:

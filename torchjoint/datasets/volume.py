@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops.integrate_depth import CHANNELS, SIDE, UNIT, integrate_depth
+from torchjoint.runtime.sorted_groups import find
 from torchjoint.runtime.spill import SpillFile
 from torchjoint.runtime.threads import all_threads, parallel_map
 
@@ -116,7 +117,7 @@ class Volume:
 
     def _add(self, key: Tensor) -> None:
         """Adds those of these blocks that are not there yet."""
-        new = key[~self._find(key)[1]]
+        new = key[~find(self._key, key)[1]]
         total = len(self._key) + len(new)
         if total > MOST_BLOCKS:
             raise ValueError(
@@ -149,20 +150,13 @@ class Volume:
             self._map.madvise(mmap.MADV_DONTNEED)  # of a file: nothing is lost
             self._used = 0
 
-    def _find(self, key: Tensor) -> tuple[Tensor, Tensor]:
-        """The places of blocks among the keys, and whether they are there."""
-        if not len(self._key):
-            return torch.zeros_like(key), torch.zeros_like(key, dtype=torch.bool)
-        place = torch.searchsorted(self._key, key).clamp(max=len(self._key) - 1)
-        return place, self._key[place] == key
-
     def _crossings(self, key: Tensor) -> Tensor:
         """Points of the surface and their colours, [N, 6], between voxels of these blocks and the next on each axis."""
-        row, found = self._row[self._find(key)[0]], []
+        row, found = self._row[find(self._key, key)[0]], []
         sums = self._sums.view(-1, SIDE, SIDE, SIDE, CHANNELS)
         here = _distance(sums[row])
         for axis in range(3):
-            place, there = self._find(key + _STEPS[axis])
+            place, there = find(self._key, key + _STEPS[axis])
             next_row = self._row[place]
             beyond = _distance(sums.narrow(axis + 1, 0, 1)[next_row])
             beyond[~there] = torch.inf

@@ -41,9 +41,6 @@ class SharedTask(Shared):
     """A value as a task of the scheduler. The scheduler repeats the task if the workers that hold its value die.
 
     Scattered data would be lost with these workers.
-
-    Args:
-        value: that all tasks use.
     """
 
     def __init__(self, value: Any) -> None:
@@ -73,8 +70,7 @@ class DaskEngine(Engine):
     This class chooses the worker of each task. The scheduler may queue two tasks on one worker; both would die with it.
 
     Args:
-        name: as the user gave it.
-        threads: of each task.
+        name, threads: as of :class:`Engine`.
         workers: number of processes on this machine, if there is no address.
         address: HOST:PORT of a scheduler, or None.
     """

@@ -157,7 +157,9 @@ class Engine(abc.ABC):
             return Outcome(task.index, result.value, result.error)
         reason = self._death(error)
         if reason is None:
-            return Outcome(task.index, error=_of_task(error))
+            if not isinstance(error, Exception):
+                raise error  # an interrupt
+            return Outcome(task.index, error=error)  # for example, arguments that cannot be pickled
         task.deaths += 1
         if task.deaths < MOST_DEATHS:
             return None
@@ -166,10 +168,3 @@ class Engine(abc.ABC):
 
 def _is_cut(future: Future[Answer]) -> bool:
     return future.cancelled() or isinstance(future.exception(), CancelledError | ConnectionError)
-
-
-def _of_task(error: BaseException) -> Exception:
-    """Returns an error that belongs to one task, such as arguments that cannot be pickled; raises an interrupt."""
-    if isinstance(error, Exception):
-        return error
-    raise error

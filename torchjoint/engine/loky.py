@@ -23,8 +23,7 @@ class LokyEngine(Engine):
     """Processes of loky. Each worker has its own executor, so that the death of a worker breaks no other worker.
 
     Args:
-        name: as the user gave it.
-        threads: of each task.
+        name, threads: as of :class:`Engine`.
         workers: number of processes.
     """
 

@@ -24,11 +24,7 @@ except ModuleNotFoundError as error:
 
 
 class SharedObject(Shared):
-    """A value in ray's object store. Ray would unpickle a plain argument again for each task.
-
-    Args:
-        value: that all tasks use.
-    """
+    """A value in ray's object store. Ray would unpickle a plain argument again for each task."""
 
     def __init__(self, value: Any) -> None:
         self.key = uuid.uuid4().hex
@@ -47,8 +43,7 @@ class RayEngine(Engine):
     """Workers of ray; a task takes as many of ray's CPUs as it has threads.
 
     Args:
-        name: as the user gave it.
-        threads: of each task.
+        name, threads: as of :class:`Engine`.
         workers: number of processes on this machine, if there is no address.
         address: HOST:PORT of a cluster's client server, or None.
     """

@@ -13,11 +13,7 @@ from torchjoint.engine.worker import Shared
 
 
 class SharedFile(Shared):
-    """A pickled value in a file of the main process. The file is already deleted: it disappears with the process.
-
-    Args:
-        value: that all tasks use.
-    """
+    """A pickled value in a file of the main process. The file is already deleted: it disappears with the process."""
 
     def __init__(self, value: Any) -> None:
         self.key = uuid.uuid4().hex

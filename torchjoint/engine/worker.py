@@ -26,7 +26,7 @@ class Answer(NamedTuple):
 
 
 class Shared(ABC):
-    """A reference to a value that each worker loads once."""
+    """A reference to a value that all tasks use; each worker loads it once."""
 
     key: str
 

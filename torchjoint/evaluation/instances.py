@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime.archives import read_archive
+from torchjoint.runtime.foreign_files import present
 
 #: Largest number of masks of a scene.
 MOST = 100_000
@@ -96,8 +97,7 @@ def _of_listing(path: Path, num_points: int) -> Instances:
 
 
 def _read_mask(file: Path, num_points: int) -> Tensor:
-    if not file.is_file():
-        raise FileNotFoundError(f"{file}: missing; expected a mask")
+    present(file, "a mask")
     if file.stat().st_size > 32 * (num_points + 1):
         raise ValueError(f"{file}: expected 0 or 1 for each of {num_points} points, got {file.stat().st_size} bytes")
     try:

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from torchjoint.datasets.formats.scannetpp import truth_files
 from torchjoint.datasets.scannet_truth import OBJECTS, point_instances, read_object_classes
+from torchjoint.runtime.foreign_files import present
 
 Name = Literal["scannetv2", "scannet200", "scannetpp"]
 #: The tables of labels that the downloads of ScanNet and ScanNet++ bring.
@@ -83,8 +84,7 @@ def read_table(file: Path, name: Name) -> dict[str, int]:
 
 def _pairs(file: Path, first: str, second: str, delimiter: str) -> list[tuple[str, str]]:
     """Two columns of a table, row by row."""
-    if not file.is_file():
-        raise FileNotFoundError(f"{file}: missing; expected the data set's table of labels")
+    present(file, "the data set's table of labels")
     try:
         with file.open(encoding="utf-8", errors="replace", newline="") as stream:
             reader = csv.DictReader(stream, delimiter=delimiter)
@@ -125,8 +125,7 @@ def _counted_of_scannetpp(num_points: int, scan: Path, table: Path) -> Tensor:
 
     def objects_of(name: str) -> list[int]:
         file = table.with_name(name)
-        if not file.is_file():
-            raise FileNotFoundError(f"{file}: missing; expected the benchmark's classes, a line each")
+        present(file, "the benchmark's classes, a line each")
         classes = file.read_text(encoding="utf-8", errors="replace").splitlines()
         return [one for one, found in of_object.items() if found in classes]
 

@@ -42,25 +42,19 @@ LISTS = ("childs", "featureIds", "thresholds", "edgeBoundaries", "edgeBins")
 class Forest:
     """T structured trees, all padded to N nodes.
 
-    Attributes:
-        children: [T, N] int32, 0 at a leaf, else 1 + the left child's index in the tree; the right child follows.
-        features: [T, N] int32, the feature that an inner node tests.
-        thresholds: [T, N] float32; a patch goes left if its feature is less than the threshold.
-        boundary_counts: [T, N] int32, the number of `boundary_pixels` that belong to a leaf.
-        boundary_pixels: [P] uint8, column * 16 + row of each boundary pixel in a leaf's patch; leaves are in the order
-            of trees, then nodes.
-        trees_per_site: number of trees that vote at one image site; neighbouring sites use different trees.
-
     Raises:
         ValueError: arrays of different shapes, or values out of range.
     """
 
+    #: [T, N] int32, 0 at a leaf, else 1 + the left child's index in the tree; the right child follows
     children: NDArray[np.int32]
-    features: NDArray[np.int32]
-    thresholds: NDArray[np.float32]
-    boundary_counts: NDArray[np.int32]
+    features: NDArray[np.int32]  #: [T, N] int32, the feature that an inner node tests
+    thresholds: NDArray[np.float32]  #: [T, N] float32; a patch goes left if its feature is less than the threshold
+    boundary_counts: NDArray[np.int32]  #: [T, N] int32, the number of `boundary_pixels` that belong to a leaf
+    #: [P] uint8, column * 16 + row of each boundary pixel in a leaf's patch; leaves are in the order of trees,
+    #: then nodes
     boundary_pixels: NDArray[np.uint8]
-    trees_per_site: int = 4
+    trees_per_site: int = 4  #: number of trees that vote at one image site; neighbouring sites use different trees
 
     def __post_init__(self) -> None:
         trees, nodes = self.children.shape

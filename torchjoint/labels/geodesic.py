@@ -119,16 +119,8 @@ def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) 
     Such a segment has no points, although its area would hold UNSEEN points at the mean density. Or it has few points
     (see SPARSE) and more than half of it is far from all points: a square around a far pixel would hold UNSEEN points
     but has none. In this second case pixels within the mean spacing of points keep their labels. In an image without
-    points every initial segment gets an id of its own.
-
-    Args:
-        labels: [H, W] int32.
-        hit: [H, W] bool, pixels with points.
-        initial: [H, W] int32, -1 = none.
-        first_free: the first new id.
-
-    Returns:
-        ([H, W] int32, the next free id).
+    points every initial segment gets an id of its own. `hit`: [H, W] bool, pixels with points. Returns the labels
+    [H, W] int32, and the next free id.
     """
     num_initial = int(initial.max()) + 1 if initial.numel() else 0
     segment = initial.reshape(-1).long() + 1

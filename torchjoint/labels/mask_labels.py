@@ -117,14 +117,7 @@ def _is_sparse(masks: Masks, mask: Tensor, depth: Tensor) -> Tensor:
     """Whether each mask has far fewer points than others. Then its object is not in the cloud; its points are stray.
 
     Density is measured on surfaces (for fused clouds) and in the image (for scans). A mask is sparse if both are low.
-
-    Args:
-        masks: M masks.
-        mask: [P] int64, the masks in which points lie.
-        depth: [P] z of these points, metres.
-
-    Returns:
-        [M] bool; True for masks without points.
+    `mask` [P], `depth` [P]: the masks in which points lie, and their z. [M] bool; True for masks without points.
     """
     area = masks.areas().clamp(min=1)
     sparse = torch.ones(len(masks), dtype=torch.bool)
@@ -137,13 +130,7 @@ def _is_sparse(masks: Masks, mask: Tensor, depth: Tensor) -> Tensor:
 
 
 def _shown_labels(mask: Tensor, label: Tensor, point_labels: Tensor) -> _Shown:
-    """Counts the points of each 3D label that an image shows.
-
-    Args:
-        mask: [P] int64, the masks in which points lie.
-        label: [P] int64, the 3D labels of these points.
-        point_labels: [M] int64, the 3D label of each visible point.
-    """
+    """Counts the points of each 3D label that an image shows; `label` [P]: of the points in masks `mask` [P]."""
     num_points = torch.bincount(point_labels)
     num_labels = max(1, len(num_points))
     key, count = torch.unique(mask * num_labels + label, return_counts=True)
@@ -151,14 +138,7 @@ def _shown_labels(mask: Tensor, label: Tensor, point_labels: Tensor) -> _Shown:
 
 
 def _winners(part: Tensor, label: Tensor, num_parts: int, shown: _Shown) -> _Winners:
-    """The most frequent label of points in each part.
-
-    Args:
-        part: [P] int64, part of each point, 0 ... K - 1.
-        label: [P] int64, 3D label of each point.
-        num_parts: K.
-        shown: counts of each label in the whole image.
-    """
+    """The most frequent label of points in each part; `part`, `label`: [P]; `shown`: of each label in the image."""
     num_points = torch.bincount(part, minlength=num_parts)
     num_labels = max(1, len(shown.num_points))
     key, count = torch.unique(part * num_labels + label, return_counts=True)

@@ -12,6 +12,7 @@ from torchjoint import ops
 from torchjoint.config import Config
 from torchjoint.labels.geodesic import path_costs
 from torchjoint.labels.markers import nearest_labels, without_outvoted
+from torchjoint.runtime.first_places import first_places
 from torchjoint.runtime.packing import Packed, pack
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Hierarchy
@@ -110,22 +111,11 @@ def piece_image(seen: Observation, labels: Tensor, piece: Tensor, of_piece: Tens
 def _nearest_of_segment(
     seen: Observation, pieces_there: Tensor, of_piece: Tensor, row: Tensor, column: Tensor, segment: Tensor
 ) -> Tensor:
-    """The piece of the nearest visible point of a given segment, for K pixels.
+    """The piece of the nearest visible point of a given segment, [K], for K pixels.
 
-    Args:
-        seen: the frame.
-        pieces_there: [M] int64, piece of each visible point.
-        of_piece: [P] int64, segment of each piece.
-        row: [K] int64.
-        column: [K] int64.
-        segment: [K] int64, segment whose points count.
-
-    Returns:
-        [K] int64; a segment without a visible point gets its first piece.
+    A segment without a visible point gets its first piece. `pieces_there`: [M], of the visible points.
     """
-    first_piece = torch.full((int(of_piece.max()) + 1,), len(of_piece)).scatter_reduce_(
-        0, of_piece, torch.arange(len(of_piece)), "amin"
-    )
+    first_piece = first_places(of_piece)
     if not len(row) or not len(pieces_there):
         return first_piece[segment]
     from scipy.spatial import cKDTree

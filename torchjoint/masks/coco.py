@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 from torchjoint.masks.segmentation import mask_of, stacked
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
 
@@ -86,11 +87,9 @@ class CocoFile:
             ValueError: a damaged annotation; the message names file, image and annotation.
         """
         image = self._images[name]
-        try:
+        with damage_is(f"{self._path}, image {name!r}"):
             size = int(image["height"]), int(image["width"])
             return from_coco(self._annotations[image["id"]], size, self._categories)
-        except (ValueError, TypeError, KeyError) as error:
-            raise ValueError(f"{self._path}, image {name!r}: {error}") from error
 
 
 def read_json(path: Path) -> Any:
@@ -99,7 +98,5 @@ def read_json(path: Path) -> Any:
     Raises:
         ValueError: the file is damaged; the message names it.
     """
-    try:
+    with damage_is(f"{path}: not a whole JSON file"):
         return json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: not a whole JSON file: {error}") from error

@@ -50,7 +50,7 @@ def read_masks(path: Path | str) -> Masks:
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: missing; expected masks")
-    readers = {".png": _read_labels, ".npz": _read_npz, ".json": _read_json}
+    readers = {".png": lambda path: from_labels(read_label_image(path), none=0), ".npz": _read_npz, ".json": _read_json}
     reader = _read_pngs if path.is_dir() else readers.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: expected masks in a folder or in a file of kind {', '.join(SUFFIXES)}")
@@ -76,10 +76,6 @@ def save_masks(path: Path | str, masks: Masks) -> None:
         arrays = {"atom": masks.atom.numpy(), "pairs": masks.pairs.numpy(), "mask_scores": masks.scores.numpy()}
         arrays |= {key: np.array(of) for key, of in (("ids", masks.ids), ("names", masks.names)) if of}
         np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]
-
-
-def _read_labels(path: Path) -> Masks:
-    return from_labels(read_label_image(path), none=0)
 
 
 def _read_json(path: Path) -> Masks:

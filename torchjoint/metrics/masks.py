@@ -39,7 +39,11 @@ def intersect(pred: Tensor | Sequence[Tensor], target: Tensor) -> tuple[Intersec
     column = renumber_by_value(target.flatten())[1] + 1
     column_area = torch.bincount(column, minlength=1)
     if isinstance(pred, Tensor) and pred.dtype != torch.bool:
-        labels, mask = renumber_by_value(_of_shape(checked_labels(pred, "pred"), pred.shape, target))
+        flat = checked_labels(pred, "pred")
+        if pred.shape != target.shape:
+            expected, got = tuple(target.shape), tuple(pred.shape)
+            raise ValueError(f"pred: expected labels of the target's shape, {expected}, got {got}")
+        labels, mask = renumber_by_value(flat)
         inside, width = mask >= 0, len(column_area)
         key, count = count_keys(mask[inside] * width + column[inside], len(labels) * width)
         area = torch.bincount(mask[inside], minlength=len(labels))
@@ -77,9 +81,3 @@ def _checked_points(points: Tensor, name: str, size: int) -> Tensor:
     if len(points) and not 0 <= int(points[0]) <= int(points[-1]) < size:
         raise ValueError(f"{name}: expected points in 0 ... {size - 1}, got {int(points[0])} ... {int(points[-1])}")
     return points
-
-
-def _of_shape(flat: Tensor, shape: torch.Size, target: Tensor) -> Tensor:
-    if shape != target.shape:
-        raise ValueError(f"pred: expected labels of the target's shape, {tuple(target.shape)}, got {tuple(shape)}")
-    return flat

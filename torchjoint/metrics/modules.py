@@ -8,7 +8,7 @@ processes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -46,21 +46,27 @@ __all__ = [
 
 
 class _SampleMean(Metric):
-    """The mean of values over samples; `options` are the metric's options."""
+    """The mean over samples of the values of a function; `options` are its further arguments."""
 
     is_differentiable = False
     higher_is_better = True
     full_state_update = False
     total: Tensor
     num_samples: Tensor
+    _function: Callable[..., float | tuple[float, ...]]
 
     def __init__(self, *, num_values: int = 1, options: Sequence[float] = (), **kwargs: Any) -> None:
         super().__init__(**kwargs)
+        self._options = tuple(options)
         add_options_state(self, *options)
         self.add_state("total", torch.zeros(num_values, dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("num_samples", torch.tensor(0), dist_reduce_fx="sum")
 
-    def _add(self, *values: float) -> None:
+    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
+        """Adds one sample: two label tensors of one shape."""
+        self._add(type(self)._function(pred, target, *self._options))
+
+    def _add(self, values: float | tuple[float, ...]) -> None:
         self.total += torch.tensor(values, dtype=torch.float64, device=self.total.device)
         self.num_samples += 1
 
@@ -84,12 +90,10 @@ class SegmentationCoveringMetric(_SampleMean):
     SegmentationCovering(symmetric=0.75, target_by_pred=0.75, pred_by_target=0.75)
     """
 
+    _function = staticmethod(segmentation_covering)
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(num_values=len(SegmentationCovering._fields), **kwargs)
-
-    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Adds one sample: two label tensors of one shape."""
-        self._add(*segmentation_covering(pred, target))
 
     def compute(self) -> SegmentationCovering:
         """Returns means over the samples. ValueError without a sample."""
@@ -111,15 +115,12 @@ class ObjectsAndPartsMetric(_SampleMean):
     ObjectsAndParts(precision=0.55, recall=1.0, f=0.5909090909090909)
     """
 
+    _function = staticmethod(objects_and_parts)
+
     def __init__(self, gamma_object: float = 0.75, gamma_part: float = 0.25, beta: float = 0.1, **kwargs: Any) -> None:
         check_thresholds(gamma_object, gamma_part, beta)
         options = gamma_object, gamma_part, beta
         super().__init__(num_values=len(ObjectsAndParts._fields), options=options, **kwargs)
-        self.thresholds = options
-
-    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Adds one sample: two label tensors of one shape."""
-        self._add(*objects_and_parts(pred, target, *self.thresholds))
 
     def compute(self) -> ObjectsAndParts:
         """Returns means over the samples. ValueError without a sample."""
@@ -137,9 +138,7 @@ class _SampleMeanOfOne(_SampleMean):
 class MeanBestIoUMetric(_SampleMeanOfOne):
     """:func:`torchjoint.metrics.mean_best_iou`, averaged over samples."""
 
-    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Adds one sample: two label tensors of one shape."""
-        self._add(mean_best_iou(pred, target))
+    _function = staticmethod(mean_best_iou)
 
 
 class AveragePrecisionObjectsMetric(_SampleMeanOfOne):
@@ -150,14 +149,11 @@ class AveragePrecisionObjectsMetric(_SampleMeanOfOne):
         kwargs: as for :class:`torchmetrics.Metric`.
     """
 
+    _function = staticmethod(average_precision_objects)
+
     def __init__(self, gamma_part: float = 0.25, beta: float = 0.1, **kwargs: Any) -> None:
         check_thresholds(0.5, gamma_part, beta)
         super().__init__(options=(gamma_part, beta), **kwargs)
-        self.gamma_part, self.beta = gamma_part, beta
-
-    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Adds one sample: two label tensors of one shape."""
-        self._add(average_precision_objects(pred, target, self.gamma_part, self.beta))
 
 
 class AveragePrecisionPartsMetric(_SampleMeanOfOne):
@@ -168,32 +164,24 @@ class AveragePrecisionPartsMetric(_SampleMeanOfOne):
         kwargs: as for :class:`torchmetrics.Metric`.
     """
 
+    _function = staticmethod(average_precision_parts)
+
     def __init__(self, gamma_object: float = 0.75, beta: float = 0.1, **kwargs: Any) -> None:
         check_thresholds(gamma_object, 0.7, beta)
         super().__init__(options=(gamma_object, beta), **kwargs)
-        self.gamma_object, self.beta = gamma_object, beta
-
-    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Adds one sample: two label tensors of one shape."""
-        self._add(average_precision_parts(pred, target, self.gamma_object, self.beta))
 
 
 class AchievableSegmentationAccuracyMetric(_SampleMeanOfOne):
     """:func:`torchjoint.metrics.achievable_segmentation_accuracy`, averaged over samples."""
 
-    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Adds one sample: two label tensors of one shape."""
-        self._add(achievable_segmentation_accuracy(pred, target))
+    _function = staticmethod(achievable_segmentation_accuracy)
 
 
 class UndersegmentationErrorMetric(_SampleMeanOfOne):
     """:func:`torchjoint.metrics.undersegmentation_error`, averaged over samples."""
 
     higher_is_better = False
-
-    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor]) -> None:
-        """Adds one sample: two label tensors of one shape."""
-        self._add(undersegmentation_error(pred, target))
+    _function = staticmethod(undersegmentation_error)
 
 
 class BoundaryRecallMetric(_SampleMeanOfOne):
@@ -209,6 +197,6 @@ class BoundaryRecallMetric(_SampleMeanOfOne):
         super().__init__(options=(tolerance,), **kwargs)
         self.tolerance = tolerance
 
-    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor], edge_index: Tensor) -> None:
+    def update(self, pred: Tensor, target: Tensor | Sequence[Tensor], edge_index: Tensor) -> None:  # type: ignore[override]
         """Adds one sample: labels of N points, and the graph [2, E] of the points."""
         self._add(boundary_recall(pred, target, edge_index, tolerance=self.tolerance))

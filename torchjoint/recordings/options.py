@@ -18,15 +18,18 @@ class RecordingOptions:
     Attributes:
         voxel_size: metres, for fusing a cloud from depth if the recording has no cloud.
         max_frames: number of frames to use, evenly spread over the recording; None: all.
-        in_view: leave out the points that no frame has in its view.
-        thin: keep one point per voxel of this size, metres; None: all points.
+        in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
+        thin: keep one point per voxel of this size, metres, of clouds that are denser than their noise, or too large;
+            None: all points.
         merge_within: metres; all points in a cube with this side are treated as one point and get the same label.
-        granularity: level of the labels, 0 (coarse) to 1 (fine); None: the default, 0.5.
+        granularity: level of the labels, 0 (coarse) to 1 (fine); None: the default, 0.5. All levels are always saved.
+            Only point_segments.method learned has levels; auto chooses it unless the cloud is a scan.
         topics: for a ROS recording: pairs of a role and its topic, for roles that several topics fit.
         time_limit: for a ROS recording: largest time from an image to its depth image and its pose, seconds.
         ignore_poses: go on if the poses look wrong; else this is an error.
-        drop_invalid: leave out the points that are NaN or infinite; else they are an error.
-        least_opacity: Gaussian splats whose opacity is smaller are no part of the cloud, in [0, 1].
+        drop_invalid: leave out the points that are NaN or infinite, and tell their number; else they are an error.
+        least_opacity: of Gaussian splats (a .ply), 0 to 1: fainter ones are no part of the cloud. `torchjoint label`
+            gives them labels.
     """
 
     voxel_size: float = 0.02

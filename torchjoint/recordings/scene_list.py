@@ -9,6 +9,7 @@ from pathlib import Path
 
 from torchjoint.datasets import list_scenes
 from torchjoint.runtime.files import file_name
+from torchjoint.runtime.foreign_files import damage_is
 
 #: A file with one of these suffixes lists recordings, one per line.
 LISTS = (".txt", ".list")
@@ -55,10 +56,8 @@ def _expanded(scene: str | Path, lists: tuple[Path, ...] = ()) -> list[Path]:
 
 
 def _lines(path: Path) -> list[str]:
-    try:
+    with damage_is(f"{path}: expected a list of recordings, one per line"):
         lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: expected a list of recordings, one per line: {error}") from error
     return [line for line in lines if line and not line.startswith("#")]
 
 

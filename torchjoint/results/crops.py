@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -41,22 +41,6 @@ class Crop:
     def __repr__(self) -> str:
         _, _, width, height = self.box
         return f"Crop({self.name!r}: {width} x {height} pixels, {self.pixels} of the segment, {self.whole:.0%} whole)"
-
-
-class HasCamera(Protocol):
-    """What is needed of a frame to project points: the frame itself, or a :class:`Camera`."""
-
-    @property
-    def intrinsics(self) -> Tensor:
-        """[3, 3] camera matrix."""
-
-    @property
-    def world_to_camera(self) -> Tensor:
-        """[4, 4] pose."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(H, W) of the image."""
 
 
 class Camera(NamedTuple):
@@ -100,7 +84,7 @@ def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, mar
         raise ValueError(f"scene: expected the {len(result.images)} frames of the result, got {len(scene.frames)}")
     counts = parallel_map(lambda index: int((result.images[index] == segment).sum()), range(len(result.images)))
     seen = {index: count for index, count in enumerate(counts) if count}
-    return crops_of(scene, result, segment, seen, {index: scene.frames[index] for index in seen}, k, margin)
+    return crops_of(scene, result, segment, seen, {index: Camera.of(scene.frames[index]) for index in seen}, k, margin)
 
 
 def crops_of(
@@ -108,13 +92,13 @@ def crops_of(
     result: Segmentation,
     segment: int,
     pixels: Mapping[int, int],
-    cameras: Mapping[int, HasCamera],
+    cameras: Mapping[int, Camera],
     k: int,
     margin: float,
 ) -> list[Crop]:
     """As :func:`best_crops`, for the frames in `pixels`, which has the number of the segment's pixels in each."""
     points = scene.points[result.points == segment]
-    share = {index: _share_inside(points, cameras[index]) for index in pixels}
+    share = {index: len(project(points, *cameras[index]).point) / max(len(points), 1) for index in pixels}
     best = sorted(pixels, key=lambda index: (-pixels[index] * share[index] ** 2, index))
     return [_crop(scene, result, segment, index, share[index], margin) for index in best[:k]]
 
@@ -133,10 +117,6 @@ def check_segment(segment: int, count: int) -> int:
     if not 0 <= number < count:
         raise ValueError(f"segment: expected an id from 0 to {count - 1}, got {number}")
     return number
-
-
-def _share_inside(points: Tensor, frame: HasCamera) -> float:
-    return len(project(points, frame.intrinsics, frame.world_to_camera, frame.size).point) / max(len(points), 1)
 
 
 def _crop(scene: Scene, result: Segmentation, segment: int, index: int, whole: float, margin: float) -> Crop:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from torchjoint.results.splits import split
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.messages import printable
 from torchjoint.scene import Hierarchy
 from torchjoint.scene.hierarchy import check_granularity
@@ -46,17 +47,11 @@ class Edit:
 
 @dataclass(frozen=True)
 class Edits:
-    """Corrections, in the order in which they were made.
+    """Corrections, in the order in which they were made."""
 
-    Attributes:
-        num_pieces: number of pieces of the result's hierarchy; without a hierarchy, of its segments.
-        granularity: the level that was corrected; None: the labels of the result.
-        steps: the corrections.
-    """
-
-    num_pieces: int
-    granularity: float | None = None
-    steps: tuple[Edit, ...] = ()
+    num_pieces: int  #: number of pieces of the result's hierarchy; without a hierarchy, of its segments
+    granularity: float | None = None  #: the level that was corrected; None: the labels of the result
+    steps: tuple[Edit, ...] = ()  #: the corrections
 
     def apply(self, table: Table, hierarchy: Hierarchy | None) -> Table:
         """Applies the corrections to a level.
@@ -109,14 +104,12 @@ def read_edits(folder: Path, num_pieces: int) -> Edits:
     file = folder / FILE
     if not file.is_file():
         return Edits(num_pieces)
-    try:
+    with damage_is(f"{file}: not a list of edits"):
         record = json.loads(file.read_text(encoding="utf-8"))
         granularity = _level(record["granularity"])
         # In files of 0.1.0 a name has no level of its own: the level of the file was the last to be seen.
         steps = tuple(_parse({"granularity": granularity, **step}, num_pieces) for step in record["edits"])
         found = _integer(record["pieces"])
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(f"{file}: not a list of edits: {error!r}") from error
     if found != num_pieces:
         raise ValueError(f"{file}: expected edits of {num_pieces} pieces, got {found}; of another result?")
     return Edits(num_pieces, granularity, steps)

@@ -31,6 +31,7 @@ from torchjoint.results.manifest import Check, unchecked, write_manifest
 from torchjoint.results.objects import write_segments
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import frame_files
+from torchjoint.runtime.foreign_files import damage_is, present
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.packing import pack
 from torchjoint.runtime.threads import on_cpu, parallel_map
@@ -123,17 +124,14 @@ def read_points(folder: Path) -> PointResult:
         ValueError: the file is damaged; the message names it.
     """
     file = folder / "points.npz"
-    if not file.is_file():
-        raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
-    try:
+    present(file, "a folder that `torchjoint segment` wrote")
+    with damage_is(f"{file}: not a whole result", OSError):
         values = {key: torch.from_numpy(array) for key, array in read_archive(file).items()}
         cloud = Cloud.checked(values["points"], values.get("colors"), None)
         labels = as_labels(values["labels"], (len(cloud.points),))
         if not 0 <= int(labels.min()) <= int(labels.max()) < len(labels):
             raise ValueError(f"labels: expected 0 to {len(labels) - 1}, got {int(labels.min())} to {int(labels.max())}")
         return PointResult(cloud.points, labels, cloud.colors)
-    except (ValueError, KeyError, TypeError, OSError) as error:
-        raise ValueError(f"{file}: not a whole result: {error!r}") from error
 
 
 def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
@@ -217,9 +215,7 @@ def read_record(folder: Path) -> tuple[dict[str, int], dict[str, float]]:
 
 def _run_file(folder: Path) -> Path:
     file = folder / "run.yaml"
-    if not file.is_file():
-        raise FileNotFoundError(f"{file}: missing; expected a folder that `torchjoint segment` wrote")
-    return file
+    return present(file, "a folder that `torchjoint segment` wrote")
 
 
 def _write_label_images(folder: Path, result: Segmentation) -> int:

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_image
 from torchjoint.runtime.archives import read_archive
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
 from torchjoint.scene.votes import Votes
@@ -73,7 +74,7 @@ def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
         raise FileNotFoundError(
             f"{file}: missing; expected a result of point_segments.method learned: only this method makes all levels"
         )
-    try:
+    with damage_is(f"{file}: not a whole hierarchy", OSError):
         arrays = read_archive(file)
         piece, merges = (torch.from_numpy(arrays[name].astype(np.int64)) for name in ("piece", "merges"))
         votes = (
@@ -82,8 +83,6 @@ def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
             else None
         )
         hierarchy = Hierarchy(piece, merges, torch.from_numpy(arrays["heights"]), float(arrays["default"]), votes)
-    except (TypeError, ValueError, KeyError, OSError) as error:
-        raise ValueError(f"{file}: not a whole hierarchy: {error!r}") from error
     if len(hierarchy.piece) != num_points:
         raise ValueError(f"{file}: expected a hierarchy of {num_points} points, got {len(hierarchy.piece)}")
     return hierarchy

@@ -20,6 +20,7 @@ from torchjoint.results.manifest import Check, unchecked
 from torchjoint.results.mask_report import MaskFates, compare_masks, write_mask_report
 from torchjoint.results.overlays import overlay
 from torchjoint.runtime.files import file_name, frame_files, write_text
+from torchjoint.runtime.foreign_files import damage_is, present
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Masks, Scene, Segmentation
@@ -84,13 +85,11 @@ def read_inputs(folder: Path, names: Sequence[str], check: Check = unchecked) ->
     """
     file, files = folder / CAMERAS, read_names(folder)
     records = _read_cameras(folder)
-    try:
+    with damage_is(f"{file}: not the cameras of these images"):
         cameras = [
             tuple(torch.tensor(records[name][key], dtype=torch.float64) for key in ("intrinsics", "world_to_camera"))
             for name in names
         ]
-    except (ValueError, KeyError, TypeError, RuntimeError, RecursionError) as error:
-        raise ValueError(f"{file}: not the cameras of these images: {error!r}") from error
 
     def read(index: int) -> Frame:
         intrinsics, world_to_camera = cameras[index]
@@ -105,12 +104,9 @@ def read_inputs(folder: Path, names: Sequence[str], check: Check = unchecked) ->
 
 def _read_cameras(folder: Path) -> dict[str, dict[str, Any]]:
     file = folder / CAMERAS
-    if not file.is_file():
-        raise FileNotFoundError(f"{file}: missing; expected a result with cameras, which `torchjoint segment` writes")
-    try:
+    present(file, "a result with cameras, which `torchjoint segment` writes")
+    with damage_is(f"{file}: not the cameras of these images"):
         return {record["name"]: record for record in json.loads(file.read_text(encoding="utf-8"))["frames"]}
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"{file}: not the cameras of these images: {error!r}") from error
 
 
 def _save(file: Path, pixels: Tensor) -> None:

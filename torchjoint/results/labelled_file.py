@@ -15,11 +15,12 @@ from torch import Tensor
 
 from torchjoint.datasets.files import meshes
 from torchjoint.datasets.files.ply import Ply, read_ply, write_cloud
-from torchjoint.datasets.files.ply_records import read_records, write_bytes
+from torchjoint.datasets.files.ply_records import PlyRecords, parse_records, read_records, write_bytes
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.result import Result
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import file_name
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.threads import on_cpu
 
 #: If half of the vertices are farther from the result than this share of its diagonal, the file is of another place.
@@ -76,9 +77,9 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
         FileNotFoundError, ValueError: the message names the file and its error.
     """
     mesh = _read(source)
-    try:
+    with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
-        of_face = None if mesh.faces is None else nearest_labels(result, _centers(mesh.points, mesh.faces))
+        of_face = None if mesh.faces is None else nearest_labels(result, mesh.points[mesh.faces].double().mean(1))
         if out.suffix == ".glb":
             _write_glb(out, mesh, of_face, result)
         elif source.suffix.lower() != ".ply":
@@ -88,8 +89,6 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
             if of_face is not None and len(records.records.get("face", ())) == len(of_face):
                 labels["face"] = of_face.numpy()
             write_bytes(out, records.with_labels(name, labels))
-    except ValueError as error:
-        raise ValueError(f"{source}: {error}") from error
 
 
 @on_cpu()
@@ -106,14 +105,9 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
     """
     mesh = _read(source)
     folder.mkdir()
-    try:
+    with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
-        if source.suffix.lower() == ".ply":
-            parts = read_records(source)
-        else:
-            with tempfile.TemporaryDirectory() as temporary:
-                write_cloud(Path(temporary) / "mesh.ply", mesh.points, mesh.colors)
-                parts = read_records(Path(temporary) / "mesh.ply")
+        parts = read_records(source) if source.suffix.lower() == ".ply" else _vertices(mesh)
         for segment in of_vertex[of_vertex >= 0].unique().tolist():
             which, triangles = of_vertex == segment, None
             if mesh.faces is not None:
@@ -121,8 +115,6 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
                 triangles = (which.cumsum(0) - 1)[inside].numpy()
             file = folder / f"{_stem(segment, result)}.ply"
             file.write_bytes(parts.some_vertices(which.numpy(), triangles))
-    except ValueError as error:
-        raise ValueError(f"{source}: {error}") from error
 
 
 def _read(source: Path) -> Ply:
@@ -132,24 +124,22 @@ def _read(source: Path) -> Ply:
     return read_ply(source) if suffix == ".ply" else meshes.read_mesh_file(source)
 
 
-def _centers(points: Tensor, faces: Tensor) -> Tensor:
-    return points[faces].double().mean(1)
-
-
 def _stem(segment: int, result: Result) -> str:
     name = result.segment_names.get(segment)
     return f"{segment:06d}" if name is None else file_name(f"{segment:06d}-{name}")
 
 
 def _write_mesh(out: Path, mesh: Ply, of_vertex: Tensor, of_face: Tensor | None, name: str) -> None:
+    every = np.ones(len(mesh.points), dtype=np.bool_)
+    whole = _vertices(mesh).some_vertices(every, None if mesh.faces is None else mesh.faces.numpy())
+    labels = {"vertex": of_vertex.numpy()} | ({} if of_face is None else {"face": of_face.numpy()})
+    write_bytes(out, parse_records(whole).with_labels(name, labels))
+
+
+def _vertices(mesh: Ply) -> PlyRecords:
     with tempfile.TemporaryDirectory() as temporary:
-        file = Path(temporary) / "mesh.ply"
-        write_cloud(file, mesh.points, mesh.colors)
-        every = np.ones(len(mesh.points), dtype=np.bool_)
-        triangles = None if mesh.faces is None else mesh.faces.numpy()
-        file.write_bytes(read_records(file).some_vertices(every, triangles))
-        labels = {"vertex": of_vertex.numpy()} | ({} if of_face is None else {"face": of_face.numpy()})
-        write_bytes(out, read_records(file).with_labels(name, labels))
+        write_cloud(Path(temporary) / "mesh.ply", mesh.points, mesh.colors)
+        return read_records(Path(temporary) / "mesh.ply")
 
 
 def _write_glb(out: Path, mesh: Ply, of_face: Tensor | None, result: Result) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 from torchjoint.config import read_yaml
 from torchjoint.runtime.checked_files import file_checksum
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.threads import parallel_map
 
 FILE, RUN = "manifest.json", "run.yaml"
@@ -77,11 +78,9 @@ def _names(folder: Path) -> list[str]:
 
 
 def _read(file: Path, record: Mapping[str, Any]) -> dict[str, list[Any]]:
-    try:
+    with damage_is(f"{file}: not the list of a result's files"):
         content = json.loads(file.read_text(encoding="utf-8"))
         run, files = content["run"], dict(content["files"])
-    except (ValueError, LookupError, TypeError, RecursionError) as error:
-        raise ValueError(f"{file}: not the list of a result's files: {error!r}") from error
     if run != _checksum(record):
         raise ValueError(f"{file.parent / RUN}: expected the record of this result, got another{_WAY_OUT}")
     return files

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.foreign_files import damage_is, present
 from torchjoint.scene import Masks
 from torchjoint.scene.level_images import LevelImages
 
@@ -113,12 +114,11 @@ def select_masked(folder: Path, result: Result) -> Result:
         FileNotFoundError: there is no masks.json: no frame had masks.
         ValueError: the file is damaged, or no segment lies in masks; the message names the file.
     """
-    try:
-        kept = [segment["id"] for segment in _read(folder)["segments"] if segment["masked"] >= 0.5]
+    segments = _read(folder)["segments"]
+    with damage_is(f"{folder / FILE}: not the masks of this result"):
+        kept = [segment["id"] for segment in segments if segment["masked"] >= 0.5]
         table = torch.full((result.num_point_segments,), -1)
         table[kept] = torch.tensor(kept)
-    except (LookupError, TypeError) as error:
-        raise ValueError(f"{folder / FILE}: not the masks of this result: {error!r}") from error
     if not kept:
         raise ValueError(f"{folder / FILE}: no segment lies in masks with half of its pixels")
     count = result.num_point_segments
@@ -128,10 +128,7 @@ def select_masked(folder: Path, result: Result) -> Result:
 
 def _read(folder: Path) -> dict[str, Any]:
     file = folder / FILE
-    if not file.is_file():
-        raise FileNotFoundError(f"{file}: missing; expected a result of a recording with masks")
-    try:
+    present(file, "a result of a recording with masks")
+    with damage_is(f"{file}: not the report of a result's masks"):
         content = json.loads(file.read_text(encoding="utf-8"))
         return {name: list(content[name]) for name in ("frames", "segments")}
-    except (ValueError, LookupError, TypeError, RecursionError) as error:
-        raise ValueError(f"{file}: not the report of a result's masks: {error!r}") from error

@@ -16,6 +16,7 @@ from torch import Tensor
 from torchjoint.results.oriented_box import OrientedBox, oriented_box
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.files import no_link, write_text
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene, Segmentation
 
@@ -124,11 +125,9 @@ def write_rows(folder: Path, vectors: str, rows: Mapping[int, int]) -> None:
     Raises:
         FileNotFoundError, ValueError: segments.json is missing or damaged.
     """
-    try:
+    with damage_is(f"{folder / FILE}: not the segments of a result"):
         head = json.loads((folder / FILE).read_text(encoding="utf-8"))
         segments = [one | {"embedding": rows.get(one["id"])} for one in head.pop("segments")]
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(f"{folder / FILE}: not the segments of a result: {error!r}") from error
     _write(folder, head | {"embeddings": vectors}, segments)
 
 

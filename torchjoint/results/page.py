@@ -114,20 +114,18 @@ def _figure(scene: Scene, keep: Tensor, up: npt.NDArray[np.float64]) -> Any:
     upright = np.concatenate([level_axes(up), up[None]])  # turns `up` to +z, which plotly's camera keeps upright
     shown = (scene.points[keep].double().numpy() - center) @ upright.T
     x, y, z = (shown / max(float(np.abs(shown).max()), 1e-9) * 32767).round().astype(np.int16).T  # small, in any unit
+    view = upright @ (eye - center)
+    eye_at = dict(zip("xyz", (1.6 * view / np.linalg.norm(view)).tolist(), strict=True))
     figure = go.Figure()
     figure.add_scatter3d(
         x=x, y=y, z=z, mode="markers", hovertemplate="%{text}<extra></extra>", marker={"size": 1.8, "color": "#ccc"},
     )  # fmt: skip
     figure.update_layout(
-        scene={"aspectmode": "data", "camera": _camera(upright @ (eye - center))}
+        scene={"aspectmode": "data", "camera": {"eye": eye_at}}
         | {axis: {"visible": False} for axis in ("xaxis", "yaxis", "zaxis")},
         margin={"l": 0, "r": 0, "t": 0, "b": 0}, showlegend=False,
     )  # fmt: skip
     return figure
-
-
-def _camera(view: npt.NDArray[np.float64]) -> dict[str, Any]:
-    return {"eye": dict(zip("xyz", (1.6 * view / np.linalg.norm(view)).tolist(), strict=True))}
 
 
 def _own_colors(scene: Scene, keep: Tensor) -> dict[str, npt.NDArray[np.uint8]]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
+from scipy.cluster.hierarchy import DisjointSet
 from torch import Tensor
 
 from torchjoint.scene import Hierarchy, Segmentation
@@ -60,49 +61,31 @@ def _grown(hierarchy: Hierarchy, wanted: set[int], unwanted: set[int]) -> set[in
     order = torch.argsort(hierarchy.heights, stable=True)
     merges, heights = hierarchy.merges[order].tolist(), hierarchy.heights[order].tolist()
     limit = max(hierarchy.default, _height_of_all(hierarchy.num_pieces, merges, heights, wanted))
-    groups = _Groups(hierarchy.num_pieces)
+    groups = DisjointSet(range(hierarchy.num_pieces))
     ended = [piece in unwanted for piece in range(hierarchy.num_pieces)]  # groups that cannot grow: one above has one
     for (a, b), height in zip(merges, heights, strict=True):
         if height > limit:
             break
-        one, other = groups.of(a), groups.of(b)
+        one, other = groups[a], groups[b]
         if ended[one] or ended[other]:
             ended[one] = ended[other] = True
         else:
-            groups.join(one, other)
-    chosen = {groups.of(piece) for piece in wanted}
-    return {piece for piece in range(hierarchy.num_pieces) if groups.of(piece) in chosen}
+            groups.merge(a, b)
+    return set().union(*(groups.subset(piece) for piece in wanted))
 
 
 def _height_of_all(count: int, merges: list[list[int]], heights: list[float], wanted: set[int]) -> float:
     """The height at which all wanted pieces are in one segment; 0 if they never are."""
-    groups, first = _Groups(count), min(wanted)
+    groups, first = DisjointSet(range(count)), min(wanted)
     left = {piece for piece in wanted if piece != first}
     for (a, b), height in zip(merges, heights, strict=True):
         if not left:
             return 0.0
-        groups.join(groups.of(a), groups.of(b))
-        left = {piece for piece in left if groups.of(piece) != groups.of(first)}
+        groups.merge(a, b)
+        left = {piece for piece in left if not groups.connected(piece, first)}
         if not left:
             return height
     return 0.0
-
-
-class _Groups:
-    """Numbers 0 ... count - 1 in groups, which have one of their numbers as name."""
-
-    def __init__(self, count: int) -> None:
-        self._above = list(range(count))
-
-    def of(self, number: int) -> int:
-        """The group of a number."""
-        while self._above[number] != number:
-            self._above[number] = number = self._above[self._above[number]]
-        return number
-
-    def join(self, one: int, other: int) -> None:
-        """Joins two groups."""
-        self._above[other] = one
 
 
 def _pieces(result: Segmentation, cloud: Tensor, prompts: Prompts, name: str, pixel_name: str) -> set[int]:

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.results.oriented_box import OrientedBox, level_axes, oriented_box
+from torchjoint.results.oriented_box import level_axes, oriented_box
 from torchjoint.results.upright import up_direction
 from torchjoint.scene import Scene, Segmentation
 
@@ -153,12 +153,8 @@ def _tilt(points: Tensor, indices: Tensor, labels: Tensor, vertical: Array) -> A
     """|cosine| between the normals and the upward direction, [N]; a normal is fitted to points of one segment."""
     own = torch.arange(len(points), dtype=indices.dtype)[:, None]
     same = torch.where(labels[indices.long()] == labels[:, None], indices, own)
-    normals = ops.fit_normals(points.float() if points.dtype == torch.float32 else _near_origin(points), same)
+    normals = ops.fit_normals(points if points.dtype == torch.float32 else (points - points.mean(0)).float(), same)
     return np.abs(normals.double().numpy() @ vertical)
-
-
-def _near_origin(points: Tensor) -> Tensor:
-    return (points - points.mean(0)).float()
 
 
 def _contacts(cloud: _Cloud, indices: npt.NDArray[Any], distances: npt.NDArray[Any]) -> dict[tuple[int, int], _Contact]:
@@ -228,11 +224,7 @@ def _contained(points: Array, members: dict[int, npt.NDArray[np.int64]], vertica
                 continue
             if (np.abs((other.center - box.center) @ box.axes.T) > box.size / 2).any():
                 continue
-            share = _share_inside(points[members[inner]], box)
+            share = float((np.abs((points[members[inner]] - box.center) @ box.axes.T) <= box.size / 2).all(1).mean())
             if share >= HELD:
                 found.append(Relation("contains", outer, inner, 0.0, share))
     return found
-
-
-def _share_inside(points: Array, box: OrientedBox) -> float:
-    return float((np.abs((points - box.center) @ box.axes.T) <= box.size / 2).all(1).mean())

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 import os
-import tokenize
 import zipfile
-import zlib
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from torchjoint.runtime.foreign_files import damage_is, present
 
 #: Limit of an unpacked archive, bytes: RATIO x its file + FREE. Labels compress well, decompression bombs even better.
 RATIO, FREE = 100, 1 << 30
@@ -30,20 +30,15 @@ def read_archive(path: Path, names: Collection[str] | None = None) -> dict[str, 
         ValueError: the archive is damaged, holds an array of objects, or declares more data than the file can hold; the
             message names the file.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected arrays, .npz")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            entries = archive.infolist()
-            _check_number(archive, len(entries))
-            size, most = sum(entry.file_size for entry in entries), RATIO * path.stat().st_size + FREE
-            if size > most:
-                raise ValueError(f"expected at most {most / 1e9:.3g} GB in so small a file, got {size / 1e9:.3g} GB")
-            named = {entry.filename.removesuffix(".npy"): entry for entry in entries}
-            return {name: _read_array(archive, named[name]) for name in named if names is None or name in names}
-    except (ValueError, KeyError, OSError, EOFError, RuntimeError, NotImplementedError, OverflowError, SyntaxError,
-            TypeError, tokenize.TokenError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
-        raise ValueError(f"{path}: not a whole archive of arrays: {error}") from error
+    present(path, "arrays, .npz")
+    with damage_is(f"{path}: not a whole archive of arrays", OSError), zipfile.ZipFile(path) as archive:
+        entries = archive.infolist()
+        _check_number(archive, len(entries))
+        size, most = sum(entry.file_size for entry in entries), RATIO * path.stat().st_size + FREE
+        if size > most:
+            raise ValueError(f"expected at most {most / 1e9:.3g} GB in so small a file, got {size / 1e9:.3g} GB")
+        named = {entry.filename.removesuffix(".npy"): entry for entry in entries}
+        return {name: _read_array(archive, named[name]) for name in named if names is None or name in names}
 
 
 def _check_number(archive: zipfile.ZipFile, got: int) -> None:

@@ -31,21 +31,13 @@ class Content(Protocol):
 
 @dataclass(frozen=True)
 class Packed:
-    """A packed tensor; :func:`pack` makes it.
+    """A packed tensor; :func:`pack` makes it."""
 
-    Attributes:
-        content: the compressed bytes, or an object that reads them.
-        dtype: the tensor's type: uint8, int32, int64 or float32.
-        shape: the tensor's shape.
-        stored: the type of the compressed numbers, as NumPy writes it.
-        low: the number that was subtracted from whole numbers before compression.
-    """
-
-    content: bytes | Content
-    dtype: str
-    shape: tuple[int, ...]
-    stored: str
-    low: int = 0
+    content: bytes | Content  #: the compressed bytes, or an object that reads them
+    dtype: str  #: the tensor's type: uint8, int32, int64 or float32
+    shape: tuple[int, ...]  #: the tensor's shape
+    stored: str  #: the type of the compressed numbers, as NumPy writes it
+    low: int = 0  #: the number that was subtracted from whole numbers before compression
 
     def data(self) -> bytes:
         """The compressed bytes."""

@@ -17,19 +17,12 @@ _PIXELS_PER_POINT = 8
 
 @dataclass(frozen=True)
 class Shot:
-    """One image, as input of the fusion.
+    """One image, as input of the fusion."""
 
-    Attributes:
-        image: [H, W, 3] in [0, 1].
-        depth: [H, W] metres, 0 = none.
-        labels: [H, W] the instance whose surface each depth was measured on.
-        camera_from_world: [4, 4] reported, not true, pose.
-    """
-
-    image: Array
-    depth: Array
-    labels: Array
-    camera_from_world: Array
+    image: Array  #: [H, W, 3] in [0, 1]
+    depth: Array  #: [H, W] metres, 0 = none
+    labels: Array  #: [H, W] the instance whose surface each depth was measured on
+    camera_from_world: Array  #: [4, 4] reported, not true, pose
 
 
 def fuse(rng: Rng, shots: Sequence[Shot], intrinsics: Array, num_points: int) -> tuple[Array, Array, Array]:

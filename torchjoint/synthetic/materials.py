@@ -43,19 +43,12 @@ SOBER: tuple[Color, ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """The appearance of a surface.
+    """The appearance of a surface."""
 
-    Attributes:
-        tile: [h, w, 3] uint8 sRGB, row 0 at v = 0; repeats.
-        size: (width, height) of the tile on the surface, metres.
-        gloss: strength of the specular highlight, 0 (chalk) to 1.
-        absorbs: share of the surface that returns no depth (dark or mirror-like to the sensor), 0 to 1.
-    """
-
-    tile: Array
-    size: tuple[float, float]
-    gloss: float = 0.0
-    absorbs: float = 0.0
+    tile: Array  #: [h, w, 3] uint8 sRGB, row 0 at v = 0; repeats
+    size: tuple[float, float]  #: (width, height) of the tile on the surface, metres
+    gloss: float = 0.0  #: strength of the specular highlight, 0 (chalk) to 1
+    absorbs: float = 0.0  #: share of the surface that returns no depth (dark or mirror-like to the sensor), 0 to 1
 
 
 def pick(rng: Rng, colors: tuple[Color, ...]) -> Array:

@@ -18,17 +18,11 @@ _CREASE_COSINE = 0.7
 
 @dataclass(frozen=True)
 class Part:
-    """Triangles of one material.
+    """Triangles of one material."""
 
-    Attributes:
-        positions: [T, 3, 3] corners, metres.
-        normals: [T, 3, 3] unit normals at the corners, for shading only.
-        uv: [T, 3, 2] texture coordinates along the surface, metres.
-    """
-
-    positions: Array
-    normals: Array
-    uv: Array
+    positions: Array  #: [T, 3, 3] corners, metres
+    normals: Array  #: [T, 3, 3] unit normals at the corners, for shading only
+    uv: Array  #: [T, 3, 2] texture coordinates along the surface, metres
 
     def moved(self, translation: Sequence[float] | Array = (0, 0, 0), yaw: float = 0.0, pitch: float = 0.0) -> Part:
         """Returns the part rotated by ``pitch`` about x, then ``yaw`` about z (radians), then translated (metres)."""

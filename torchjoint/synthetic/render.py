@@ -22,21 +22,13 @@ _LINEAR = (np.arange(256) / 255.0).astype(np.float32) ** np.float32(2.2)
 
 @dataclass(frozen=True)
 class View:
-    """An image without noise.
+    """An image without noise."""
 
-    Attributes:
-        light: [H, W, 3] linear RGB, unbounded.
-        labels: [H, W] int64, the instance at each pixel's centre, -1 where the ray hits nothing.
-        depth: [H, W] metres along z, 0 where the ray hits nothing.
-        facing: [H, W] cosine between surface normal and ray.
-        absorbs: [H, W] share of the surface that returns no depth to the sensor, 0 to 1.
-    """
-
-    light: Array
-    labels: Array
-    depth: Array
-    facing: Array
-    absorbs: Array
+    light: Array  #: [H, W, 3] linear RGB, unbounded
+    labels: Array  #: [H, W] int64, the instance at each pixel's centre, -1 where the ray hits nothing
+    depth: Array  #: [H, W] metres along z, 0 where the ray hits nothing
+    facing: Array  #: [H, W] cosine between surface normal and ray
+    absorbs: Array  #: [H, W] share of the surface that returns no depth to the sensor, 0 to 1
 
 
 class Renderer:

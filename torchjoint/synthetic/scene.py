@@ -63,6 +63,17 @@ SIZES = {
     "large": _Size(60, 480, 640, 150_000, 1.0),
 }
 
+#: The largest value of an argument, and its unit; the least one is 0.
+_MOST = {
+    "pose_error": (0.05, "metres"),
+    "depth_noise": (0.05, "metres at 1 m"),
+    "depth_ripple": (0.05, "metres at 1 m"),
+    "depth_holes": (1.0, "a probability scale"),
+    "image_noise": (0.5, "of [0, 1]"),
+    "motion_blur": (20.0, "pixels"),
+    "exposure": (1.0, "of the logarithm"),
+}
+
 
 def make_scene(
     seed: int = 0,
@@ -127,7 +138,10 @@ def make_scene(
         ModuleNotFoundError: embreex, which casts the rays, is not installed.
     """
     resolved = _resolve(size, num_views, height, width, num_points)
-    _check_ranges(seed, pose_error, depth_noise, depth_ripple, depth_holes, image_noise, motion_blur, exposure)
+    _check_ranges(
+        seed, pose_error=pose_error, depth_noise=depth_noise, depth_ripple=depth_ripple, depth_holes=depth_holes,
+        image_noise=image_noise, motion_blur=motion_blur, exposure=exposure,
+    )  # fmt: skip
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
     world = make_world(streams[0], resolved.clutter, textures, furnish_more)
     true_poses = trajectory.walk(streams[1], world, resolved.num_views)
@@ -189,27 +203,10 @@ def _is_integer(value: object) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def _check_ranges(
-    seed: int,
-    pose_error: float,
-    depth_noise: float,
-    depth_ripple: float,
-    depth_holes: float,
-    image_noise: float,
-    motion_blur: float,
-    exposure: float,
-) -> None:
+def _check_ranges(seed: int, **given: float) -> None:
     if not _is_integer(seed) or seed < 0:
         raise ValueError(f"seed: expected an integer of at least 0, got {seed!r}")
-    ranges = {
-        "pose_error": (pose_error, 0.05, "metres"),
-        "depth_noise": (depth_noise, 0.05, "metres at 1 m"),
-        "depth_ripple": (depth_ripple, 0.05, "metres at 1 m"),
-        "depth_holes": (depth_holes, 1.0, "a probability scale"),
-        "image_noise": (image_noise, 0.5, "of [0, 1]"),
-        "motion_blur": (motion_blur, 20.0, "pixels"),
-        "exposure": (exposure, 1.0, "of the logarithm"),
-    }
-    for name, (value, most, unit) in ranges.items():
+    for name, value in given.items():
+        most, unit = _MOST[name]
         if not 0 <= value <= most:  # also rejects NaN
             raise ValueError(f"{name}: expected 0 to {most} ({unit}), got {value!r}")

@@ -34,55 +34,34 @@ class Pose:
 
 @dataclass(frozen=True)
 class Surface:
-    """A level rectangle on which items can stand, in the frame of its item, metres.
+    """A level rectangle on which items can stand, in the frame of its item, metres."""
 
-    Attributes:
-        low, high: least and greatest (x, y).
-        z: height.
-        headroom: free height above.
-    """
-
-    low: tuple[float, float]
+    low: tuple[float, float]  #: least and greatest (x, y)
     high: tuple[float, float]
-    z: float
-    headroom: float = 9.0
+    z: float  #: height
+    headroom: float = 9.0  #: free height above
 
 
 @dataclass(frozen=True)
 class Front:
-    """An upright rectangle, facing -y, to which items can be fixed, in the frame of its item, metres.
+    """An upright rectangle, facing -y, to which items can be fixed, in the frame of its item, metres."""
 
-    Attributes:
-        low, high: least and greatest (x, z).
-        y: its position.
-        material: its material.
-    """
-
-    low: tuple[float, float]
+    low: tuple[float, float]  #: least and greatest (x, z)
     high: tuple[float, float]
-    y: float
-    material: Material
+    y: float  #: its position
+    material: Material  #: its material
 
 
 @dataclass
 class Item:
-    """One instance; its front is towards -y, and the origin is the middle of its foot.
+    """One instance; its front is towards -y, and the origin is the middle of its foot."""
 
-    Attributes:
-        name: kind of object; several instances may share it.
-        size: (x, y, z) extent, metres.
-        parts: triangles and their materials.
-        surfaces: where items can stand.
-        fronts: where items can be fixed.
-        hollow: whether the camera can see its inside, as in a bowl.
-    """
-
-    name: str
-    size: tuple[float, float, float]
-    parts: list[tuple[Part, Material]]
-    surfaces: list[Surface] = field(default_factory=list)
-    fronts: list[Front] = field(default_factory=list)
-    hollow: bool = False
+    name: str  #: kind of object; several instances may share it
+    size: tuple[float, float, float]  #: (x, y, z) extent, metres
+    parts: list[tuple[Part, Material]]  #: triangles and their materials
+    surfaces: list[Surface] = field(default_factory=list)  #: where items can stand
+    fronts: list[Front] = field(default_factory=list)  #: where items can be fixed
+    hollow: bool = False  #: whether the camera can see its inside, as in a bowl
 
     @property
     def kind(self) -> str:
@@ -103,30 +82,19 @@ class Light:
 
 @dataclass(frozen=True)
 class World:
-    """All data that the renderer needs.
+    """All data that the renderer needs."""
 
-    Attributes:
-        triangles: [T, 3, 3] float32 corners, metres, z up.
-        corners: [T, 3, 5] float32 shading normal and uv at the corners.
-        labels: [T] int64 instance ids.
-        material_ids: [T] index into ``materials``.
-        names: instance id -> name.
-        kinds: instance id -> one of :data:`KINDS`.
-        ambient: ambient light, linear.
-        room: (x, y, z) extent; the floor is at z = 0, its middle at the origin.
-        focus: (x, y, half x, half y) of the furniture group around which the camera walks.
-    """
-
-    triangles: Array
-    corners: Array
-    labels: Array
-    material_ids: Array
+    triangles: Array  #: [T, 3, 3] float32 corners, metres, z up
+    corners: Array  #: [T, 3, 5] float32 shading normal and uv at the corners
+    labels: Array  #: [T] int64 instance ids
+    material_ids: Array  #: [T] index into ``materials``
     materials: tuple[Material, ...]
-    names: tuple[str, ...]
-    kinds: tuple[str, ...]
+    names: tuple[str, ...]  #: instance id -> name
+    kinds: tuple[str, ...]  #: instance id -> one of :data:`KINDS`
     lights: tuple[Light, ...]
-    ambient: float
-    room: tuple[float, float, float]
+    ambient: float  #: ambient light, linear
+    room: tuple[float, float, float]  #: (x, y, z) extent; the floor is at z = 0, its middle at the origin
+    #: (x, y, half x, half y) of the furniture group around which the camera walks
     focus: tuple[float, float, float, float]
 
 

@@ -243,14 +243,10 @@ def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: str | Eng
                 bar.update()
             return
         with open_engine(engine) as opened:
-            for outcome in opened.run(_segment_shared, tasks, (cut.white, config)):
+            for outcome in opened.run(lambda shared, task: segment_tile(*shared, task), tasks, (cut.white, config)):
                 if outcome.error is not None:
                     raise outcome.error
                 bar.update()
-
-
-def _segment_shared(shared: tuple[int | None, SuperpointsConfig], task: TileTask) -> None:
-    segment_tile(*shared, task)
 
 
 def _stitch(cut: _Cut, work: Path) -> tuple[int, npt.NDArray[np.unsignedinteger]]:

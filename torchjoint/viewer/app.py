@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from torchjoint.viewer.cameras import Cameras, Viewpoint, add_camera, viewpoint
 from torchjoint.viewer.cloud import CloudView
 from torchjoint.viewer.html import PREFIX, found_html, image_html, note_html, panel_html, table_html
 from torchjoint.viewer.model import Model
+from torchjoint.viewer.painting import painted, point_colors
 from torchjoint.viewer.panel import RESET, Panel
 from torchjoint.viewer.pick import pick_point
 from torchjoint.viewer.relation_lines import RelationLines
@@ -63,7 +65,7 @@ class Viewer:
         self._lock = threading.RLock()  # viser calls the functions below on several threads
         self._order, self._can_save = "points", True
         self.server, self._distance, self.url = start_server(result.scene, upward, host, port)
-        self._cloud = CloudView(self.server, result.scene.points.numpy(), self.model.point_colors())
+        self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(self.model))
         self._relations = RelationLines(self.server)
         self._has_frames = len(result.scene.frames) > 0
         with self._lock:
@@ -96,7 +98,7 @@ class Viewer:
             model.select(tuple(one for one in map(model.segment_of_key, chosen) if one is not None))
             self.model = model
             self._cloud.remove()
-            self._cloud = CloudView(self.server, result.scene.points.numpy(), model.point_colors())
+            self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(model))
             self._cloud.resize(self._panel.size.value)
             self._draw_lists()
 
@@ -139,23 +141,26 @@ class Viewer:
         def then(action: Any) -> Any:
             return lambda _: self._guarded(action)
 
+        def changes(change: Any) -> Any:
+            return lambda _: self._guarded(self._change, change)
+
         panel.bridge.on_update(then(self._on_event))
-        panel.mode.on_update(then(self._on_mode))
+        panel.mode.on_update(changes(lambda: setattr(self.model, "mode", panel.mode.value)))
         panel.name.on_update(then(self._on_name))
         panel.relations.on_update(then(self._draw_relations))
         panel.search.on_update(then(self._draw_table))
         panel.find.on_click(then(self._on_find))
-        panel.correct.on_click(then(self._on_correct))
+        panel.correct.on_click(changes(self._on_correct))
         panel.by_clicks.on_update(
             lambda _: setattr(panel.keep, "visible", panel.by_clicks.value and self.folder is not None)
         )
-        panel.keep.on_click(then(self._on_keep))
+        panel.keep.on_click(changes(lambda: self.model.keep()))
         panel.export.on_click(lambda event: self._guarded(self._on_export, event.client))
         panel.save.on_click(then(self._on_save))
         panel.view.on_click(lambda event: self._guarded(self._on_view, event.client))
         panel.size.on_update(lambda _: self._cloud.resize(panel.size.value))
         if panel.level is not None:
-            panel.level.on_update(then(self._on_level))
+            panel.level.on_update(changes(lambda: self.model.set_granularity(panel.level.value)))
         if panel.parameters:
             panel.compute.on_click(then(self._on_parameters))
         if self._has_frames:
@@ -220,6 +225,11 @@ class Viewer:
         else:
             self._choose(None if point is None else int(self.model.table[self.model.parts.of_point[point]]), more)
 
+    def _change(self, change: Callable[[], object]) -> None:
+        """Changes the model, and draws what it is now."""
+        change()
+        self._draw()
+
     def _choose(self, segment: int | None, more: bool) -> None:
         """Selects a segment; with shift, adds it to the selection or removes it. None clears the selection."""
         before = self.model.selected
@@ -229,8 +239,7 @@ class Viewer:
             self._select(tuple(s for s in before if s != segment) if segment in before else (*before, segment))
 
     def _select(self, segments: tuple[int, ...]) -> None:
-        self.model.select(segments)
-        self._draw()
+        self._change(lambda: self.model.select(segments))
 
     def _on_parameters(self) -> None:
         """Shows the result of other parameters; corrections that do not belong to it are dropped."""
@@ -252,14 +261,6 @@ class Viewer:
             client.camera.up_direction, client.camera.fov = self.model.up, first.fov
             client.camera.position, client.camera.look_at = first.position, first.look_at
 
-    def _on_mode(self) -> None:
-        self.model.mode = self._panel.mode.value
-        self._draw()
-
-    def _on_level(self) -> None:
-        self.model.set_granularity(self._panel.level.value)
-        self._draw()
-
     def _on_frame(self) -> None:
         self._draw_image()
         self._cameras.mark(self._frame_index())
@@ -274,7 +275,7 @@ class Viewer:
 
     def _selected_name(self) -> str:
         selected = self.model.selected
-        return self.model.names().get(selected[0], "") if len(selected) == 1 else ""
+        return self.model.names.get(selected[0], "") if len(selected) == 1 else ""
 
     def _on_correct(self) -> None:
         action = self._panel.correct.value
@@ -287,11 +288,6 @@ class Viewer:
             self.model.join()
         else:
             self.model.split()
-        self._draw()
-
-    def _on_keep(self) -> None:
-        self.model.keep()
-        self._draw()
 
     def _on_find(self) -> None:
         assert self._shown.text_encoder is not None  # without it there is no button
@@ -323,7 +319,7 @@ class Viewer:
         return min(int(self._panel.frame.value), len(self.result.scene.frames) - 1)
 
     def _draw(self) -> None:
-        self._cloud.recolor(self.model.point_colors())
+        self._cloud.recolor(point_colors(self.model))
         self._cloud.mark(self.model.clicks)
         self._panel.name.value = self._selected_name()
         self._draw_lists()
@@ -336,7 +332,7 @@ class Viewer:
 
     def _draw_lists(self) -> None:
         selected = self.model.selected
-        frames = self.model.frames_of(selected[0]) if len(selected) == 1 else []
+        frames = self.model.measures.frames_of(selected[0]) if len(selected) == 1 else []
         seen = [(self.result.names[index], pixels) for index, pixels in frames]
         self._panel.selection.content = panel_html([self.model.row(segment) for segment in selected[:10]], seen)
         found = [] if self._query is None else self.model.find(self._query)
@@ -349,8 +345,8 @@ class Viewer:
 
     def _draw_image(self) -> None:
         index = self._frame_index()
-        painted = self.model.painted(index, self._panel.opacity.value)
-        self._panel.image.content = image_html(painted, self.result.names[index])
+        image = painted(self.model, index, self._panel.opacity.value)
+        self._panel.image.content = image_html(image, self.result.names[index])
 
     def _work_behind(self) -> None:
         """Shades the points and counts each frame's pixels in the background; the page can already be used."""
@@ -360,11 +356,11 @@ class Viewer:
             if model.shading is None:
                 self._guarded(self._shade, Shading(model.result.scene.points, model.up))
             if not is_running:  # labelling all frames is most of a run's work
-                model.read_frames()
+                model.measures.read_frames()
                 self._guarded(self._draw_lists)
 
         threading.Thread(target=work, daemon=True).start()
 
     def _shade(self, shading: Shading) -> None:
         self.model.shading = shading
-        self._cloud.recolor(self.model.point_colors())
+        self._cloud.recolor(point_colors(self.model))

@@ -34,10 +34,11 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     """
     if not model.selected:
         raise ValueError("export: select a segment first")
-    called = {model.key(segment): model.names().get(segment, "") for segment in model.selected}
+    called = {model.key(segment): model.names.get(segment, "") for segment in model.selected}
     name = file_name("-".join(f"{key}-{name}" if name else str(key) for key, name in [*called.items()][:5]))
     name += f"-and-{len(called) - 5}-more" if len(called) > 5 else ""
-    result, keys = model.result, _keys_of_pieces(model)
+    result = model.result
+    keys = np.where(np.isin(model.table, model.selected), model.parts.keys[model.table], -1)  # of pieces; -1: others
     labels = torch.from_numpy(keys[model.parts.of_point])
     if kind == "PLY":
         chosen = result.scene.select_points(labels >= 0)
@@ -57,11 +58,6 @@ def _written(name: str, write: Callable[[Path], object]) -> tuple[str, bytes]:
     with TemporaryDirectory() as folder:
         write(Path(folder) / name)
         return name, (Path(folder) / name).read_bytes()
-
-
-def _keys_of_pieces(model: Model) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """[P] the displayed id of the segment of each piece; -1 = not selected."""
-    return np.where(np.isin(model.table, model.selected), model.parts.keys[model.table], -1)
 
 
 def _labels(model: Model, keys: np.ndarray[tuple[int], np.dtype[np.int64]], index: int) -> Tensor:

@@ -16,18 +16,13 @@ from torchjoint.viewer.parameters import LiveRun
 
 @dataclass(frozen=True)
 class Shown:
-    """The folder and the run of a shown result.
+    """The folder and the run of a shown result."""
 
-    Attributes:
-        folder: for corrections (edits.json); None: the result cannot be corrected.
-        run: the run that made the result, if it is still in memory; its parameters can then be changed on the page.
-        is_running: whether the run is not finished, so that segments will change.
-        text_encoder: makes a vector [D] of words, as the encoder of the result's embeddings made them of images.
-    """
-
-    folder: Path | None = None
+    folder: Path | None = None  #: for corrections (edits.json); None: the result cannot be corrected
+    #: the run that made the result, if it is still in memory; its parameters can then be changed on the page
     run: LiveRun | None = None
-    is_running: bool = False
+    is_running: bool = False  #: whether the run is not finished, so that segments will change
+    #: makes a vector [D] of words, as the encoder of the result's embeddings made them of images
     text_encoder: Callable[[str], Tensor] | None = None
 
     def edits(self, result: Result, granularity: float | None = None) -> Edits:

@@ -13,7 +13,7 @@ import tyro
 from torch import Tensor
 
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out, check_output
-from torchjoint.datasets.resampling import resize_labels
+from torchjoint.datasets.resampling import resize_nearest
 from torchjoint.evaluation.predictions import Prediction, read_prediction
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter
@@ -171,7 +171,7 @@ def _fitted(labels: Tensor, size: tuple[int, int], file: Path) -> Tensor:
             f"{file}: expected a map of the image's shape, {size[0]} x {size[1]} (rows, columns), got "
             f"{labels.shape[0]} x {labels.shape[1]}"
         )
-    return resize_labels(labels, size)
+    return resize_nearest(labels, size)
 
 
 def _write(out: Path, found: Mapping[str, Mapping[Row, Scores]], notes: Sequence[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
 
 import pytest
@@ -67,9 +68,12 @@ def test_by_hand(data):
     assert torch.equal(found.nan_to_num(-1), backwards.nan_to_num(-1))
 
 
+room = functools.cache(lambda: tj.synthetic.make_scene(0, num_views=4, num_points=3000, height=90, width=120).scene)
+
+
 def scene_of(colors):
     """A small room with images, and with colours of the points or without."""
-    made = tj.synthetic.make_scene(0, "small").scene
+    made = room()
     return tj.Scene(made.points, frames=list(made.frames), colors=made.colors if colors else None)
 
 

@@ -110,7 +110,7 @@ def test_a_generated_room_is_none():
 @pytest.mark.parametrize("domain", DOMAINS)
 def test_all_generated_scenes(domain):
     pytest.importorskip("open3d")
-    for seed in range(5):
+    for seed in range(3):
         points = make_domain_scene(domain, seed, num_views=2).scene.points
         assert (find_rings(points) is not None) == (domain == "street"), seed
 

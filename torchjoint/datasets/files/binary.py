@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from torchjoint.runtime.foreign_files import damage_is, present
+
 
 class BinaryFile:
     """Reads a little-endian file from front to back. A context manager.
@@ -20,8 +22,7 @@ class BinaryFile:
     """
 
     def __init__(self, path: Path) -> None:
-        if not path.is_file():
-            raise FileNotFoundError(f"{path}: missing; expected a binary file")
+        present(path, "a binary file")
         self.path = path
         self.place = 0
         self.size = path.stat().st_size
@@ -63,10 +64,8 @@ class BinaryFile:
         if end < 0:
             raise ValueError(f"{self.path}: expected a string of at most {longest} bytes at byte {self.place}")
         raw, self.place = self._data[self.place : end], end + 1
-        try:
+        with damage_is(f"{self.path}: expected a string before byte {end}"):
             return raw.decode("utf-8")
-        except UnicodeDecodeError as error:
-            raise ValueError(f"{self.path}: expected a string before byte {end}: {error}") from error
 
     def skip(self, size: int) -> None:
         """Skips `size` bytes, which must exist."""

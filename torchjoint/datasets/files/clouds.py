@@ -14,6 +14,7 @@ from torch import Tensor
 from torchjoint.datasets.files import meshes
 from torchjoint.datasets.files.readers import opaque, read_array, read_mesh
 from torchjoint.runtime.archives import read_archive
+from torchjoint.runtime.foreign_files import damage_is, present
 from torchjoint.scene.checks import Invalid, kept_points
 
 #: Row lengths that are tried for a LiDAR scan; rows that are examined, and the fewest rows that allow a decision.
@@ -81,8 +82,7 @@ def _read(path: Path, columns: int | str | None) -> CloudFile:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise ValueError(f"{path}: expected a file that ends in {', '.join(SUFFIXES)}")
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a point cloud")
+    present(path, "a point cloud")
     if isinstance(columns, str):
         if suffix not in LETTERED:
             raise ValueError(f"{path}: expected a file that ends in {', '.join(LETTERED)}, for columns {columns!r}")
@@ -96,13 +96,11 @@ def _read(path: Path, columns: int | str | None) -> CloudFile:
         if isinstance(columns, str):
             return _from_letters(read_scan(path, len(columns), "keep").numpy(), columns)
         return CloudFile(_read_bin(path, columns)[:, :3])
-    try:
+    with damage_is(f"{path}: not a whole {suffix} cloud", OSError):
         if suffix == ".npz":
             return _from_archive(path)
         rows = read_array(path).numpy() if suffix == ".npy" else np.loadtxt(path, ndmin=2)
         return _from_letters(rows, columns) if isinstance(columns, str) else _from_rows(rows)
-    except (ValueError, KeyError, OSError, EOFError, TypeError) as error:
-        raise ValueError(f"{path}: not a whole {suffix} cloud: {error}") from error
 
 
 def _read_bin(path: Path, columns: int | None) -> Tensor:
@@ -139,8 +137,7 @@ def read_scan(path: Path, columns: int, invalid: Invalid = "refuse") -> Tensor:
         FileNotFoundError: there is no such file.
         ValueError: the size of the file does not fit, or a point is not finite.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a LiDAR scan")
+    present(path, "a LiDAR scan")
     size = path.stat().st_size
     if size == 0 or size % (4 * columns):
         raise ValueError(f"{path}: expected rows of {columns} float32, {4 * columns} bytes each, got {size} bytes")

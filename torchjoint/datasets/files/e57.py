@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchjoint.runtime.archives import FREE, RATIO
 from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.foreign_files import present
 
 _XYZ = ("cartesianX", "cartesianY", "cartesianZ")
 _RGB = ("colorRed", "colorGreen", "colorBlue")
@@ -36,8 +37,7 @@ def read_e57(path: Path) -> tuple[Tensor, Tensor | None]:
         FileNotFoundError, ValueError: the message names the file and its error.
         ModuleNotFoundError: pye57 is not installed.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a point cloud, .e57")
+    present(path, "a point cloud, .e57")
     with needed_for("reading .e57", "pye57", "torchjoint[e57]"):
         import pye57
     try:

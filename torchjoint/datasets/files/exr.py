@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.foreign_files import present
 
 
 def read_exr(path: Path, channel: str, max_pixels: int) -> Tensor:
@@ -21,8 +22,7 @@ def read_exr(path: Path, channel: str, max_pixels: int) -> Tensor:
         FileNotFoundError, ValueError: the message names the file; it is damaged, larger, or lacks the channel.
         ModuleNotFoundError: OpenEXR is not installed.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected an image, .exr")
+    present(path, "an image, .exr")
     with needed_for("reading .exr", "OpenEXR", "torchjoint[record3d]"):
         import OpenEXR
     try:

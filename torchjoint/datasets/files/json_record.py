@@ -13,6 +13,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.foreign_files import damage_is, present
+
 #: Larger files are rejected, since they need many times as much memory; 100,000 posed frames are smaller.
 MAX_BYTES = 128 * 2**20
 
@@ -94,8 +96,7 @@ def read_record(path: Path, expected: str) -> Record:
         FileNotFoundError: there is no such file.
         ValueError: the file is too large, is not JSON, or holds no object.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected {expected}")
+    present(path, expected)
     if path.stat().st_size > MAX_BYTES:
         raise ValueError(f"{path}: expected {expected}, at most {MAX_BYTES} bytes, got {path.stat().st_size}")
     return parse_record(path.read_bytes(), str(path))
@@ -107,10 +108,8 @@ def parse_record(data: bytes, name: str) -> Record:
     Raises:
         ValueError: the bytes are not JSON, or hold no object.
     """
-    try:
+    with damage_is(f"{name}: not a whole JSON file"):
         values = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{name}: not a whole JSON file: {error}") from error
     return _as_record(values, name)
 
 

@@ -11,6 +11,8 @@ import struct
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+from torchjoint.runtime.foreign_files import damage_is, present
+
 #: Sizes of the header's fixed part, of the header of a variable length record, and of an extended one, bytes.
 HEADER, RECORD, EXTENDED_RECORD = 227, 54, 60
 #: Set in the point format's number if the points are compressed.
@@ -36,22 +38,18 @@ def check_header(path: Path) -> LasHeader:
         FileNotFoundError: there is no such file.
         ValueError: it is no LAS file, or sizes do not fit the file; the message names the file.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a point cloud, .las or .laz")
+    present(path, "a point cloud, .las or .laz")
     size = path.stat().st_size
-    with path.open("rb") as stream:
-        try:
-            header = _parse(stream.read(375))
-            _check_records(stream, header, size)
-            if header.is_compressed:
-                _check_chunks(stream, header, size)
-            elif header.num_points * header.record_size > size - header.points_at:
-                raise ValueError(
-                    f"truncated: {header.num_points} points take {header.num_points * header.record_size} bytes, got "
-                    f"{size - header.points_at}"
-                )
-        except (ValueError, struct.error) as error:
-            raise ValueError(f"{path}: not a whole LAS file: {error}") from error
+    with path.open("rb") as stream, damage_is(f"{path}: not a whole LAS file"):
+        header = _parse(stream.read(375))
+        _check_records(stream, header, size)
+        if header.is_compressed:
+            _check_chunks(stream, header, size)
+        elif header.num_points * header.record_size > size - header.points_at:
+            raise ValueError(
+                f"truncated: {header.num_points} points take {header.num_points * header.record_size} bytes, got "
+                f"{size - header.points_at}"
+            )
     return header
 
 

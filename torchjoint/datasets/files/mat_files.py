@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from torchjoint.runtime.foreign_files import damage_is, present
+
 _HEADER_BYTES = 128
 _ORDERS = {b"IM": "<", b"MI": ">"}
 _MATRIX, _COMPRESSED = 14, 15
@@ -51,14 +53,12 @@ def read_matrices(path: Path, max_count: int) -> dict[str, npt.NDArray[Any]]:
         FileNotFoundError: there is no such file.
         ValueError: a truncated file, another version, or a matrix that is too large.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a .mat file")
-    data = path.read_bytes()
+    data = present(path, "a .mat file").read_bytes()
     order = _ORDERS.get(data[126:128])
     if order is None or data.startswith(b"MATLAB 7.3") or data[124:126] not in (b"\x00\x01", b"\x01\x00"):
         raise ValueError(f"{path}: not a .mat file of versions 5 to 7 (save it with -v7)")
     matrices, place = {}, _HEADER_BYTES
-    try:
+    with damage_is(f"{path}: not a whole .mat file"):
         while place < len(data):
             kind, count = struct.unpack_from(f"{order}2I", data, place)
             place += 8
@@ -76,8 +76,6 @@ def read_matrices(path: Path, max_count: int) -> dict[str, npt.NDArray[Any]]:
                 if packed is not None:
                     body = _unpack(packed, variable.start + 8 + 8 * math.prod(variable.shape), order)
                 matrices[variable.name] = _read_numbers(body, variable, order)
-    except (struct.error, zlib.error, UnicodeDecodeError, ValueError) as error:
-        raise ValueError(f"{path}: not a whole .mat file: {error}") from error
     return matrices
 
 

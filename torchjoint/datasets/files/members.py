@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import zlib
 from pathlib import Path
-from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
+
+from torchjoint.runtime.foreign_files import damage_is
 
 
 class Members:
@@ -23,11 +25,8 @@ class Members:
             files = (file for pattern in ("*", "*/*") for file in path.glob(pattern))
             self.names = {file.relative_to(path).as_posix() for file in files if file.is_file()}
             return
-        try:
-            with ZipFile(path) as archive:
-                self._entries = {entry.filename: entry for entry in archive.infolist()}
-        except (BadZipFile, OSError, ValueError, NotImplementedError) as error:
-            raise ValueError(f"{path}: not a whole archive: {error}") from error
+        with damage_is(f"{path}: not a whole archive", OSError), ZipFile(path) as archive:
+            self._entries = {entry.filename: entry for entry in archive.infolist()}
         self.names = set(self._entries)
 
     def read(self, name: str, most: int) -> bytes:
@@ -46,7 +45,7 @@ class Members:
 
     def _unpack(self, name: str) -> bytes:
         entry = self._entries[name]
-        try:
+        with damage_is(f"{self.path}: {name} in it is damaged", OSError):
             with self.path.open("rb") as stream:
                 stream.seek(entry.header_offset)
                 header = stream.read(30)  # its last two numbers are the lengths of a name and of an extra field
@@ -58,6 +57,4 @@ class Members:
                 raise ValueError(f"compression {entry.compress_type} is not known")
             if len(data) != entry.file_size or zlib.crc32(data) != entry.CRC:
                 raise ValueError("its size or checksum is another one")
-        except (ValueError, OSError, zlib.error) as error:
-            raise ValueError(f"{self.path}: {name} in it is damaged: {error}") from error
         return data

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.lzf import decompress
 from torchjoint.datasets.files.text import parse_integer
+from torchjoint.runtime.foreign_files import damage_is, present
 
 #: Largest size of a header, bytes; real headers have a few hundred bytes.
 MAX_HEADER = 65536
@@ -37,20 +38,13 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class PcdHeader:
-    """The header of a PCD file.
+    """The header of a PCD file."""
 
-    Args:
-        fields: types [count] by name; a padding field has the name "_" and its index.
-        width, height: points per row, and rows; one row if the cloud is not organised.
-        encoding: ascii, binary, binary_compressed.
-        size: of the header, bytes.
-    """
-
-    fields: Mapping[str, np.dtype[Any]]
-    width: int
+    fields: Mapping[str, np.dtype[Any]]  #: types [count] by name; a padding field has the name "_" and its index
+    width: int  #: points per row, and rows; one row if the cloud is not organised
     height: int
-    encoding: str
-    size: int
+    encoding: str  #: ascii, binary, binary_compressed
+    size: int  #: of the header, bytes
 
     @property
     def num_points(self) -> int:
@@ -60,15 +54,11 @@ class PcdHeader:
 
 @dataclass(frozen=True)
 class Pcd:
-    """The cloud of a PCD file; points are in the order of the file.
+    """The cloud of a PCD file; points are in the order of the file."""
 
-    Args:
-        width, height: points per row, and rows.
-        fields: arrays [N] by name, or [N, count] if a field has several values per point.
-    """
-
-    width: int
+    width: int  #: points per row, and rows
     height: int
+    #: arrays [N] by name, or [N, count] if a field has several values per point
     fields: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def points(self) -> Tensor:
@@ -101,9 +91,7 @@ def read_pcd(path: Path) -> Pcd:
         FileNotFoundError, ValueError: the message names the file and its error; sizes in the header are compared
             with the file's size before memory is allocated.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a point cloud, .pcd")
-    data = path.read_bytes()
+    data = present(path, "a point cloud, .pcd").read_bytes()
     header = _parse_header(path, data[:MAX_HEADER])
     body, dtype = memoryview(data)[header.size :], np.dtype(list(header.fields.items()))
     if header.encoding == "ascii":
@@ -134,7 +122,7 @@ def _parse_header(path: Path, start: bytes) -> PcdHeader:
             entries.setdefault(words[0], words[1:])
         if "DATA" in entries:
             break
-    try:
+    with damage_is(f"{path}: not a PCD file, or its header is damaged"):
         names, types, (encoding,) = entries["FIELDS"], entries["TYPE"], entries["DATA"]
         entries.setdefault("COUNT", ["1"] * len(names))
         entries.setdefault("POINTS", [])
@@ -142,8 +130,6 @@ def _parse_header(path: Path, start: bytes) -> PcdHeader:
             [parse_integer(word, key) for word in entries[key]]
             for key in ("SIZE", "COUNT", "POINTS", "WIDTH", "HEIGHT")
         )
-    except (KeyError, ValueError) as error:
-        raise ValueError(f"{path}: not a PCD file, or its header is damaged: {error}") from error
     if encoding not in ("ascii", "binary", "binary_compressed"):
         raise ValueError(f"{path}: expected DATA ascii, binary or binary_compressed, got {encoding!r}")
     if width < 1 or height < 1 or points not in ([], [width * height]):
@@ -172,10 +158,8 @@ def _field_types(
 
 def _read_ascii(path: Path, body: bytes, header: PcdHeader) -> dict[str, npt.NDArray[Any]]:
     columns = sum(int(np.prod(dtype.shape)) for dtype in header.fields.values())
-    try:
+    with damage_is(f"{path}: expected lines of {columns} numbers"):
         values = np.loadtxt(io.BytesIO(body), comments=None, ndmin=2) if body.strip() else np.empty((0, columns))
-    except ValueError as error:
-        raise ValueError(f"{path}: expected lines of {columns} numbers: {error}") from error
     if values.shape != (header.num_points, columns):
         expected = f"{header.num_points} points of {columns} numbers"
         raise ValueError(

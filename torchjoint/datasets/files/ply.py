@@ -19,6 +19,7 @@ from torchjoint.datasets.files.ply_binary import read_binary
 from torchjoint.datasets.files.ply_columns import Columns
 from torchjoint.datasets.files.ply_header import MAX_HEADER, parse_header
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.foreign_files import damage_is, present
 
 Array = npt.NDArray[Any]
 
@@ -48,10 +49,8 @@ def read_ply(path: Path) -> Ply:
             with the file's size before memory is allocated.
     """
     elements = _read_elements(path)
-    try:
+    with damage_is(str(path)):
         return _assembled(elements)
-    except (ValueError, OverflowError) as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
@@ -65,22 +64,17 @@ def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
         return None
     if vertex.kinds[name].kind not in "iu":
         raise ValueError(f"{path}: property {name}: expected integers, got {vertex.kinds[name]}")
-    try:
+    with damage_is(str(path)):
         return vertex.stacked({name: ((name,), np.int64, 1)})[name][:, 0]
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def _read_elements(path: Path) -> dict[str, Columns]:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a point cloud, .ply")
+    present(path, "a point cloud, .ply")
     with path.open("rb") as stream:
         start = stream.read(MAX_HEADER)
-    try:
+    with damage_is(str(path)):
         header = parse_header(start)
         return (read_ascii if header.encoding == "ascii" else read_binary)(path, header)
-    except (ValueError, OverflowError) as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels: Tensor | None = None) -> None:

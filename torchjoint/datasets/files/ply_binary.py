@@ -74,17 +74,13 @@ def _rows_with_lists(data: Array, place: int, element: Element, header: PlyHeade
             return {name: rows[name] for name in element.names}, place + rows.nbytes
     columns: dict[str, list[Any]] = {name: [] for name in element.names}
     for _ in range(element.rows):
-        row = np.frombuffer(*_one_row(data, place, element, header))[0]
+        dtype = element.dtype(header.byte_order, _lengths(data, place, element, header))
+        _check_rest(len(data), place, dtype.itemsize, element)
+        row = np.frombuffer(data, dtype, 1, place)[0]
         for name in element.names:
             columns[name].append(row[name])
         place += row.nbytes
     return list_arrays(columns, element), place
-
-
-def _one_row(data: Array, place: int, element: Element, header: PlyHeader) -> tuple[Array, np.dtype[Any], int, int]:
-    dtype = element.dtype(header.byte_order, _lengths(data, place, element, header))
-    _check_rest(len(data), place, dtype.itemsize, element)
-    return data, dtype, 1, place
 
 
 def _lengths(data: Array, place: int, element: Element, header: PlyHeader) -> dict[str, int]:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from torchjoint.datasets.files.ply_header import MAX_HEADER, Element, PlyHeader, parse_header
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.foreign_files import damage_is, present
 
 #: Bytes [rows, size] of a binary file, or lines [rows] of an ascii one.
 Records = npt.NDArray[Any]
@@ -90,19 +91,22 @@ def read_records(path: Path) -> PlyRecords:
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a .ply")
-    data = path.read_bytes()
-    try:
-        header = parse_header(data[:MAX_HEADER])
-        if not header.elements or header.elements[0].name != "vertex" or header.elements[0].lists:
-            raise ValueError("expected vertices without lists as first element")
-        text = data[: header.size].decode("utf-8", "surrogateescape")
-        head = [line.rstrip() for line in re.split(r"\r?\n", text) if line]
-        read = _lines if header.encoding == "ascii" else _rows
-        records, rest = read(data, header)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    with damage_is(str(path)):
+        return parse_records(present(path, "a .ply").read_bytes())
+
+
+def parse_records(data: bytes) -> PlyRecords:
+    """Reads the records of a file's bytes.
+
+    Raises:
+        ValueError: the bytes are damaged, or have no vertices.
+    """
+    header = parse_header(data[:MAX_HEADER])
+    if not header.elements or header.elements[0].name != "vertex" or header.elements[0].lists:
+        raise ValueError("expected vertices without lists as first element")
+    text = data[: header.size].decode("utf-8", "surrogateescape")
+    head = [line.rstrip() for line in re.split(r"\r?\n", text) if line]
+    records, rest = (_lines if header.encoding == "ascii" else _rows)(data, header)
     return PlyRecords(head, header, records, rest)
 
 

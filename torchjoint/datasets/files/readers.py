@@ -6,7 +6,6 @@ import hashlib
 import io
 import os
 import struct
-import tokenize
 import warnings
 import zlib
 from collections.abc import Iterable, Iterator, Set
@@ -23,6 +22,7 @@ from torchjoint.datasets.files import las, meshes
 from torchjoint.datasets.files.e57 import read_e57
 from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.ply import Ply, read_ply
+from torchjoint.runtime.foreign_files import damage_is, present
 from torchjoint.scene.checks import Invalid, kept_points
 
 #: Larger images are rejected before they are decoded.
@@ -51,9 +51,7 @@ def read_image(path: Path, camera_size: tuple[int, int] | None = None) -> Tensor
 
 def read_image_size(path: Path) -> tuple[int, int]:
     """Returns (H, W) of an image, from the header of its file."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected an image")
-    image = decode_image(path.read_bytes(), str(path), header_only=True)
+    image = decode_image(present(path, "an image").read_bytes(), str(path), header_only=True)
     return image.height, image.width
 
 
@@ -73,8 +71,7 @@ def read_label_image(path: Path) -> Tensor:
 
 def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
     """Reads a matrix from a text file; returns float64 of this shape."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a text file with a {shape[0]}x{shape[1]} matrix")
+    present(path, f"a text file with a {shape[0]}x{shape[1]} matrix")
     try:
         values = np.array(path.read_text(encoding="utf-8").replace(",", " ").split(), dtype=np.float64)
     except ValueError as error:
@@ -127,8 +124,7 @@ def opaque(opacities: Tensor | None, least: float, path: Path) -> Tensor:
 
 def read_mesh(path: Path) -> Ply:
     """Reads a file as :func:`read_cloud`, with the triangles of a mesh; points may be NaN or infinite."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a point cloud")
+    present(path, "a point cloud")
     suffix = path.suffix.lower()
     if suffix in las.SUFFIXES:
         mesh = Ply(*las.read_las(path), None, None)
@@ -147,9 +143,8 @@ def read_mesh(path: Path) -> Ply:
 
 def read_array(path: Path) -> Tensor:
     """Reads a .npy file of numbers, of any shape."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected an array of numbers, .npy")
-    try:
+    present(path, "an array of numbers, .npy")
+    with damage_is(f"{path}: not a whole .npy array of numbers", OSError):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about headers of Python 2, or of old numpy
             # Memory-mapped, so that the shape is checked against the file size before memory is allocated.
@@ -157,8 +152,6 @@ def read_array(path: Path) -> Tensor:
         if array.dtype.kind == "u" and array.dtype.itemsize > 1:  # torch supports few operations on these types
             array = array.astype(np.int64)
         return torch.from_numpy(np.array(array, dtype=array.dtype.newbyteorder("="), order="C", subok=False))
-    except (ValueError, TypeError, OSError, EOFError, OverflowError, SyntaxError, tokenize.TokenError) as error:
-        raise ValueError(f"{path}: not a whole .npy array of numbers: {error}") from error
 
 
 def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
@@ -177,6 +170,7 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     """
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist")
+    path = path.absolute()  # a batch gives the same recording by a relative path and by the whole one
     if path.is_file() and path.suffix.lower() in ALONE:
         status = path.stat()
         return hashlib.sha256(repr((str(path.resolve()), status.st_size, status.st_mtime_ns)).encode()).hexdigest()
@@ -202,9 +196,7 @@ def _files_below(folder: Path, without: Set[str]) -> Iterator[Path]:
 
 
 def _opened(path: Path) -> Image.Image:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected an image")
-    return decode_image(path.read_bytes(), str(path))
+    return decode_image(present(path, "an image").read_bytes(), str(path))
 
 
 def _as_calibrated(image: Image.Image, camera_size: tuple[int, int] | None, name: str) -> Image.Image:

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.binary import BinaryFile
 from torchjoint.datasets.files.readers import MAX_PIXELS, decode_image, rgb_of
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.scene.checks import as_intrinsics
 
 VERSION = 4
@@ -126,10 +127,8 @@ def _index(file: BinaryFile) -> tuple[list[_Blobs], list[tuple[float, ...]]]:
 def _inflate(data: bytes, expected: int, name: str) -> bytes:
     """Decompresses data to `expected` bytes; allocates at most one byte more."""
     stream = zlib.decompressobj()
-    try:
+    with damage_is(f"{name}: not a whole zlib stream"):
         unpacked = stream.decompress(data, expected + 1)
-    except zlib.error as error:
-        raise ValueError(f"{name}: not a whole zlib stream: {error}") from error
     if not stream.eof or len(unpacked) != expected:
         raise ValueError(f"{name}: expected a zlib stream of {expected} bytes, got another or a truncated one")
     return unpacked

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from torchjoint.runtime.foreign_files import damage_is, present
+
 
 def read_lines(path: Path, expected: str) -> Iterator[tuple[str, str]]:
     """Yields (name, line) for each line except comments (#); messages use `name`; `expected` describes the file.
@@ -13,15 +15,11 @@ def read_lines(path: Path, expected: str) -> Iterator[tuple[str, str]]:
     Raises:
         FileNotFoundError, ValueError: there is no such file, or it is not a text file.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected {expected}")
-    try:
-        with path.open(encoding="utf-8") as stream:
-            for number, line in enumerate(stream, 1):
-                if not line.startswith("#"):
-                    yield f"{path}: line {number}", line.strip()
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: expected {expected} as text: {error}") from error
+    present(path, expected)
+    with damage_is(f"{path}: expected {expected} as text"), path.open(encoding="utf-8") as stream:
+        for number, line in enumerate(stream, 1):
+            if not line.startswith("#"):
+                yield f"{path}: line {number}", line.strip()
 
 
 def parse_numbers(words: Sequence[str], name: str) -> list[float]:

@@ -53,26 +53,11 @@ class Format(Protocol):
         """Loads the scene."""
 
 
-#: Formats by name, in the order in which they are tried.
+#: Formats by name, in the order in which they are tried; `cloud_alone` is last: other formats have clouds with images.
 FORMATS: dict[str, Format] = {
-    "folder": cast(Format, folder),
-    "scannet": cast(Format, scannet),
-    "tum": cast(Format, tum),
-    "nerfstudio": cast(Format, nerfstudio),
-    "colmap": cast(Format, colmap),
-    "kitti": cast(Format, kitti),
-    "nuscenes": cast(Format, nuscenes),
-    "lidar_image": cast(Format, lidar_image),
-    "organized_pcd": cast(Format, organized_pcd),
-    "bop": cast(Format, bop),
-    "ycb_video": cast(Format, ycb_video),
-    "posed_images": cast(Format, posed_images),
-    "replica": cast(Format, replica),
-    "arkitscenes": cast(Format, arkitscenes),
-    "record3d": cast(Format, record3d),
-    "polycam": cast(Format, polycam),
-    "scannetpp": cast(Format, scannetpp),
-    "s3dis": cast(Format, s3dis),
-    "ros": cast(Format, ros),
-    "cloud_alone": cast(Format, cloud_alone),  # last: other formats have clouds with images
-}
+    module.__name__.rpartition(".")[2]: cast(Format, module)
+    for module in (
+        folder, scannet, tum, nerfstudio, colmap, kitti, nuscenes, lidar_image, organized_pcd, bop, ycb_video,
+        posed_images, replica, arkitscenes, record3d, polycam, scannetpp, s3dis, ros, cloud_alone,
+    )
+}  # fmt: skip

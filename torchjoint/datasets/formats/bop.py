@@ -16,30 +16,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.json_record import Record, read_record
-from torchjoint.datasets.files.readers import read_depth, read_image, read_image_size, read_label_image
+from torchjoint.datasets.files.readers import read_image_size, read_label_image
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.datasets.shots import Shot, read_shots
 from torchjoint.runtime.lazy import LazySequence
-from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene.checks import as_intrinsics, as_pose
+from torchjoint.scene import Scene, Truth
+from torchjoint.scene.checks import as_pose
 
 WHAT = "scene_camera.json with rgb/ or gray/ (BOP)"
 #: Largest distance between the positions of one object according to two images, metres.
 SAME_PLACE = 0.05
-
-
-class _Shot(NamedTuple):
-    number: int
-    image: Path
-    depth: Path | None
-    intrinsics: Tensor  #: [3, 3]
-    world_to_camera: Tensor  #: [4, 4]
-    unit: float  #: of depth, metres
 
 
 def recognizes(path: Path) -> bool:
@@ -50,12 +42,10 @@ def recognizes(path: Path) -> bool:
 def load(path: Path, options: Options) -> Scene:
     """Loads a scene; see :func:`torchjoint.load_scene`."""
     shots = _read_shots(path)
-    names = [shot.image.stem for shot in shots]
-    scene = scene_of_frames(path, LazySequence(len(shots), lambda i: _read_frame(shots[i]), names), options)
-    return replace(scene, truth=_truth(path, shots))
+    return replace(scene_of_frames(path, read_shots(shots), options), truth=_truth(path, shots))
 
 
-def _read_shots(path: Path) -> list[_Shot]:
+def _read_shots(path: Path) -> list[Shot]:
     cameras = read_record(path / "scene_camera.json", "the cameras of the images")
     numbers = sorted(int(key) for key in cameras.values if key.isascii() and key.isdigit() and len(key) < 10)
     if not numbers:
@@ -63,7 +53,7 @@ def _read_shots(path: Path) -> list[_Shot]:
     return [_read_shot(path, number, cameras.record(str(number)), len(numbers) == 1) for number in numbers]
 
 
-def _read_shot(path: Path, number: int, camera: Record, is_alone: bool) -> _Shot:
+def _read_shot(path: Path, number: int, camera: Record, is_alone: bool) -> Shot:
     files = [path / kind / f"{number:06d}{suffix}" for kind in ("rgb", "gray") for suffix in (".png", ".jpg", ".tif")]
     image = next((file for file in files if file.is_file()), None)
     if image is None:
@@ -76,14 +66,8 @@ def _read_shot(path: Path, number: int, camera: Record, is_alone: bool) -> _Shot
     scale = camera.number("depth_scale", 1.0)
     if scale <= 0:
         raise ValueError(f"{camera.name}: depth_scale: expected more than 0, got {scale}")
-    depth = path / "depth" / f"{number:06d}.png"
-    intrinsics = as_intrinsics(camera.numbers("cam_K", 9).view(3, 3), f"{camera.name}: cam_K")
-    return _Shot(number, image, depth if depth.is_file() else None, intrinsics, pose, scale / 1000)
-
-
-def _read_frame(shot: _Shot) -> Frame:
-    depth = None if shot.depth is None else read_depth(shot.depth, shot.unit)
-    return Frame(read_image(shot.image), shot.intrinsics, shot.world_to_camera, depth=depth, name=shot.image.stem)
+    lens = Camera(camera.numbers("cam_K", 9).view(3, 3), name=f"{camera.name}: cam_K")
+    return Shot(image, lens, pose, image.stem, path / "depth" / f"{number:06d}.png", scale / 1000)
 
 
 def _pose(record: Record, rotation: str, translation: str) -> Tensor:
@@ -93,17 +77,16 @@ def _pose(record: Record, rotation: str, translation: str) -> Tensor:
     return as_pose(pose, f"{record.name}: {rotation}, {translation}")
 
 
-def _truth(path: Path, shots: Sequence[_Shot]) -> Truth | None:
+def _truth(path: Path, shots: Sequence[Shot]) -> Truth | None:
     if not (path / "scene_gt.json").is_file() or not (path / "mask_visib").is_dir():
         return None
     truth = read_record(path / "scene_gt.json", "the objects of the images")
     instances = _instances(shots, truth)
 
     def read(index: int) -> Tensor:
-        number, ids = shots[index].number, instances[index]
-        labels = torch.full(read_image_size(shots[index].image), -1, dtype=torch.int64)
-        for place, instance in enumerate(ids):
-            file = path / "mask_visib" / f"{number:06d}_{place:06d}.png"
+        labels = torch.full(read_image_size(shots[index].color), -1, dtype=torch.int64)
+        for place, instance in enumerate(instances[index]):
+            file = path / "mask_visib" / f"{shots[index].name}_{place:06d}.png"
             mask = read_label_image(file) > 0
             if mask.shape != labels.shape:
                 raise ValueError(f"{file}: expected {list(labels.shape)} pixels, got {list(mask.shape)}")
@@ -113,13 +96,13 @@ def _truth(path: Path, shots: Sequence[_Shot]) -> Truth | None:
     return Truth(None, LazySequence(len(shots), read))
 
 
-def _instances(shots: Sequence[_Shot], truth: Record) -> list[list[int]]:
+def _instances(shots: Sequence[Shot], truth: Record) -> list[list[int]]:
     """The instance of each object of each image."""
     known: list[tuple[float, Tensor]] = []  # obj_id and place of each instance
     found = []
     for shot in shots:
         ids: list[int] = []
-        for one in truth.records(str(shot.number)):
+        for one in truth.records(str(int(shot.name))):
             world_from_model = invert_pose(shot.world_to_camera) @ _pose(one, "cam_R_m2c", "cam_t_m2c")
             kind, place = one.number("obj_id"), world_from_model[:3, 3]
             near = [

@@ -16,11 +16,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from torchjoint.datasets.files.colmap_model import ColmapImage, has_model, read_images, read_points
-from torchjoint.datasets.files.readers import read_image
+from torchjoint.datasets.files.colmap_model import has_model, read_images, read_points
 from torchjoint.datasets.paths import frame_names, path_inside
 from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.datasets.shots import Shot, read_shots
+from torchjoint.runtime.foreign_files import present
 from torchjoint.scene import Frame, Scene
 
 WHAT = "COLMAP's cameras and images (.bin or .txt) in sparse/0, in sparse, or in the folder itself"
@@ -52,10 +52,13 @@ def _read_frames(model: Path, bases: Sequence[Path]) -> Sequence[Frame]:
     folder = _image_folder(bases, images[0].name, str(model))
     files = [path_inside(folder, image.name, str(model)) for image in images]
     for file in files:
-        if not file.is_file():
-            raise FileNotFoundError(f"{file}: missing; expected an image of the model in {model}")
+        present(file, f"an image of the model in {model}")
     names = frame_names([image.name for image in images])
-    return LazySequence(len(images), lambda i: _read_frame(files[i], images[i], names[i]), names)
+    shots = [
+        Shot(file, image.camera, image.world_to_camera, name)
+        for file, image, name in zip(files, images, names, strict=True)
+    ]
+    return read_shots(shots)
 
 
 def _image_folder(bases: Sequence[Path], name: str, source: str) -> Path:
@@ -65,7 +68,3 @@ def _image_folder(bases: Sequence[Path], name: str, source: str) -> Path:
             return folder
     places = ", ".join(str(folder) for folder in folders)
     raise FileNotFoundError(f"{source}: its image {name!r} is missing; looked for it in {places}")
-
-
-def _read_frame(file: Path, image: ColmapImage, name: str) -> Frame:
-    return image.camera.frame(read_image(file, image.camera.size), image.world_to_camera, name=name)

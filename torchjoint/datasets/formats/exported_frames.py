@@ -51,15 +51,10 @@ def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
 
     def read(place: int) -> Frame:
         i = kept[place]
-        return _read_frame(images[i], folder / "depth" / f"{stems[i]}.png", cameras, extrinsics[i])
+        image, depth = read_image(images[i]), folder / "depth" / f"{stems[i]}.png"
+        return make_frame(stems[i], image, read_depth(depth) if depth.is_file() else None, cameras, extrinsics[i])
 
     return LazySequence(len(kept), read, [stems[i] for i in kept])
-
-
-def _read_frame(color: Path, depth: Path, cameras: Cameras, world_to_camera: Tensor) -> Frame:
-    image = read_image(color)
-    distances = read_depth(depth) if depth.is_file() else None
-    return make_frame(color.stem, image, distances, cameras, world_to_camera)
 
 
 def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: Cameras, world_to_camera: Tensor) -> Frame:

@@ -61,11 +61,12 @@ def read_frames(path: Path) -> Sequence[Frame]:
             f"{', ...' if len(lost) > 1 else ''}",
             stacklevel=2,
         )
-    for file in colors:
-        if not _beside(file, ".pose.txt").is_file():
-            raise FileNotFoundError(f"{_beside(file, '.pose.txt')}: missing; every colour frame needs its pose")
+    pose_files = [_beside(file, ".pose.txt") for file in colors]
+    for file in pose_files:
+        if not file.is_file():
+            raise FileNotFoundError(f"{file}: missing; every colour frame needs its pose")
     # Reads all poses at once: a bad pose must be found before hours of work, not after.
-    poses = [_read_pose(_beside(file, ".pose.txt")) for file in colors]
+    poses = [as_pose(read_matrix(file, (4, 4)), str(file)) for file in pose_files]
     intrinsics = read_matrix(path / "camera-intrinsics.txt", (3, 3))
     return LazySequence(len(colors), lambda i: _read_frame(colors[i], intrinsics, poses[i]), stems)
 
@@ -92,10 +93,6 @@ def _truth(path: Path, colors: Sequence[Path], num_points: int) -> Truth | None:
         return None
     images = () if missing else LazySequence(len(colors), lambda i: read_label_image(of_images[i]) - 1)
     return Truth(points, images)
-
-
-def _read_pose(path: Path) -> Tensor:
-    return as_pose(read_matrix(path, (4, 4)), str(path))
 
 
 def _color_files(path: Path) -> list[Path]:

@@ -25,6 +25,7 @@ from torchjoint.datasets.files.clouds import read_scan
 from torchjoint.datasets.files.readers import read_image
 from torchjoint.datasets.files.text import parse_numbers, read_lines
 from torchjoint.datasets.recording import Options
+from torchjoint.runtime.foreign_files import present
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_intrinsics, as_pose
@@ -56,8 +57,7 @@ def load(path: Path, options: Options) -> Scene:
     camera_from_rectified[:3, 3] = torch.linalg.solve(projection[:3, :3], projection[:3, 3])
     world_to_camera = camera_from_rectified @ rectified_from_world
     image = root / "image_2" / f"{name}.png"
-    if not image.is_file():
-        raise FileNotFoundError(f"{image}: missing; expected the image of the scan")
+    present(image, "the image of the scan")
     frames = LazySequence(1, lambda _: Frame(read_image(image), projection[:3, :3], world_to_camera, name=name))
     labels = root / "label_2" / f"{name}.txt"
     truth = Truth(_instances(labels, points, rectified_from_world)) if labels.is_file() else None

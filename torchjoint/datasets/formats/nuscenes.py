@@ -23,14 +23,15 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.boxes import instances_in_boxes
+from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.clouds import read_scan
 from torchjoint.datasets.files.json_record import Record, read_record
-from torchjoint.datasets.files.readers import read_image
 from torchjoint.datasets.paths import path_inside
 from torchjoint.datasets.recording import Options
-from torchjoint.runtime.lazy import LazySequence
-from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene.checks import as_intrinsics, as_pose
+from torchjoint.datasets.shots import Shot, read_shots
+from torchjoint.runtime.foreign_files import present
+from torchjoint.scene import Scene, Truth
+from torchjoint.scene.checks import as_pose
 
 WHAT = "a sample of nuScenes: sample.json (MMDetection3D) with its scan and images"
 
@@ -49,26 +50,17 @@ def load(path: Path, options: Options) -> Scene:
         raise ValueError(f"{lidar.name}: num_pts_feats: expected 3 to 64, got {columns:g}")
     points = read_scan(path_inside(path, lidar.text("lidar_path"), lidar.name), int(columns), options.invalid)[:, :3]
     cameras = sample.record("cameras")
-    names = list(cameras.values)
-    shots = [_shot(path, cameras.record(name)) for name in names]
-    frames = LazySequence(len(names), lambda i: _read_frame(shots[i], names[i]), names)
+    frames = read_shots([_shot(path, cameras.record(name), name) for name in cameras.values])
     truth = Truth(_instances(sample.records("instances"), points)) if "instances" in sample else None
     return Scene(points, frames, name=path.name, truth=truth)
 
 
-def _shot(path: Path, camera: Record) -> tuple[Path, Tensor, Tensor]:
-    """Image, intrinsics, pose."""
+def _shot(path: Path, camera: Record, name: str) -> Shot:
     intrinsics = camera.matrix("cam2img", 3)
     image = path_inside(path, camera.text("img_path"), camera.name)
-    if not image.is_file():
-        raise FileNotFoundError(f"{image}: missing; expected the image of {camera.name}")
+    present(image, f"the image of {camera.name}")
     pose = as_pose(camera.matrix("lidar2cam", 4), f"{camera.name}: lidar2cam")
-    return image, as_intrinsics(intrinsics, f"{camera.name}: cam2img"), pose
-
-
-def _read_frame(shot: tuple[Path, Tensor, Tensor], name: str) -> Frame:
-    image, intrinsics, pose = shot
-    return Frame(read_image(image), intrinsics, pose, name=name)
+    return Shot(image, Camera(intrinsics, name=f"{camera.name}: cam2img"), pose, name)
 
 
 def _instances(records: list[Record], points: Tensor) -> Tensor:

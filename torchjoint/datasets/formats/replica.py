@@ -16,11 +16,10 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, pinhole_matrix
 from torchjoint.datasets.files.json_record import Record, read_record
-from torchjoint.datasets.files.readers import read_depth, read_image
 from torchjoint.datasets.files.text import parse_numbers, read_lines
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
-from torchjoint.runtime.lazy import LazySequence
-from torchjoint.scene import Frame, Scene
+from torchjoint.datasets.shots import Shot, read_shots
+from torchjoint.scene import Scene
 from torchjoint.scene.checks import as_pose
 
 WHAT = "traj.txt and results/frame*.jpg, with cam_params.json here or above (Replica, as NICE-SLAM has it)"
@@ -43,14 +42,12 @@ def load(path: Path, options: Options) -> Scene:
     images = sorted((path / "results").glob("frame*.jpg"))
     if len(images) != len(poses):
         raise ValueError(f"{path / 'traj.txt'}: expected {len(images)} poses, one for each image, got {len(poses)}")
-
-    def read(index: int) -> Frame:
-        depth = images[index].with_name(f"{images[index].stem.replace('frame', 'depth')}.png")
-        measured = read_depth(depth, 1 / scale) if depth.is_file() else None
-        return camera.frame(read_image(images[index], camera.size), poses[index], measured, images[index].stem)
-
-    frames = LazySequence(len(images), read, [image.stem for image in images])
-    return scene_of_frames(path, frames, options, [path.parent / f"{path.name}_mesh.ply"])
+    depths = [image.with_name(f"{image.stem.replace('frame', 'depth')}.png") for image in images]
+    shots = [
+        Shot(image, camera, pose, image.stem, depth, 1 / scale)
+        for image, pose, depth in zip(images, poses, depths, strict=True)
+    ]
+    return scene_of_frames(path, read_shots(shots), options, [path.parent / f"{path.name}_mesh.ply"])
 
 
 def _camera(values: Record) -> Camera:

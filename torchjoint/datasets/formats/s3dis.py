@@ -18,6 +18,7 @@ import numpy.typing as npt
 import torch
 
 from torchjoint.datasets.recording import Options
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.scene import Scene, Truth
 
 WHAT = "Annotations/ with CLASS_N.txt, such as chair_1.txt (a room of S3DIS)"
@@ -55,10 +56,8 @@ def _things(path: Path) -> list[Path]:
 def _read_points(file: Path) -> npt.NDArray[np.float64]:
     # A separator of Area_5/hallway_6/Annotations/ceiling_1.txt is byte 16 instead of a space.
     text = file.read_bytes().replace(b"\x10", b" ")
-    try:
+    with damage_is(f"{file}: expected lines of x y z r g b"):
         rows = np.loadtxt(io.BytesIO(text), comments=None, ndmin=2) if text.strip() else np.empty((0, 0))
-    except ValueError as error:
-        raise ValueError(f"{file}: expected lines of x y z r g b: {error}") from error
     if rows.shape[1] != 6 or not np.isfinite(rows).all() or rows[:, 3:].min() < 0 or rows[:, 3:].max() > 255:
         raise ValueError(f"{file}: expected lines of x y z r g b, colours 0 to 255, got an array {list(rows.shape)}")
     return rows

@@ -28,6 +28,7 @@ from torchjoint.datasets.formats.exported_frames import has_frames, make_frame, 
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.datasets.scannet_cameras import Calibration, Cameras, find_cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
+from torchjoint.datasets.shots import read_shots
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_pose
@@ -67,8 +68,7 @@ def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
     if (folder / f"{scan}.sens").is_file():
         return _stream_frames(SensFile(folder / f"{scan}.sens"))
     if not has_frames(folder):
-        nothing: list[Frame] = []
-        return LazySequence(0, nothing.__getitem__)
+        return read_shots(())
     cameras = find_cameras(folder, folder / f"{scan}.txt")
     if cameras is None:
         raise FileNotFoundError(

@@ -24,10 +24,10 @@ from pathlib import Path
 from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.colmap_model import ColmapImage, has_model, read_images
 from torchjoint.datasets.files.json_record import read_record
-from torchjoint.datasets.files.readers import read_depth, read_image
 from torchjoint.datasets.formats.nerfstudio import read_camera
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.datasets.scannet_truth import point_instances
+from torchjoint.datasets.shots import Shot, read_shots
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_pose
@@ -87,8 +87,7 @@ def _images(folder: Path) -> Path | None:
 def _read_frames(folder: Path) -> LazySequence[Frame]:
     images = _images(folder)
     if images is None:
-        nothing: list[Frame] = []
-        return LazySequence(0, nothing.__getitem__)
+        return read_shots(())
     shots = read_images(folder / "colmap") if has_model(folder / "colmap") else _read_shots(folder / POSES)
     # A name may begin with a folder that is not there: it does not matter, nor can it lead out of the folder.
     files = [(images / Path(shot.name).name, shot) for shot in shots]
@@ -99,13 +98,14 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
     if "undistorted" in images.name:
         undistorted = read_camera(read_record(folder / UNDISTORTED, "the camera of images"), kept[0][0])
 
-    def read(index: int) -> Frame:
-        file, shot = kept[index]
-        camera, depth = undistorted or shot.camera, folder / "depth" / f"{file.stem}.png"
-        measured = read_depth(depth) if depth.is_file() else None
-        return camera.frame(read_image(file, camera.size), shot.world_to_camera, measured, file.stem)
-
-    return LazySequence(len(kept), read, [file.stem for file, _ in kept])
+    return read_shots(
+        [
+            Shot(
+                file, undistorted or shot.camera, shot.world_to_camera, file.stem, folder / "depth" / f"{file.stem}.png"
+            )
+            for file, shot in kept
+        ]
+    )
 
 
 def _read_shots(file: Path) -> list[ColmapImage]:

@@ -28,12 +28,13 @@ import numpy as np
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, pinhole_matrix
-from torchjoint.datasets.files.readers import read_depth, read_image, read_matrix
+from torchjoint.datasets.files.readers import read_matrix
 from torchjoint.datasets.files.text import parse_numbers, read_lines
 from torchjoint.datasets.paths import frame_names, path_inside
 from torchjoint.datasets.pose_interpolation import interpolate_poses
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.datasets.shots import Shot, read_shots
+from torchjoint.runtime.foreign_files import present
 from torchjoint.scene import Frame, Scene
 
 WHAT = "rgb.txt and groundtruth.txt, as of the TUM RGB-D benchmark"
@@ -54,12 +55,6 @@ _DEFAULT = (525.0, 525.0, 319.5, 239.5, ())
 class _File(NamedTuple):
     time: float
     path: Path
-
-
-class _Shot(NamedTuple):
-    color: Path
-    depth: Path | None
-    camera_to_world: Tensor
 
 
 def recognizes(path: Path) -> bool:
@@ -83,23 +78,17 @@ def read_frames(path: Path) -> Sequence[Frame]:
     depths = _read_files(path / "depth.txt") if (path / "depth.txt").is_file() else []
     depth_of = dict(associate([file.time for file in colors], [file.time for file in depths]))
     poses = _read_poses(path / "groundtruth.txt", [file.time for file in colors])
-    shots = [
-        _Shot(color.path, depths[depth_of[i]].path if i in depth_of else None, pose)
-        for i, (color, pose) in enumerate(zip(colors, poses, strict=True))
-        if pose is not None
-    ]
-    if not shots:
+    kept = [(index, pose) for index, pose in enumerate(poses) if pose is not None]
+    if not kept:
         raise ValueError(f"{path}: no image of rgb.txt has a pose in groundtruth.txt within {TOLERANCE} s")
-    for file in (file for shot in shots for file in (shot.color, shot.depth) if file is not None):
-        if not file.is_file():
-            raise FileNotFoundError(f"{file}: missing; expected the image that rgb.txt or depth.txt lists")
-    camera, names = _camera(path), frame_names([str(shot.color) for shot in shots])
-    return LazySequence(len(shots), lambda i: _read_frame(shots[i], camera, names[i]), names)
-
-
-def _read_frame(shot: _Shot, camera: Camera, name: str) -> Frame:
-    depth = None if shot.depth is None else read_depth(shot.depth, DEPTH_UNIT)
-    return camera.frame(read_image(shot.color, camera.size), invert_pose(shot.camera_to_world), depth, name)
+    camera, shots = _camera(path), []
+    names = frame_names([str(colors[index].path) for index, _ in kept])
+    for (index, pose), name in zip(kept, names, strict=True):
+        color, depth = colors[index].path, depths[depth_of[index]].path if index in depth_of else None
+        for file in (color, depth or color):
+            present(file, "the image that rgb.txt or depth.txt lists")
+        shots.append(Shot(color, camera, invert_pose(pose), name, depth, DEPTH_UNIT))
+    return read_shots(shots)
 
 
 def associate(first: Sequence[float], second: Sequence[float], tolerance: float = TOLERANCE) -> list[tuple[int, int]]:

@@ -13,28 +13,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
+from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.mat_files import read_matrices
-from torchjoint.datasets.files.readers import read_depth, read_image, read_label_image
+from torchjoint.datasets.files.readers import read_label_image
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.datasets.shots import Shot, read_shots
 from torchjoint.runtime.lazy import LazySequence
-from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene.checks import as_intrinsics, as_pose
+from torchjoint.scene import Scene, Truth
+from torchjoint.scene.checks import as_pose
 
 WHAT = "NNNNNN-color.jpg (or .png) with NNNNNN-meta.mat (YCB-Video)"
 #: Matrices with more elements, such as vertmap, are not read: they are not needed.
 MAX_ELEMENTS = 4_000_000
-
-
-class _Meta(NamedTuple):
-    intrinsics: Tensor  #: [3, 3]
-    world_to_camera: Tensor  #: [4, 4]
-    unit: float  #: of depth, metres
 
 
 def recognizes(path: Path) -> bool:
@@ -45,29 +39,17 @@ def recognizes(path: Path) -> bool:
 def load(path: Path, options: Options) -> Scene:
     """Loads a sequence; see :func:`torchjoint.load_scene`."""
     colors = _colors(path)
-    metas = [_read_meta(_beside(file, "meta.mat")) for file in colors]
-    frames = LazySequence(len(colors), lambda i: _read_frame(colors[i], metas[i]), [_name(file) for file in colors])
     labels = [_beside(file, "label.png") for file in colors]
     missing = [file for file in labels if not file.is_file()]
     if missing and len(missing) < len(labels):
         raise FileNotFoundError(f"{missing[0]}: missing; {len(labels) - len(missing)} other frames have their labels")
     images = () if missing else LazySequence(len(labels), lambda i: read_label_image(labels[i]) - 1)
-    scene = scene_of_frames(path, frames, options)
+    scene = scene_of_frames(path, read_shots([_shot(file) for file in colors]), options)
     return replace(scene, truth=Truth(None, images) if images else None)
 
 
-def _read_frame(file: Path, meta: _Meta) -> Frame:
-    depth = _beside(file, "depth.png")
-    return Frame(
-        read_image(file),
-        meta.intrinsics,
-        meta.world_to_camera,
-        depth=read_depth(depth, meta.unit) if depth.is_file() else None,
-        name=_name(file),
-    )
-
-
-def _read_meta(path: Path) -> _Meta:
+def _shot(file: Path) -> Shot:
+    path = _beside(file, "meta.mat")
     matrices = read_matrices(path, MAX_ELEMENTS)
     shapes = {"intrinsic_matrix": (3, 3), "rotation_translation_matrix": (3, 4), "factor_depth": (1, 1)}
     for name, shape in shapes.items():
@@ -80,7 +62,8 @@ def _read_meta(path: Path) -> _Meta:
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3] = moved
     pose = as_pose(pose, f"{path}: rotation_translation_matrix")
-    return _Meta(as_intrinsics(intrinsics, f"{path}: intrinsic_matrix"), invert_pose(pose), 1 / float(factor))
+    camera = Camera(intrinsics, name=f"{path}: intrinsic_matrix")
+    return Shot(file, camera, invert_pose(pose), _name(file), _beside(file, "depth.png"), 1 / float(factor))
 
 
 def _colors(path: Path) -> list[Path]:
