@@ -121,7 +121,7 @@ def test_far_from_the_origin_places_are_relative(tmp_path, frames):
 
 
 def test_after_the_last_class_comes_the_first(tmp_path, frames, results):
-    many = [results[-1]._replace(ids=results[-1].ids + 65_530)]
+    many = [results[-1]._replace(ids=results[-1].ids + 65_535 - results[-1].ids.max())]
     found = written(tmp_path / "a.rrd", frames[:1], many, [1])
     classes = found["/world/things"]["Points3D:class_ids"][1]
     assert classes == (many[0].labels % 65_535 + 1).tolist()

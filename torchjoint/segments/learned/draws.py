@@ -33,7 +33,8 @@ def drawn_anew(graph: PointGraph, scales: Scales, number: int) -> PointGraph:
         number: of the draw, 1, 2, ...; equal numbers give equal draws.
     """
     random = torch.Generator().manual_seed(number)
-    noise = 2 * torch.rand(graph.points.shape, generator=random) - 1  # uniform: see the judges' noise
+    # uniform, as the judges' noise
+    noise = 2 * torch.rand(graph.points.shape, generator=random, dtype=graph.points.dtype) - 1
     points = graph.points + DEVIATION * 3**0.5 * scales.spacing[:, None] * noise
     normals = graph.normals
     if not graph.has_given_normals:
