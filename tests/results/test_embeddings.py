@@ -1,7 +1,7 @@
 """Things by words: vectors of segments from an encoder of images.
 
-The encoder is real but small: the mean colour of an image's pixels that are not grey, in a basis of its own. Queries
-are colours. No package here ships the weights of a larger one.
+The encoder of most tests is the mean colour of an image's pixels that are not grey; queries are colours. No package
+here ships the weights of a larger one, so a slow test trains a small network on generated rooms.
 """
 
 import json
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from torch import nn
+from torch.nn.functional import cross_entropy, normalize
 
 import torchjoint as tj
 from torchjoint.results.edits import Edit, Edits, write_edits
@@ -164,3 +165,69 @@ def test_what_is_refused(result):
             made.find(query)
     with pytest.raises(ValueError, match="k: expected at least 1"):
         made.find(torch.rand(3), 0)
+
+
+WORDS = ("book", "cabinet", "chair", "wall")
+
+
+class WordEncoder(nn.Module):
+    """Images [B, 3, 32, 32] -> [B, 16], in one space with WORDS."""
+
+    def __init__(self):
+        super().__init__()
+        layers = [(nn.Conv2d(few, many, 3, 2, 1), nn.ReLU()) for few, many in ((3, 16), (16, 32), (32, 32))]
+        self.layers = nn.Sequential(*(one for pair in layers for one in pair), nn.Flatten(), nn.Linear(32 * 16, 16))
+        self.words = nn.Parameter(torch.randn(len(WORDS), 16))
+
+    def forward(self, images):
+        return self.layers(images - 0.5)
+
+    def learn(self, images, word):
+        """Draws images to their words. Half of them are mirrored, and all are in another light, step by step."""
+        optimizer = torch.optim.Adam(self.parameters(), 2e-3)
+        weight = 1 / torch.bincount(word)
+        for _ in range(400):
+            rows = torch.randint(len(images), (64,))
+            batch = images[rows] * (0.7 + 0.6 * torch.rand(64, 3, 1, 1))
+            batch = torch.where(torch.rand(64, 1, 1, 1) < 0.5, batch.flip(3), batch)
+            cosine = normalize(self(batch), dim=1) @ normalize(self.words, dim=1).T
+            optimizer.zero_grad()
+            cross_entropy(10 * cosine, word[rows], weight=weight).backward()
+            optimizer.step()
+
+
+def true_room(seed):
+    """The name of each thing of a generated room, and the true segments as a result."""
+    made = tj.synthetic.make_scene(seed)
+    names = tuple(frame.name for frame in made.scene.frames)
+    segments = tj.Segmentation(made.point_labels, list(made.image_labels), names=names)
+    return made.instance_names, tj.Result.of(segments, made.scene)
+
+
+def labelled_images(seed):
+    """The images that `embed` shows an encoder of the things of a room with a name of WORDS, and their words."""
+    names, result = true_room(seed)
+    shown = []
+    seen = result.embed(lambda images: shown.append(images) or images.mean((2, 3)) + 1, size=32).seen
+    named = zip(seen.nonzero().flatten().tolist(), shown, strict=True)
+    return [(image, WORDS.index(names[thing])) for thing, images in named if names[thing] in WORDS for image in images]
+
+
+@pytest.mark.slow
+def test_a_trained_network_finds_things_by_name():
+    images, word = zip(*(one for seed in range(12) for one in labelled_images(seed)), strict=True)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        encoder = WordEncoder()
+        encoder.learn(torch.stack(images), torch.tensor(word))
+    hits = chance = 0
+    for seed in range(40, 44):
+        names, result = true_room(seed)
+        found = result.embed(encoder, size=32)
+        things = found.seen.nonzero().flatten().tolist()
+        for name, query in zip(WORDS, encoder.words.detach(), strict=True):
+            wanted = sum(names[thing] == name for thing in things)
+            if wanted:
+                hits += sum(names[thing] == name for thing, _ in found.find(query, k=wanted))
+                chance += wanted**2 / len(things)
+    assert hits > 2 * chance
