@@ -168,6 +168,15 @@ class TestConsensus:
         for of_judges, alone in zip(segments, expected, strict=True):
             assert all(torch.equal(one, alone[judge]) for one, judge in zip(of_judges, order, strict=True))
 
+    def test_trees_made_draw_by_draw_are_the_same(self, evidence, monkeypatch):
+        model = load_boundary_model()
+        _, expected = segments_of_judges([evidence] * 3, Silent(model), model.thresholds)
+        monkeypatch.setattr("torchjoint.segments.learned.consensus.MANY_EDGES", 0)
+        _, found = segments_of_judges([evidence] * 3, Silent(model), model.thresholds)
+        for one, other in zip(expected, found, strict=True):
+            assert all(map(torch.equal, one, other))
+            assert len(one) == len(other) == 15
+
     def test_a_piece_is_where_most_of_its_points_are(self, evidence, segmenter):
         graph, model = segmenter.cloud.graph, load_boundary_model()
         other = build_piece_graph(drawn_anew(graph, graph.scales, 1), graph.scales, segmenter.state)

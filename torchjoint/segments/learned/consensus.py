@@ -41,6 +41,9 @@ NOISE = 0.4
 MOST_OF_A_KIND = 5
 #: Two regions merge if at most this share of the trees has them apart.
 MAJORITY = 0.5
+#: If more edges than this are left after the first step, the trees are made draw by draw: less memory, but up to .3 s
+#: more.
+MANY_EDGES = 1 << 20
 #: The operator wants a prior; this much of it changes nothing.
 NO_PRIOR = 1e-9
 
@@ -136,17 +139,18 @@ def segments_of_judges(
     levels = sorted({threshold for _, threshold in merging_steps(thresholds)})
     levels += [threshold for threshold in COARSER if threshold > levels[-1]]
     segments: list[list[Tensor]] = [[] for _ in levels]
+    graphs: list[PieceGraph] = []
+    regions: list[Tensor] = []
+    judges: list[Tensor] = []
     for number, pieces in enumerate(draws):
-        judges = torch.arange(number, len(panel.weights), len(draws))
-        regions = _first_regions(pieces, panel, judges, levels[0])
-        if number == 0:
-            piece = pieces.piece
-        of_first = _of_other_pieces(regions, pieces.piece, piece)
-        segments[0] += of_first
-        forest, sizes = _forest(pieces, regions, panel, judges, thresholds)
-        for level, found in zip(levels[1:], segments[1:], strict=True):
-            of_judges = forest.segments_of_pieces(level).split(sizes)
-            found += [(one - one[0])[region] for one, region in zip(of_judges, of_first, strict=True)]
+        judges.append(torch.arange(number, len(panel.weights), len(draws)))
+        after = _first_regions(pieces, panel, judges[-1], levels[0])
+        regions += _of_other_pieces(after, pieces.piece, draws[0].piece)
+        graphs += _grouped(pieces, after)
+        if number + 1 == len(draws) or sum(len(graph.edges.pair) for graph in graphs) > MANY_EDGES:
+            merged = _segments(graphs, regions, panel, torch.cat(judges), thresholds, levels)
+            segments = [found + more for found, more in zip(segments, merged, strict=True)]
+            graphs, regions, judges = [], [], []
     return levels, segments
 
 
@@ -163,25 +167,39 @@ def _first_regions(pieces: PieceGraph, panel: Panel, judges: Tensor, threshold: 
     return parallel_map(merged, panel.first_probabilities(values, judges))
 
 
-def _forest(
-    pieces: PieceGraph, regions: Sequence[Tensor], panel: Panel, judges: Tensor, thresholds: Sequence[float]
-) -> tuple[Hierarchy, list[int]]:
-    """The merges of all judges [J] after the first step, which left regions [P]; and the number of regions of each."""
-    # The first step merges nearly everything, and nearly the same for all judges. What is left is small, so that the
-    # graphs of all judges together fit in one. First without what no judge needs any more: the edges inside cells,
-    # which are the pieces that all judges have together.
+def _grouped(pieces: PieceGraph, regions: Sequence[Tensor]) -> list[PieceGraph]:
+    """The graph of the regions [P] of each judge."""
+    # First without what no judge needs any more: the edges inside cells, which are the pieces that all have together.
     cell = _together(regions)
     cells = pieces.grouped(cell)
-    of_cells = [torch.empty_like(cells.piece).index_put_((cell,), region) for region in regions]
-    sizes = [int(of_cell.max()) + 1 for of_cell in of_cells]
+    return parallel_map(
+        cells.grouped, [torch.empty_like(cells.piece).index_put_((cell,), region) for region in regions]
+    )
+
+
+def _segments(
+    graphs: Sequence[PieceGraph],
+    regions: Sequence[Tensor],
+    panel: Panel,
+    judges: Tensor,
+    thresholds: Sequence[float],
+    levels: Sequence[float],
+) -> list[list[Tensor]]:
+    """For each level the segments of each of the judges [J], whose regions after the first step [P] are known."""
+    sizes = [len(graph.piece) for graph in graphs]
     judge = judges.repeat_interleave(torch.tensor(sizes))
+    # The first step merges nearly everything. What is left is small, so that all judges' graphs together fit in one.
     forest = merge_pieces(
-        disjoint_union(parallel_map(cells.grouped, of_cells)),
+        disjoint_union(graphs),
         thresholds,
         lambda number, values, piece: panel.probabilities(number, values, judge[piece]),
         begun=True,
     )
-    return forest, sizes
+    segments = [list(regions)]
+    for level in levels[1:]:
+        of_judges = forest.segments_of_pieces(level).split(sizes)
+        segments.append([(one - one[0])[region] for one, region in zip(of_judges, regions, strict=True)])
+    return segments
 
 
 def _of_other_pieces(regions: Sequence[Tensor], piece: Tensor, other: Tensor) -> list[Tensor]:
