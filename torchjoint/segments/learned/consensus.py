@@ -142,10 +142,11 @@ def segments_of_judges(
     graphs: list[PieceGraph] = []
     regions: list[Tensor] = []
     judges: list[Tensor] = []
+    piece = draws[0].piece
     for number, pieces in enumerate(draws):
         judges.append(torch.arange(number, len(panel.weights), len(draws)))
         after = _first_regions(pieces, panel, judges[-1], levels[0])
-        regions += _of_other_pieces(after, pieces.piece, draws[0].piece)
+        regions += _of_other_pieces(after, pieces.piece, piece)
         graphs += _grouped(pieces, after)
         if number + 1 == len(draws) or sum(len(graph.edges.pair) for graph in graphs) > MANY_EDGES:
             merged = _segments(graphs, regions, panel, torch.cat(judges), thresholds, levels)
