@@ -145,7 +145,7 @@ def plain(name: str, data: Path) -> Iterator[Sweep]:
     """A cloud with things in boxes; -2 is what counts where it leaks into a thing."""
     truth = torch.from_numpy(np.load(data / name / "cloud.truth.npy")).long()
     points = load_scene(data / name / "cloud.ply").points
-    yield Sweep(name, points, truth.clamp(min=-1), truth == -2, None)
+    yield Sweep(name, points, truth.clamp(min=-1), truth == -2)
 
 
 def nuscenes(data: Path) -> Iterator[Sweep]:
@@ -153,7 +153,7 @@ def nuscenes(data: Path) -> Iterator[Sweep]:
     for name, path in list_scenes(data / "nuscenes").items():
         scene = load_scene(path)
         instance = known_instances(scene)
-        yield Sweep(name, scene.points, instance, torch.zeros_like(instance, dtype=torch.bool), None)
+        yield Sweep(name, scene.points, instance, torch.zeros_like(instance, dtype=torch.bool))
 
 
 def travel(python: Path, points: Tensor) -> Tensor:

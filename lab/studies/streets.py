@@ -1,17 +1,9 @@
-"""Judges methods on LiDAR scans: KITTI's boxes, a fully annotated sweep of SemanticKITTI, generated streets.
-
-`python lab/studies/streets.py --data FOLDER [--only kitti semantickitti develop check] [--set scan.gap=0.3]
-[--simple 40] [--regions]`, FOLDER with `kitti/`, `semantickitti/`. Each row: F for objects and parts, mean best IoU,
-number of ground crumbs (segments of which most points are ground, besides the largest), seconds; for other methods than
-the default's, what method scan has more, scan by scan, with the standard errors.
+"""Labelled LiDAR scans, and how they are scored; used by sensors.py and street_images.py.
 
 In a full annotation, and on generated streets, the points are of three kinds: things and ground are instances; void
 points do not count; all others (houses, hedges) are no instances, but they count where a segment mixes them with one.
 """
 
-import argparse
-import math
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -25,16 +17,12 @@ from torchjoint_lab.benchmark import spaces
 from torchjoint_lab.benchmark.planes import planes_and_clusters
 from torchjoint_lab.benchmark.space import draw
 from torchjoint_lab.datasets.semantickitti import read_sweep
-from torchjoint_lab.regions import segmenter
 from torchjoint_lab.synthetic import make_domain_scene
 
-from torchjoint.config import Config, ScanConfig
 from torchjoint.datasets import list_scenes, load_scene
-from torchjoint.evaluation.table import standard_error
 from torchjoint.metrics.objects_and_parts import objects_and_parts_of
 from torchjoint.metrics.overlaps import Overlaps
 from torchjoint.scene import Scene
-from torchjoint.segments.scan.scan_segments import segment_scan
 from torchjoint.views.projection import in_any_view
 
 #: Seeds of generated streets on which settings may be chosen, and of those that check them.
@@ -48,7 +36,6 @@ class Sweep(NamedTuple):
     points: Tensor  #: [N, 3] metres
     instance: Tensor  #: [N] int64, -1 = none
     other: Tensor  #: [N] bool, points of no instance that count where they leak into one
-    ground: int | None  #: the instance that is ground
 
 
 class Score(NamedTuple):
@@ -56,8 +43,6 @@ class Score(NamedTuple):
 
     f: float
     best_iou: float
-    crumbs: float  #: nan without a known ground
-    seconds: float
     found: float  #: share of the instances with an IoU of more than .5
 
 
@@ -67,14 +52,14 @@ def kitti(data: Path) -> Iterator[Sweep]:
         scene = load_scene(path)
         scene = scene.select_points(in_any_view(scene.points, scene.frames))
         instance = known_instances(scene)
-        yield Sweep(name, scene.points, instance, torch.zeros_like(instance, dtype=torch.bool), None)
+        yield Sweep(name, scene.points, instance, torch.zeros_like(instance, dtype=torch.bool))
 
 
 def semantickitti(data: Path) -> Iterator[Sweep]:
     """Every vehicle and person an instance, all ground one."""
     for path in sorted((data / "semantickitti").glob("*.bin")):
         sweep = read_sweep(path)
-        yield Sweep(path.stem, sweep.points, sweep.instance, (sweep.instance < 0) & ~sweep.void, 0)
+        yield Sweep(path.stem, sweep.points, sweep.instance, (sweep.instance < 0) & ~sweep.void)
 
 
 def streets(half: str) -> Iterator[Sweep]:
@@ -87,7 +72,7 @@ def street(seed: int, lidar: str | None = None) -> Sweep:
     made = make_domain_scene("street", seed, num_views=1, lidar=lidar)
     instance = known_instances(made.scene)
     other = (instance < 0) & (made.point_labels >= 0)
-    return Sweep(made.scene.name, made.scene.points, instance, other, made.instance_names.index("ground"))
+    return Sweep(made.scene.name, made.scene.points, instance, other)
 
 
 def known_instances(scene: Scene) -> Tensor:
@@ -97,7 +82,7 @@ def known_instances(scene: Scene) -> Tensor:
     return scene.truth.points.long()
 
 
-def judge(labels: Tensor, sweep: Sweep, seconds: float = 0.0) -> Score:
+def judge(labels: Tensor, sweep: Sweep) -> Score:
     """Scores the labels [N] of a scan; a point with -1 is in no segment."""
     none = labels < 0
     labels = torch.where(none, int(labels.max()) + 1 + none.cumsum(0), labels)
@@ -121,23 +106,12 @@ def judge(labels: Tensor, sweep: Sweep, seconds: float = 0.0) -> Score:
     judged[table.pred[table.recall >= 0.5]] = True
     judged &= ~is_none
     f = objects_and_parts_of(torch.where(judged, table.pred_area, 0), [table]).f
-    return Score(f, best.mean().item(), crumbs(labels, sweep), seconds, (best > 0.5).double().mean().item())
-
-
-def crumbs(labels: Tensor, sweep: Sweep) -> float:
-    """Number of segments of which most points are ground, besides the largest; nan without a known ground."""
-    if sweep.ground is None:
-        return torch.nan
-    size = torch.bincount(labels)
-    of_ground = torch.bincount(labels[sweep.instance == sweep.ground], minlength=len(size))
-    return float(max(0, int((2 * of_ground > size).sum()) - 1))
+    return Score(f, best.mean().item(), (best > 0.5).double().mean().item())
 
 
 def run(method: Callable[[Tensor], Tensor], sweep: Sweep) -> Score:
     """Runs and scores a method on a scan."""
-    start = time.perf_counter()
-    labels = method(sweep.points)
-    return judge(labels, sweep, time.perf_counter() - start)
+    return judge(method(sweep.points), sweep)
 
 
 def best_simple(sweeps: list[Sweep], count: int) -> tuple[list[Score], dict[str, Any]]:
@@ -151,62 +125,3 @@ def best_simple(sweeps: list[Sweep], count: int) -> tuple[list[Score], dict[str,
         quality = fmean(score.f + score.best_iou for score in scores)
         best = max(best, (quality, scores, dict(setting)), key=lambda found: found[0])
     return best[1], best[2]
-
-
-def preset_regions(points: Tensor) -> Tensor:
-    """Labels [N] of preset `regions`, without images."""
-    regions = segmenter("regions")
-    regions.reset(points)
-    return regions.compute(images=False).points
-
-
-def show(name: str, scores: list[Score], scan: list[Score] | None = None) -> None:
-    """Prints the means as a row of a Markdown table, and how much higher the scores of method scan are."""
-    f, best_iou, num, seconds, _ = (fmean(values) for values in zip(*scores, strict=True))
-    more = ["", ""] if scan is None else [gain(scan, scores, place) for place in (0, 1)]
-    crumbs = "" if math.isnan(num) else f"{num:.1f}"
-    print(f"| {name} | {f:.3f} / {best_iou:.3f} | {' | '.join(more)} | {crumbs} | {seconds:.1f} |", flush=True)
-
-
-def gain(scan: list[Score], scores: list[Score], place: int) -> str:
-    """Mean difference of one score, method scan minus the other, with its standard error."""
-    differences = [one[place] - other[place] for one, other in zip(scan, scores, strict=True)]
-    error = f" ± {standard_error(differences):.3f}" if len(differences) > 1 else ""
-    return f"{fmean(differences):+.3f}{error}"
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, required=True, help="folder with kitti/ and semantickitti/")
-    parser.add_argument("--only", nargs="+", default=["kitti", "semantickitti", "develop", "check"])
-    parser.add_argument("--set", nargs="*", default=[], help="parameters of method scan, scan.NAME=VALUE")
-    parser.add_argument("--simple", type=int, default=0, metavar="COUNT", help="tries plane removal + DBSCAN")
-    parser.add_argument("--regions", action="store_true", help="preset regions")
-    parser.add_argument("--each", action="store_true", help="a row for every scan")
-    arguments = parser.parse_args()
-    config: ScanConfig = Config.from_preset("scan").set(arguments.set).scan
-    loaders: dict[str, Callable[[], Iterator[Sweep]]] = {
-        "kitti": lambda: kitti(arguments.data),
-        "semantickitti": lambda: semantickitti(arguments.data),
-        "develop": lambda: streets("develop"),
-        "check": lambda: streets("check"),
-    }
-    print(
-        "| scans | F / best IoU | scan - it: F | best IoU | ground crumbs | seconds |\n|---|---:|---:|---:|---:|---:|"
-    )
-    for name in arguments.only:
-        sweeps = list(loaders[name]())
-        scores = [run(lambda points: segment_scan(points, config), sweep) for sweep in sweeps]
-        if arguments.each:
-            for sweep, score in zip(sweeps, scores, strict=True):
-                show(f"{name} {sweep.name}", [score])
-        show(f"{name}, method scan", scores)
-        if arguments.regions:
-            show(f"{name}, preset regions", [run(preset_regions, sweep) for sweep in sweeps], scores)
-        if arguments.simple:
-            found, setting = best_simple(sweeps, arguments.simple)
-            show(f"{name}, plane removal + DBSCAN {setting}", found, scores)
-
-
-if __name__ == "__main__":
-    main()

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
-from unittest.mock import patch
 
 import pytest
 import torch
-from torchjoint_lab.benchmark.suites import SUITES
+from torchjoint_lab.benchmark.disturbances import moved
+from torchjoint_lab.benchmark.robustness_scenes import NamedScene
+from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
+from torchjoint.evaluation.scores import score
 
 STUDIES = Path(__file__).parents[1] / "studies"
-HELPERS = ("domain_tables", "report", "suite_arguments")
+HELPERS = ("domain_tables", "report", "streets")
 #: Draws pictures of the documents; has no arguments, so each start is a run.
 WITHOUT_ARGUMENTS = ("pictures",)
 
@@ -39,30 +43,6 @@ def test_a_study_starts(name, study, monkeypatch, capsys):
         run(module, monkeypatch, "--help")
     assert ended.value.code == 0
     assert "usage: " in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("suite", ["synthetic", "mosd", "kitti"])
-def test_what_an_ablation_switches_off_is_there(suite, study):
-    ablation = study("ablation")
-    methods, _ = ablation.variants(SUITES[suite])
-    assert (
-        methods[-1].title
-        == f"without {'scan' if suite == 'kitti' else 'regions'} (edges, as in the paper, at their best setting)"
-    )
-    assert len(methods) > 8
-    for switch in (*ablation.REGIONS, *ablation.SCAN):
-        for name, value in switch.constants.items():
-            with patch(name, value):  # raises where there is no such constant
-                pass
-
-
-def test_each_parameter_of_the_sensitivity_is_one_of_the_preset(study):
-    sensitivity = study("sensitivity")
-    for suite, ranges in (("mosd", sensitivity.REGIONS), ("kitti", sensitivity.SCAN)):
-        preset = sensitivity.preset_config(SUITES[suite].preset)
-        for name in (*ranges, *sensitivity.IMAGE_LABELS):
-            value = sensitivity.value_in(preset, name)  # raises where there is no such parameter
-            assert value is None or isinstance(value, (int, float))
 
 
 def test_a_table_replaces_that_of_the_page_only_when_told(study, tmp_path, monkeypatch, capsys):
@@ -102,12 +82,18 @@ def test_domains_keeps_results_of_other_scenes_apart(study, tmp_path, monkeypatc
     assert "has results of other arguments" in capsys.readouterr().err
 
 
-def test_members_need_models(study, tmp_path, monkeypatch, capsys):
-    with pytest.raises(SystemExit):
-        run(study("members"), monkeypatch, tmp_path)
-    assert "has no models with evidence; first run lab/studies/domains.py" in capsys.readouterr().err
-    with pytest.raises(FileNotFoundError, match=r"no model-without-table-SEED\.npz"):
-        study("members").left_out_models(tmp_path, "table")
+def test_steps_are_scored_on_the_same_evidence(study, tmp_path, monkeypatch, capsys):
+    steps, scene = study("steps"), make_domain_scene("desk", 3, num_views=2).scene
+    monkeypatch.setattr(steps, "find_scenes", lambda *_: [NamedScene("desk", "desk-3", lambda: scene)])
+    run(steps, monkeypatch, tmp_path, "--runs", 2)
+    rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
+    assert rows[0][0] == "generated, 1"
+    assert [row[0] for row in rows[2:]] == list(steps.STEPS)
+    points = moved(scene.points, steps.NOISE, torch.Generator().manual_seed(0))
+    judged = score(tj.JointSegmenter()(replace(scene, points=points)).points, scene.truth.points)
+    found = json.loads((tmp_path / "desk-3.0.json").read_text())
+    assert found["default"] == [judged.f, judged.best_iou]
+    assert found["no colours"] != found["default"]
 
 
 def test_live_scores_and_lasting_ids(study, tmp_path, monkeypatch, capsys):
