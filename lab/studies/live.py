@@ -5,7 +5,8 @@
 Each scene is seen frame by frame, with a result after every third. The poses have noise of 0, 5 and 10 % of the way and
 the turn between two frames, as in the evaluation of ESAM++; each run has noise of its own, and points that are moved by
 .1 mm by that of the depth. F and best IoU are those of the last result against the truth of the nearest true points. An
-id lasts if the thing has had it in all results since 90 % of its cubes of 10 cm were seen. WORK keeps what is done.
+id lasts if the thing has had it in all results since 90 % of its cubes of 10 cm were seen. A second table compares the
+last result with that of all frames as keyframes, where the camera moves by small steps. WORK keeps what is done.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--scenes", type=int, default=1, help="of each kind, at most 4")
     parser.add_argument("--views", type=int, default=12)
+    parser.add_argument("--dense", type=int, default=200, help="views of the second table")
     parser.add_argument("--runs", type=int, default=4)
     report.add_write(parser)
     arguments = parser.parse_args()
@@ -61,11 +63,53 @@ def main() -> None:
             rows.append([f"{kind}, {len(found)}", f"{noise:.0%}", f"{cells[0]} / {cells[1]}", cells[2], cells[3]])
     columns = ["kind, scenes", "noise of poses", "F / best IoU", "things whose id lasts", "points in them"]
     report.show("live", report.table(columns, rows), arguments.write)
+    rows = []
+    for kind in arguments.kinds:
+        found = np.array([compared(kind, seed, arguments) for seed in SEEDS[: arguments.scenes]])
+        means = [_cell(values) for values in found.mean(0).T]
+        rows.append([f"{kind}, {len(found)}", f"{found[..., 0].mean():.0f}", *_pairs(means[1:5]), means[5]])
+    columns = ["kind, scenes", f"keyframes of {arguments.dense}", "F / best IoU", "with all frames", "covering"]
+    report.show("keyframes", report.table(columns, rows), arguments.write)
 
 
 def _cell(values: Sequence[float]) -> str:
     spread = f" ± {np.std(values, ddof=1):.3f}" if len(values) > 1 else ""
     return f"{np.mean(values):.3f}{spread}"
+
+
+def _pairs(cells: Sequence[str]) -> list[str]:
+    return [" / ".join(cells[at : at + 2]) for at in range(0, len(cells), 2)]
+
+
+def compared(kind: str, seed: int, arguments: argparse.Namespace) -> list[list[float]]:
+    """For each run: the number of keyframes; F and best IoU with those, and with all frames; and their covering."""
+    scene, runs = None, []
+    for run in range(arguments.runs):
+        done = arguments.work / f"{kind}-{seed}-{arguments.dense}-dense-{run}.json"
+        if not done.is_file():
+            scene = scene or make_domain_scene(kind, seed, num_views=arguments.dense, held_out=True).scene
+            frames = disturbed(scene.frames, 0.0, Generator().manual_seed(run))
+            some, every = (
+                tj.LiveSegmenter(voxel_size=VOXEL),
+                tj.LiveSegmenter(voxel_size=VOXEL, step=0, turn=0, views=0),
+            )
+            some.update(frames)
+            every.update(frames)
+            found, best = some.result(images=False), every.result(images=False)
+            covering = tj.metrics.segmentation_covering(found.labels, best.labels).symmetric
+            write_text(done, json.dumps([len(some.names), *against(scene, found), *against(scene, best), covering]))
+            print(done.stem, done.read_text(), flush=True)
+        runs.append(json.loads(done.read_text()))
+    return runs
+
+
+def against(scene: tj.Scene, result: tj.LiveResult) -> tuple[float, float]:
+    """F and best IoU against the truth of the nearest true points."""
+    assert scene.truth is not None
+    assert scene.truth.points is not None
+    away, nearest = map(torch.from_numpy, cKDTree(scene.points.numpy()).query(result.cloud.points.numpy()))
+    judged = score(result.segmentation.points, torch.where(away < NEAR, scene.truth.points[nearest].long(), -1))
+    return judged.f, judged.best_iou
 
 
 def measured(kind: str, seed: int, arguments: argparse.Namespace) -> list[list[list[float]]]:
@@ -86,8 +130,6 @@ def measured(kind: str, seed: int, arguments: argparse.Namespace) -> list[list[l
 
 def judged(scene: tj.Scene, noise: float, run: int) -> list[float]:
     """F, best IoU, the share of things whose id lasts, and that of the points in them."""
-    assert scene.truth is not None
-    assert scene.truth.points is not None
     frames = disturbed(scene.frames, noise, Generator().manual_seed(run))
     segmenter, results = tj.LiveSegmenter(voxel_size=VOXEL), []
     with warnings.catch_warnings():
@@ -96,11 +138,7 @@ def judged(scene: tj.Scene, noise: float, run: int) -> list[float]:
             segmenter.update(frame)
             if count % EVERY == 0 or count == len(frames):
                 results.append(segmenter.result(images=False))
-    last = results[-1]
-    away, nearest = map(torch.from_numpy, cKDTree(scene.points.numpy()).query(last.cloud.points.numpy()))
-    truth = torch.where(away < NEAR, scene.truth.points[nearest].long(), -1)
-    scores = score(last.segmentation.points, truth)
-    return [scores.f, scores.best_iou, *lasting(results)]
+    return [*against(scene, results[-1]), *lasting(results)]
 
 
 def disturbed(frames: Sequence[tj.Frame], noise: float, random: Generator) -> list[tj.Frame]:

@@ -100,11 +100,13 @@ def test_live_scores_and_lasting_ids(study, tmp_path, monkeypatch, capsys):
     live = study("live")
     monkeypatch.setattr(live, "NOISES", (0.0, 0.1))
     monkeypatch.setattr(live, "VOXEL", 0.08)
-    run(live, monkeypatch, tmp_path, "--kinds", "desk", "--scenes", 1, "--views", 4, "--runs", 1)
-    rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| desk")]
+    run(live, monkeypatch, tmp_path, "--kinds", "desk", "--scenes", 1, "--views", 4, "--runs", 1, "--dense", 12)
+    *rows, last = [line.split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| desk")]
+    assert last[1] == "12"  # far apart: all are keyframes
+    assert float(last[-1].rstrip(" |")) == 1
     assert [row[1] for row in rows] == ["0%", "10%"]
     assert all(0 < float(value) <= 1 for row in rows for value in row[2].split(" / "))
-    assert len(list(tmp_path.glob("*.json"))) == 2
+    assert len(list(tmp_path.glob("*.json"))) == 3
 
 
 def test_an_id_lasts_if_the_thing_had_it_since_it_was_whole(study):
