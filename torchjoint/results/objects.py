@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchjoint.results.oriented_box import OrientedBox, oriented_box
 from torchjoint.results.upright import up_direction
+from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import no_link, write_text
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.threads import parallel_map
@@ -125,10 +126,31 @@ def write_rows(folder: Path, vectors: str, rows: Mapping[int, int]) -> None:
     Raises:
         FileNotFoundError, ValueError: segments.json is missing or damaged.
     """
+    head = read_segments(folder)
     with damage_is(f"{folder / FILE}: not the segments of a result"):
-        head = json.loads((folder / FILE).read_text(encoding="utf-8"))
         segments = [one | {"embedding": rows.get(one["id"])} for one in head.pop("segments")]
     _write(folder, head | {"embeddings": vectors}, segments)
+
+
+def write_relations(folder: Path, relations: Sequence[Mapping[str, Any]]) -> None:
+    """Writes into segments.json which segments are related. Raises as :func:`write_rows`."""
+    head = read_segments(folder)
+    segments = head.pop("segments")
+    _write(folder, head | {"relations": relations}, segments)
+
+
+def read_segments(folder: Path) -> dict[str, Any]:
+    """Reads segments.json, unchecked but for its list "segments". Raises as :func:`write_rows`."""
+    with damage_is(f"{folder / FILE}: not the segments of a result"):
+        values: dict[str, Any] = json.loads((folder / FILE).read_text(encoding="utf-8"))
+        if not isinstance(values["segments"], list):
+            raise ValueError("segments: expected a list")
+    return values
+
+
+def stored_labels(folder: Path) -> Tensor:
+    """The segment of each point of a result's folder, [N] int64, without corrections. Raises as `read_archive`."""
+    return torch.from_numpy(read_archive(folder / "points.npz", ("labels",)).get("labels", np.empty(0))).long()
 
 
 def _write(folder: Path, head: Mapping[str, Any], segments: Sequence[Mapping[str, Any]]) -> None:

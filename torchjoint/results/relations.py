@@ -6,8 +6,10 @@ the surfaces there say what the contact means. Everything is geometry: no class 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +18,10 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.results.objects import FILE, read_segments, stored_labels, write_relations
 from torchjoint.results.oriented_box import level_axes, oriented_box
 from torchjoint.results.upright import up_direction
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.scene import Scene, Segmentation
 
 if TYPE_CHECKING:
@@ -79,7 +83,7 @@ class Relations:
     """The relations of the segments of a cloud, by kind and then by segments."""
 
     relations: tuple[Relation, ...]
-    num_segments: int
+    labels: Tensor = field(compare=False, repr=False)  #: [N] int64, the segment of each point
 
     def of(self, segment: int) -> list[Relation]:
         """All relations of a segment."""
@@ -90,11 +94,40 @@ class Relations:
         import networkx
 
         graph = networkx.MultiDiGraph()
-        graph.add_nodes_from(range(self.num_segments))
+        graph.add_nodes_from(range(int(self.labels.max()) + 1))
         for one in self.relations:
             pairs = [(one.first, one.second), (one.second, one.first)][: 2 if one.kind == "touches" else 1]
             graph.add_edges_from(pairs, kind=one.kind, area=one.area, share=one.share)
         return graph
+
+    def save(self, folder: str | Path) -> None:
+        """Writes the list "relations" into segments.json of a result's folder, beside what is there.
+
+        Raises:
+            FileNotFoundError, ValueError: the folder is no result, or has other segments, as after corrections.
+        """
+        if not torch.equal(stored_labels(Path(folder)), self.labels):
+            raise ValueError(f"{folder}: expected the segments of the graph; load_result(folder, edits=False) has them")
+        write_relations(Path(folder), [one.to_dict() for one in self.relations])
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Relations:
+        """Reads what :meth:`save` wrote.
+
+        Raises:
+            FileNotFoundError, ValueError: nothing was saved, or it is damaged; the message names the file.
+        """
+        labels, head = stored_labels(Path(folder)), read_segments(Path(folder))
+        if "relations" not in head:
+            raise ValueError(f"{Path(folder) / FILE}: no relations; result.graph().save({str(folder)!r}) adds them")
+        known = set(range(int(labels.max()) + 1))
+        with damage_is(f"{Path(folder) / FILE}: not the relations of a result"):
+            found = tuple(Relation(**one) for one in head["relations"])
+            for one in found:
+                numbers = math.isfinite(one.area) and math.isfinite(one.share)
+                if one.kind not in get_args(Kind) or not {one.first, one.second} <= known or not numbers:
+                    raise ValueError(f"expected a kind of {get_args(Kind)}, segments and finite numbers, got {one}")
+        return cls(found, labels)
 
 
 @dataclass(frozen=True)
@@ -141,7 +174,7 @@ def relations(scene: Scene, result: Segmentation, up: Tensor | None = None) -> R
     found += _contained(points, cloud.members, vertical)
     order = {"stands on": 0, "hangs on": 1, "contains": 2, "touches": 3}
     found.sort(key=lambda one: (order[one.kind], one.first, one.second))
-    return Relations(tuple(found), result.num_point_segments)
+    return Relations(tuple(found), result.points)
 
 
 def _touch(relation: Relation) -> Relation:
