@@ -90,7 +90,7 @@ def saved(tmp_path):
 
 def test_segments_json_has_the_relations(saved):
     before = json.loads((saved / "segments.json").read_text())
-    with pytest.raises(ValueError, match=r"segments\.json: no relations; result\.graph\(\)\.save\("):
+    with pytest.raises(ValueError, match=r"segments\.json: expected relations as .*'relations'"):
         Relations.load(saved)
     graph = tj.load_result(saved).graph()
     graph.save(saved)
@@ -120,7 +120,9 @@ def test_damaged_relations_are_an_error(saved, change):
     record = json.loads((saved / "segments.json").read_text())
     record["relations"][0] |= change
     (saved / "segments.json").write_text(json.dumps(record))
-    with pytest.raises(ValueError, match=r"segments\.json: not the relations of a result: "):
+    with pytest.raises(
+        ValueError, match=r"segments\.json: expected relations as `result\.graph\(\)\.save` adds them: "
+    ):
         Relations.load(saved)
 
 

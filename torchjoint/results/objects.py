@@ -120,32 +120,24 @@ def write_segments(folder: Path, scene: Scene, result: Segmentation) -> None:
     _write(folder, head, [record.to_dict() for record in segment_records(scene, result, up)])
 
 
-def write_rows(folder: Path, vectors: str, rows: Mapping[int, int]) -> None:
-    """Writes into segments.json which row of a file of vectors each segment has.
+def add_to_segments(folder: Path, values: dict[str, Any], rows: Mapping[int, int] | None = None) -> None:
+    """Writes into segments.json more values, and for each segment its row in a file of vectors.
 
     Raises:
         FileNotFoundError, ValueError: segments.json is missing or damaged.
     """
     head = read_segments(folder)
     with damage_is(f"{folder / FILE}: not the segments of a result"):
-        segments = [one | {"embedding": rows.get(one["id"])} for one in head.pop("segments")]
-    _write(folder, head | {"embeddings": vectors}, segments)
-
-
-def write_relations(folder: Path, relations: Sequence[Mapping[str, Any]]) -> None:
-    """Writes into segments.json which segments are related. Raises as :func:`write_rows`."""
-    head = read_segments(folder)
-    segments = head.pop("segments")
-    _write(folder, head | {"relations": relations}, segments)
+        segments = head.pop("segments")
+        if rows is not None:
+            segments = [one | {"embedding": rows.get(one["id"])} for one in segments]
+    _write(folder, head | values, segments)
 
 
 def read_segments(folder: Path) -> dict[str, Any]:
-    """Reads segments.json, unchecked but for its list "segments". Raises as :func:`write_rows`."""
+    """Reads segments.json. Raises as :func:`add_to_segments`."""
     with damage_is(f"{folder / FILE}: not the segments of a result"):
-        values: dict[str, Any] = json.loads((folder / FILE).read_text(encoding="utf-8"))
-        if not isinstance(values["segments"], list):
-            raise ValueError("segments: expected a list")
-    return values
+        return dict(json.loads((folder / FILE).read_text(encoding="utf-8")))
 
 
 def stored_labels(folder: Path) -> Tensor:

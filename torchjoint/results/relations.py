@@ -7,7 +7,7 @@ the surfaces there say what the contact means. Everything is geometry: no class 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.results.objects import FILE, read_segments, stored_labels, write_relations
+from torchjoint.results.objects import FILE, add_to_segments, read_segments, stored_labels
 from torchjoint.results.oriented_box import level_axes, oriented_box
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.foreign_files import damage_is
@@ -69,13 +69,7 @@ class Relation:
 
     def to_dict(self) -> dict[str, Any]:
         """The relation as JSON has it."""
-        return {
-            "kind": self.kind,
-            "first": self.first,
-            "second": self.second,
-            "area": round(self.area, 6),
-            "share": round(self.share, 3),
-        }
+        return asdict(self) | {"area": round(self.area, 6), "share": round(self.share, 3)}
 
 
 @dataclass(frozen=True)
@@ -108,7 +102,7 @@ class Relations:
         """
         if not torch.equal(stored_labels(Path(folder)), self.labels):
             raise ValueError(f"{folder}: expected the segments of the graph; load_result(folder, edits=False) has them")
-        write_relations(Path(folder), [one.to_dict() for one in self.relations])
+        add_to_segments(Path(folder), {"relations": [one.to_dict() for one in self.relations]})
 
     @classmethod
     def load(cls, folder: str | Path) -> Relations:
@@ -117,16 +111,14 @@ class Relations:
         Raises:
             FileNotFoundError, ValueError: nothing was saved, or it is damaged; the message names the file.
         """
-        labels, head = stored_labels(Path(folder)), read_segments(Path(folder))
-        if "relations" not in head:
-            raise ValueError(f"{Path(folder) / FILE}: no relations; result.graph().save({str(folder)!r}) adds them")
-        known = set(range(int(labels.max()) + 1))
-        with damage_is(f"{Path(folder) / FILE}: not the relations of a result"):
-            found = tuple(Relation(**one) for one in head["relations"])
+        labels, record = stored_labels(Path(folder)), read_segments(Path(folder))
+        known = range(int(labels.max()) + 1)
+        with damage_is(f"{Path(folder) / FILE}: expected relations as `result.graph().save` adds them"):
+            found = tuple(Relation(**one) for one in record["relations"])
             for one in found:
-                numbers = math.isfinite(one.area) and math.isfinite(one.share)
-                if one.kind not in get_args(Kind) or not {one.first, one.second} <= known or not numbers:
-                    raise ValueError(f"expected a kind of {get_args(Kind)}, segments and finite numbers, got {one}")
+                is_known = one.kind in get_args(Kind) and one.first in known and one.second in known
+                if not is_known or not math.isfinite(one.area + one.share):
+                    raise ValueError(f"expected a known kind, segments of the cloud and finite numbers, got {one}")
         return cls(found, labels)
 
 
