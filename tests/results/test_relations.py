@@ -69,6 +69,12 @@ def test_a_thing_in_a_box():
     assert ("contains", 1, 0) not in kinds(graph_of(walls, inside))
 
 
+def test_what_lies_on_a_side_is_not_inside():
+    """A picture on a wall of some thickness, as noise makes it; all its points are in the box of the wall."""
+    wall, picture = box((0, 2, 0), (2, 2.08, 2)), grid((0.5, 2.01, 1), (1, 2.01, 1.6))
+    assert "contains" not in [kind for kind, *_ in kinds(graph_of(wall, picture))]
+
+
 def test_two_boxes_beside_each_other_touch():
     graph = graph_of(box((0, 0, 0), (0.5, 0.5, 0.5)), box((0.51, 0, 0), (1, 0.5, 0.5)))
     assert kinds(graph) == [("touches", 0, 1)]

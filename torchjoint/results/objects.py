@@ -128,9 +128,8 @@ def add_to_segments(folder: Path, values: dict[str, Any], rows: Mapping[int, int
     """
     head = read_segments(folder)
     with damage_is(f"{folder / FILE}: not the segments of a result"):
-        segments = head.pop("segments")
-        if rows is not None:
-            segments = [one | {"embedding": rows.get(one["id"])} for one in segments]
+        row = (lambda one: {}) if rows is None else (lambda one: {"embedding": rows.get(one["id"])})
+        segments = [one | row(one) for one in head.pop("segments")]
     _write(folder, head | values, segments)
 
 

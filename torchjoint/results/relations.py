@@ -163,7 +163,7 @@ def relations(scene: Scene, result: Segmentation, up: Tensor | None = None) -> R
     found += (over_gaps := _over_gaps(cloud, [one for one in cloud.members if one not in standing]))
     standing |= {one.first for one in over_gaps}
     found = [_touch(one) if one.kind == "hangs on" and one.first in standing else one for one in found]
-    found += _contained(points, cloud.members, vertical)
+    found += _contained(points, cloud, vertical)
     order = {"stands on": 0, "hangs on": 1, "contains": 2, "touches": 3}
     found.sort(key=lambda one: (order[one.kind], one.first, one.second))
     return Relations(tuple(found), result.points)
@@ -240,14 +240,17 @@ def _over_gaps(cloud: _Cloud, floating: list[int]) -> list[Relation]:
     return found
 
 
-def _contained(points: Array, members: dict[int, npt.NDArray[np.int64]], vertical: Array) -> list[Relation]:
+def _contained(points: Array, cloud: _Cloud, vertical: Array) -> list[Relation]:
+    members = cloud.members
     boxes = {one: oriented_box(points[of], vertical) for one, of in members.items() if len(of) >= LEAST}
     found = []
     for outer, box in boxes.items():
+        # What lies on a side of the box, as a picture on a wall, is not inside.
+        half = box.size / 2 - REACH * float(np.median(cloud.local[members[outer]]))
         for inner, other in boxes.items():
             if inner == outer or box.size.prod() < LARGER * other.size.prod():
                 continue
-            if (np.abs((other.center - box.center) @ box.axes.T) > box.size / 2).any():
+            if (np.abs((other.center - box.center) @ box.axes.T) > half).any():
                 continue
             share = float((np.abs((points[members[inner]] - box.center) @ box.axes.T) <= box.size / 2).all(1).mean())
             if share >= HELD:
