@@ -126,17 +126,11 @@ def add_to_segments(folder: Path, values: dict[str, Any], rows: Mapping[int, int
     Raises:
         FileNotFoundError, ValueError: segments.json is missing or damaged.
     """
-    head = read_segments(folder)
     with damage_is(f"{folder / FILE}: not the segments of a result"):
+        head = json.loads((folder / FILE).read_text(encoding="utf-8"))
         row = (lambda one: {}) if rows is None else (lambda one: {"embedding": rows.get(one["id"])})
         segments = [one | row(one) for one in head.pop("segments")]
     _write(folder, head | values, segments)
-
-
-def read_segments(folder: Path) -> dict[str, Any]:
-    """Reads segments.json. Raises as :func:`add_to_segments`."""
-    with damage_is(f"{folder / FILE}: not the segments of a result"):
-        return dict(json.loads((folder / FILE).read_text(encoding="utf-8")))
 
 
 def stored_labels(folder: Path) -> Tensor:

@@ -6,6 +6,7 @@ the surfaces there say what the contact means. Everything is geometry: no class 
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.results.objects import FILE, add_to_segments, read_segments, stored_labels
+from torchjoint.results.objects import FILE, add_to_segments, stored_labels
 from torchjoint.results.oriented_box import level_axes, oriented_box
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.foreign_files import damage_is
@@ -111,10 +112,10 @@ class Relations:
         Raises:
             FileNotFoundError, ValueError: nothing was saved, or it is damaged; the message names the file.
         """
-        labels, record = stored_labels(Path(folder)), read_segments(Path(folder))
+        labels, file = stored_labels(Path(folder)), Path(folder) / FILE
         known = range(int(labels.max()) + 1)
-        with damage_is(f"{Path(folder) / FILE}: expected relations as `result.graph().save` adds them"):
-            found = tuple(Relation(**one) for one in record["relations"])
+        with damage_is(f"{file}: expected relations as `result.graph().save` adds them"):
+            found = tuple(Relation(**one) for one in json.loads(file.read_text(encoding="utf-8"))["relations"])
             for one in found:
                 is_known = one.kind in get_args(Kind) and one.first in known and one.second in known
                 if not is_known or not math.isfinite(one.area + one.share):
@@ -162,16 +163,12 @@ def relations(scene: Scene, result: Segmentation, up: Tensor | None = None) -> R
     standing = {one.first for one in found if one.kind == "stands on"}
     found += (over_gaps := _over_gaps(cloud, [one for one in cloud.members if one not in standing]))
     standing |= {one.first for one in over_gaps}
-    found = [_touch(one) if one.kind == "hangs on" and one.first in standing else one for one in found]
+    for place, one in enumerate(found):
+        if one.kind == "hangs on" and one.first in standing:
+            found[place] = Relation("touches", min(one.first, one.second), max(one.first, one.second), one.area, 1.0)
     found += _contained(points, cloud, vertical)
-    order = {"stands on": 0, "hangs on": 1, "contains": 2, "touches": 3}
-    found.sort(key=lambda one: (order[one.kind], one.first, one.second))
+    found.sort(key=lambda one: (get_args(Kind).index(one.kind), one.first, one.second))
     return Relations(tuple(found), result.points)
-
-
-def _touch(relation: Relation) -> Relation:
-    first, second = sorted((relation.first, relation.second))
-    return Relation("touches", first, second, relation.area, 1.0)
 
 
 def _tilt(points: Tensor, indices: Tensor, labels: Tensor, vertical: Array) -> Array:
@@ -241,18 +238,17 @@ def _over_gaps(cloud: _Cloud, floating: list[int]) -> list[Relation]:
 
 
 def _contained(points: Array, cloud: _Cloud, vertical: Array) -> list[Relation]:
-    members = cloud.members
-    boxes = {one: oriented_box(points[of], vertical) for one, of in members.items() if len(of) >= LEAST}
+    boxes = {one: oriented_box(points[of], vertical) for one, of in cloud.members.items() if len(of) >= LEAST}
     found = []
     for outer, box in boxes.items():
         # What lies on a side of the box, as a picture on a wall, is not inside.
-        half = box.size / 2 - REACH * float(np.median(cloud.local[members[outer]]))
+        half = box.size / 2 - REACH * float(np.median(cloud.local[cloud.members[outer]]))
         for inner, other in boxes.items():
-            if inner == outer or box.size.prod() < LARGER * other.size.prod():
+            is_larger = box.size.prod() >= LARGER * other.size.prod()
+            if inner == outer or not is_larger or (np.abs((other.center - box.center) @ box.axes.T) > half).any():
                 continue
-            if (np.abs((other.center - box.center) @ box.axes.T) > half).any():
-                continue
-            share = float((np.abs((points[members[inner]] - box.center) @ box.axes.T) <= box.size / 2).all(1).mean())
+            at = (points[cloud.members[inner]] - box.center) @ box.axes.T
+            share = float((np.abs(at) <= box.size / 2).all(1).mean())
             if share >= HELD:
                 found.append(Relation("contains", outer, inner, 0.0, share))
     return found
