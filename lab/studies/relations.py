@@ -6,7 +6,8 @@ The labels are the true ones, and the truth comes from the triangles of the room
 
 - a thing stands on another if one of its lowest corners is within 12 mm of a level surface of the other, the highest;
 - two things touch if at least 2 cm² of one are within 12 mm of the other, also where no camera saw it;
-- a thing that stands on nothing hangs on the one that it touches most, if that is mostly upright there;
+- a thing that stands on nothing, 10 cm above the floor or higher (the sofas' feet were not modelled), hangs on the one
+  that it touches most, if that is mostly upright there;
 - a hollow thing contains what is in its convex hull.
 
 Things that less than 30 points show do not count, and no walls and doors, except as what carries or is touched. What
@@ -28,8 +29,9 @@ from torchjoint.synthetic import SyntheticScene, make_scene
 #: Metres; and names of what is a part of the room.
 NEAR, SHELL = 0.012, ("wall", "floor", "ceiling", "door", "window")
 LEAST_POINTS, CORNERS = 30, 40
-#: Samples of the surfaces, on a square metre; the least contact, square metres; the part of a thing inside another.
-DENSITY, CONTACT, INSIDE = 20_000, 2e-4, 0.95
+#: Samples of the surfaces, on a square metre; the least contact, square metres; the part of a thing inside another; the
+#: height from which things hang, metres.
+DENSITY, CONTACT, INSIDE, ABOVE = 20_000, 2e-4, 0.95, 0.1
 KINDS = ("stands on", "hangs on", "contains", "touches")
 Array = npt.NDArray[np.float64]
 Pairs = set[tuple[int, int]]
@@ -64,7 +66,7 @@ def true_pairs(made: SyntheticScene) -> dict[str, Pairs]:
         others, counts = np.unique(of[near], return_counts=True)
         others, counts = others[counts >= CONTACT * DENSITY], counts[counts >= CONTACT * DENSITY]
         touches |= {(min(one, other), max(one, other)) for other in others.tolist()}
-        if len(others) and one not in {first for first, _ in stands}:
+        if len(others) and own[:, 2].min() > ABOVE and one not in {first for first, _ in stands}:
             most = int(others[counts.argmax()])
             if is_upright[near[of[near] == most]].mean() > 0.5:
                 hangs.add((one, most))
