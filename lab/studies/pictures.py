@@ -1,12 +1,13 @@
 """Makes pictures for the documents from generated scenes: `python lab/studies/pictures.py` (about two minutes).
 
 docs/mistakes.jpg and the table of messages in docs/your_data.md; docs/parameters-images.jpg and parameters-scan.jpg;
-docs/meshes.jpg and boxes.jpg, which need Open3D.
+docs/instances.jpg; docs/meshes.jpg and boxes.jpg, which need Open3D.
 """
 
 from __future__ import annotations
 
 import itertools
+import tempfile
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,6 +16,8 @@ from typing import Any
 
 import report
 import torch
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from normals import of_mesh
 from torch import Tensor
@@ -25,7 +28,10 @@ import torchjoint as tj
 from torchjoint.cloud.local import LocalFrame
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
+from torchjoint.evaluation.predictions import read_prediction
+from torchjoint.metrics.scannet import scannet_average_precision
 from torchjoint.results.boxes import boxes_of
+from torchjoint.results.exports import FORMATS
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.render import render_cloud
 from torchjoint.scene.pose_warning import PoseWarning
@@ -236,12 +242,40 @@ def draw_boxes(result: tj.Result) -> Figure:
     return figure
 
 
+def draw_instances() -> Figure:
+    """A room's true instances, and what `export --format masks` writes: the predicted ones and their scores."""
+    scene = tj.synthetic.make_scene(12, "medium").scene
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "predictions.npz"
+        FORMATS["masks"](file, tj.Result.of(tj.JointSegmenter()(scene), scene))
+        found = read_prediction(file, scene)
+    ap, ap50, ap25 = scannet_average_precision(found.instances.points, scene.truth.points, found.scores)
+    number = len(found.instances.points)
+    sure = torch.tensor(colormaps["viridis"](found.scores.numpy())[:, :3]).float()
+    three = {
+        f"truth: {len(scene.truth.points[scene.truth.points >= 0].unique())} instances": label_colors(
+            scene.truth.points
+        ),
+        f"{number} predictions: AP {ap:.2f}, AP50 {ap50:.2f}, AP25 {ap25:.2f}": label_colors(found.points),
+        "their scores": sure[found.points],
+    }
+    figure = Figure(figsize=(9.6, 2.65), layout="constrained")
+    axes = figure.subplots(1, 3)
+    for axis, (title, colors) in zip(axes, three.items(), strict=True):
+        axis.imshow(render_cloud(scene, colors, (420, 520)).numpy())
+        axis.set(xticks=[], yticks=[])
+        axis.set_title(title, fontsize=10)
+    figure.colorbar(ScalarMappable(cmap="viridis"), ax=axes[2], shrink=0.8)
+    return figure
+
+
 def main() -> None:
     """Writes pictures and table."""
     jpeg = {"dpi": 100, "pil_kwargs": {"quality": 85, "subsampling": 0}}
     draw_mistakes().savefig(DOCS / "mistakes.jpg", **jpeg)
     draw_images().savefig(DOCS / "parameters-images.jpg", **jpeg)
     draw_scan().savefig(DOCS / "parameters-scan.jpg", **jpeg)
+    draw_instances().savefig(DOCS / "instances.jpg", **jpeg)
     result = segmented_mesh()
     draw_mesh(result).savefig(DOCS / "meshes.jpg", **jpeg)
     draw_boxes(result).savefig(DOCS / "boxes.jpg", **jpeg)

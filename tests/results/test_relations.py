@@ -1,15 +1,16 @@
 """Which things stand on, hang on, contain and touch which."""
 
 import json
-from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.results.exports.graph import export_graph
-from torchjoint.results.relations import Relation
+from torchjoint.cli.export import export
+from torchjoint.results.folder import write_result
+from torchjoint.results.relations import Relation, Relations
 
 UP = torch.tensor([0.0, 0, 1])
 
@@ -68,6 +69,12 @@ def test_a_thing_in_a_box():
     assert ("contains", 1, 0) not in kinds(graph_of(walls, inside))
 
 
+def test_what_lies_on_a_side_is_not_inside():
+    """A picture on a wall of some thickness, as noise makes it; all its points are in the box of the wall."""
+    wall, picture = box((0, 2, 0), (2, 2.08, 2)), grid((0.5, 2.01, 1), (1, 2.01, 1.6))
+    assert "contains" not in [kind for kind, *_ in kinds(graph_of(wall, picture))]
+
+
 def test_two_boxes_beside_each_other_touch():
     graph = graph_of(box((0, 0, 0), (0.5, 0.5, 0.5)), box((0.51, 0, 0), (1, 0.5, 0.5)))
     assert kinds(graph) == [("touches", 0, 1)]
@@ -77,20 +84,60 @@ def test_two_boxes_beside_each_other_touch():
     assert graph.relations[0].to_dict()["kind"] == "touches"
 
 
-def test_the_file_is_read_by_networkx(tmp_path):
-    networkx = pytest.importorskip("networkx")
+@pytest.fixture
+def saved(tmp_path):
+    """The folder of a result: a floor, and two boxes on it."""
     things = [FLOOR, box((0.2, 0.2, 0.01), (0.5, 0.5, 0.3)), box((1.2, 1.2, 0.01), (1.5, 1.5, 0.3))]
-    points = torch.from_numpy(np.concatenate(things)).float()
     labels = torch.cat([torch.full((len(thing),), index) for index, thing in enumerate(things)])
-    result = replace(tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(points)), segment_names={1: "chair"})
-    export_graph(tmp_path / "graph.json", result)
-    read = networkx.node_link_graph(json.loads((tmp_path / "graph.json").read_text(encoding="utf-8")), edges="edges")
-    expected = result.graph().to_networkx()
-    assert sorted(read.edges(data="kind")) == sorted(expected.edges(data="kind"))
-    assert (1, 0, "stands on") in list(read.edges(data="kind"))
-    assert read.nodes[1]["name"] == "chair"
-    assert read.nodes[1]["points"] == int((labels == 1).sum())
-    assert read.nodes[1]["size"] == pytest.approx([0.3, 0.3, 0.29], abs=1e-3)
+    scene = tj.Scene(torch.from_numpy(np.concatenate(things)).float())
+    write_result(tmp_path, scene, tj.Segmentation(labels, ()), tj.Config(), "test")
+    return tmp_path
+
+
+def test_segments_json_has_the_relations(saved):
+    before = json.loads((saved / "segments.json").read_text())
+    with pytest.raises(ValueError, match=r"segments\.json: expected relations as .*'relations'"):
+        Relations.load(saved)
+    graph = tj.load_result(saved).graph()
+    graph.save(saved)
+    record = json.loads((saved / "segments.json").read_text())
+    assert record.pop("relations") == [one.to_dict() for one in graph.relations]
+    assert record == before
+    read = Relations.load(saved)
+    assert kinds(read) == kinds(tj.load_result(saved).graph()) == [("stands on", 1, 0), ("stands on", 2, 0)]
+    assert [one.area for one in read.relations] == pytest.approx([one.area for one in graph.relations], abs=1e-6)
+    network = pytest.importorskip("networkx") and read.to_networkx()
+    assert sorted(network.edges(data="kind")) == [(1, 0, "stands on"), (2, 0, "stands on")]
+    assert network.number_of_nodes() == 3
+
+
+def test_the_graph_of_another_result_is_not_saved(saved):
+    graph = tj.load_result(saved).graph()
+    with pytest.raises(ValueError, match="expected the segments of the graph"):
+        Relations(graph.relations, graph.labels.clamp_max(1)).save(saved)
+    assert "relations" not in json.loads((saved / "segments.json").read_text())
+
+
+@pytest.mark.parametrize(
+    "change", [{"kind": "eats"}, {"first": 3}, {"second": "0"}, {"area": float("nan")}, {"share": "1"}, {"more": 1}]
+)
+def test_damaged_relations_are_an_error(saved, change):
+    tj.load_result(saved).graph().save(saved)
+    record = json.loads((saved / "segments.json").read_text())
+    record["relations"][0] |= change
+    (saved / "segments.json").write_text(json.dumps(record))
+    with pytest.raises(
+        ValueError, match=r"segments\.json: expected relations as `result\.graph\(\)\.save` adds them: "
+    ):
+        Relations.load(saved)
+
+
+def test_export_adds_the_relations(saved, capsys):
+    export(saved, "graph")
+    assert capsys.readouterr().out == f"{saved / 'segments.json'}\n"
+    assert len(Relations.load(saved).relations) == 2
+    with pytest.raises(ValueError, match=r"--format graph adds to segments\.json: expected no -o"):
+        export(saved, "graph", out=Path("graph.json"))
 
 
 def test_apart_nothing_is_related():

@@ -47,10 +47,10 @@ def export(
             for each segment; las: the cloud with the extra dimension `label`; npz: all labels as arrays;
             scannet: instances as its benchmark reads them, SCENE.txt and predicted_masks/; masks: the same as an
             archive with pred_masks, pred_score and pred_classes; openmask3d: SCENE_masks.pt and the saved embeddings,
-            SCENE_openmask3d_features.npy; graph: what stands on what, as NetworkX reads it; openpcdet, labelcloud,
-            segmentsai-cuboids, cvat: upright boxes with names, for networks of detection and for annotation;
-            segmentsai: the label of each point, for annotation (`torchjoint edits import` brings boxes and labels
-            back). coco, sam and las need `pip install 'torchjoint[export]'`.
+            SCENE_openmask3d_features.npy; graph: what stands on what, as "relations" in RESULT/segments.json, without
+            corrections; openpcdet, labelcloud, segmentsai-cuboids, cvat: upright boxes with names, for networks of
+            detection and for annotation; segmentsai: the label of each point, for annotation (`torchjoint edits import`
+            brings boxes and labels back). coco, sam and las need `pip install 'torchjoint[export]'`.
         out: file, or folder for sam, ply, scannet and openmask3d; default: RESULT-FORMAT in the current folder, with
             the format's suffix.
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); needs a result of method learned.
@@ -60,6 +60,12 @@ def export(
     """
     if only_masked and granularity is not None:
         raise ValueError("--only-masked: expected no --granularity, because masks are compared with the stored level")
+    if format == "graph":
+        if out is not None or granularity is not None or only_masked:
+            raise ValueError("--format graph adds to segments.json: expected no -o, --granularity, --only-masked")
+        load_result(result, edits=False).graph().save(result)
+        print(result / "segments.json")
+        return
     loaded = load_result(result, edits=not only_masked)
     if only_masked:
         loaded = select_masked(result, loaded)

@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from torchjoint.images._eval_mode import eval_mode
 from torchjoint.results.crops import Camera, Crop, crops_of
-from torchjoint.results.objects import segment_records, write_rows
+from torchjoint.results.objects import add_to_segments, segment_records, stored_labels
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write, no_link
 from torchjoint.runtime.threads import parallel_map
@@ -101,11 +101,11 @@ class Embeddings:
         with atomic_write(no_link(file)) as partial, partial.open("wb") as stream:
             np.savez_compressed(stream, vectors=self.vectors.numpy(), labels=self.labels.to(torch.int32).numpy())
         if rows is not None:
-            write_rows(path, FILE, rows)
+            add_to_segments(path, {"embeddings": FILE}, rows)
 
     def _rows(self, path: Path) -> dict[int, int]:
         """For each segment of a result's folder the row of its vector."""
-        stored = torch.from_numpy(read_archive(path / "points.npz", ("labels",)).get("labels", np.empty(0))).long()
+        stored = stored_labels(path)
         if len(stored) != len(self.labels):
             raise ValueError(f"{path}: expected a result of {len(self.labels)} points, got {len(stored)}")
         segment, row, points = _shared(stored, self.labels)

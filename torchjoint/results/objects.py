@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchjoint.results.oriented_box import OrientedBox, oriented_box
 from torchjoint.results.upright import up_direction
+from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import no_link, write_text
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.threads import parallel_map
@@ -119,16 +120,22 @@ def write_segments(folder: Path, scene: Scene, result: Segmentation) -> None:
     _write(folder, head, [record.to_dict() for record in segment_records(scene, result, up)])
 
 
-def write_rows(folder: Path, vectors: str, rows: Mapping[int, int]) -> None:
-    """Writes into segments.json which row of a file of vectors each segment has.
+def add_to_segments(folder: Path, values: dict[str, Any], rows: Mapping[int, int] | None = None) -> None:
+    """Writes into segments.json more values, and for each segment its row in a file of vectors.
 
     Raises:
         FileNotFoundError, ValueError: segments.json is missing or damaged.
     """
     with damage_is(f"{folder / FILE}: not the segments of a result"):
         head = json.loads((folder / FILE).read_text(encoding="utf-8"))
-        segments = [one | {"embedding": rows.get(one["id"])} for one in head.pop("segments")]
-    _write(folder, head | {"embeddings": vectors}, segments)
+        row = (lambda one: {}) if rows is None else (lambda one: {"embedding": rows.get(one["id"])})
+        segments = [one | row(one) for one in head.pop("segments")]
+    _write(folder, head | values, segments)
+
+
+def stored_labels(folder: Path) -> Tensor:
+    """The segment of each point of a result's folder, [N] int64, without corrections. Raises as `read_archive`."""
+    return torch.from_numpy(read_archive(folder / "points.npz", ("labels",)).get("labels", np.empty(0))).long()
 
 
 def _write(folder: Path, head: Mapping[str, Any], segments: Sequence[Mapping[str, Any]]) -> None:

@@ -6,8 +6,11 @@ the surfaces there say what the contact means. Everything is geometry: no class 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +19,10 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.results.objects import FILE, add_to_segments, stored_labels
 from torchjoint.results.oriented_box import level_axes, oriented_box
 from torchjoint.results.upright import up_direction
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.scene import Scene, Segmentation
 
 if TYPE_CHECKING:
@@ -65,13 +70,7 @@ class Relation:
 
     def to_dict(self) -> dict[str, Any]:
         """The relation as JSON has it."""
-        return {
-            "kind": self.kind,
-            "first": self.first,
-            "second": self.second,
-            "area": round(self.area, 6),
-            "share": round(self.share, 3),
-        }
+        return asdict(self) | {"area": round(self.area, 6), "share": round(self.share, 3)}
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,7 @@ class Relations:
     """The relations of the segments of a cloud, by kind and then by segments."""
 
     relations: tuple[Relation, ...]
-    num_segments: int
+    labels: Tensor = field(compare=False, repr=False)  #: [N] int64, the segment of each point
 
     def of(self, segment: int) -> list[Relation]:
         """All relations of a segment."""
@@ -90,11 +89,38 @@ class Relations:
         import networkx
 
         graph = networkx.MultiDiGraph()
-        graph.add_nodes_from(range(self.num_segments))
+        graph.add_nodes_from(range(int(self.labels.max()) + 1))
         for one in self.relations:
             pairs = [(one.first, one.second), (one.second, one.first)][: 2 if one.kind == "touches" else 1]
             graph.add_edges_from(pairs, kind=one.kind, area=one.area, share=one.share)
         return graph
+
+    def save(self, folder: str | Path) -> None:
+        """Writes the list "relations" into segments.json of a result's folder, beside what is there.
+
+        Raises:
+            FileNotFoundError, ValueError: the folder is no result, or has other segments, as after corrections.
+        """
+        if not torch.equal(stored_labels(Path(folder)), self.labels):
+            raise ValueError(f"{folder}: expected the segments of the graph; load_result(folder, edits=False) has them")
+        add_to_segments(Path(folder), {"relations": [one.to_dict() for one in self.relations]})
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Relations:
+        """Reads what :meth:`save` wrote.
+
+        Raises:
+            FileNotFoundError, ValueError: nothing was saved, or it is damaged; the message names the file.
+        """
+        labels, file = stored_labels(Path(folder)), Path(folder) / FILE
+        known = range(int(labels.max()) + 1)
+        with damage_is(f"{file}: expected relations as `result.graph().save` adds them"):
+            found = tuple(Relation(**one) for one in json.loads(file.read_text(encoding="utf-8"))["relations"])
+            for one in found:
+                is_known = one.kind in get_args(Kind) and one.first in known and one.second in known
+                if not is_known or not math.isfinite(one.area + one.share):
+                    raise ValueError(f"expected a known kind, segments of the cloud and finite numbers, got {one}")
+        return cls(found, labels)
 
 
 @dataclass(frozen=True)
@@ -137,16 +163,12 @@ def relations(scene: Scene, result: Segmentation, up: Tensor | None = None) -> R
     standing = {one.first for one in found if one.kind == "stands on"}
     found += (over_gaps := _over_gaps(cloud, [one for one in cloud.members if one not in standing]))
     standing |= {one.first for one in over_gaps}
-    found = [_touch(one) if one.kind == "hangs on" and one.first in standing else one for one in found]
-    found += _contained(points, cloud.members, vertical)
-    order = {"stands on": 0, "hangs on": 1, "contains": 2, "touches": 3}
-    found.sort(key=lambda one: (order[one.kind], one.first, one.second))
-    return Relations(tuple(found), result.num_point_segments)
-
-
-def _touch(relation: Relation) -> Relation:
-    first, second = sorted((relation.first, relation.second))
-    return Relation("touches", first, second, relation.area, 1.0)
+    for place, one in enumerate(found):
+        if one.kind == "hangs on" and one.first in standing:
+            found[place] = Relation("touches", min(one.first, one.second), max(one.first, one.second), one.area, 1.0)
+    found += _contained(points, cloud, vertical)
+    found.sort(key=lambda one: (get_args(Kind).index(one.kind), one.first, one.second))
+    return Relations(tuple(found), result.points)
 
 
 def _tilt(points: Tensor, indices: Tensor, labels: Tensor, vertical: Array) -> Array:
@@ -215,16 +237,18 @@ def _over_gaps(cloud: _Cloud, floating: list[int]) -> list[Relation]:
     return found
 
 
-def _contained(points: Array, members: dict[int, npt.NDArray[np.int64]], vertical: Array) -> list[Relation]:
-    boxes = {one: oriented_box(points[of], vertical) for one, of in members.items() if len(of) >= LEAST}
+def _contained(points: Array, cloud: _Cloud, vertical: Array) -> list[Relation]:
+    boxes = {one: oriented_box(points[of], vertical) for one, of in cloud.members.items() if len(of) >= LEAST}
     found = []
     for outer, box in boxes.items():
+        # What lies on a side of the box, as a picture on a wall, is not inside.
+        half = box.size / 2 - REACH * float(np.median(cloud.local[cloud.members[outer]]))
         for inner, other in boxes.items():
-            if inner == outer or box.size.prod() < LARGER * other.size.prod():
+            is_larger = box.size.prod() >= LARGER * other.size.prod()
+            if inner == outer or not is_larger or (np.abs((other.center - box.center) @ box.axes.T) > half).any():
                 continue
-            if (np.abs((other.center - box.center) @ box.axes.T) > box.size / 2).any():
-                continue
-            share = float((np.abs((points[members[inner]] - box.center) @ box.axes.T) <= box.size / 2).all(1).mean())
+            at = (points[cloud.members[inner]] - box.center) @ box.axes.T
+            share = float((np.abs(at) <= box.size / 2).all(1).mean())
             if share >= HELD:
                 found.append(Relation("contains", outer, inner, 0.0, share))
     return found

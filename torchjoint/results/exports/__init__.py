@@ -17,7 +17,6 @@ from torchjoint.results.exports.boxes import (
 )
 from torchjoint.results.exports.clouds import export_las, export_npz, export_ply
 from torchjoint.results.exports.coco import export_coco
-from torchjoint.results.exports.graph import export_graph
 from torchjoint.results.exports.openmask3d import export_openmask3d
 from torchjoint.results.exports.sam import export_sam
 from torchjoint.results.exports.scannet import export_masks, export_scannet
@@ -33,7 +32,6 @@ FORMATS: dict[str, Callable[[Path, Result], None]] = {
     "scannet": export_scannet,
     "masks": export_masks,
     "openmask3d": export_openmask3d,
-    "graph": export_graph,
     "openpcdet": export_openpcdet,
     "labelcloud": export_labelcloud,
     "segmentsai": export_point_labels,
@@ -46,7 +44,6 @@ SUFFIXES = {
     "las": ".las",
     "npz": ".npz",
     "masks": ".npz",
-    "graph": ".json",
     "openpcdet": ".txt",
     "labelcloud": ".json",
     "segmentsai": ".json",
