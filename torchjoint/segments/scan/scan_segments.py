@@ -75,7 +75,7 @@ def scan_gaps(points: Tensor, config: ScanConfig, rings: Rings | Literal["search
     if rings == "search":
         parts.append(partial(find_rings, points, seen))
     below, *found = parallel_map(lambda part: part(), parts)
-    height, rings = height - below, found[0] if found else rings
+    height, rings = height - below, found[0] if rings == "search" else rings
     drawn = with_near_rings(points, seen, rings, config)
     gaps = Gaps.of(drawn, gap, torch.nonzero(height >= GROUND_HEIGHT).flatten())
     return gaps, grow_ground(points, height, seen, gaps, config, _or_all(spacing < torch.inf))
