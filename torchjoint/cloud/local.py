@@ -20,14 +20,14 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from torchjoint.runtime.first_places import first_places
-from torchjoint.runtime.threads import num_threads, parallel_map
+from torchjoint.runtime.threads import all_threads, num_threads, parallel_map
 from torchjoint.scene import Cloud
 
 #: A larger rounding error of given float32 coordinates gives a warning; in units of the cloud's spacing.
 ROUNDING = 0.25
 
-#: Number of points processed at a time by a thread.
-BLOCK = 1 << 18
+#: Number of points processed at a time by a thread: their columns fit in its cache.
+BLOCK = 1 << 15
 
 #: Odd factors that distribute the bits of coordinates, for hash codes.
 _ODD = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
@@ -83,7 +83,7 @@ def _has_equal(code: npt.NDArray[np.uint64]) -> bool:
             if part + 1 < count:
                 is_in &= code < np.uint64(limits[part + 1])
             some = code[is_in]
-        in_order = np.sort(some)
+        in_order = torch.from_numpy(some.view(np.int64)).sort().values  # a third of numpy's time
         return bool((in_order[1:] == in_order[:-1]).any())
 
     return any(parallel_map(among, range(count)))
@@ -91,9 +91,9 @@ def _has_equal(code: npt.NDArray[np.uint64]) -> bool:
 
 def _codes(rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.uint64]:
     """A hash code for each row [N, 3]; equal rows have equal codes. Codes can be sorted faster than rows."""
-    rows = rows + 0.0  # -0 becomes 0
-    bits = rows.view(np.uint32 if rows.dtype == np.float32 else np.uint64).astype(np.uint64)
-    x, y, z = ((bits ^ (bits >> np.uint64(29))) * _ODD).T
+    columns = np.ascontiguousarray(rows.T) + 0.0  # -0 becomes 0
+    bits = columns.view(np.uint32 if rows.dtype == np.float32 else np.uint64).astype(np.uint64)
+    x, y, z = (bits ^ (bits >> np.uint64(29))) * _ODD[:, None]
     code: npt.NDArray[np.uint64] = x ^ (y >> np.uint64(7)) ^ (z << np.uint64(9)) ^ ((x + y + z) >> np.uint64(31))
     return code
 
@@ -105,20 +105,21 @@ def order_of_points(points: Tensor) -> Tensor:
     """
     rows = points.numpy()
     columns = np.ascontiguousarray(rows.T)  # several times as fast as the extremes of rows
-    low, extent = columns.min(1).astype(np.float64), float(np.ptp(columns, 1).max())
+    low, extent = columns.min(1, keepdims=True).astype(np.float64), float(np.ptp(columns, 1).max())
     scale = (2**_CURVE_BITS - 1) / extent if extent > 0 else 0.0
 
     def codes(start: int) -> npt.NDArray[np.int64]:
-        cell = ((rows[start : start + BLOCK] - low) * scale).astype(np.int64)
+        cell = ((columns[:, start : start + BLOCK] - low) * scale).astype(np.int64)
         for shift, mask in _SPREAD:
             cell = (cell | cell << shift) & mask
-        return cell @ np.array([4, 2, 1])  # the three coordinates' bits alternate
+        return cell[0] << 2 | cell[1] << 1 | cell[2]  # the three coordinates' bits alternate
 
     code = np.concatenate(parallel_map(codes, range(0, len(rows), BLOCK)))
-    order = np.argsort(code, kind="stable")
-    if (code[order][1:] == code[order][:-1]).any():  # two points in one cell: their coordinates decide
-        order = np.lexsort((*rows.T, code))
-    return torch.from_numpy(order)
+    with all_threads():
+        in_order, order = torch.from_numpy(code).sort()
+    if (in_order[1:] == in_order[:-1]).any():  # two points in one cell: their coordinates decide
+        return torch.from_numpy(np.lexsort((*rows.T, code)))
+    return order
 
 
 def merged_points(cloud: Cloud, of_point: Tensor, count: int) -> Cloud:
@@ -205,6 +206,8 @@ class LocalFrame(NamedTuple):
 
     def cloud(self, cloud: Cloud) -> Cloud:
         """The cloud in float32 coordinates of this frame."""
+        if cloud.points.dtype == torch.float32 and not self.origin.any():
+            return cloud
         blocks = cloud.points.split(BLOCK)
         points = torch.cat(parallel_map(lambda block: (block.double() - self.origin).float(), blocks))
         return replace(cloud, points=points)

@@ -47,7 +47,7 @@ def local_cloud(cloud: Cloud, frame: LocalFrame, merge_within: float = 0.0) -> t
         the cloud; and [N] int64, its point for each given point.
     """
     local, of_point = frame.cloud(cloud), None
-    if not torch.equal(local.points.double(), cloud.points.double()):
+    if not torch.equal(local.points.to(cloud.points.dtype), cloud.points):
         local, of_point = without_copies(local)  # rounding makes copies
     if merge_within > 0:
         merged = points_within(local.points, merge_within)

@@ -73,13 +73,14 @@ Tensor gap_components(const Tensor& points, const Tensor& gap, const Tensor& nei
   const Tensor may = checked_array(used, ScalarType::Bool, {count}, "used");
   check(min_size >= 0, "min_size: expected a number >= 0, got ", min_size);
   check(joining >= 1, "joining: expected a number >= 1, got ", joining);
+  const int64_t num_entries = count * table.size(1);
   UnionFind components(count);
   const Points given{places.const_data_ptr<float>(), gaps.const_data_ptr<double>(), may.const_data_ptr<bool>()};
   with_indices(table, [&](const auto* indices) {
     for (int64_t i = 0; i < count; ++i) {
       check(given.gap[i] >= 0, "gap: expected numbers >= 0, got ", given.gap[i], " at ", i);
     }
-    for (int64_t i = 0; i < count * table.size(1); ++i) check_index(indices[i], count, "neighbors", i);
+    for (int64_t i = 0; i < num_entries; ++i) check_index(indices[i], count, "neighbors", i);
     connect(given, indices, table.size(1), min_size, joining, components);
   });
   Tensor labels = torch::stable::new_empty(places, {count}, ScalarType::Long);

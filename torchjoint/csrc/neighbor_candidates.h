@@ -99,7 +99,7 @@ struct Candidates {
 
 template <typename Value>
 size_t count_up_to(const Value* values, size_t size, Value limit) {
-  size_t count = 0;
+  uint32_t count = 0;  // as wide as a float: so vectors of both have the same length
   for (size_t i = 0; i < size; ++i) count += values[i] <= limit;
   return count;
 }

@@ -70,11 +70,12 @@ Tensor something_rises(const Tensor& column, const Tensor& row, const Tensor& he
     check(std::isfinite(h[i]), "height: expected finite numbers, got ", h[i], " at ", i);
   }
   const int64_t* const points = tested.const_data_ptr<int64_t>();
-  for (int64_t i = 0; i < tested.size(0); ++i) check_index(points[i], count, "which", i);
+  const int64_t num_tested = tested.size(0);
+  for (int64_t i = 0; i < num_tested; ++i) check_index(points[i], count, "which", i);
   const Grid grid(c, r, h, may.const_data_ptr<bool>(), count, num_columns, num_rows);
-  Tensor found = torch::stable::new_empty(tested, {tested.size(0)}, ScalarType::Bool);
+  Tensor found = torch::stable::new_empty(tested, {num_tested}, ScalarType::Bool);
   bool* const rises = found.mutable_data_ptr<bool>();
-  torch::stable::parallel_for(0, tested.size(0), kPointsAtOnce, [&](int64_t begin, int64_t end) {
+  torch::stable::parallel_for(0, num_tested, kPointsAtOnce, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       rises[i] = grid.rises(c[points[i]], r[points[i]], h[points[i]], least, most);
     }

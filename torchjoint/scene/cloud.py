@@ -49,8 +49,8 @@ class Cloud:
 
     def selected(self, chosen: Tensor) -> Cloud:
         """The points numbered [M] int64, in this order, with their colours and normals."""
-        colors, normals = (None if of is None else of[chosen] for of in (self.colors, self.normals))
-        return Cloud(self.points[chosen], colors, normals)
+        colors, normals = (None if of is None else of.index_select(0, chosen) for of in (self.colors, self.normals))
+        return Cloud(self.points.index_select(0, chosen), colors, normals)
 
     def with_telling_colors(self) -> Cloud:
         """The cloud without its colours if they are all equal, as many programs write them for a cloud without colours.

@@ -71,7 +71,7 @@ def grow_ground(
     among = torch.zeros_like(on_ground)
     among[flat] = True
     patch = gaps.components(among)[flat].numpy()
-    place: NDArray[np.float64] = points.double().numpy()
+    x, y, z = (column.double().numpy() for column in points.unbind(1))
     hop = (HOP_GROWTH * seen.distance).clamp(min=HOP).numpy()
     slope = math.tan(math.radians(MAX_SLOPE))
     left, new = flat.numpy(), torch.nonzero(on_ground).flatten().numpy()
@@ -80,13 +80,16 @@ def grow_ground(
     for _ in range(ROUNDS):
         if len(left) == 0 or len(new) == 0:
             break
-        # Only ground that was added in the last round may be nearer than what was found before.
-        tree = cKDTree(place[new, :2], balanced_tree=False, compact_nodes=False)
+        # Only ground that was added in the last round, so only its box, may be nearer than what was found before.
+        some = np.flatnonzero(np.hypot(_beside(x[left], x[new]), _beside(y[left], y[new])) * (1 - 1e-9) < way)
+        tree = cKDTree(np.stack([x[new], y[new]], axis=1), balanced_tree=False, compact_nodes=False)
         reach = float(hop[left].max()) * (1 + 1e-9)  # what is farther away is not near
-        found, which = tree.query(place[left, :2], distance_upper_bound=reach, workers=num_threads())
-        nearer = found < way
-        way, nearest[nearer] = np.minimum(found, way), new[which[nearer]]
-        step = np.abs(place[left, 2] - place[nearest, 2])
+        own = np.stack([x[left[some]], y[left[some]]], axis=1)
+        found, which = tree.query(own, distance_upper_bound=reach, workers=num_threads())
+        nearer = found < way[some]
+        some = some[nearer]
+        way[some], nearest[some] = found[nearer], new[which[nearer]]
+        step = np.abs(z[left] - z[nearest])
         near, fits = way <= hop[left], step <= GROUND_HEIGHT + slope * way
         num_near = np.bincount(patch[near], minlength=count)
         joins = (num_near > 0) & (np.bincount(patch[near & fits], minlength=count) >= SHARE * num_near)
@@ -95,6 +98,11 @@ def grow_ground(
         on_ground[torch.from_numpy(new)] = True
         left, way, nearest, patch = left[stays], way[stays], nearest[stays], patch[stays]
     return on_ground
+
+
+def _beside(values: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far values are from the range of others."""
+    return np.maximum(others.min() - values, values - others.max()).clip(min=0)
 
 
 def rising(seen: Directions, height: Tensor, which: Tensor, object_height: float, used: Tensor | None = None) -> Tensor:

@@ -44,7 +44,7 @@ class Scan(Method):
 
     def segment(self, graph: PointGraph, state: JointState) -> Tensor:
         """Labels [N] int64 of the ground and of the objects on it."""
-        return segment_scan(graph.points, self.config.scan, self._found(graph).rings)
+        return segment_scan(graph.points, self.config.scan, self._evidence.rings if self._evidence else "search")
 
     def measured(self, graph: PointGraph) -> str:
         """The rings of the scan, or how sure it is that it is one."""

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene.checks import as_points
-from torchjoint.segments.scan.directions import directions
+from torchjoint.segments.scan.directions import Directions, directions
 
 #: Number of windows of azimuth, of the whole turn.
 WINDOWS = 72
@@ -49,6 +49,8 @@ LEAST_PAIRS = 25.0
 LEAST_WINDOWS, LEAST_IN_WINDOW = 8, 8
 #: Smallest ratio of far to near ranges (95 % and 5 % quantiles): a sphere around the sensor is no scene.
 LEAST_DEPTH = 1.5
+#: Lengths that are a multiple of this have fast Fourier transforms.
+FAST_LENGTH = 256
 #: Smallest and largest number of rings. A depth image has more rows.
 NUM_RINGS = (4, 160)
 
@@ -60,23 +62,23 @@ class Rings(NamedTuple):
     number: int  #: approximate number of rings, counted in the windows of azimuth
 
 
-def find_rings(points: Tensor) -> Rings | None:
+def find_rings(points: Tensor, seen: Directions | None = None) -> Rings | None:
     """Finds the rings of a scan of a turning LiDAR. None: the cloud is no such scan.
 
     Args:
         points: [N, 3] in any unit, z up, the sensor at the origin.
+        seen: their directions, if they are known.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
     """
-    points = as_points(points)
     with torch.no_grad(), one_thread_per_operation():
-        seen = directions(points)
+        seen = seen or directions(as_points(points))
         share = min(MOST_SHARE, max(FAR_SHARE, FAR_POINTS / len(points)))
         near, least, far = _order_statistics(seen.range, (0.05, 1 - share, 0.95))
         if far < LEAST_DEPTH * near:
             return None
-        used = seen.range >= least
+        used = torch.nonzero(seen.range >= least).flatten()
         window = ((seen.azimuth + math.pi) / (2 * math.pi) * WINDOWS).long().clamp(max=WINDOWS - 1)
         elevation = seen.elevation * (180 / math.pi)
         counts = _histograms(window[used], elevation[used])
@@ -84,7 +86,9 @@ def find_rings(points: Tensor) -> Rings | None:
             return None
         # Found window by window, once for all windows and for the halves.
         length = counts.shape[1] + round(LARGEST_STEP / BIN)  # differences do not wrap around
-        power = torch.fft.rfft(torch.stack([counts, _smooth(counts)], dim=1), n=length).abs().square()
+        length += -length % FAST_LENGTH
+        found = torch.fft.rfft(torch.stack([counts, _smooth(counts)], dim=1), n=length)
+        power = (found * found.conj()).real
         size = counts.sum(1)
         step = _ring_step(_pair_density(power, size, length))
         halves = (slice(None, _middle(size)), slice(_middle(size), None))
@@ -158,8 +162,13 @@ def _has_step(density: Tensor, step: float) -> bool:
 
 def _count_rings(window: Tensor, elevation: Tensor, step: float) -> int:
     """The 90 % quantile, over the windows, of the number of groups of elevations; gaps exceed half a step."""
-    place = torch.from_numpy(np.sort((window * 1000 + elevation).numpy()))
-    new = torch.ones(len(place), dtype=torch.bool)
-    new[1:] = place.diff() > step / 2
-    of_window = torch.bincount(((place[new] + 500) / 1000).floor().long(), minlength=WINDOWS)
+    place = window * 1000 + elevation
+    # Gaps are between cells of a quarter of a step, so only the lowest and the highest place of each are compared.
+    row = ((elevation - elevation.min()) / (step / 4)).long()
+    cell, inf = window * (int(row.max()) + 1) + row, torch.full((WINDOWS * (int(row.max()) + 1),), math.inf).double()
+    low, high = inf.scatter_reduce(0, cell, place, "amin"), (-inf).scatter_reduce(0, cell, place, "amax")
+    low, high = low[low < inf], high[low < inf]
+    new = torch.ones_like(low, dtype=torch.bool)
+    new[1:] = low[1:] - high[:-1] > step / 2
+    of_window = torch.bincount(((low[new] + 500) / 1000).floor().long(), minlength=WINDOWS)
     return round(_order_statistics(of_window[of_window > 0].double(), (0.9,))[0])

@@ -5,7 +5,9 @@ The gap that is allowed between two connected points grows with their range, bec
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -14,7 +16,7 @@ from torchjoint.cloud.neighbors import SPACING_NEIGHBORS
 from torchjoint.config import ScanConfig
 from torchjoint.ops.local_spacing import local_spacing
 from torchjoint.runtime.first_places import numbers_by_first_place
-from torchjoint.runtime.threads import all_threads, one_thread_per_operation
+from torchjoint.runtime.threads import all_threads, one_thread_per_operation, parallel_map
 from torchjoint.scene.checks import as_points
 from torchjoint.segments.scan.directions import Directions, directions
 from torchjoint.segments.scan.gaps import Gaps
@@ -65,12 +67,15 @@ def scan_gaps(points: Tensor, config: ScanConfig, rings: Rings | Literal["search
     Arguments and errors are those of :func:`segment_scan`.
     """
     points = as_points(points).float()
-    rings = find_rings(points) if rings == "search" else rings
     seen, height = directions(points), points[:, 2].double()
     gap = config.gap + config.gap_growth * seen.range
     with all_threads():
         spacing = local_spacing(points, gap, GROUND_GAP, SPACING_NEIGHBORS)
-    height = height - ground_below(seen, height, _or_all(spacing == 0))
+    parts: list[Callable[[], Any]] = [partial(ground_below, seen, height, _or_all(spacing == 0))]
+    if rings == "search":
+        parts.append(partial(find_rings, points, seen))
+    below, *found = parallel_map(lambda part: part(), parts)
+    height, rings = height - below, found[0] if rings == "search" else rings
     drawn = with_near_rings(points, seen, rings, config)
     gaps = Gaps.of(drawn, gap, torch.nonzero(height >= GROUND_HEIGHT).flatten())
     return gaps, grow_ground(points, height, seen, gaps, config, _or_all(spacing < torch.inf))
