@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torchjoint.recordings.playing import Clock, play
+from torchjoint.recordings.playing import Clock, Played, play
 
 
 class Segmenter:
@@ -40,7 +40,13 @@ def test_what_comes_too_late_is_dropped():
     # At 2.5 s, frame 1 has been replaced by frame 2, which came at 2 s.
     assert segmenter.begun == [(0, 0.0), (2, 2.5), (3, 3.0), (4, 4.0)]
     assert played.dropped == [1]
+    assert played.told_dropped() == "1 dropped (1)"
     assert told == [(1, frames[0]), (2, None), (3, frames[2]), (4, frames[3]), (5, frames[4])]
+
+
+def test_dropped_frames_are_told_in_ranges():
+    assert Played([], [2, 3, 4, 9], []).told_dropped() == "4 dropped (2-4, 9)"
+    assert Played([], [], []).told_dropped() == "0 dropped"
 
 
 def test_without_a_rate_no_frame_waits_or_is_dropped():

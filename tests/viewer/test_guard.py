@@ -56,6 +56,18 @@ def opens(viewer, url, **options):
         return error.response.status_code != 403
 
 
+def test_a_page_that_has_ended_draws_nothing(out):
+    from torchjoint.viewer.app import Viewer
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        viewer, drawn = Viewer(tj.load_result(out, edits=False), port=8985), []
+    viewer._guarded(drawn.append, 1)
+    viewer.stop()  # while it counts pixels in the background
+    viewer._guarded(drawn.append, 2)
+    assert drawn == [1]
+
+
 def test_the_page_needs_its_whole_address(viewer):
     assert viewer.url.startswith(f"http://{place(viewer)}/")
     assert len(viewer.url) > len(f"http://{place(viewer)}/") + 30

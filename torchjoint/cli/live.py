@@ -113,8 +113,8 @@ def _play(results: _Results, rate: float | None, every: int) -> Played:
     for one in running:
         one.result()
     print(
-        f"{len(played.seconds)} frames, the slowest in {max(played.seconds):.2f} seconds; {len(played.dropped)} "
-        f"dropped; {len(played.keyframes)} keyframes"
+        f"{len(played.seconds)} frames, the slowest in {max(played.seconds):.2f} seconds; {played.told_dropped()}; "
+        f"{len(played.keyframes)} keyframes"
     )
     return played
 

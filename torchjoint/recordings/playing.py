@@ -24,6 +24,14 @@ class Played(NamedTuple):
     dropped: list[int]
     seconds: list[float]  #: of each frame that was not dropped, to read and to add it
 
+    def told_dropped(self) -> str:
+        """How many frames were dropped, and which, from 0: "4 dropped (2-4, 9)"."""
+        others = set(self.dropped)
+        first = [one for one in self.dropped if one - 1 not in others]
+        last = [one for one in self.dropped if one + 1 not in others]
+        which = ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in zip(first, last, strict=True))
+        return f"{len(self.dropped)} dropped" + (f" ({which})" if which else "")
+
 
 def play(
     frames: Sequence[Frame],

@@ -185,9 +185,9 @@ def _box(name: Sequence[Any], numbers: Sequence[Any], where: str) -> Box:
     try:
         values = [float(value) for value in numbers]
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{where}: expected seven numbers, got {list(numbers)}") from error
+        raise ValueError(f"{where}: expected seven numbers, got {list(numbers)!s:.80}") from error
     if len(values) != 7 or len(name) != 1 or not isinstance(name[0], str):
-        raise ValueError(f"{where}: expected x y z dx dy dz heading name, got {[*numbers, *name]}")
+        raise ValueError(f"{where}: expected x y z dx dy dz heading name, got {[*numbers, *name]!s:.120}")
     if not all(map(math.isfinite, values)) or min(values[3:6]) < 0:
         raise ValueError(f"{where}: expected finite numbers and sizes of at least 0, got {values}")
     if printable(name[0]) != name[0]:

@@ -29,6 +29,7 @@ from torchjoint.runtime.files import write_text
 from torchjoint.runtime.messages import printable
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
+from torchjoint.scene.checks import as_direction
 from torchjoint.scene.subset import evenly_spaced_indices
 
 #: Largest number of points and of images in the page, and height of an image in pixels.
@@ -52,7 +53,7 @@ def write_page(path: Path, result: Result, up: Tensor | None = None, edits: Edit
         the number of points that it shows: all, or an even selection of them; the page shows this number.
     """
     scene, parts = result.scene, Parts(result)
-    upward = (up_direction(scene) if up is None else torch.nn.functional.normalize(up.double(), dim=0)).numpy()
+    upward = (up_direction(scene) if up is None else as_direction(up, "up")).numpy()
     keep = torch.arange(0, len(scene.points), max(1, -(-len(scene.points) // MOST_POINTS)))
     levels, first = _levels(parts, edits or Edits(parts.count))
     points = f"{len(keep)} of {len(scene.points)} points" if len(keep) < len(scene.points) else f"{len(keep)} points"

@@ -24,6 +24,7 @@ from torchjoint.results.oriented_box import level_axes, oriented_box
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.scene import Scene, Segmentation
+from torchjoint.scene.checks import as_direction
 
 if TYPE_CHECKING:
     import networkx
@@ -68,10 +69,6 @@ class Relation:
     area: float
     share: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """The relation as JSON has it."""
-        return asdict(self) | {"area": round(self.area, 6), "share": round(self.share, 3)}
-
 
 @dataclass(frozen=True)
 class Relations:
@@ -103,24 +100,31 @@ class Relations:
         """
         if not torch.equal(stored_labels(Path(folder)), self.labels):
             raise ValueError(f"{folder}: expected the segments of the graph; load_result(folder, edits=False) has them")
-        add_to_segments(Path(folder), {"relations": [one.to_dict() for one in self.relations]})
+        add_to_segments(Path(folder), {"relations": [asdict(one) for one in self.relations]})
 
     @classmethod
     def load(cls, folder: str | Path) -> Relations:
         """Reads what :meth:`save` wrote.
 
         Raises:
-            FileNotFoundError, ValueError: nothing was saved, or it is damaged; the message names the file.
+            FileNotFoundError: the folder is no result.
+            ValueError: nothing was saved, or it is damaged; the message names the file.
         """
         labels, file = stored_labels(Path(folder)), Path(folder) / FILE
-        known = range(int(labels.max()) + 1)
-        with damage_is(f"{file}: expected relations as `result.graph().save` adds them"):
+        with damage_is(f"{file}: expected relations, as `torchjoint export {folder} --format graph` adds them"):
             found = tuple(Relation(**one) for one in json.loads(file.read_text(encoding="utf-8"))["relations"])
             for one in found:
-                is_known = one.kind in get_args(Kind) and one.first in known and one.second in known
-                if not is_known or not math.isfinite(one.area + one.share):
-                    raise ValueError(f"expected a known kind, segments of the cloud and finite numbers, got {one}")
+                _check(one, int(labels.max()))
         return cls(found, labels)
+
+
+def _check(one: Relation, last: int) -> None:
+    """Raises ValueError if a relation that was read cannot be one of the segments 0 ... `last`."""
+    segments, numbers = {one.first, one.second}, (one.area, one.share)
+    is_right = one.kind in get_args(Kind) and len(segments) == 2 and all(type(value) is float for value in numbers)
+    is_right = is_right and all(type(segment) is int and 0 <= segment <= last for segment in segments)
+    if not is_right or not (0 <= one.area < math.inf and 0 <= one.share <= 1):
+        raise ValueError(f"expected a known kind, two segments of the cloud, an area and a share, got {one}")
 
 
 @dataclass(frozen=True)
@@ -145,7 +149,7 @@ class _Cloud:
 
 def relations(scene: Scene, result: Segmentation, up: Tensor | None = None) -> Relations:
     """Finds the relations; see :meth:`torchjoint.results.result.Result.graph`."""
-    vertical = (up_direction(scene) if up is None else up).double().numpy()
+    vertical = (up_direction(scene) if up is None else as_direction(up, "up")).numpy()
     points, labels = scene.points.double().numpy(), result.points.numpy()
     indices, distances = ops.nearest_neighbors(scene.points, NEIGHBORS)
     cloud = _Cloud(

@@ -112,6 +112,9 @@ class Result(Segmentation):
 
         Returns:
             the relations; ``graph.of(segment)``, ``graph.to_networkx()``.
+
+        Raises:
+            ValueError, TypeError: `up` is no direction.
         """
         return relations(self.scene, self, up)
 

@@ -131,6 +131,15 @@ def as_unit_range(value: Tensor, name: str) -> Tensor:
     return value.clamp(0, 1)
 
 
+def as_direction(value: Tensor, name: str) -> Tensor:
+    """Returns a direction [3] of any length but 0 as a unit vector, float64."""
+    value = as_float(value, name, torch.float64)
+    check_shape(value, (3,), name)
+    if not value.norm() > 0:
+        raise ValueError(f"{name}: expected a direction, got zeros")
+    return value / value.norm()
+
+
 def as_intrinsics(intrinsics: Tensor, name: str) -> Tensor:
     """Checks a camera matrix [3, 3], in pixels; returns it as float64."""
     intrinsics = as_float(intrinsics, name, torch.float64)

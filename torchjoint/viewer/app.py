@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 from torch import Tensor
-from torch.nn.functional import normalize
 
 from torchjoint.results.edits import write_edits
 from torchjoint.results.result import Result
 from torchjoint.results.shading import Shading
 from torchjoint.results.upright import up_direction
+from torchjoint.scene.checks import as_direction
 from torchjoint.viewer.cameras import Cameras, Viewpoint, add_camera, viewpoint
 from torchjoint.viewer.cloud import CloudView
 from torchjoint.viewer.html import PREFIX, found_html, image_html, note_html, panel_html, table_html
@@ -59,11 +59,11 @@ class Viewer:
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
-        upward = (up_direction(result.scene) if up is None else normalize(up.double(), dim=0)).numpy()
+        upward = (up_direction(result.scene) if up is None else as_direction(up, "up")).numpy()
         self._shown = shown or Shown()
         self.model = Model(result, self._shown.edits(result, granularity), upward)
         self._lock = threading.RLock()  # viser calls the functions below on several threads
-        self._order, self._can_save = "points", True
+        self._order, self._can_save, self._has_stopped = "points", True, False
         self.server, self._distance, self.url = start_server(result.scene, upward, host, port)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(self.model))
         self._relations = RelationLines(self.server)
@@ -131,6 +131,8 @@ class Viewer:
 
     def stop(self) -> None:
         """Ends the page."""
+        with self._lock:  # what works in the background ends first
+            self._has_stopped = True
         self.server.stop()
 
     def _add_panel(self, frame: int = 0, cameras: bool = False) -> None:
@@ -189,6 +191,8 @@ class Viewer:
     def _guarded(self, action: Any, *arguments: Any) -> None:
         """Runs an action, one at a time; shows the message of an error on the page."""
         with self._lock:
+            if self._has_stopped:
+                return
             try:
                 action(*arguments)
             except Exception as error:
