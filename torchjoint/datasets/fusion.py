@@ -88,7 +88,7 @@ def fuse_cloud(
 def add_frame(volume: Volume, frame: Frame, origin: Tensor) -> Tensor:
     """Adds a frame with depth to a volume whose origin is at `origin` [3] float64; returns the keys of its blocks."""
     assert frame.depth is not None
-    color = (frame.image * 255).round().to(torch.uint8).permute(1, 2, 0)
+    color = (frame.image * 255).round_().to(torch.uint8).permute(1, 2, 0)
     pose = frame.world_to_camera.double().clone()
     pose[:3, 3] += pose[:3, :3] @ origin
     return volume.integrate(frame.depth, color, frame.intrinsics.double(), pose)

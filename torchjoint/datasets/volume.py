@@ -101,17 +101,20 @@ class Volume:
         z = depth[::step, ::step].double()
         row, column = torch.nonzero((z > 0) & (z <= self.far), as_tuple=True)
         z = z[row, column]
-        seen = torch.stack([(step * column.double() - cx) / fx * z, (step * row.double() - cy) / fy * z, z], 1)
-        # Not a matrix product, whose bits differ between machines.
-        points = ((seen - world_to_camera[:3, 3])[:, :, None] * world_to_camera[:3, :3]).sum(1)
-        # A block is as long as two truncations: a point is near two blocks along each axis.
-        low = ((points - self.truncation) / (SIDE * self.voxel_size)).floor()
-        if len(low) and not float(low.abs().max()) < 2 ** (_BITS - 1) - 1:
-            raise ValueError(
-                f"world_to_camera: expected points at most {2 ** (_BITS - 1) * SIDE * self.voxel_size:.4g} m from the "
-                f"first camera for voxels of {self.voxel_size:g} m, got others; choose a larger voxel_size"
-            )
-        first = ((low.long() + 2 ** (_BITS - 1)) * _STEPS).sum(1).unique_consecutive().unique()
+        # By columns, in half of the time of rows; and no matrix product, whose bits differ between machines.
+        seen = (step * column.double() - cx) / fx * z, (step * row.double() - cy) / fy * z, z
+        x, y, z = (one - float(at) for one, at in zip(seen, world_to_camera[:3, 3], strict=True))
+        first, half = torch.zeros_like(row), 2 ** (_BITS - 1)
+        for (a, b, c), factor in zip(world_to_camera[:3, :3].T.tolist(), _STEPS.tolist(), strict=True):
+            # A block is as long as two truncations: a point is near two blocks along each axis.
+            low = ((a * x + b * y + c * z - self.truncation) / (SIDE * self.voxel_size)).floor()
+            if len(low) and not float(low.abs().max()) < half - 1:
+                raise ValueError(
+                    f"world_to_camera: expected points at most {half * SIDE * self.voxel_size:.4g} m from the first "
+                    f"camera for voxels of {self.voxel_size:g} m, got others; choose a larger voxel_size"
+                )
+            first += (low.long() + half) * factor
+        first = first.unique_consecutive().unique()
         corners = torch.cartesian_prod(*[torch.arange(2)] * 3)
         return (first[:, None] + (corners * _STEPS).sum(1)).flatten().unique()
 
