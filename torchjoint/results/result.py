@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from typing import Any
 
 from torch import Tensor
 
 from torchjoint.config import Config
 from torchjoint.results.crops import Crop, best_crops, check_segment
 from torchjoint.results.embeddings import Embeddings, Encoder, embed
+from torchjoint.results.label_colors import label_colors
 from torchjoint.results.objects import SegmentRecord, segment_records
 from torchjoint.results.picking import Pick, Pixels, Prompts, pick
 from torchjoint.results.relations import Relations, relations
+from torchjoint.runtime.extras import needed_for
 from torchjoint.scene import Scene, Segmentation
 
 
@@ -117,6 +120,19 @@ class Result(Segmentation):
             ValueError, TypeError: `up` is no direction.
         """
         return relations(self.scene, self, up)
+
+    def to_open3d(self) -> Any:
+        """The cloud as ``open3d.t.geometry.PointCloud``: in the colours of its segments, which "labels" [N, 1] tells.
+
+        Raises:
+            ModuleNotFoundError: Open3D is not installed.
+        """
+        with needed_for("Result.to_open3d", "Open3D", "torchjoint[open3d]"):
+            import open3d
+        cloud = open3d.t.geometry.PointCloud(self.scene.points.numpy())
+        cloud.point.colors = label_colors(self.points).numpy()
+        cloud.point.labels = self.points[:, None].numpy()
+        return cloud
 
     def pick(
         self,

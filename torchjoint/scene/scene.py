@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
+import numpy as np
+import torch
 from torch import Tensor
 
 from torchjoint.scene.checks import as_labels
@@ -50,6 +53,25 @@ class Scene:
                     raise TypeError(f"frames[{index}]: expected a Frame, got {type(frame).__name__}")
         if self.truth is not None and self.truth.points is not None:
             as_labels(self.truth.points, (len(cloud.points),), "truth.points")
+
+    @classmethod
+    def from_open3d(cls, cloud: Any, frames: Sequence[Frame] = ()) -> Scene:
+        """The scene of a point cloud of Open3D, or of the vertices of a mesh, with their colours and normals.
+
+        Args:
+            cloud: ``open3d.geometry.PointCloud`` or ``TriangleMesh``, or one of ``open3d.t.geometry``; in metres.
+            frames: as above.
+
+        Raises:
+            TypeError: it is neither. ValueError: as above.
+        """
+        legacy = cloud.to_legacy() if hasattr(cloud, "to_legacy") else cloud
+        for names in (("points", "colors", "normals"), ("vertices", "vertex_colors", "vertex_normals")):
+            if all(hasattr(legacy, name) for name in names):
+                points, *others = (torch.from_numpy(np.array(getattr(legacy, name))) for name in names)
+                colors, normals = (other.float() if len(other) else None for other in others)
+                return cls(points, frames, colors, normals)
+        raise TypeError(f"cloud: expected a PointCloud or TriangleMesh of Open3D, got {type(cloud).__name__}")
 
     @property
     def cloud(self) -> Cloud:
