@@ -82,6 +82,7 @@ def test_domains_keeps_results_of_other_scenes_apart(study, tmp_path, monkeypatc
     assert "has results of other arguments" in capsys.readouterr().err
 
 
+@pytest.mark.slow  # that they start is tested above
 def test_steps_are_scored_on_the_same_evidence(study, tmp_path, monkeypatch, capsys):
     steps, scene = study("steps"), make_domain_scene("desk", 3, num_views=2).scene
     monkeypatch.setattr(steps, "find_scenes", lambda *_: [NamedScene("desk", "desk-3", lambda: scene)])
@@ -98,6 +99,7 @@ def test_steps_are_scored_on_the_same_evidence(study, tmp_path, monkeypatch, cap
     assert found["no colours"] != found["default"]
 
 
+@pytest.mark.slow  # that they start is tested above
 def test_the_best_of_pieces_and_tree_is_no_worse(study, monkeypatch, capsys):
     limits, scene = study("limits"), make_domain_scene("desk", 3, num_views=2).scene
     monkeypatch.setattr(limits, "find_scenes", lambda *_: [NamedScene("desk", "desk-3", lambda: scene)])
@@ -110,6 +112,7 @@ def test_the_best_of_pieces_and_tree_is_no_worse(study, monkeypatch, capsys):
     assert limits.best_ious(torch.tensor([5, 5, 5, 7, 7]), truth).tolist() == [2 / 3, 0.5]
 
 
+@pytest.mark.slow  # that they start is tested above
 def test_live_scores_and_lasting_ids(study, tmp_path, monkeypatch, capsys):
     live = study("live")
     monkeypatch.setattr(live, "NOISES", (0.0, 0.1))
