@@ -49,10 +49,11 @@ def of_scene(scene: tj.Scene) -> tuple[Tensor, Tensor]:
     truth, tree = scene.truth.points.long(), tj.JointSegmenter()(scene).hierarchy
     assert tree is not None
     known = truth >= 0
-    key, count = torch.unique(tree.piece[known] * (int(truth.max()) + 1) + truth[known], return_counts=True)
-    piece, thing = key // (int(truth.max()) + 1), key % (int(truth.max()) + 1)
+    width = int(truth.max()) + 1
+    key, count = torch.unique(tree.piece[known] * width + truth[known], return_counts=True)
+    piece, place = (key // width).unique(return_inverse=True)  # others have no known point
     owner = torch.zeros(tree.num_pieces, dtype=torch.long)
-    owner[piece.unique()] = most_frequent(thing, piece.unique(return_inverse=True)[1], count)
+    owner[piece] = most_frequent(key % width, place, count)
     heights = torch.quantile(tree.heights, torch.linspace(0, 1, LEVELS - 1, dtype=torch.float64)).tolist()
     of_tree = torch.stack([best_ious(tree.cut(height), truth) for height in {*heights, tree.default}]).amax(0)
     found = torch.stack([best_ious(owner[tree.piece], truth), of_tree, best_ious(tree.at(), truth)])

@@ -63,7 +63,8 @@ class Scene:
             frames: as above.
 
         Raises:
-            TypeError: it is neither. ValueError: as above.
+            TypeError: it is neither.
+            ValueError: as above.
         """
         legacy = cloud.to_legacy() if hasattr(cloud, "to_legacy") else cloud
         for names in (("points", "colors", "normals"), ("vertices", "vertex_colors", "vertex_normals")):
