@@ -5,8 +5,9 @@
 Each scene is seen frame by frame, with a result after every third. The poses have noise of 0, 5 and 10 % of the way and
 the turn between two frames, as in the evaluation of ESAM++; each run has noise of its own, and points that are moved by
 .1 mm by that of the depth. F and best IoU are those of the last result against the truth of the nearest true points. An
-id lasts if the thing has had it in all results since 90 % of its cubes of 10 cm were seen. A second table compares the
-last result with that of all frames as keyframes, where the camera moves by small steps. WORK keeps what is done.
+id lasts if the thing has had it in all results since 90 % of its cubes of 10 cm were seen. In a second table the camera
+moves by small steps: the last result is compared with that of all frames as keyframes, and ids, with a result after
+every tenth frame, count from 30 frames after the thing was whole. WORK keeps what is done.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ SEEDS = (40, 41, 42, 43)
 NOISES = (0.0, 0.05, 0.1)
 #: A result after so many frames; metres a cube's side; share of a thing's cubes that makes it whole.
 EVERY, CUBE, WHOLE = 3, 0.1, 0.9
+#: In the second table, a result after so many frames; an id counts from this many frames after its thing was whole.
+EVERY_DENSE, SETTLED = 10, 30
 VOXEL = 0.03
 #: Metres; fused points farther from any point of the truth do not count.
 NEAR = 0.05
@@ -67,8 +70,11 @@ def main() -> None:
     for kind in arguments.kinds:
         found = np.array([compared(kind, seed, arguments) for seed in SEEDS[: arguments.scenes]])
         means = [_cell(values) for values in found.mean(0).T]
-        rows.append([f"{kind}, {len(found)}", f"{found[..., 0].mean():.0f}", *_pairs(means[1:5]), means[5]])
+        last = np.array([settled(kind, seed, arguments) for seed in SEEDS[: arguments.scenes]])
+        means += [_cell(values) for values in last.mean(0).T]
+        rows.append([f"{kind}, {len(found)}", f"{found[..., 0].mean():.0f}", *_pairs(means[1:5]), *means[5:]])
     columns = ["kind, scenes", f"keyframes of {arguments.dense}", "F / best IoU", "with all frames", "covering"]
+    columns += ["things whose id lasts", "points in them"]
     report.show("keyframes", report.table(columns, rows), arguments.write)
 
 
@@ -103,6 +109,30 @@ def compared(kind: str, seed: int, arguments: argparse.Namespace) -> list[list[f
     return runs
 
 
+def settled(kind: str, seed: int, arguments: argparse.Namespace) -> list[list[float]]:
+    """For each run with many frames: the share of things whose id lasts, once they are settled; the points in them."""
+    scene, runs = None, []
+    for run in range(arguments.runs):
+        done = arguments.work / f"{kind}-{seed}-{arguments.dense}-ids-{run}.json"
+        if not done.is_file():
+            scene = scene or make_domain_scene(kind, seed, num_views=arguments.dense, held_out=True).scene
+            frames = disturbed(scene.frames, 0.0, Generator().manual_seed(run))
+            write_text(done, json.dumps(lasting(results_of(frames, EVERY_DENSE), SETTLED // EVERY_DENSE)))
+            print(done.stem, done.read_text(), flush=True)
+        runs.append(json.loads(done.read_text()))
+    return runs
+
+
+def results_of(frames: Sequence[tj.Frame], every: int) -> list[tj.LiveResult]:
+    """The results after `every` frames, and after the last one."""
+    segmenter, results = tj.LiveSegmenter(voxel_size=VOXEL), []
+    for count, frame in enumerate(frames, start=1):
+        segmenter.update(frame)
+        if count % every == 0 or count == len(frames):
+            results.append(segmenter.result(images=False))
+    return results
+
+
 def against(scene: tj.Scene, result: tj.LiveResult) -> tuple[float, float]:
     """F and best IoU against the truth of the nearest true points."""
     assert scene.truth is not None
@@ -131,13 +161,9 @@ def measured(kind: str, seed: int, arguments: argparse.Namespace) -> list[list[l
 def judged(scene: tj.Scene, noise: float, run: int) -> list[float]:
     """F, best IoU, the share of things whose id lasts, and that of the points in them."""
     frames = disturbed(scene.frames, noise, Generator().manual_seed(run))
-    segmenter, results = tj.LiveSegmenter(voxel_size=VOXEL), []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for count, frame in enumerate(frames, start=1):
-            segmenter.update(frame)
-            if count % EVERY == 0 or count == len(frames):
-                results.append(segmenter.result(images=False))
+        results = results_of(frames, EVERY)
     return [*against(scene, results[-1]), *lasting(results)]
 
 
@@ -160,8 +186,11 @@ def disturbed(frames: Sequence[tj.Frame], noise: float, random: Generator) -> li
     return found
 
 
-def lasting(results: Sequence[tj.LiveResult]) -> tuple[float, float]:
-    """The share of the last things that have kept their id since they were whole; and that of the points in them."""
+def lasting(results: Sequence[tj.LiveResult], settling: int = 0) -> tuple[float, float]:
+    """The share of the last things that have kept their id since they were whole; and that of the points in them.
+
+    The first results after they were whole, `settling`, do not count.
+    """
     cubes = [cubes_of(result) for result in results]
     last, kept, size = cubes[-1], [], []
     for thing in sorted(set(last.values())):
@@ -169,7 +198,8 @@ def lasting(results: Sequence[tj.LiveResult]) -> tuple[float, float]:
         size.append(int((results[-1].labels == thing).sum()))
         seen = [[before[cube] for cube in own if cube in before] for before in cubes]
         whole = [labels for labels in seen if len(labels) >= WHOLE * len(own)]
-        kept.append(all(2 * labels.count(thing) > len(labels) for labels in whole))
+        judged = whole[settling:] or whole[-1:]
+        kept.append(all(2 * labels.count(thing) > len(labels) for labels in judged))
     weight = np.array(size) / sum(size)
     return float(np.mean(kept)), float((weight * np.array(kept)).sum())
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,7 +15,7 @@ from torchjoint.cli.arguments import DEFAULTS, Flat, Out, read_topics
 from torchjoint.cli.show import growing_view, serve_until_interrupted
 from torchjoint.datasets import load_scene
 from torchjoint.live import LiveResult, LiveSegmenter, RerunLog
-from torchjoint.recordings.playing import Played, play
+from torchjoint.recordings.playing import Played, computed_beside, play
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
 from torchjoint.scene import Frame, Scene
@@ -98,20 +97,15 @@ def _check(rate: float | None, every: int, rerun: Path | None, overwrite: bool) 
 
 def _play(results: _Results, rate: float | None, every: int) -> Played:
     """Plays the frames. Beside it, computes a result after `every` frames if none is being computed; 0: no result."""
-    running: list[Future[LiveResult]] = []
-    with ThreadPoolExecutor(1) as beside:
+    with computed_beside(results.compute, every) as due:
 
         def tell(count: int, frame: Frame | None) -> None:
-            if running and running[-1].done():
-                running.pop().result()  # raises its error
             if frame is not None:
                 results.show_camera(frame, count)
-            if every and count % every == 0 and not running and results.segmenter.names:
-                running.append(beside.submit(results.compute, count))
+            if results.segmenter.names:
+                due(count)
 
         played = play(results.frames, results.segmenter, rate, tell)
-    for one in running:
-        one.result()
     print(
         f"{len(played.seconds)} frames, the slowest in {max(played.seconds):.2f} seconds; {played.told_dropped()}; "
         f"{len(played.keyframes)} keyframes"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import NamedTuple
 
 from torchjoint.live import LiveSegmenter
@@ -71,3 +73,25 @@ def play(
         if told is not None:
             told(index + 1, frame)
     return played
+
+
+@contextmanager
+def computed_beside(compute: Callable[[int], object], every: int) -> Iterator[Callable[[int], None]]:
+    """Computes results in another thread while frames go on, for `told` of :func:`play`.
+
+    The function of this block takes the number of frames so far. After each `every` frames it begins `compute` of this
+    number, unless one still runs; 0: never. Its errors are raised at the next frame, or at the end of the block, which
+    waits.
+    """
+    running: list[Future[object]] = []
+    with ThreadPoolExecutor(1) as beside:
+
+        def due(count: int) -> None:
+            if running and running[-1].done():
+                running.pop().result()  # raises its error
+            if every and count % every == 0 and not running:
+                running.append(beside.submit(compute, count))
+
+        yield due
+    for one in running:
+        one.result()
