@@ -53,6 +53,12 @@ def test_a_row_and_on_where_it_was(data, capsys):
     assert {file: file.stat().st_mtime_ns for file in out.glob("*/points.npz")} == times
 
 
+def test_results_with_other_masks_are_not_mixed(data):
+    scannet200(data / "data", data / "out", data / "published")
+    with pytest.raises(ValueError, match=r"out is of a run with --masks .*published .*; got --masks None"):
+        scannet200(data / "data", data / "out")
+
+
 def test_a_scan_that_fails_stops_no_other(data):
     broken = data / "data" / "scans" / "scene0000_00" / "scene0000_00.aggregation.json"
     record = json.loads(broken.read_text())

@@ -181,6 +181,9 @@ def test_a_link_is_not_read(saved):
     (saved / "segments.json").symlink_to(saved / "elsewhere.json")
     with pytest.raises(ValueError, match=r"segments\.json: expected a file, got a link"):
         Relations.load(saved)
+    (saved / "segments.json").unlink()
+    with pytest.raises(FileNotFoundError, match=r"segments\.json: missing; expected a result"):
+        Relations.load(saved)
 
 
 def test_export_adds_the_relations(saved, capsys):

@@ -24,7 +24,7 @@ from torchjoint.recordings import RecordingOptions, segment_recording
 from torchjoint.runtime.files import write_text
 from torchjoint_lab.datasets.published_masks import masks_of
 
-TABLE = "table.md"
+TABLE, ARGUMENTS = "table.md", "arguments.txt"
 
 
 class Published(NamedTuple):
@@ -70,7 +70,7 @@ def scannet200(
         engine: workers for the frames: loky, dask or ray, as `torchjoint segment --engine`.
     """
     table, found = label_table or find_table(scans, protocol), list_scenes(scans)
-    out.mkdir(parents=True, exist_ok=True)
+    _check_arguments(out, f"--masks {masks and masks.resolve()} --max-frames {max_frames}")
     metric, scored, failed = ScannetAveragePrecisionMetric(), 0, {}
     options = RecordingOptions(max_frames=max_frames)
     for name, path in tqdm(found.items(), desc="scans", unit="scan"):
@@ -94,6 +94,15 @@ def scannet200(
     text += "".join(f"\n{name} failed: {reason}" for name, reason in failed.items())
     write_text(out / TABLE, f"{text}\n")
     print(text)
+
+
+def _check_arguments(out: Path, arguments: str) -> None:
+    """Raises ValueError if results in `out` are of a run with other arguments: a row would mix them."""
+    out.mkdir(parents=True, exist_ok=True)
+    before = (out / ARGUMENTS).read_text(encoding="utf-8") if (out / ARGUMENTS).is_file() else arguments
+    if before != arguments:
+        raise ValueError(f"-o: {out} is of a run with {before}; got {arguments}; choose another output")
+    write_text(out / ARGUMENTS, arguments)
 
 
 def _segment(path: Path, out: Path, options: RecordingOptions, masks: Path | None, engine: str | None) -> None:
