@@ -67,6 +67,15 @@ def test_damaged_pth_is_an_error_with_its_name(other, tmp_path):
         pass
 
 
+def test_a_pth_that_was_cut_off_is_an_error(tmp_path):
+    open3dis(tmp_path / "masks")
+    whole = (tmp_path / "masks" / "scan.pth").read_bytes()
+    for end in range(0, len(whole), 97):
+        (tmp_path / "masks" / "scan.pth").write_bytes(whole[:end])
+        with pytest.raises(ValueError, match=r"scan\.pth"), masks_of(tmp_path / "masks", "scan", FRAMES):
+            pass
+
+
 def test_no_code_of_a_pth_runs(tmp_path):
     class Code:
         def __reduce__(self):
