@@ -99,10 +99,10 @@ def scannet200(
 def _check_arguments(out: Path, arguments: str) -> None:
     """Raises ValueError if results in `out` are of a run with other arguments: a row would mix them."""
     out.mkdir(parents=True, exist_ok=True)
-    before = (out / ARGUMENTS).read_text(encoding="utf-8") if (out / ARGUMENTS).is_file() else arguments
-    if before != arguments:
+    file, has_results = out / ARGUMENTS, any(one.is_dir() for one in out.iterdir())
+    if has_results and file.is_file() and (before := file.read_text(encoding="utf-8")) != arguments:
         raise ValueError(f"-o: {out} is of a run with {before}; got {arguments}; choose another output")
-    write_text(out / ARGUMENTS, arguments)
+    write_text(file, arguments)
 
 
 def _segment(path: Path, out: Path, options: RecordingOptions, masks: Path | None, engine: str | None) -> None:
