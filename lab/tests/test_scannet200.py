@@ -54,7 +54,7 @@ def test_a_row_and_on_where_it_was(data, capsys):
 
 
 def test_results_with_other_masks_are_not_mixed(data):
-    with pytest.raises(ValueError, match="no scan was scored; the first error: .*missing; expected masks"):
+    with pytest.raises(ValueError, match=r"no scan was scored; the first error: .*missing; expected masks"):
         scannet200(data / "data", data / "out", data / "publised")
     scannet200(data / "data", data / "out", data / "published")  # nothing is of the run before
     with pytest.raises(ValueError, match=r"out is of a run with --masks .*published .*; got --masks None"):
