@@ -20,7 +20,9 @@ def between(name, page):
     return re.search(rf"<!-- {name} -->\n(.*?)<!-- end {name} -->", text, flags=re.DOTALL)[1].strip()
 
 
-@pytest.mark.parametrize(("table", "page"), [("domains", "docs/evaluation.md"), ("conventions", "docs/your_data.md")])
+@pytest.mark.parametrize(
+    ("table", "page"), [("domains", "docs/evaluation.md"), ("conventions", "docs/folder_and_conventions.md")]
+)
 def test_tables_that_stand_twice_are_the_same(table, page):
     assert between(table, "README.md") == between(table, page)
 
@@ -46,7 +48,7 @@ def test_the_warnings_about_poses_are_the_code_s(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "lab" / "studies")
     pictures = importlib.import_module("pictures")
     said, written = (
-        re.sub(r"[\d.]+", "N", text) for text in (pictures.messages(), between("mistakes", "docs/your_data.md"))
+        re.sub(r"[\d.]+", "N", text) for text in (pictures.messages(), between("mistakes", "docs/wrong_poses.md"))
     )
     assert said == written
 

@@ -1,4 +1,4 @@
-"""From ScanNet's layout and masks of others to a row of a table, on two small scans."""
+"""From ScanNet's layout and masks of MaskClustering to a row of a table, on two small scans."""
 
 import json
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from scannet_files import shots_of, write_mesh, write_point_truth, write_sens
-from torchjoint_lab.cli.scannet200 import masks_of, scannet200
+from torchjoint_lab.cli.scannet200 import scannet200
 
 import torchjoint as tj
 
@@ -53,6 +53,14 @@ def test_a_row_and_on_where_it_was(data, capsys):
     assert {file: file.stat().st_mtime_ns for file in out.glob("*/points.npz")} == times
 
 
+def test_results_with_other_masks_are_not_mixed(data):
+    with pytest.raises(ValueError, match=r"no scan was scored; the first error: .*missing; expected masks"):
+        scannet200(data / "data", data / "out", data / "publised")
+    scannet200(data / "data", data / "out", data / "published")  # nothing is of the run before
+    with pytest.raises(ValueError, match=r"out is of a run with --masks .*published .*; got --masks None"):
+        scannet200(data / "data", data / "out")
+
+
 def test_a_scan_that_fails_stops_no_other(data):
     broken = data / "data" / "scans" / "scene0000_00" / "scene0000_00.aggregation.json"
     record = json.loads(broken.read_text())
@@ -63,11 +71,3 @@ def test_a_scan_that_fails_stops_no_other(data):
     assert "this run, 1 scans, scannetv2" in text
     assert "scene0000_00 failed:" in text
     assert "CDIS" not in text
-
-
-def test_where_masks_are(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"a: missing; expected masks of the scan"):
-        masks_of(tmp_path, "a")
-    for place in ("a", "a/mask", "a/output/mask"):
-        (tmp_path / place).mkdir(parents=True)
-        assert masks_of(tmp_path, "a") == tmp_path / place

@@ -49,6 +49,11 @@ def test_nothing_is_fused_before_it_plays(recording, tmp_path, run, monkeypatch)
     assert len(tj.load_result(tmp_path / "out").scene.points) > 1000
 
 
+def test_a_cloud_alone_is_no_recording(tmp_path, run):
+    with pytest.raises(SystemExit, match=r"cloud\.ply: expected frames with depth, got a cloud without frames"):
+        run("live", samples.write("cloud_alone", tmp_path / "sample"), "-o", tmp_path / "out")
+
+
 @pytest.mark.parametrize(
     ("option", "value", "message"),
     [

@@ -155,6 +155,8 @@ def test_what_is_refused(result):
     ):
         with pytest.raises(ValueError, match=message):
             result.embed(encoder)
+    with pytest.raises(TypeError, match="encoder: expected a module or a function, got int"):
+        result.embed(3)
     with pytest.raises(ValueError, match="k, size and margin"):
         result.embed(ColorEncoder(), k=0)
     with pytest.raises(ValueError, match="expected frames, to see the segments, got 0"):

@@ -66,6 +66,8 @@ def test_splats_get_labels_and_keep_every_byte(splats, run, tmp_path):
         assert part.tobytes() == rows[written["label"] == index].tobytes()
     with pytest.raises(SystemExit, match="exists already"):
         run("label", tmp_path / "result", path, "-o", tmp_path / "things")
+    with pytest.raises(SystemExit, match=r"-o: expected a folder, for \.ply files, got the name of a file, a\.obj"):
+        run("label", tmp_path / "result", path, "-o", tmp_path / "a.obj")
     run("label", tmp_path / "result", path, "-o", tmp_path / "things", "--overwrite")
     (tmp_path / "things" / "thesis.tex").write_text("precious")
     with pytest.raises(SystemExit, match=r"holds more than \.ply files"):

@@ -164,6 +164,28 @@ def test_damaged_relations_are_an_error(saved, change):
         Relations.load(saved)
 
 
+@pytest.mark.parametrize("change", [lambda of: of.pop(), lambda of: of.reverse(), lambda of: of[0].update(points=1)])
+def test_segments_of_another_result_are_an_error(saved, change):
+    tj.load_result(saved).graph().save(saved)
+    record = json.loads((saved / "segments.json").read_text())
+    change(record["segments"])
+    (saved / "segments.json").write_text(json.dumps(record))
+    for read in (Relations.load, tj.load_result(saved).graph().save):
+        with pytest.raises(ValueError, match=r"segments\.json: not .*: expected the 3 segments of points\.npz"):
+            read(saved)
+
+
+def test_a_link_is_not_read(saved):
+    tj.load_result(saved).graph().save(saved)
+    (saved / "segments.json").rename(saved / "elsewhere.json")
+    (saved / "segments.json").symlink_to(saved / "elsewhere.json")
+    with pytest.raises(ValueError, match=r"segments\.json: expected a file, got a link"):
+        Relations.load(saved)
+    (saved / "segments.json").unlink()
+    with pytest.raises(FileNotFoundError, match=r"segments\.json: missing; expected a result"):
+        Relations.load(saved)
+
+
 def test_export_adds_the_relations(saved, capsys):
     export(saved, "graph")
     assert capsys.readouterr().out == f"{saved / 'segments.json'}\n"

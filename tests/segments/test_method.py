@@ -130,7 +130,7 @@ class TestLine:
     def test_of_another_cloud(self, caplog, room):
         found = self.line(caplog, AUTO, room.points)
         assert found.startswith("points: 6000, spacing ")
-        assert found.endswith(" neighbours, no colours (those of the images are used); step 6 by method learned")
+        assert found.endswith(" neighbours, no colours (those of images are used, if any); step 6 by method learned")
         assert " mm, noise " in found
 
     def test_of_given_normals(self, caplog, room):

@@ -13,6 +13,7 @@ from typing import Annotated
 import tyro
 
 from torchjoint.config import Config, presets
+from torchjoint.datasets.formats.cloud_alone import SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,10 @@ def folder_of(out: Path, *kinds: str) -> Iterator[Path]:
 
     Raises:
         FileExistsError: the earlier one holds more than files with the suffixes `kinds`, and folders of them.
+        ValueError: `out` has the name of a file.
     """
+    if out.suffix.lower() in (*kinds, *SUFFIXES) and not out.is_dir():
+        raise ValueError(f"-o: expected a folder, for {', '.join(kinds)} files, got the name of a file, {out.name}")
     if out.exists() and not (out.is_dir() and all(_is_kind(file, kinds) for file in out.iterdir())):
         raise FileExistsError(f"{out}: holds more than {', '.join(kinds)} files and will not be overwritten")
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as temporary:

@@ -75,6 +75,8 @@ def live(
     with printed_log(), logged as log, output_folder(out, key, overwrite=overwrite) as partial:
         assert partial is not None  # only runs with a key can be finished
         recording = load_scene(scene, topics=dict(read_topics(topics)), time_limit=time_limit, fuse=False)
+        if not len(recording.frames):
+            raise ValueError(f"scene: {scene}: expected frames with depth, got a cloud without frames")
         results = _Results(segmenter, recording.frames, view, log)
         played = _play(results, rate, every or int(show))
         result = results.compute(len(recording.frames), is_last=True)

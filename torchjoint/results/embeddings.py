@@ -159,6 +159,8 @@ def embed(
     """Embeds each segment; see :meth:`torchjoint.results.result.Result.embed`."""
     if k < 1 or size < 1 or not margin >= 0:
         raise ValueError(f"k, size and margin: expected >= 1, >= 1 and >= 0, got {k}, {size} and {margin}")
+    if not callable(encoder):
+        raise TypeError(f"encoder: expected a module or a function, got {type(encoder).__name__}")
     if not len(result.images) or len(result.images) != len(scene.frames):
         raise ValueError(f"result: expected frames, to see the segments, got {len(scene.frames)}")
     records = segment_records(scene, result)

@@ -17,7 +17,7 @@ from torchjoint.results.oriented_box import OrientedBox, oriented_box
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import no_link, write_text
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, present
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene, Segmentation
 
@@ -124,13 +124,31 @@ def add_to_segments(folder: Path, values: dict[str, Any], rows: Mapping[int, int
     """Writes into segments.json more values, and for each segment its row in a file of vectors.
 
     Raises:
-        FileNotFoundError, ValueError: segments.json is missing or damaged.
+        FileNotFoundError, ValueError: as :func:`read_segments`.
     """
-    with damage_is(f"{folder / FILE}: not the segments of a result"):
-        head = json.loads((folder / FILE).read_text(encoding="utf-8"))
-        row = (lambda one: {}) if rows is None else (lambda one: {"embedding": rows.get(one["id"])})
-        segments = [one | row(one) for one in head.pop("segments")]
+    head, _ = read_segments(folder)
+    row = (lambda one: {}) if rows is None else (lambda one: {"embedding": rows.get(one["id"])})
+    segments = [one | row(one) for one in head.pop("segments")]
     _write(folder, head | values, segments)
+
+
+def read_segments(folder: Path) -> tuple[dict[str, Any], Tensor]:
+    """The content of segments.json, and the labels that it describes, as :func:`stored_labels`.
+
+    Raises:
+        FileNotFoundError, ValueError: segments.json or points.npz is missing or damaged, segments.json is a link, or it
+            has other segments than points.npz.
+    """
+    file, labels = folder / FILE, stored_labels(folder)
+    if file.is_symlink():
+        raise ValueError(f"{file}: expected a file, got a link")
+    with damage_is(f"{file}: not the segments of a result"):
+        content: dict[str, Any] = json.loads(present(file, "a result").read_text(encoding="utf-8"))
+        got = [(one["id"], one["points"]) for one in content["segments"]]
+        ids, points = labels[labels >= 0].unique(return_counts=True)
+        if got != list(zip(ids.tolist(), points.tolist(), strict=True)):
+            raise ValueError(f"expected the {len(ids)} segments of points.npz, got {len(got)}, or others")
+    return content, labels
 
 
 def stored_labels(folder: Path) -> Tensor:

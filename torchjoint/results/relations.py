@@ -6,7 +6,6 @@ the surfaces there say what the contact means. Everything is geometry: no class 
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -19,7 +18,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.results.objects import FILE, add_to_segments, stored_labels
+from torchjoint.results.objects import FILE, add_to_segments, read_segments, stored_labels
 from torchjoint.results.oriented_box import level_axes, oriented_box
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.foreign_files import damage_is
@@ -108,11 +107,14 @@ class Relations:
 
         Raises:
             FileNotFoundError: the folder is no result.
-            ValueError: nothing was saved, or it is damaged; the message names the file.
+            ValueError: nothing was saved, it is damaged or a link, or segments.json and points.npz have not the same
+                segments; the message names the file.
         """
-        labels, file = stored_labels(Path(folder)), Path(folder) / FILE
-        with damage_is(f"{file}: expected relations, as `torchjoint export {folder} --format graph` adds them"):
-            found = tuple(Relation(**one) for one in json.loads(file.read_text(encoding="utf-8"))["relations"])
+        content, labels = read_segments(Path(folder))
+        with damage_is(
+            f"{Path(folder) / FILE}: expected relations, as `torchjoint export {folder} --format graph` adds them"
+        ):
+            found = tuple(Relation(**one) for one in content["relations"])
             for one in found:
                 _check(one, int(labels.max()))
         return cls(found, labels)

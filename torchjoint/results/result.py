@@ -104,6 +104,7 @@ class Result(Segmentation):
 
         Raises:
             ValueError: a wrong argument, a result without frames, or an encoder that gives something else.
+            TypeError: the encoder is neither a module nor a function.
         """
         return embed(self.scene, self, encoder, k, size, margin)
 

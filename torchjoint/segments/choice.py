@@ -45,5 +45,5 @@ def describe(given: Cloud, graph: PointGraph, method: Method) -> str:
         what += f", much denser than their noise: thinned to {graph.num_points}"
     what += method.measured(graph)
     if method.name == "learned" and graph.colors is None:
-        what += f", {'no colours' if given.colors is None else 'all of one colour'} (those of the images are used)"
+        what += f", {'no colours' if given.colors is None else 'all of one colour'} (those of images are used, if any)"
     return f"{what}; step 6 by method {method.name}"

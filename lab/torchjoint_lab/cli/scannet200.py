@@ -1,13 +1,12 @@
 """torchjoint-lab scannet200: from ScanNet as it is downloaded, and masks as others publish them, to a row of a table.
 
-Masks of a scan are label images NAME.png (0: none), or what else :func:`torchjoint.masks.read_folder` reads, one for
-each frame, in DIR/SCAN, DIR/SCAN/mask or DIR/SCAN/output/mask. The last is how MaskClustering and CDIS keep those of
-CropFormer.
+The layouts of masks stand in :mod:`torchjoint_lab.datasets.published_masks`.
 """
 
 from __future__ import annotations
 
 import warnings
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -19,12 +18,13 @@ from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.engine import open_engine
 from torchjoint.evaluation.predictions import read_prediction
 from torchjoint.evaluation.protocols import Name, counted, find_table
+from torchjoint.masks.folder import frame_names
 from torchjoint.metrics import ScannetAveragePrecisionMetric
 from torchjoint.recordings import RecordingOptions, segment_recording
 from torchjoint.runtime.files import write_text
+from torchjoint_lab.datasets.published_masks import masks_of
 
-MASKS = ("output/mask", "mask", "")
-TABLE = "table.md"
+TABLE, ARGUMENTS = "table.md", "arguments.txt"
 
 
 class Published(NamedTuple):
@@ -62,21 +62,21 @@ def scannet200(
     Args:
         scans: the folder of the data set, or its folder of scans, as downloaded.
         out: folder for a result of each scan, and table.md.
-        masks: folder of masks, with a folder for each scan; None: no masks.
+        masks: folder of masks, with a folder or a file for each scan, as MaskClustering, SAI3D, SAM3D or Open3DIS
+            keeps them; None: no masks.
         protocol: the benchmark's classes.
         label_table: scannetv2-labels.combined.tsv; default: the one in SCANS, or in the two folders above.
         max_frames: number of frames of a scan, evenly spread; default: all.
         engine: workers for the frames: loky, dask or ray, as `torchjoint segment --engine`.
     """
     table, found = label_table or find_table(scans, protocol), list_scenes(scans)
-    out.mkdir(parents=True, exist_ok=True)
+    _check_arguments(out, f"--masks {masks and masks.resolve()} --max-frames {max_frames}")
     metric, scored, failed = ScannetAveragePrecisionMetric(), 0, {}
     options = RecordingOptions(max_frames=max_frames)
     for name, path in tqdm(found.items(), desc="scans", unit="scan"):
         try:
             if not (out / name).is_dir():
-                of_scan = None if masks is None else masks_of(masks, name)
-                _segment(path, out / name, options, of_scan, engine)
+                _segment(path, out / name, options, masks, engine)
             scene = load_scene(path)
             if scene.truth is None or scene.truth.points is None:
                 raise ValueError(f"{name}: expected annotated vertices, got none")
@@ -96,27 +96,23 @@ def scannet200(
     print(text)
 
 
-def masks_of(folder: Path, scan: str) -> Path:
-    """The folder with the masks of a scan.
-
-    Raises:
-        FileNotFoundError: there is none.
-    """
-    for place in MASKS:
-        if (folder / scan / place).is_dir():
-            return folder / scan / place
-    raise FileNotFoundError(f"{folder / scan}: missing; expected masks of the scan in it, or in mask/ or output/mask/")
+def _check_arguments(out: Path, arguments: str) -> None:
+    """Raises ValueError if results in `out` are of a run with other arguments: a row would mix them."""
+    out.mkdir(parents=True, exist_ok=True)
+    file, has_results = out / ARGUMENTS, any(one.is_dir() for one in out.iterdir())
+    if has_results and file.is_file() and (before := file.read_text(encoding="utf-8")) != arguments:
+        raise ValueError(f"-o: {out} is of a run with {before}; got {arguments}; choose another output")
+    write_text(file, arguments)
 
 
 def _segment(path: Path, out: Path, options: RecordingOptions, masks: Path | None, engine: str | None) -> None:
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), ExitStack() as stack:
         warnings.simplefilter("ignore", UserWarning)  # most frames have no masks: networks take every tenth
         without: Literal["segment", "leave-out"] = "segment" if masks is None else "leave-out"
-        if engine is None:
-            segment_recording(path, out, Config(), options, masks=masks, without_masks=without)
-        else:
-            with open_engine(engine, 1) as workers:
-                segment_recording(path, out, Config(), options, masks=masks, without_masks=without, engine=workers)
+        if masks is not None:
+            masks = stack.enter_context(masks_of(masks, out.name, frame_names(load_scene(path).frames)))
+        workers = None if engine is None else stack.enter_context(open_engine(engine, 1))
+        segment_recording(path, out, Config(), options, masks=masks, without_masks=without, engine=workers)
 
 
 def _table(ap: tuple[float, float, float], scans: int, masks: Path | None, protocol: Name) -> str:

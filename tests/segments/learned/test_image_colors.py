@@ -163,8 +163,8 @@ def test_the_log_says_which_colors_count(caplog):
             tj.JointSegmenter().reset(scene.points, colors)
         lines.append(caplog.messages[0])
     assert "colour" not in lines[0]
-    assert "no colours (those of the images are used)" in lines[1]
-    assert "all of one colour (those of the images are used)" in lines[2]
+    assert "no colours (those of images are used, if any)" in lines[1]
+    assert "all of one colour (those of images are used, if any)" in lines[2]
 
 
 def test_a_weight_of_colors_takes_colors_that_are_all_the_same():

@@ -93,4 +93,4 @@ class Learned(Method):
             return ""
         spacing, noise = (1000 * float(of_points.median()) for of_points in (graph.scales.spacing, graph.scales.noise))
         normals = "given" if graph.has_given_normals else f"from {graph.scales.normal_neighbors} neighbours"
-        return f", spacing {spacing:.2g} mm, noise {noise:.2g} mm, normals {normals}"
+        return f", spacing {spacing:.3g} mm, noise {noise:.2g} mm, normals {normals}"

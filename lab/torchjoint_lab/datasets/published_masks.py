@@ -1,0 +1,84 @@
+"""Masks of ScanNet's frames, in the layouts in which other methods keep them.
+
+| method | masks of a scan in DIR |
+|---|---|
+| MaskClustering (CropFormer) | SCAN/output/mask/N.png or SCAN/mask/N.png, 0: none |
+| SAI3D (Semantic-SAM) | SCAN/semantic-sam/maskraw_N.png, 0: none; maskcolor_N.png is a picture |
+| SAM3D (SAM) | SCAN/N.png, 16 bits, 65535: none, and 0 is a mask |
+| Open3DIS (Grounding DINO and SAM) | SCAN.pth: frame -> run lengths `masks`, `conf`, `img_feat` |
+
+Sources: mask_predict.py, sam_auto_generation.py, sam3d.py, tools/grounding_2d.py of their repositories.
+"""
+
+from __future__ import annotations
+
+import pickle
+import zipfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import torch
+
+from torchjoint.datasets.files.readers import read_label_image
+from torchjoint.masks import from_labels, from_sam, read_masks, save_masks
+from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.scene.masks import Masks
+
+PLACES = ("output/mask", "mask", "")
+NO_MASK = 65535  # -1 in 16 bits
+
+
+@contextmanager
+def masks_of(folder: Path, scan: str, frames: Sequence[str]) -> Iterator[Path]:
+    """A folder with the masks of a scan, for :func:`torchjoint.masks.read_folder`; a temporary one if it must be made.
+
+    Args:
+        folder: DIR of the layouts above, or of what `read_folder` reads.
+        scan: its name.
+        frames: names of its frames. Numbers may have zeros in front: 00020 belongs to frame 20.
+
+    Raises:
+        FileNotFoundError: there are no masks of the scan.
+        ValueError: masks are damaged; the message names the file.
+    """
+    place = next((folder / scan / one for one in PLACES if (folder / scan / one).is_dir()), None)
+    raw = sorted((folder / scan).glob("*/maskraw_*.png"))
+    masks: Iterable[tuple[str, Masks]]
+    if (folder / f"{scan}.pth").is_file():
+        masks = _open3dis(folder / f"{scan}.pth")
+    elif raw:
+        if len(parents := {one.parent.name for one in raw}) > 1:
+            raise ValueError(f"{folder / scan}: expected one folder of maskraw_N.png, got {', '.join(sorted(parents))}")
+        masks = ((one.stem.removeprefix("maskraw_"), read_masks(one)) for one in raw)
+    elif place is None:
+        raise FileNotFoundError(
+            f"{folder / scan}: missing; expected masks of the scan in it, or in mask/ or output/mask/, or {scan}.pth"
+        )
+    elif not any((read_label_image(one) == NO_MASK).any() for one in place.glob("*.png")):
+        yield place
+        return
+    else:
+        masks = ((one.stem, _sam3d(one)) for one in sorted(place.glob("*.png")))
+    numbered = {int(name): name for name in frames if name.isdecimal()}
+    with TemporaryDirectory() as made:
+        for name, of_frame in masks:
+            save_masks(Path(made) / f"{numbered.get(int(name), name) if name.isdecimal() else name}.npz", of_frame)
+        yield Path(made)
+
+
+def _sam3d(path: Path) -> Masks:
+    labels = read_label_image(path)
+    return from_labels(labels.masked_fill(labels == NO_MASK, -1))
+
+
+def _open3dis(path: Path) -> Iterator[tuple[str, Masks]]:
+    with damage_is(f"{path}: not masks of Open3DIS", OSError, MemoryError, pickle.UnpicklingError):
+        with zipfile.ZipFile(path) as archive:
+            if any(entry.compress_type for entry in archive.infolist()):  # so it is no larger than its file
+                raise ValueError("expected entries as torch.save writes them, got compressed ones")
+        for name, frame in torch.load(path, map_location="cpu", weights_only=True).items():
+            most = len(frame["masks"]) + 1
+            scored = zip(frame["masks"], frame["conf"][:most].tolist(), strict=True)
+            yield Path(name).name, from_sam([{"segmentation": one, "predicted_iou": score} for one, score in scored])
