@@ -71,7 +71,7 @@ def test_a_data_set(scans, scene_of, run, tmp_path, capsys, protocol):
         else:
             write_listing(predictions, scan, masks, scores)
         metric.update(masks, truth, scores)
-    run("evaluate", predictions, scans, *([] if protocol is None else ["--protocol", protocol]))
+    run("evaluate", predictions, scans, *([] if protocol is None else ["--protocol", protocol, "--class-agnostic"]))
     ap, ap50, ap25 = metric.compute()
     assert 0 < ap < 1
     assert f"AP {ap:.3f}, AP50 {ap50:.3f}, AP25 {ap25:.3f}" in capsys.readouterr().out
@@ -152,6 +152,8 @@ def test_a_protocol_needs_its_table_and_its_truth(scans, run, tmp_path, scene_of
     with pytest.raises(SystemExit, match=r"labels\.combined\.tsv: missing, also in the two folders above"):
         run("evaluate", tmp_path / "a.npy", scan, "--protocol", "scannet200")
     run("evaluate", tmp_path / "a.npy", scan, "--protocol", "scannet200", "--label-table", tmp_path / "labels.tsv")
+    with pytest.raises(SystemExit, match="expected --class-agnostic; classes of predictions are not read"):
+        run("evaluate", tmp_path / "a.npy", scan, "--no-class-agnostic")
     with pytest.raises(SystemExit, match="--label-table: expected a --protocol"):
         run("evaluate", tmp_path / "a.npy", scan, "--label-table", tmp_path / "labels.tsv")
     table.write_text("id\traw_category\n1\twall\n")

@@ -117,6 +117,7 @@ def test_a_result_keeps_its_vectors(saved):
     assert [one["embedding"] for one in record["segments"]] == [0, 1, 2, 3]
     assert record["segments"][2]["points"] == 2  # the rest stays
     plain, joined = tj.load_result(saved, edits=False).embeddings, tj.load_result(saved).embeddings
+    assert tj.load_result(saved).find(torch.eye(3)[1] - 0.5, k=2) == joined.find(torch.eye(3)[1] - 0.5, k=2)
     assert plain.find(torch.eye(3)[1] - 0.5)[0][0] == 1
     both = nn.functional.normalize(plain.vectors[0] + plain.vectors[1], dim=0)
     assert torch.allclose(joined.vectors[0], both)
@@ -155,6 +156,8 @@ def test_what_is_refused(result):
     ):
         with pytest.raises(ValueError, match=message):
             result.embed(encoder)
+    with pytest.raises(ValueError, match="embeddings: none were saved with this result"):
+        result.find(torch.ones(3))
     with pytest.raises(TypeError, match="encoder: expected a module or a function, got int"):
         result.embed(3)
     with pytest.raises(ValueError, match="k, size and margin"):

@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from torchjoint.images._eval_mode import eval_mode
 from torchjoint.results.crops import Camera, Crop, crops_of
-from torchjoint.results.objects import add_to_segments, segment_records, stored_labels
+from torchjoint.results.objects import add_to_segments, read_segments, segment_records
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write, no_link
 from torchjoint.runtime.threads import parallel_map
@@ -105,7 +105,7 @@ class Embeddings:
 
     def _rows(self, path: Path) -> dict[int, int]:
         """For each segment of a result's folder the row of its vector."""
-        stored = stored_labels(path)
+        _, stored = read_segments(path)
         if len(stored) != len(self.labels):
             raise ValueError(f"{path}: expected a result of {len(self.labels)} points, got {len(stored)}")
         segment, row, points = _shared(stored, self.labels)

@@ -108,6 +108,19 @@ class Result(Segmentation):
         """
         return embed(self.scene, self, encoder, k, size, margin)
 
+    def find(self, query: Tensor, k: int = 5) -> list[tuple[int, float]]:
+        """The `k` segments that are most like `query` [D], a text's or an image's vector, among the saved vectors.
+
+        Returns:
+            (segment, cosine of the angle), most alike first.
+
+        Raises:
+            ValueError: no vectors were saved with the result; or as :meth:`Embeddings.find`.
+        """
+        if self.embeddings is None:
+            raise ValueError("embeddings: none were saved with this result; result.embed(encoder).save(folder) does it")
+        return self.embeddings.find(query, k)
+
     def graph(self, up: Tensor | None = None) -> Relations:
         """Which segments of the cloud stand on, hang on, contain and touch which, from geometry alone.
 
