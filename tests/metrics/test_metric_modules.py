@@ -105,7 +105,9 @@ def test_in_a_collection():
     collection = MetricCollection([made(name) for name in names])
     for one in SAMPLES:
         collection.update(*one)
-    for name, value in collection.compute().items():
+    found = collection.compute()
+    assert set(found) == set(names)
+    for name, value in found.items():
         assert numbers(value) == numbers(fed(name, SAMPLES).compute())
 
 

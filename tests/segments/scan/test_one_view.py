@@ -113,7 +113,9 @@ def test_rooms_are_none(scene_of):
 @pytest.mark.slow
 def test_depth_images_and_fused_clouds_are_none(shared):
     assert not look_for_scan(load_scene(shared / "data/ycb").points).is_scan
-    for path in sorted((shared / "data/mosd").glob("*.pcd"))[::5]:
+    paths = sorted((shared / "data/mosd").glob("*.pcd"))[::5]
+    assert paths
+    for path in paths:
         points = load_scene(path).points
         for cloud in (points, points[:, [2, 0, 1]] * torch.tensor([1.0, -1, -1])):
             assert not look_for_scan(cloud.contiguous()).is_scan
