@@ -8,7 +8,6 @@ import pytest
 import yaml
 
 import torchjoint as tj
-from torchjoint.results.figures import overview
 
 TESTS = Path(__file__).parent
 CONFIG = tj.Config().set(["boundary.detector=deadly_boundary:DeadlyBoundary"])
@@ -40,6 +39,5 @@ def undisturbed(scans, out):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TORCHJOINT_TEST_DEATHS", str(out))
         patch.syspath_prepend(TESTS)
-        patch.setattr("torchjoint.results.folder.overview", overview)  # as the workers have it
         tj.recordings.segment_recording(scans / "a", out / "a", CONFIG, OPTIONS, allow_import=True)
     return dict.fromkeys("abc", contents(out / "a"))

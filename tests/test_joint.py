@@ -232,7 +232,7 @@ class TestOtherSegmentations:
                 rows, columns = torch.arange(height) * 2 // height, torch.arange(width) * 2 // width
                 return (rows[:, None] * 2 + columns).expand(images.shape[0], -1, -1)
 
-        segmenter = tj.JointSegmenter(CONFIG, image_segmenter=Quarters())
+        segmenter = tj.JointSegmenter(REGIONS, image_segmenter=Quarters())
         result = segmenter(synthetic.scene)
         assert result.initial_images[0].unique().tolist() == [0, 1, 2, 3]
 
@@ -256,7 +256,7 @@ class TestOtherSegmentations:
 
         torch.manual_seed(0)
         net = Net(nn.Conv2d(3, 1, 3, padding=1), nn.BatchNorm2d(1))
-        results = [tj.JointSegmenter(CONFIG, image_segmenter=net)(synthetic.scene, batch_size=size) for size in (1, 4)]
+        results = [tj.JointSegmenter(REGIONS, image_segmenter=net)(synthetic.scene, batch_size=size) for size in (1, 4)]
         assert_same(*results)
 
     def test_modules_with_wrong_output(self, synthetic):
@@ -413,10 +413,12 @@ class TestEdges:
 
 
 class TestPoseCheck:
+    """With the quicker method: the check comes before any, and runs of the default would not be silent elsewhere."""
+
     def warnings_of(self, scene):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            segmenter = tj.JointSegmenter(CONFIG)
+            segmenter = tj.JointSegmenter(REGIONS)
             try:
                 segmenter(scene)
             except ValueError as error:
@@ -514,7 +516,7 @@ class TestPoseCheck:
         assert self.warnings_of(dataclasses.replace(synthetic.scene, colors=colors, frames=frames)) == []
 
     def streamed(self, scene, frames, compute):
-        segmenter = tj.JointSegmenter(CONFIG)
+        segmenter = tj.JointSegmenter(REGIONS)
         segmenter.reset(scene.points, scene.colors)
         for frame in frames:
             segmenter.update(frame)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -244,29 +246,44 @@ def test_superpoints_live_keep_their_ids_too(frames):
         tj.LiveSegmenter(granularity=2)
 
 
+#: For each line that comes, a process that saves again and again, and says so: a fork, because importing takes seconds.
+SAVING = """
+import os, sys
+import torch, torchjoint as tj
+torch.set_num_threads(1)  # threads do not survive a fork
+frames = tj.synthetic.make_scene(0, num_views=4, num_points=500, height=48, width=64).scene.frames
+tj.LiveSegmenter(voxel_size=0.05).update(frames[0])  # what is made with the first frame is made once
+for _ in sys.stdin:
+    process = os.fork()
+    if process:
+        os.waitpid(process, 0)
+        print("dead", flush=True)
+        continue
+    segmenter = tj.LiveSegmenter(voxel_size=0.05)
+    while True:
+        for frame in frames:
+            segmenter.update(frame)
+            segmenter.save(sys.argv[1])
+            print(os.getpid(), flush=True)
+"""
+
+
 @pytest.mark.slow
 def test_a_state_survives_a_kill(frames, tmp_path):
     """However a process dies while it saves, the file is that of one of its saves."""
-    state = tmp_path / "state"
-    program = (
-        "import sys, torchjoint as tj\n"
-        "frames = tj.synthetic.make_scene(0, num_views=4, num_points=500, height=48, width=64).scene.frames\n"
-        "segmenter = tj.LiveSegmenter(voxel_size=0.05)\n"
-        "while True:\n"
-        "    for frame in frames:\n"
-        "        segmenter.update(frame)\n"
-        "        segmenter.save(sys.argv[1])\n"
-        "        print(flush=True)\n"
-    )
-    sizes = set()
-    for delay in (0, 0.003, 0.01, 0.03):
-        with subprocess.Popen([sys.executable, "-c", program, str(state)], stdout=subprocess.PIPE) as process:
-            for _ in range(1 + int(1000 * delay) % 4):
-                process.stdout.readline()
+    state, sizes = tmp_path / "state", set()
+    command = [sys.executable, "-c", SAVING, str(state)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
+        for delay in (0, 0.003, 0.01, 0.03):
+            print(file=program.stdin, flush=True)
+            saves = [int(program.stdout.readline()) for _ in range(1 + int(1000 * delay) % 4)]
             time.sleep(delay)
-            process.kill()
-        segmenter = tj.LiveSegmenter(voxel_size=VOXEL)
-        segmenter.restore(state)
-        sizes.add(len(segmenter.names))
-        assert len(segmenter.result(images=False).labels)
+            os.kill(saves[0], signal.SIGKILL)
+            while program.stdout.readline() != "dead\n":
+                pass
+            segmenter = tj.LiveSegmenter(voxel_size=VOXEL)
+            segmenter.restore(state)
+            sizes.add(len(segmenter.names))
+            assert len(segmenter.result(images=False).labels)
+        program.stdin.close()
     assert len(sizes) > 1

@@ -1,8 +1,10 @@
 """Every command of the README and of docs/ runs, in the order of its page, on small data with the names of the page."""
 
+import importlib
 import re
 import shlex
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 
 import laspy
@@ -17,6 +19,7 @@ from PIL import Image
 from scannet_files import shots_of, write_mesh, write_point_truth, write_sens
 
 import torchjoint as tj
+from torchjoint.engine import open_engine
 from torchjoint.results.embeddings import Embeddings
 
 ROOT = Path(__file__).parents[1]
@@ -54,7 +57,7 @@ def commands(page):
 @pytest.fixture(scope="module")
 def world(tmp_path_factory, scene_of):
     """A folder with all that the pages name."""
-    folder, scene = tmp_path_factory.mktemp("world"), scene_of(0)
+    folder, scene = tmp_path_factory.mktemp("world"), scene_of(0, num_views=3)
     write_truth(write_folder(folder / "recording", scene), scene)
     (folder / "masks").mkdir()
     for index, labels in enumerate(scene.image_labels):
@@ -93,11 +96,26 @@ def finished(world, tmp_path_factory):
     return out
 
 
+@pytest.fixture(scope="module")
+def one_engine():
+    """In the place of `open_engine`: one worker for all pages, whose names of engines are still read."""
+    with open_engine("loky:1") as worker:
+
+        def opened(name, threads=1):
+            with open_engine(name, threads):  # starts no worker before its first task
+                return nullcontext(worker)
+
+        yield opened
+
+
 @pytest.fixture
-def place(world, monkeypatch):
-    """The world is the current folder, and pages in the browser end when they are served."""
+def place(world, one_engine, scene_of, monkeypatch):
+    """The world is the current folder, the demo is small, and pages in the browser end when they are served."""
     monkeypatch.chdir(world)
     monkeypatch.syspath_prepend(world)
+    monkeypatch.setattr("torchjoint.synthetic.make_scene", lambda seed, **_: scene_of(seed))  # .ci/wheels runs it whole
+    for module in ("torchjoint.recordings.batch", "torchjoint.cli.segment", "torchjoint.tiles.run"):
+        monkeypatch.setattr(importlib.import_module(module), "open_engine", one_engine)  # tj.batch hides its module
     for module in ("show", "live"):
         monkeypatch.setattr(f"torchjoint.cli.{module}.serve_until_interrupted", lambda viewer: viewer.stop())
     monkeypatch.setattr("webbrowser.open", lambda url: None)

@@ -120,6 +120,7 @@ def test_far_from_the_origin_places_are_relative(tmp_path, frames):
     assert np.allclose(place, camera_center(frames[2].world_to_camera), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_after_the_last_class_comes_the_first(tmp_path, frames, results):
     many = [results[-1]._replace(ids=results[-1].ids + 65_535 - results[-1].ids.max())]
     found = written(tmp_path / "a.rrd", frames[:1], many, [1])

@@ -161,8 +161,9 @@ class TestMethods:
         result = METHODS[name].run(case, setting, True)
         assert result.points.shape == (6000,)
         assert [tuple(image.shape) for image in result.images] == [frame.size for frame in case.frames]
-        assert len(METHODS[name].run(case, setting, False).images) == 0
-        assert torch.equal(METHODS[name].run(case, setting, False).points, result.points)
+        points_alone = METHODS[name].run(case, setting, False)
+        assert len(points_alone.images) == 0
+        assert torch.equal(points_alone.points, result.points)
         assert set(run_scores(METHODS[name], setting, case, True)) == {"3D", "2D"}
 
     #: Two in a row, and three among the slow tests.

@@ -1,6 +1,8 @@
 """COLMAP's reconstructions, as text and binary."""
 
+import functools
 import math
+import shutil
 import struct
 
 import numpy as np
@@ -97,9 +99,15 @@ def kind(request):
     return request.param
 
 
+@pytest.fixture(scope="module")
+def written(synthetic, tmp_path_factory):
+    """The folder of each kind, written once."""
+    return functools.cache(lambda kind: write(tmp_path_factory.mktemp("written") / kind, synthetic, kind))
+
+
 @pytest.fixture
-def folder(tmp_path, synthetic, kind):
-    return write(tmp_path / "scene", synthetic, kind)
+def folder(tmp_path, written, kind):
+    return shutil.copytree(written(kind), tmp_path / "scene")
 
 
 @pytest.fixture

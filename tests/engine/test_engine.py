@@ -5,6 +5,7 @@ import signal
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 import joblib
 import psutil
@@ -60,13 +61,41 @@ def is_zombie(process):
         return True
 
 
+def listening(process):
+    """The addresses at which a process and its descendants can be reached."""
+    found = set()
+    for one in [psutil.Process(process), *psutil.Process(process).children(recursive=True)]:
+        with suppress(psutil.NoSuchProcess):  # it has ended meanwhile
+            found |= {place.laddr.ip for place in one.net_connections("inet") if place.status == psutil.CONN_LISTEN}
+    return found
+
+
+class Ran(NamedTuple):
+    """What an engine did, and what it left."""
+
+    name: str
+    outcomes: dict
+    workers: set  # their processes
+    started: set  # all processes that it started
+    reached: set  # addresses
+    authentication: str | None  # of ray
+
+
+@pytest.fixture(scope="module", params=ENGINES)
+def ran(request, tmp_path_factory):
+    marks = tmp_path_factory.mktemp("marks")
+    with open_engine(request.param) as engine:
+        outcomes = {outcome.index: outcome for outcome in engine.run(task, range(9), str(marks))}
+        started, reached = processes_below(os.getpid()), listening(os.getpid())
+        authentication = os.environ.get("RAY_AUTH_MODE")
+    workers = {int(file.name.removeprefix("worker-")) for file in marks.glob("worker-*")}
+    return Ran(request.param, outcomes, workers, started, reached, authentication)
+
+
 @QUIET
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ENGINES)
-def test_every_task_has_one_outcome(name, tmp_path):
-    with open_engine(name) as engine:
-        outcomes = {outcome.index: outcome for outcome in engine.run(task, range(9), str(tmp_path))}
-        started = processes_below(os.getpid())
+def test_every_task_has_one_outcome(ran):
+    outcomes = ran.outcomes
     assert sorted(outcomes) == list(range(9))
     for number in (0, 1, 2, 4, 7, 8):
         assert outcomes[number].error is None
@@ -76,9 +105,24 @@ def test_every_task_has_one_outcome(name, tmp_path):
         assert str(outcomes[number].error) == f"task {number}"
     assert isinstance(outcomes[5].error, WorkerDied)
     assert "died 2 times" in str(outcomes[5].error)
-    workers = {int(file.name.removeprefix("worker-")) for file in tmp_path.glob("worker-*")}
-    assert os.getpid() not in workers
-    assert still_running(workers | started) == set()
+
+
+@QUIET
+@pytest.mark.slow
+def test_no_process_is_left(ran):
+    assert ran.workers
+    assert os.getpid() not in ran.workers
+    assert still_running(ran.workers | ran.started) == set()
+
+
+@QUIET
+@pytest.mark.slow
+def test_no_other_machine_reaches_the_workers(ran):
+    """On this machine, another user needs the token of ray."""
+    assert all(place.removeprefix("::ffff:").startswith("127.") or place == "::1" for place in ran.reached)
+    if ran.name == "ray:2":
+        assert ran.reached
+        assert ran.authentication == "token"
 
 
 class Counted:
@@ -170,28 +214,3 @@ def test_dask_without_a_scheduler(monkeypatch):
     message = "engine dask://127.0.0.1:1: no scheduler answers at tcp://127.0.0.1:1"
     with pytest.raises(ConnectionError, match=message), open_engine("dask://127.0.0.1:1"):
         pass
-
-
-def listening(process):
-    """The addresses at which a process and its descendants can be reached."""
-    found = set()
-    for one in [psutil.Process(process), *psutil.Process(process).children(recursive=True)]:
-        with suppress(psutil.NoSuchProcess):  # it has ended meanwhile
-            found |= {place.laddr.ip for place in one.net_connections("inet") if place.status == psutil.CONN_LISTEN}
-    return found
-
-
-@QUIET
-@pytest.mark.slow
-@pytest.mark.parametrize("engine", ["loky:1", "dask:1", "ray:1"])
-def test_no_other_machine_reaches_the_workers(engine, tmp_path):
-    """On this machine, another user needs the token of ray."""
-    pytest.importorskip({"dask:1": "distributed", "ray:1": "ray"}.get(engine, "joblib"))
-    with open_engine(engine) as workers:
-        (outcome,) = workers.run(task, [0], tmp_path)
-        assert outcome.value[0] == 0
-        reached = listening(os.getpid())
-        assert all(place.removeprefix("::ffff:").startswith("127.") or place == "::1" for place in reached), reached
-        if engine == "ray:1":
-            assert reached
-            assert os.environ["RAY_AUTH_MODE"] == "token"

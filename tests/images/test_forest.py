@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import gzip
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from torchjoint_lab.datasets.bsds import BsdsImage, bsds_images
-from torchjoint_lab.training import TrainingOptions, TreeOptions, train_boundaries
+from torchjoint_lab.training import TrainingOptions, TreeOptions, train, train_boundaries
 from torchjoint_lab.training.channels import image_channels, rgb_to_luv, triangle_filter
 from torchjoint_lab.training.detect import detect
 from torchjoint_lab.training.features import (
@@ -52,8 +53,17 @@ def data(tmp_path_factory) -> list[BsdsImage]:
 @pytest.fixture(scope="module")
 def trained(data, tmp_path_factory) -> Path:
     file = tmp_path_factory.mktemp("forest") / "small.yml.gz"
-    train_boundaries(data, file, SMALL)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(train, "ProcessPoolExecutor", Threads)
+        train_boundaries(data, file, SMALL)
     return file
+
+
+class Threads(ThreadPoolExecutor):
+    """In the place of processes, which take seconds to start."""
+
+    def __init__(self, workers, mp_context):
+        super().__init__(workers)
 
 
 def write_bsds(folder: Path, count: int = 4, split: str = "train") -> Path:
@@ -292,12 +302,11 @@ class TestTraining:
 
     @pytest.mark.slow
     def test_same_seed_same_file_and_a_stopped_training_goes_on(self, data, trained, tmp_path, monkeypatch):
-        import torchjoint_lab.training.train as module
-
         def stopped(*_args):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(module, "_forest", stopped)
+        monkeypatch.setattr(train, "_forest", stopped)
+        monkeypatch.setattr(train, "ProcessPoolExecutor", Threads)
         with pytest.raises(KeyboardInterrupt):
             train_boundaries(data, tmp_path / "again.yml.gz", SMALL, workers=1)
         trees = sorted((tmp_path / "again.yml.gz.trees").glob("*.npz"))
@@ -311,15 +320,16 @@ class TestTraining:
             seen.append(path.stat().st_mtime_ns)
             return original(path)
 
-        original = module._load_tree
-        monkeypatch.setattr(module, "_load_tree", load)
-        train_boundaries(data, tmp_path / "again.yml.gz", SMALL, workers=1)
+        original = train._load_tree
+        monkeypatch.setattr(train, "_load_tree", load)
+        train_boundaries(data, tmp_path / "again.yml.gz", SMALL, workers=1)  # in a process, as everywhere but here
         assert seen[0] == kept
         assert (tmp_path / "again.yml.gz").read_bytes() == trained.read_bytes()
         assert [file.name for file in tmp_path.iterdir()] == ["again.yml.gz"]
 
     @pytest.mark.slow
-    def test_another_seed_makes_another_forest(self, data, trained, tmp_path):
+    def test_another_seed_makes_another_forest(self, data, trained, tmp_path, monkeypatch):
+        monkeypatch.setattr(train, "ProcessPoolExecutor", Threads)
         (tmp_path / "other.yml.gz.trees").mkdir()
         (tmp_path / "other.yml.gz.trees" / "key").write_text("of an earlier training")
         (tmp_path / "other.yml.gz.trees" / "tree-00.npz").write_text("which is not this one")

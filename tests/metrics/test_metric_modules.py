@@ -105,7 +105,9 @@ def test_in_a_collection():
     collection = MetricCollection([made(name) for name in names])
     for one in SAMPLES:
         collection.update(*one)
-    for name, value in collection.compute().items():
+    found = collection.compute()
+    assert set(found) == set(names)
+    for name, value in found.items():
         assert numbers(value) == numbers(fed(name, SAMPLES).compute())
 
 
@@ -130,15 +132,16 @@ def test_a_collection_does_not_take_one_for_another():
         assert numbers(found[name]) == numbers(fed(name, [first, *SAMPLES]).compute()), name
 
 
-#: Of one of two processes; the first has the first SHARE samples, the second, which may have none, the rest.
-PROCESS = """
-import sys
+#: Two processes, the second a fork; the first has the first SHARE samples, the second, which may have none, the rest.
+PROCESSES = """
+import os, sys
 from torch import distributed
 from metric_samples import ALL, SAMPLES, fed, numbers
 
-rank, meeting = int(sys.argv[1]), sys.argv[2]
 expected = {name: numbers(fed(name, SAMPLES).compute()) for name in ALL}
-distributed.init_process_group("gloo", init_method=f"file://{meeting}", rank=rank, world_size=2)
+other = os.fork()
+rank = 0 if other else 1
+distributed.init_process_group("gloo", init_method=f"file://{sys.argv[1]}", rank=rank, world_size=2)
 for share in (3, 5):
     for name in ALL:
         metric = fed(name, SAMPLES[:share] if rank == 0 else SAMPLES[share:])
@@ -147,16 +150,16 @@ for share in (3, 5):
             assert max(abs(a - b) for a, b in zip(found, expected[name], strict=True)) < 1e-12, (name, share, found)
             metric._computed = None
 distributed.destroy_process_group()
+if other:
+    assert os.waitpid(other, 0)[1] == 0
 """
 
 
 @pytest.mark.slow  # `merge_state` in test_life_of_a_metric adds up the same states in one process
 def test_states_add_up_over_processes(tmp_path):
-    command = [sys.executable, "-c", PROCESS]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])}
-    processes = [subprocess.Popen([*command, str(rank), tmp_path / "meeting"], env=environment) for rank in range(2)]
-    try:
-        assert [process.wait(timeout=600) for process in processes] == [0, 0]
-    finally:
-        for process in processes:
-            process.kill()
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), *sys.path]),
+        "OMP_NUM_THREADS": "1",  # threads do not survive a fork
+    }
+    subprocess.run([sys.executable, "-c", PROCESSES, tmp_path / "meeting"], env=environment, check=True, timeout=600)

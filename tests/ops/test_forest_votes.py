@@ -59,6 +59,17 @@ def random_images(seed: int, height: int, width: int, count: int = 1) -> Tensor:
     return torch.from_numpy(images).permute(0, 3, 1, 2)
 
 
+@pytest.fixture(scope="module", params=[2, 4])
+def random_forest(request, tmp_path_factory):
+    """Random trees, a stride, and OpenCV's detector with them, which reads few nodes faster than many."""
+    folder, trees = tmp_path_factory.mktemp("forest"), random_trees(7, num_trees=8, length=401)
+    path = folder / "forest.yml.gz"
+    write_forest(path, Forest(*(array.numpy() for array in trees.values()), trees_per_site=4))
+    if request.param == 4:
+        path = with_stride(path, folder / "sparse.yml", 4)
+    return trees, request.param, cv2.ximgproc.createStructuredEdgeDetection(str(path))
+
+
 class TestStructuredForest:
     @settings(max_examples=12, deadline=None)
     @given(
@@ -73,19 +84,10 @@ class TestStructuredForest:
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)
 
     @pytest.mark.parametrize("size", [(480, 64), (64, 480), (66, 50), (38, 36), (20, 22), (2, 2)])
-    @pytest.mark.parametrize("stride", [2, 4])
-    def test_it_is_opencvs(self, tmp_path, size, stride):
-        forest = read_forest(MODEL)
-        # Few nodes are read faster.
-        path = tmp_path / "forest.yml.gz"
-        trees = random_trees(7, num_trees=8, length=401)
-        write_forest(path, Forest(*(array.numpy() for array in trees.values()), trees_per_site=forest.trees_per_site))
-        if stride == 4:
-            path = with_stride(path, tmp_path / "sparse.yml", stride)
+    def test_it_is_opencvs(self, random_forest, size):
+        trees, stride, detector = random_forest
         images = random_images(0, *size)
-        expected = cv2.ximgproc.createStructuredEdgeDetection(str(path)).detectEdges(
-            np.ascontiguousarray(images[0].permute(1, 2, 0).numpy())
-        )
+        expected = detector.detectEdges(np.ascontiguousarray(images[0].permute(1, 2, 0).numpy()))
         found = structured_forest(images, **trees, trees_per_site=4, stride=stride)[0]
         assert found.max() > 0 or min(size) < 20
         assert (np.abs(found.numpy() - expected) > 1e-6).mean() < 0.01

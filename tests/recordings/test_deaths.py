@@ -16,6 +16,7 @@ import psutil
 import pytest
 from deadly_batches import CONFIG, ENGINES, OPTIONS, assert_complete, make_known, undisturbed
 from folder_files import write_scans
+from test_batch import HereEngine
 
 import torchjoint as tj
 
@@ -71,22 +72,15 @@ def is_running(process):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_head_is_killed(engine, scans, deaths, expected, tmp_path, watchers):
-    """While its workers are inside tasks: no process is left, and the same command ends with the same files."""
-    out = tmp_path / "out"
-    arguments = [
-        str(scans / "a"),
-        str(scans / "b"),
-        "-o",
-        str(out),
-        "--set",
-        "boundary.detector=deadly_boundary:DeadlyBoundary",
-    ]
+    """While its workers are inside tasks: no process is left, and the same batch ends with the same files."""
+    out, ab = tmp_path / "out", [str(scans / "a"), str(scans / "b")]
     script = tmp_path / "command.py"  # as pip installs it: dask imports it again in its workers
     script.write_text("from torchjoint.cli import main\n\nif __name__ == '__main__':\n    main()\n")
-    command = [sys.executable, str(script), "batch", *arguments, "--max-frames", "2", "--thin", "0.1", "--engine"]
+    options = ["--set", "boundary.detector=deadly_boundary:DeadlyBoundary", "--max-frames", "2", "--thin", "0.1"]
+    command = [sys.executable, str(script), "batch", *ab, "-o", str(out), *options, "--engine", engine]
     (deaths / "wait").touch()
     with (tmp_path / "log.txt").open("w") as log:
-        head = subprocess.Popen([*command, engine], stdout=log, stderr=log)
+        head = subprocess.Popen(command, stdout=log, stderr=log)
         wait_for(lambda: list(out.glob("*.partial/source.txt")) or head.poll() is not None)
         assert head.poll() is None, (tmp_path / "log.txt").read_text()
         processes = {process.pid for process in psutil.Process(head.pid).children(recursive=True)}
@@ -97,9 +91,8 @@ def test_the_head_is_killed(engine, scans, deaths, expected, tmp_path, watchers)
     watchers.update(filter(is_running, processes))
     assert not (out / "a").exists()  # the workers ended inside their tasks
     (deaths / "wait").unlink()
-    again = subprocess.run([*command, "loky:1"], capture_output=True, text=True, check=False)
-    assert again.returncode == 0, again.stderr
-    assert "2 segmented, 0 were done before, 0 failed" in again.stdout
+    again = tj.batch(ab, out, engine=HereEngine(), config=CONFIG, options=OPTIONS, allow_import=True)
+    assert (sorted(again.reports), again.skipped, again.failures) == (["a", "b"], (), {})
     assert_complete(out, {name: expected[name] for name in "ab"})
 
 

@@ -42,6 +42,6 @@ def local_spacing_reference(points: Tensor, reach: Tensor, share: float, count: 
 
 
 def long_call(share: float = 1) -> Callable[[], Any]:
-    points = torch.rand(round(share * 400_000), 3, generator=torch.Generator().manual_seed(0))
+    points = torch.rand(round(share * 120_000), 3, generator=torch.Generator().manual_seed(0))
     reach = torch.full((len(points),), 0.05, dtype=torch.float64)
     return lambda: local_spacing(points, reach, 0.1, 4)

@@ -38,9 +38,10 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
         FileNotFoundError: a file is missing.
         ValueError, TypeError: a file is damaged or of another result; the message names it.
 
-    Example:
-        >>> result = load_result("out/")  # doctest: +SKIP
-        >>> result.images[0], result.at(0.3), result.crops(7, k=3)[0].image  # doctest: +SKIP
+    Example::
+
+        result = load_result("out/")
+        result.images[0], result.at(0.3), result.crops(7, k=3)[0].image
     """
     folder = Path(folder)
     stored, config = read_points(folder), read_config(folder)
