@@ -12,7 +12,7 @@ constexpr int64_t kSide = 8, kVoxels = kSide * kSide * kSide, kBlocksAtOnce = 16
 // A cell has the sums of distances, of weights and of three colours.
 constexpr int64_t kChannels = 5;
 // A distance of one truncation is kUnit. With at most kMaxWeight images the sums fit 32 bits.
-constexpr double kUnit = 1 << 14;
+constexpr int32_t kUnit = 1 << 14;
 constexpr int32_t kMaxWeight = 1 << 16;
 
 // The nearest whole number. std::floor would be a call without newer processors' instructions.
@@ -33,34 +33,46 @@ struct View {
   const uint8_t* color;
   int64_t height, width;
 
-  double along(int axis, double x, double y, double z) const {
-    const double* row = rows + 4 * axis;
-    return ((row[0] * x + row[1] * y) + row[2] * z) + row[3];
+  // Adds a row of voxels along the third axis. Where they are in the image is computed for all of them at once.
+  void add_row(double x, double y, const double* z, int32_t* cell) const {
+    double away[kSide], column[kSide], row[kSide], squared[kSide];
+    const double across = rows[0] * x + rows[1] * y, below = rows[4] * x + rows[5] * y,
+                 ahead = rows[8] * x + rows[9] * y;
+    for (int64_t i = 0; i < kSide; ++i) {
+      away[i] = (ahead + rows[10] * z[i]) + rows[11];
+      const double right = ((across + rows[2] * z[i]) + rows[3]) / away[i];
+      const double down = ((below + rows[6] * z[i]) + rows[7]) / away[i];
+      column[i] = fx * right + cx + 0.5;
+      row[i] = fy * down + cy + 0.5;
+      squared[i] = 1 + (right * right + down * down);
+    }
+    for (int64_t i = 0; i < kSide; ++i, cell += kChannels)
+      if (away[i] > 0) add(away[i], column[i], row[i], squared[i], cell);  // not if it is NaN
   }
 
-  void add(double x, double y, double z, int32_t* cell) const {
-    const double away = along(2, x, y, z);
-    if (!(away > 0)) return;  // also skips NaN
-    const double right = along(0, x, y, z) / away, down = along(1, x, y, z) / away;
-    const double column = fx * right + cx + 0.5, row = fy * down + cy + 0.5;
+  void add(double away, double column, double row, double squared, int32_t* cell) const {
     if (!(column >= 0 && column < static_cast<double>(width) && row >= 0 && row < static_cast<double>(height))) return;
     const int64_t pixel = static_cast<int64_t>(row) * width + static_cast<int64_t>(column);
     const double measured = depth[pixel];
-    if (!(measured > 0 && measured <= far && measured - away > -truncation)) return;
-    const double distance = (measured - away) * std::sqrt(1 + (right * right + down * down));  // along the ray
-    if (!(distance > -truncation) || cell[1] >= kMaxWeight) return;
-    increase(cell[0], rounded(std::min(1.0, distance / truncation) * kUnit));
+    if (!(measured > 0 && measured <= far && measured - away > -truncation) || cell[1] >= kMaxWeight) return;
+    int32_t units = kUnit;  // far in front of the surface: along the ray, the distance is only larger
+    if (measured - away < truncation) {
+      const double distance = (measured - away) * std::sqrt(squared);  // along the ray
+      if (!(distance > -truncation)) return;
+      units = rounded(std::min(1.0, distance / truncation) * kUnit);
+    }
+    increase(cell[0], units);
     increase(cell[1], 1);
     for (int64_t channel = 0; channel < 3; ++channel) increase(cell[2 + channel], color[3 * pixel + channel]);
   }
 
   void add_block(const int64_t* block, int32_t* cell) const {
-    const auto place = [&](int axis, int64_t i) {
-      return (static_cast<double>(block[axis] * kSide + i) + 0.5) * voxel_size;
-    };
+    double place[3][kSide];
+    for (int axis = 0; axis < 3; ++axis)
+      for (int64_t i = 0; i < kSide; ++i)
+        place[axis][i] = (static_cast<double>(block[axis] * kSide + i) + 0.5) * voxel_size;
     for (int64_t i = 0; i < kSide; ++i)
-      for (int64_t j = 0; j < kSide; ++j)
-        for (int64_t k = 0; k < kSide; ++k, cell += kChannels) add(place(0, i), place(1, j), place(2, k), cell);
+      for (int64_t j = 0; j < kSide; ++j, cell += kSide * kChannels) add_row(place[0][i], place[1][j], place[2], cell);
   }
 };
 
