@@ -15,7 +15,7 @@ import report
 
 #: What `import torchjoint` may not bring: they are imported where they are used.
 FORBIDDEN = ("kornia", "matplotlib", "scipy", "open3d")
-MOST_MODULES, MOST_LINES = 167, 37_430
+MOST_MODULES, MOST_LINES = 167, 37_500
 ROOT = report.HERE.parent
 
 IMPORT = """

@@ -189,17 +189,19 @@ def disturbed(frames: Sequence[tj.Frame], noise: float, random: Generator) -> li
 def lasting(results: Sequence[tj.LiveResult], settling: int = 0) -> tuple[float, float]:
     """The share of the last things that have kept their id since they were whole; and that of the points in them.
 
-    The first results after they were whole, `settling`, do not count.
+    The first results after they were whole, `settling`, do not count; nor do things that were whole in no more.
     """
     cubes = [cubes_of(result) for result in results]
     last, kept, size = cubes[-1], [], []
     for thing in sorted(set(last.values())):
         own = [cube for cube, label in last.items() if label == thing]
-        size.append(int((results[-1].labels == thing).sum()))
         seen = [[before[cube] for cube in own if cube in before] for before in cubes]
         whole = [labels for labels in seen if len(labels) >= WHOLE * len(own)]
-        judged = whole[settling:] or whole[-1:]
-        kept.append(all(2 * labels.count(thing) > len(labels) for labels in judged))
+        if len(whole) > settling:
+            kept.append(all(2 * labels.count(thing) > len(labels) for labels in whole[settling:]))
+            size.append(int((results[-1].labels == thing).sum()))
+    if not kept:
+        return math.nan, math.nan
     weight = np.array(size) / sum(size)
     return float(np.mean(kept)), float((weight * np.array(kept)).sum())
 

@@ -1,5 +1,7 @@
 """Each layout of published masks, written as the program of its method writes it, gives the same masks."""
 
+import zipfile
+
 import numpy as np
 import pytest
 import torch
@@ -57,13 +59,60 @@ def test_scores_of_open3dis_are_kept(tmp_path):
         assert read_masks(folder / "20.npz").scores.tolist() == [0.75, 0.5, 0.5]
 
 
-@pytest.mark.parametrize("other", [{"conf": torch.ones(2)}, {"masks": None}, {"masks": [{"size": [3, 4]}]}])
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"conf": torch.ones(2)},
+        {"masks": None},
+        {"masks": [{"size": [3, 4]}]},
+        {"masks": torch.zeros(1).expand(10**12), "conf": torch.zeros(1).expand(10**12)},
+        {"conf": torch.ones(1).expand(3, 10**12)},
+    ],
+)
 def test_damaged_pth_is_an_error_with_its_name(other, tmp_path):
     open3dis(tmp_path / "masks", **other)
     with (
         pytest.raises(ValueError, match=r"scan\.pth: not masks of Open3DIS"),
         masks_of(tmp_path / "masks", "scan", FRAMES),
     ):
+        pass
+
+
+@pytest.mark.parametrize("name", ["..", "", "1" * 5000, "a\0b", "x" * 300])
+def test_a_pth_has_names_of_frames(name, tmp_path):
+    masks = [{"size": [3, 4], "counts": "651"}]
+    torch.save({name: {"masks": masks, "conf": torch.ones(1)}}, tmp_path / "scan.pth")
+    with pytest.raises(ValueError, match=r"scan\.pth: not masks of Open3DIS"), masks_of(tmp_path, "scan", FRAMES):
+        pass
+
+
+def test_a_frame_without_masks_and_hidden_files_are_left_out(tmp_path):
+    frame = {"masks": [{"size": [3, 4], "counts": "651"}], "conf": torch.ones(1)}
+    torch.save({"0": {"masks": [], "conf": torch.ones(0)}, "20": frame}, tmp_path / "scan.pth")
+    with masks_of(tmp_path, "scan", FRAMES) as folder:
+        assert [path.name for path in folder.iterdir()] == ["20.npz"]
+    sam3d(tmp_path / "other")
+    (tmp_path / "other" / "scan" / "._20.png").write_text("of macOS")
+    with masks_of(tmp_path / "other", "scan", FRAMES) as folder:
+        assert sorted(path.stem for path in folder.iterdir()) == ["0", "20"]
+
+
+def test_two_sets_of_a_frame_are_an_error(tmp_path):
+    sam3d(tmp_path)
+    (tmp_path / "scan" / "00020.png").write_bytes((tmp_path / "scan" / "20.png").read_bytes())
+    with pytest.raises(ValueError, match="got two for 20"), masks_of(tmp_path, "scan", FRAMES):
+        pass
+
+
+def test_a_compressed_pth_is_refused(tmp_path):
+    open3dis(tmp_path / "masks")
+    file = tmp_path / "masks" / "scan.pth"
+    with zipfile.ZipFile(file) as archive:
+        entries = {entry: archive.read(entry) for entry in archive.namelist()}
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for entry, content in entries.items():
+            archive.writestr(entry, content)
+    with pytest.raises(ValueError, match="got compressed ones"), masks_of(tmp_path / "masks", "scan", FRAMES):
         pass
 
 
@@ -94,5 +143,10 @@ def test_no_masks_and_two_sets_are_errors(tmp_path):
     (tmp_path / "masks" / "scan" / "semantic-sam").rename(tmp_path / "masks" / "scan" / "sam-hq")
     (tmp_path / "masks" / "scan" / "semantic-sam").mkdir()
     (tmp_path / "masks" / "scan" / "semantic-sam" / "maskraw_00000.png").touch()
-    with pytest.raises(ValueError, match="one folder"), masks_of(tmp_path / "masks", "scan", FRAMES):
+    with pytest.raises(ValueError, match="one set of masks"), masks_of(tmp_path / "masks", "scan", FRAMES):
+        pass
+    mask_clustering(tmp_path / "other")
+    open3dis(tmp_path / "pth")
+    (tmp_path / "pth" / "scan.pth").rename(tmp_path / "other" / "scan.pth")
+    with pytest.raises(ValueError, match="one set of masks"), masks_of(tmp_path / "other", "scan", FRAMES):
         pass

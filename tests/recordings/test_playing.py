@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from torchjoint.recordings.playing import Clock, Played, play
+import threading
+
+import pytest
+
+from torchjoint.recordings.playing import Clock, Played, computed_beside, play
 
 
 class Segmenter:
@@ -53,3 +57,43 @@ def test_without_a_rate_no_frame_waits_or_is_dropped():
     segmenter = Segmenter()
     play([(number, 9.0) for number in range(3)], segmenter, clock=segmenter.clock())
     assert [begun for _, begun in segmenter.begun] == [0.0, 9.0, 18.0]
+
+
+def test_one_result_at_a_time_is_computed_beside():
+    begun, may_end, ended = [], threading.Event(), threading.Semaphore(0)
+
+    def compute(count: int) -> None:
+        begun.append((count, threading.get_ident()))
+        assert may_end.wait(60)
+        ended.release()
+
+    with computed_beside(compute, 2) as due:
+        for count in range(1, 6):  # 2 begins; at 4 it still runs
+            due(count)
+        may_end.set()
+        assert ended.acquire(timeout=60)
+        count = 6
+        while len(begun) < 2:  # the thread ends a little later
+            due(count)
+            count += 2
+    assert begun[0][0] == 2
+    assert begun[1][0] >= 6
+    assert all(thread != threading.get_ident() for _, thread in begun)
+    before = len(begun)
+    with computed_beside(compute, 0) as due:
+        due(2)
+    assert len(begun) == before
+
+
+def test_errors_of_a_result_are_raised():
+    def fail(count: int) -> None:
+        raise ValueError(f"after {count}")
+
+    def go_on(due) -> None:
+        while True:
+            due(1)
+
+    with pytest.raises(ValueError, match="after 1"), computed_beside(fail, 1) as due:
+        due(1)
+    with pytest.raises(ValueError, match="after 1"), computed_beside(fail, 1) as due:
+        go_on(due)  # at a later frame

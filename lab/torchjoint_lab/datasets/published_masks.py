@@ -13,6 +13,7 @@ Sources: mask_predict.py, sam_auto_generation.py, sam3d.py, tools/grounding_2d.p
 from __future__ import annotations
 
 import pickle
+import re
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -37,35 +38,45 @@ def masks_of(folder: Path, scan: str, frames: Sequence[str]) -> Iterator[Path]:
     Args:
         folder: DIR of the layouts above, or of what `read_folder` reads.
         scan: its name.
-        frames: names of its frames. Numbers may have zeros in front: 00020 belongs to frame 20.
+        frames: names of its frames. Numbers of the lower three layouts may have zeros in front: 00020 is frame 20.
 
     Raises:
         FileNotFoundError: there are no masks of the scan.
-        ValueError: masks are damaged; the message names the file.
+        ValueError: masks are damaged, or there are several for a scan or a frame; the message names the file.
     """
     place = next((folder / scan / one for one in PLACES if (folder / scan / one).is_dir()), None)
-    raw = sorted((folder / scan).glob("*/maskraw_*.png"))
+    raw = _visible((folder / scan).glob("*/maskraw_*.png"))
+    pth = [one for one in (folder / f"{scan}.pth",) if one.is_file()]
+    found = {*pth, *(one.parent for one in raw), *([place] if place and place.name != scan else [])}
+    if len(found) > 1:
+        raise ValueError(f"{folder / scan}: expected one set of masks, got {', '.join(sorted(map(str, found)))}")
     masks: Iterable[tuple[str, Masks]]
-    if (folder / f"{scan}.pth").is_file():
-        masks = _open3dis(folder / f"{scan}.pth")
+    if pth:
+        masks = _open3dis(pth[0])
     elif raw:
-        if len(parents := {one.parent.name for one in raw}) > 1:
-            raise ValueError(f"{folder / scan}: expected one folder of maskraw_N.png, got {', '.join(sorted(parents))}")
         masks = ((one.stem.removeprefix("maskraw_"), read_masks(one)) for one in raw)
     elif place is None:
         raise FileNotFoundError(
             f"{folder / scan}: missing; expected masks of the scan in it, or in mask/ or output/mask/, or {scan}.pth"
         )
-    elif not any((read_label_image(one) == NO_MASK).any() for one in place.glob("*.png")):
+    elif not any((read_label_image(one) == NO_MASK).any() for one in _visible(place.glob("*.png"))):
         yield place
         return
     else:
-        masks = ((one.stem, _sam3d(one)) for one in sorted(place.glob("*.png")))
+        masks = ((one.stem, _sam3d(one)) for one in _visible(place.glob("*.png")))
     numbered = {int(name): name for name in frames if name.isdecimal()}
     with TemporaryDirectory() as made:
         for name, of_frame in masks:
-            save_masks(Path(made) / f"{numbered.get(int(name), name) if name.isdecimal() else name}.npz", of_frame)
+            file = Path(made) / f"{numbered.get(int(name), name) if name.isdecimal() else name}.npz"
+            if file.exists():
+                raise ValueError(f"{folder / scan}: expected one set of masks for each frame, got two for {file.stem}")
+            save_masks(file, of_frame)
         yield Path(made)
+
+
+def _visible(paths: Iterable[Path]) -> list[Path]:
+    """In order; without hidden files, such as those that macOS writes beside others."""
+    return sorted(path for path in paths if not path.name.startswith("."))
 
 
 def _sam3d(path: Path) -> Masks:
@@ -76,9 +87,14 @@ def _sam3d(path: Path) -> Masks:
 def _open3dis(path: Path) -> Iterator[tuple[str, Masks]]:
     with damage_is(f"{path}: not masks of Open3DIS", OSError, MemoryError, pickle.UnpicklingError):
         with zipfile.ZipFile(path) as archive:
-            if any(entry.compress_type for entry in archive.infolist()):  # so it is no larger than its file
+            if any(entry.compress_type for entry in archive.infolist()):
                 raise ValueError("expected entries as torch.save writes them, got compressed ones")
-        for name, frame in torch.load(path, map_location="cpu", weights_only=True).items():
-            most = len(frame["masks"]) + 1
-            scored = zip(frame["masks"], frame["conf"][:most].tolist(), strict=True)
-            yield Path(name).name, from_sam([{"segmentation": one, "predicted_iou": score} for one, score in scored])
+        for key, frame in torch.load(path, map_location="cpu", weights_only=True).items():
+            name, masks, conf = Path(key).name, frame["masks"], frame["conf"]
+            if not re.fullmatch(r"\w[\w.-]{0,99}", name):
+                raise ValueError(f"expected names of frames, got {key[:40]!r}")
+            if not isinstance(masks, list) or conf.shape != (len(masks),):  # a tensor may be larger than its file
+                raise ValueError(f"expected a list of masks, and a number for each, for frame {name}")
+            scored = zip(masks, conf.tolist(), strict=True)
+            if masks:
+                yield name, from_sam([{"segmentation": one, "predicted_iou": score} for one, score in scored])
