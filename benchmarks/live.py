@@ -33,8 +33,8 @@ def played(frames: Sequence[tj.Frame], rate: float, every: int) -> list[str | fl
         seconds.append(time.perf_counter() - start)
 
     with computed_beside(compute, every) as due:
-        done = play(frames, segmenter, rate, lambda count, _: due(count))
-    apart = [b - a for a, b in itertools.pairwise(begun)]
+        done = play(frames, segmenter, rate, lambda count, _: due(count) if segmenter.names else None)
+    apart = [b - a for a, b in itertools.pairwise(begun)] or [len(frames)]
     times = torch.tensor(done.seconds) * 1000
     name = f"{rate:g} frames / s, results due after {every}"
     ways = f"{min(apart)} to {max(apart)}", sum(seconds) / len(seconds)
