@@ -117,13 +117,16 @@ def test_live_scores_and_lasting_ids(study, tmp_path, monkeypatch, capsys):
     live = study("live")
     monkeypatch.setattr(live, "NOISES", (0.0, 0.1))
     monkeypatch.setattr(live, "VOXEL", 0.08)
+    monkeypatch.setattr(live, "EVERY_DENSE", 2)
+    monkeypatch.setattr(live, "SETTLED", 2)
     run(live, monkeypatch, tmp_path, "--kinds", "desk", "--scenes", 1, "--views", 4, "--runs", 1, "--dense", 6)
     *rows, last = [line.split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| desk")]
     assert last[1] == "6"  # far apart: all are keyframes
-    assert float(last[-1].rstrip(" |")) == 1
+    assert float(last[4]) == 1
+    assert all(0 < float(share.rstrip(" |")) <= 1 for share in last[5:])
     assert [row[1] for row in rows] == ["0%", "10%"]
     assert all(0 < float(value) <= 1 for row in rows for value in row[2].split(" / "))
-    assert len(list(tmp_path.glob("*.json"))) == 3
+    assert len(list(tmp_path.glob("*.json"))) == 4
 
 
 def test_an_id_lasts_if_the_thing_had_it_since_it_was_whole(study):
@@ -136,4 +139,8 @@ def test_an_id_lasts_if_the_thing_had_it_since_it_was_whole(study):
 
     # 7 was 5 as long as half of it was seen, which does not count; 8 was 6 when it was whole.
     assert live.lasting([result([5]), result([7, 7, 6, 6]), result([7, 7, 8, 8])]) == (0.5, 0.5)
+    # The first result in which 8 was whole does not count; 9 was whole in no other.
+    results = [result([8, 8]), result([6, 6]), result([8, 8, 9, 9]), result([8, 8, 9, 9])]
+    assert live.lasting(results, 2) == (1.0, 1.0)
+    assert live.lasting(results, 1) == (0.5, 0.5)
     assert live.cubes_of(result([1, 2])) == {(0, 0, 0): 1, (1, 0, 0): 2}
