@@ -229,8 +229,9 @@ def killed(folder):
 
 def test_the_connection_to_a_ray_cluster_is_cut(scans, deaths, expected, tmp_path, monkeypatch):
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # as for a cluster on this machine; else both need a token
-    # Each client gets a server of its own, which on a busy machine takes more than ray's 30 s to start.
-    monkeypatch.setenv("RAY_CLIENT_SERVER_CHECK_CHANNEL_TIMEOUT_S", "120")
+    # Each client gets a server of its own, which on a busy machine takes more than ray's 30 s to start. One that never
+    # does is tried again after this time.
+    monkeypatch.setenv("RAY_CLIENT_SERVER_CHECK_CHANNEL_TIMEOUT_S", "60")
     with ray_cluster(deaths) as port:
         report = batch_with_a_cut("ray", ("127.0.0.1", port), scans, deaths, tmp_path / "out")
     assert report.failures == {}
