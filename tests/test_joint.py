@@ -88,6 +88,7 @@ class TestSameLabels:
             segmenter.compute()  # at any time, and without consequence
         assert_same(result, segmenter.compute())
 
+    @pytest.mark.slow
     def test_from_frames_beyond_the_memory(self, synthetic, plain, tmp_path):
         """The second and later frames are in a file: of a run at once, frame by frame, resumed, and at finer levels."""
         scene, memory = synthetic.scene, {"memory": "400kB", "spill": tmp_path}

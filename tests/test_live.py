@@ -233,6 +233,7 @@ def test_a_wrong_state_is_named(frames, tmp_path):
         tj.LiveSegmenter().restore(tmp_path / "no-such")
 
 
+@pytest.mark.slow
 def test_superpoints_live_keep_their_ids_too(frames):
     segmenter = played(frames[:3], granularity=1.0)
     first = segmenter.result(images=False)

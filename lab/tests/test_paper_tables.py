@@ -159,6 +159,7 @@ def test_results_that_are_there_already(data, out, run, run_lab, tmp_path):
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.slow
 def test_rows_of_baselines_that_are_missing(data, run_lab, tmp_path, capsys):
     scan = data / "scans" / SCANS[0]
     run_lab("paper-tables", scan, "-o", tmp_path / "out", "--max-frames", 1, *SMALL)

@@ -232,6 +232,7 @@ def panels_with_a_post(step_aside):
     return [labels[panels & (side == sign)].mode().values.item() for sign in (-1, 1)]
 
 
+@pytest.mark.slow
 def test_a_view_through_the_gap_keeps_panels_apart():
     left, right = panels_with_a_post(step_aside=0.0)
     assert left == right
