@@ -16,7 +16,7 @@ import argparse
 import json
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -89,35 +89,42 @@ def _pairs(cells: Sequence[str]) -> list[str]:
 
 def compared(kind: str, seed: int, arguments: argparse.Namespace) -> list[list[float]]:
     """For each run: the number of keyframes; F and best IoU with those, and with all frames; and their covering."""
-    scene, runs = None, []
-    for run in range(arguments.runs):
-        done = arguments.work / f"{kind}-{seed}-{arguments.dense}-dense-{run}.json"
-        if not done.is_file():
-            scene = scene or make_domain_scene(kind, seed, num_views=arguments.dense, held_out=True).scene
-            frames = disturbed(scene.frames, 0.0, Generator().manual_seed(run))
-            some, every = (
-                tj.LiveSegmenter(voxel_size=VOXEL),
-                tj.LiveSegmenter(voxel_size=VOXEL, step=0, turn=0, views=0),
-            )
-            some.update(frames)
-            every.update(frames)
-            found, best = some.result(images=False), every.result(images=False)
-            covering = tj.metrics.segmentation_covering(found.labels, best.labels).symmetric
-            write_text(done, json.dumps([len(some.names), *against(scene, found), *against(scene, best), covering]))
-            print(done.stem, done.read_text(), flush=True)
-        runs.append(json.loads(done.read_text()))
-    return runs
+
+    def measure(scene: tj.Scene, frames: Sequence[tj.Frame]) -> list[float]:
+        some = tj.LiveSegmenter(voxel_size=VOXEL)
+        every = tj.LiveSegmenter(voxel_size=VOXEL, step=0, turn=0, views=0)
+        some.update(frames)
+        every.update(frames)
+        found, best = some.result(images=False), every.result(images=False)
+        covering = tj.metrics.segmentation_covering(found.labels, best.labels).symmetric
+        return [len(some.names), *against(scene, found), *against(scene, best), covering]
+
+    return of_dense_runs("dense", measure, kind, seed, arguments)
 
 
 def settled(kind: str, seed: int, arguments: argparse.Namespace) -> list[list[float]]:
-    """For each run with many frames: the share of things whose id lasts, once they are settled; the points in them."""
+    """For each run: the share of things whose id lasts, once they are settled; and that of the points in them."""
+
+    def measure(_: tj.Scene, frames: Sequence[tj.Frame]) -> list[float]:
+        return list(lasting(results_of(frames, EVERY_DENSE), SETTLED // EVERY_DENSE))
+
+    return of_dense_runs("ids", measure, kind, seed, arguments)
+
+
+def of_dense_runs(
+    name: str,
+    measure: Callable[[tj.Scene, Sequence[tj.Frame]], list[float]],
+    kind: str,
+    seed: int,
+    arguments: argparse.Namespace,
+) -> list[list[float]]:
+    """What `measure` says of each run of a scene with many frames; what is in WORK is not measured again."""
     scene, runs = None, []
     for run in range(arguments.runs):
-        done = arguments.work / f"{kind}-{seed}-{arguments.dense}-ids-{run}.json"
+        done = arguments.work / f"{kind}-{seed}-{arguments.dense}-{name}-{run}.json"
         if not done.is_file():
             scene = scene or make_domain_scene(kind, seed, num_views=arguments.dense, held_out=True).scene
-            frames = disturbed(scene.frames, 0.0, Generator().manual_seed(run))
-            write_text(done, json.dumps(lasting(results_of(frames, EVERY_DENSE), SETTLED // EVERY_DENSE)))
+            write_text(done, json.dumps(measure(scene, disturbed(scene.frames, 0.0, Generator().manual_seed(run)))))
             print(done.stem, done.read_text(), flush=True)
         runs.append(json.loads(done.read_text()))
     return runs

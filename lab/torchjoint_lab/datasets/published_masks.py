@@ -46,13 +46,15 @@ def masks_of(folder: Path, scan: str, frames: Sequence[str]) -> Iterator[Path]:
     """
     place = next((folder / scan / one for one in PLACES if (folder / scan / one).is_dir()), None)
     raw = _visible((folder / scan).glob("*/maskraw_*.png"))
-    pth = [one for one in (folder / f"{scan}.pth",) if one.is_file()]
-    found = {*pth, *(one.parent for one in raw), *([place] if place and place.name != scan else [])}
+    pth = folder / f"{scan}.pth"
+    found = {one.parent for one in raw} | ({pth} if pth.is_file() else set())
+    if place is not None and place.name == "mask":
+        found.add(place)
     if len(found) > 1:
         raise ValueError(f"{folder / scan}: expected one set of masks, got {', '.join(sorted(map(str, found)))}")
     masks: Iterable[tuple[str, Masks]]
-    if pth:
-        masks = _open3dis(pth[0])
+    if pth.is_file():
+        masks = _open3dis(pth)
     elif raw:
         masks = ((one.stem.removeprefix("maskraw_"), read_masks(one)) for one in raw)
     elif place is None:
