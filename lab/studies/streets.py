@@ -1,7 +1,7 @@
 """Labelled LiDAR scans, and how they are scored; used by sensors.py and street_images.py.
 
-In a full annotation, and on generated streets, the points are of three kinds: things and ground are instances; void
-points do not count; all others (houses, hedges) are no instances, but they count where a segment mixes them with one.
+In a full annotation, and on generated streets, things and ground are instances; houses and hedges are none, but count
+where a segment mixes them with one: :mod:`torchjoint_lab.evaluation.partial_truth`.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,11 +17,11 @@ from torchjoint_lab.benchmark import spaces
 from torchjoint_lab.benchmark.planes import planes_and_clusters
 from torchjoint_lab.benchmark.space import draw
 from torchjoint_lab.datasets.semantickitti import read_sweep
+from torchjoint_lab.evaluation import partial_truth
+from torchjoint_lab.evaluation.partial_truth import PartialTruth, Score
 from torchjoint_lab.synthetic import make_domain_scene
 
 from torchjoint.datasets import list_scenes, load_scene
-from torchjoint.metrics.objects_and_parts import objects_and_parts_of
-from torchjoint.metrics.overlaps import Overlaps
 from torchjoint.scene import Scene
 from torchjoint.views.projection import in_any_view
 
@@ -36,14 +36,6 @@ class Sweep(NamedTuple):
     points: Tensor  #: [N, 3] metres
     instance: Tensor  #: [N] int64, -1 = none
     other: Tensor  #: [N] bool, points of no instance that count where they leak into one
-
-
-class Score(NamedTuple):
-    """One row of the table."""
-
-    f: float
-    best_iou: float
-    found: float  #: share of the instances with an IoU of more than .5
 
 
 def kitti(data: Path) -> Iterator[Sweep]:
@@ -84,29 +76,7 @@ def known_instances(scene: Scene) -> Tensor:
 
 def judge(labels: Tensor, sweep: Sweep) -> Score:
     """Scores the labels [N] of a scan; a point with -1 is in no segment."""
-    none = labels < 0
-    labels = torch.where(none, int(labels.max()) + 1 + none.cumsum(0), labels)
-    counts = (sweep.instance >= 0) | sweep.other
-    region = labels[counts].unique(return_inverse=True)[1]
-    instance = sweep.instance[counts]
-    known = instance >= 0
-    num_regions = int(region.max()) + 1
-    table = Overlaps(region[known], num_regions, instance[known])
-    # What leaks into a region is of no instance, but belongs to the region's size.
-    table.pred_area = torch.bincount(region, minlength=num_regions)
-    table.precision = table.count.double() / table.pred_area[table.pred]
-    iou = table.count / (table.pred_area[table.pred] + table.target_area[table.target] - table.count).double()
-    is_none = torch.zeros(num_regions, dtype=torch.bool)
-    is_none[region[none[counts]]] = True
-    iou[is_none[table.pred]] = 0
-    best = iou.new_zeros(len(table.target_area)).scatter_reduce(0, table.target, iou, "amax")
-    # Regions of houses and hedges are not judged, unless they hold most of an instance.
-    of_instances = torch.bincount(region[known], minlength=num_regions)
-    judged = 2 * of_instances >= table.pred_area
-    judged[table.pred[table.recall >= 0.5]] = True
-    judged &= ~is_none
-    f = objects_and_parts_of(torch.where(judged, table.pred_area, 0), [table]).f
-    return Score(f, best.mean().item(), (best > 0.5).double().mean().item())
+    return partial_truth.judge(labels, PartialTruth(sweep.instance, sweep.other))
 
 
 def run(method: Callable[[Tensor], Tensor], sweep: Sweep) -> Score:

@@ -65,8 +65,10 @@ class Case:
         return parallel_map(see, self.frames)
 
     @cached_property
-    def viewpoints(self) -> Tensor:
-        """[N, 3] per point the center of the nearest camera that sees the point, else of the nearest camera of all."""
+    def viewpoints(self) -> Tensor | None:
+        """[N, 3] per point the center of the nearest camera that sees the point, else of the nearest camera."""
+        if not self.frames:
+            return None
         points = self.scene.points.float()
         centers = torch.stack([camera_center(frame.world_to_camera).float() for frame in self.frames])
         nearest = torch.full((len(points),), torch.inf)

@@ -9,6 +9,7 @@ COMMANDS = {
     "robustness": Command(
         "torchjoint_lab.cli.robustness:robustness", "measures how much results change with noise, light and poses"
     ),
+    "real": Command("torchjoint_lab.cli.real:real", "scores the default on real recordings"),
     "scannet200": Command(
         "torchjoint_lab.cli.scannet200:scannet200", "segments and scores ScanNet, with masks of others"
     ),
@@ -23,7 +24,8 @@ COMMANDS = {
 }
 
 INTERRUPTED = (
-    "`benchmark --tuning`, `robustness`, `train-forest` and `train-boundary-model` resume when they are started again"
+    "`benchmark --tuning`, `real`, `robustness`, `train-forest` and `train-boundary-model` resume when they are "
+    "started again"
 )
 
 
