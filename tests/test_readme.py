@@ -21,7 +21,7 @@ def between(name, page):
 
 
 @pytest.mark.parametrize(
-    ("table", "page"), [("domains", "docs/evaluation.md"), ("conventions", "docs/folder_and_conventions.md")]
+    ("table", "page"), [("real", "docs/evaluation.md"), ("conventions", "docs/folder_and_conventions.md")]
 )
 def test_tables_that_stand_twice_are_the_same(table, page):
     assert between(table, "README.md") == between(table, page)

@@ -14,13 +14,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from sklearn.linear_model import LogisticRegression
-from torchjoint_lab.benchmark.robustness_scenes import NamedScene, find_scenes
+from torchjoint_lab.benchmark.real_scenes import LabelledScene, RealScene, all_known, find_real_scenes
+from torchjoint_lab.benchmark.robustness_scenes import find_scenes
 
 from torchjoint.joint import JointSegmenter
 from torchjoint.scene.votes import OFFSET, PER_IOU, PER_LOG_POINTS
 
-#: Kinds with truth whose scenes method learned segments.
-KINDS = ("table", "shelf", "bin", "desk", "kitchen", "room", "workshop", "ycb", "mosd")
+#: Kinds with truth whose scenes method learned segments: generated ones, and real ones of `torchjoint-lab real`.
+GENERATED = ("table", "shelf", "bin", "desk", "kitchen", "room", "workshop")
+REAL = ("shelf", "tote", "rio", "piles", "trees", "ycb", "mosd")
 #: A segment counts if more than this share of its points has a truth.
 LEAST_KNOWN = 0.5
 #: Edges of the probabilities that the diagram and the table put together.
@@ -41,26 +43,23 @@ class Segments(NamedTuple):
     is_right: Array  #: [N] whether the segment is an object, and the point a part of it
 
 
-def measure(named: NamedScene) -> dict[str, npt.NDArray[np.generic]]:
+def measure(labelled: LabelledScene) -> dict[str, npt.NDArray[np.generic]]:
     """The arrays of Segments for one scene."""
-    scene = named.load()
-    result = JointSegmenter()(scene)
+    result = JointSegmenter()(labelled.scene)
     assert result.hierarchy is not None
     assert result.hierarchy.votes is not None
-    assert scene.truth is not None
-    assert scene.truth.points is not None
-    piece, truth = result.hierarchy.piece, scene.truth.points
+    piece, truth = result.hierarchy.piece, labelled.truth.instance
     of_piece = piece.new_zeros(result.hierarchy.num_pieces)
     of_piece[piece] = result.points
     iou, points, share = result.hierarchy.votes.agreement(of_piece)
-    known = truth >= 0
-    counts = np.zeros((len(points), int(truth.max()) + 1))
-    np.add.at(counts, (result.points[known].numpy(), truth[known].numpy()), 1)
-    size, objects = counts.sum(1), np.bincount(truth[known].numpy())
-    ious = counts / np.maximum(size[:, None] + objects - counts, 1)
+    known, counts = truth >= 0, labelled.truth.counts
+    shared = np.zeros((len(points), int(truth.max()) + 1))
+    np.add.at(shared, (result.points[known].numpy(), truth[known].numpy()), 1)
+    size = np.bincount(result.points[counts].numpy(), minlength=len(points))
+    ious = shared / np.maximum(size[:, None] + np.bincount(truth[known].numpy()) - shared, 1)
     counted = size > LEAST_KNOWN * np.bincount(result.points.numpy())
     number = np.cumsum(counted) - 1
-    sample = np.flatnonzero(known.numpy() & counted[result.points.numpy()])[::7]
+    sample = np.flatnonzero(counts.numpy() & counted[result.points.numpy()])[::7]
     label = result.points.numpy()[sample]
     is_object = ious.max(1) >= 0.5
     return {
@@ -72,18 +71,30 @@ def measure(named: NamedScene) -> dict[str, npt.NDArray[np.generic]]:
     }
 
 
-def collect(scenes: list[NamedScene], work: Path) -> Segments:
+def find(data: Path | None, count: int) -> list[RealScene]:
+    """At most `count` scenes of each kind; a kind that is generated and real is two."""
+    found = [
+        RealScene(one.kind, one.name, lambda one=one: all_known(one.load()))  # type: ignore[misc]
+        for one in find_scenes(GENERATED, count, None)
+    ]
+    for kind in REAL if data else ():
+        of_kind = [one for one in find_real_scenes(data, (kind,)) if not one.masks]
+        found += [one._replace(set=f"real {kind}") for one in of_kind[:count]]
+    return found
+
+
+def collect(scenes: list[RealScene], work: Path) -> Segments:
     """Measures all scenes that have no file in the folder yet."""
     parts: list[Segments] = []
     total = 0
     for one in scenes:
         file = work / f"{one.name}.npz"
         if not file.is_file():
-            np.savez_compressed(file, **measure(one))  # type: ignore[arg-type]
+            np.savez_compressed(file, **measure(one.load()))  # type: ignore[arg-type]
             print(one.name, flush=True)
         with np.load(file) as found:
             count = len(found["features"])
-            kinds = np.array([one.kind] * count)
+            kinds = np.array([one.set] * count)
             parts.append(
                 Segments(
                     found["features"], found["is_object"], kinds, found["segment"] + total, found["share"],
@@ -139,8 +150,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
-    kinds = KINDS if options.data else KINDS[:7]
-    found = collect(find_scenes(kinds, options.scenes, options.data), options.work)
+    found = collect(find(options.data, options.scenes), options.work)
     model = fitted(found, np.ones(len(found.kind), dtype=bool))
     offset, (per_iou, per_log_points) = model.intercept_[0], model.coef_[0]
     print(f"fit to all kinds: offset {offset:.3f}, {per_iou:.3f} per IoU, {per_log_points:.4f} per log of points")

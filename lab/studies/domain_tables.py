@@ -10,14 +10,12 @@ import numpy as np
 import report
 
 TITLES = {"mosd": "real table-tops (mOSD)", "ycb": "real desk (YCB-Video)"}
-ROOT = Path(__file__).parents[2]
-PAGES = (ROOT / "README.md", ROOT / "docs" / "evaluation.md")
 PRESETS = ("regions", "indoor", "tabletop")
 SIMPLE = ("normals", "distance_normal_color", "ransac_dbscan")
 
 
 def show_tables(work: Path, kinds: Sequence[str], runs: int, write: bool) -> None:
-    """Prints the tables of what has been scored so far; `write`: also into lab/studies/README.md and PAGES."""
+    """Prints the tables of what has been scored so far; `write`: also into lab/studies/README.md."""
     show_default(work, kinds, runs, write)
     columns = ["kind of data, scenes", "left out, training seeds", "left out, no images", "mean of models"]
     columns += ["left out - default", "left out - preset regions", "left out - best simple method"]
@@ -42,7 +40,7 @@ def show_tables(work: Path, kinds: Sequence[str], runs: int, write: bool) -> Non
 
 
 def show_default(work: Path, kinds: Sequence[str], runs: int, write: bool) -> None:
-    """Prints the table of the default, presets and simple methods; `write`: also a short one into PAGES."""
+    """Prints the table of the default, presets and simple methods."""
     columns = ["kind of data, scenes", "default", *(f"preset {preset}" for preset in PRESETS), "best simple method"]
     columns += ["default - best preset", "default - best simple method", "with images - cloud alone"]
     rows = []
@@ -61,10 +59,6 @@ def show_default(work: Path, kinds: Sequence[str], runs: int, write: bool) -> No
     if not rows:
         return
     report.show("default", report.table(columns, rows), write)
-    chosen = [0, 1, 2, 5]
-    for page in PAGES if write else ():
-        brief = report.table([columns[place] for place in chosen], [[row[place] for place in chosen] for row in rows])
-        report.write_part("domains", brief, page)
 
 
 def show_images(work: Path, kinds: Sequence[str], runs: int, write: bool) -> None:

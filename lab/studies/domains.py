@@ -9,7 +9,7 @@ same without images, the presets, and the common methods without learning, each 
 on other scenes of the very kind that it is scored on. Also: the final images beside the initial ones. Each scene is
 scored --runs times, with points that are moved by .1 mm, because the score of one run is chance. WORK keeps what is
 done, so that an interrupted run continues. The tables are printed; --write also puts them into
-lab/studies/README.md, and a short one into README.md and docs/evaluation.md. Without 3D models, the generated scenes
+lab/studies/README.md. Without 3D models, the generated scenes
 have built-in shapes only.
 """
 
@@ -87,7 +87,7 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", choices=(*DOMAINS, *REAL), default=(*DOMAINS, *REAL), help="only these")
     parser.add_argument("--scenes", type=int, metavar="COUNT", help="at most so many of each kind for each purpose")
     parser.add_argument("--part", choices=("all", "left-out", "default", "others", "images", "tables"), default="all")
-    report.add_write(parser, "the tables in lab/studies/README.md, README.md and docs/evaluation.md")
+    report.add_write(parser, "the tables in lab/studies/README.md")
     arguments = parser.parse_args()
     work: Path = arguments.work
     check(parser, arguments)

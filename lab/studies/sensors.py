@@ -1,6 +1,6 @@
 """Judges the default on scans of several sensors, real and generated, beside TRAVEL and ground removal with DBSCAN.
 
-`python lab/studies/sensors.py --data FOLDER --simple 40 --travel PYTHON --write` makes tables in docs/evaluation.md.
+`python lab/studies/sensors.py --data FOLDER --simple 40 --travel PYTHON --write` makes tables in lab/studies/lidar.md.
 FOLDER has `kitti/`, `semantickitti/`, `vod/`, `argo/` and `nuscenes/`. PYTHON is the interpreter of an environment with
 `pip install travel-seg pypatchworkpp` (GPL, BSD), which are run as programs. Scores are those of streets.py, and AP50
 as in ScanNet's benchmark, of runs on points that are moved by 1 cm. With `--done FILE` a cell that was measured is not
@@ -43,7 +43,7 @@ Method = Callable[[Tensor], Tensor]
 NOISE, RUNS = 0.01, 4
 #: Seeds of streets. On 41 and 44 settings of small segments were compared; on the others nothing was chosen.
 STREETS = range(40, 60)
-EVALUATION = Path(__file__).parents[2] / "docs" / "evaluation.md"
+PAGE = Path(__file__).parent / "lidar.md"
 #: The sensors of the data with things in boxes or a full annotation.
 SENSORS = {
     "kitti": "KITTI, in the image",
@@ -83,7 +83,7 @@ def main() -> None:
     parser.add_argument("--travel", type=Path, metavar="PYTHON", help="interpreter of the peers")
     parser.add_argument("--streets", type=int, default=6, metavar="COUNT", help="generated streets of each sensor")
     parser.add_argument("--done", type=Path, metavar="FILE", help="cells that were measured, JSON")
-    report.add_write(parser, "the tables in docs/evaluation.md")
+    report.add_write(parser, "the tables in lab/studies/lidar.md")
     arguments = parser.parse_args()
     cells = Cells(arguments.done)
     loaders = {"kitti": kitti, "semantickitti": semantickitti, "nuscenes": nuscenes}
@@ -107,7 +107,7 @@ def main() -> None:
     for part, text in tables.items():
         print(text)
         if arguments.write:
-            report.write_part(part, text, EVALUATION)
+            report.write_part(part, text, PAGE)
 
 
 class Cells:

@@ -117,7 +117,7 @@ def _things(pixels: Tensor) -> Tensor:
     return torch.where(pixels >= STUFF_PIXEL, -1, pixels)
 
 
-def _all_known(scene: Scene) -> LabelledScene:
+def all_known(scene: Scene) -> LabelledScene:
     """Points without an instance are void."""
     assert scene.truth is not None
     assert scene.truth.points is not None
@@ -127,7 +127,7 @@ def _all_known(scene: Scene) -> LabelledScene:
 
 def _ycb(data: Path) -> Found:
     for name, path in _scenes(data / "ycb").items():
-        yield name, lambda path=path: _all_known(load_scene(path))  # type: ignore[misc]
+        yield name, lambda path=path: all_known(load_scene(path))  # type: ignore[misc]
 
 
 def _mosd(data: Path) -> Found:
@@ -139,7 +139,7 @@ def _mosd(data: Path) -> Found:
 
 def _thinned(path: Path) -> LabelledScene:
     scene = load_scene(path)
-    return _all_known(scene.select_points(voxel_subsample(scene.points, THINNED)))
+    return all_known(scene.select_points(voxel_subsample(scene.points, THINNED)))
 
 
 def _kitti(data: Path) -> Found:
@@ -149,12 +149,12 @@ def _kitti(data: Path) -> Found:
 
 def _in_the_image(path: Path) -> LabelledScene:
     scene = load_scene(path)
-    return _all_known(replace(scene.select_points(in_any_view(scene.points, scene.frames)), frames=()))
+    return all_known(replace(scene.select_points(in_any_view(scene.points, scene.frames)), frames=()))
 
 
 def _nuscenes(data: Path) -> Found:
     for name, path in _scenes(data / "nuscenes").items():
-        yield name, lambda path=path: _all_known(replace(load_scene(path), frames=()))  # type: ignore[misc]
+        yield name, lambda path=path: all_known(replace(load_scene(path), frames=()))  # type: ignore[misc]
 
 
 def _semantickitti(data: Path) -> Found:

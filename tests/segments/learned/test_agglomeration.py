@@ -103,16 +103,17 @@ class TestRounds:
         assert boundaries[0] == evidence.pairs.shape[1]
 
     @pytest.mark.parametrize("thresholds", [(0.1, 0.2, 0.3), (0.15, 0.25, 0.35, 0.5), (0.3, 0.1), (0.9,)])
-    def test_the_default_level_is_the_rounds(self, evidence, thresholds):
+    def test_the_level_of_the_highest_threshold_is_the_rounds(self, evidence, thresholds):
         model = ByCrease(*thresholds)
         hierarchy = build_hierarchy(evidence, model)
-        assert torch.equal(hierarchy.at(), after_rounds(evidence, model, *merging_steps(thresholds)))
-        assert hierarchy.default == max(thresholds)
+        expected = after_rounds(evidence, model, *merging_steps(thresholds))
+        assert torch.equal(hierarchy.cut(max(thresholds)), expected)
+        assert hierarchy.default == max(0.65, *thresholds)
 
-    def test_the_default_level_is_the_rounds_of_the_package_s_model(self, evidence):
+    def test_the_default_level_of_the_package_s_model(self, evidence):
         model = load_boundary_model()
         steps = [(0, 0.075), (0, 0.15), (1, 0.2), (1, 0.25), (2, 0.3), (2, 0.35), (3, 0.425), (3, 0.5), (3, 0.5)]
-        assert torch.equal(build_hierarchy(evidence, model).at(0.5), after_rounds(evidence, model, *steps))
+        assert torch.equal(build_hierarchy(evidence, model).at(), after_rounds(evidence, model, *steps, (3, 0.65)))
 
     @pytest.mark.slow
     def test_a_cut_at_a_threshold_is_the_state_after_its_round(self, evidence):

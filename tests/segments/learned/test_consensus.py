@@ -11,12 +11,13 @@ from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
 from torchjoint import ops
-from torchjoint.segments.learned.agglomeration import build_hierarchy
+from torchjoint.segments.learned.agglomeration import DEFAULT_HEIGHT, build_hierarchy
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 from torchjoint.segments.learned.consensus import NOISE, Panel, build_consensus, segments_of_judges, vote
 from torchjoint.segments.learned.draws import DEVIATION, drawn_anew
 from torchjoint.segments.learned.pieces import build_piece_graph
+from torchjoint.segments.learned.small_regions import MIN_SIZE
 
 
 def tensors(*rows):
@@ -192,17 +193,30 @@ class TestConsensus:
             after[own[0][1]] = own[level][1]
             assert torch.equal(segments[level][8], after[segments[0][8]])
 
-    def test_the_default_level_has_together_what_most_trees_have(self, evidence):
+    @pytest.mark.parametrize("height", [0.5, 0.65])
+    def test_a_level_has_together_what_most_trees_have(self, evidence, height):
         model = load_boundary_model()
         levels, segments = segments_of_judges([evidence], Panel(model), model.thresholds)
-        of_piece = build_consensus([evidence], model).segments_of_pieces(0.5)
+        of_piece = build_consensus([evidence], model).segments_of_pieces(height)
         a, b = evidence.pairs
-        trees = torch.stack(segments[levels.index(0.5)])
+        trees = torch.stack(segments[levels.index(height)])
         share = (trees[:, a] == trees[:, b]).double().mean(0)
         together = of_piece[a] == of_piece[b]
         assert together[share == 1].all()
         assert share[together].mean() > 0.95
         assert share[~together].mean() < 0.5
+
+    def test_the_default_level_has_no_small_regions(self, evidence):
+        hierarchy = build_consensus([evidence], load_boundary_model())
+        assert hierarchy.default == DEFAULT_HEIGHT
+        of_piece = hierarchy.segments_of_pieces(DEFAULT_HEIGHT)
+        size = torch.bincount(of_piece[hierarchy.piece])
+        a, b = of_piece[evidence.pairs]
+        has_neighbour = torch.zeros(len(size), dtype=torch.bool)
+        has_neighbour[torch.cat([a[a != b], b[a != b]])] = True
+        assert size[has_neighbour].min() >= MIN_SIZE
+        below = torch.bincount(hierarchy.cut(0.6499))
+        assert below.min() < MIN_SIZE  # finer levels have them
 
     def test_levels_are_nested_and_end_in_pieces(self, evidence):
         hierarchy = build_consensus([evidence], load_boundary_model())

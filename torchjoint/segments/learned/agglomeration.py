@@ -7,6 +7,7 @@ merge only regions that almost certainly belong together. All merges form a tree
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import torch
@@ -19,10 +20,14 @@ from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.mask_merging import MaskLinkage
 from torchjoint.segments.learned.occluded_surfaces import Occlusions, continued_surfaces
 from torchjoint.segments.learned.piece_graph import PieceGraph
+from torchjoint.segments.learned.small_regions import merges_of_small_regions
 
 #: Thresholds of the rounds after the model's own. At 1 all regions that touch have merged. There are several rounds,
 #: because the model judges larger regions again. They cost little, because few regions are left.
 COARSER = (0.65, 0.8, 0.9, 1.0)
+#: Height of the default level, if the model has no higher threshold. Probabilities are too sure of borders on kinds of
+#: data that no training saw: at .5, where regions merge that more likely than not are one object, objects fall apart.
+DEFAULT_HEIGHT = 0.65
 #: The heights of a round's merges are larger than the previous threshold by at least this number.
 HEIGHT_STEP = 2.0**-20
 
@@ -80,9 +85,9 @@ def build_hierarchy(pieces: PieceGraph, model: Model) -> Hierarchy:
 
 def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, begun: bool = False) -> Hierarchy:
     """As :func:`build_hierarchy`, with any judge. If it has `begun`, the pieces are the state after the first step."""
-    steps = merging_steps(thresholds)
-    (last, _), default = steps[-1], max(thresholds)
-    coarser = [(last, threshold) for threshold in COARSER if threshold > default]
+    steps, default = merging_steps(thresholds), default_height(thresholds)
+    last, highest = steps[-1]
+    more = [(last, threshold) for threshold in COARSER if threshold > highest]
     merges, region = Merges(len(pieces.statistics.size)), pieces.piece
     linkage = MaskLinkage.of(pieces.masks, pieces.statistics.size)
     if linkage is not None:  # a first merging, which shows how far the masks contradict each other
@@ -90,12 +95,22 @@ def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, 
         linkage = linkage.calibrated(pieces.regions_of_pieces(by_masks))
     region = _merge_in_steps(pieces, judge, steps[1:] if begun else steps, linkage, region, merges)
     if linkage is not None:
-        region = _merge_in_steps(pieces, judge, [(last, default)], linkage, region, merges, far=True)
-        region = _merge_in_steps(pieces, judge, [(last, default)], linkage, region, merges, only_crumbs=True)
+        region = _merge_in_steps(pieces, judge, [(last, highest)], linkage, region, merges, far=True)
+        region = _merge_in_steps(pieces, judge, [(last, highest)], linkage, region, merges, only_crumbs=True)
     elif pieces.occlusions is not None:
-        region = _join_behind_occluders(pieces, pieces.occlusions, region, merges, default)
-    _merge_in_steps(pieces, judge, coarser, linkage, region, merges)
+        region = _join_behind_occluders(pieces, pieces.occlusions, region, merges, highest)
+    to_default = [step for step in more if step[1] <= default]
+    outlined = None if linkage is None else replace(linkage, keeps_outlines=True)
+    region = _merge_in_steps(pieces, judge, to_default, outlined, region, merges)
+    if linkage is not None:
+        region = _join_small_regions(pieces, linkage, region, merges, default)
+    _merge_in_steps(pieces, judge, [step for step in more if step[1] > default], linkage, region, merges)
     return merges.hierarchy(pieces.piece, default)
+
+
+def default_height(thresholds: Sequence[float]) -> float:
+    """Height of the default level of a model with these thresholds."""
+    return max(*thresholds, DEFAULT_HEIGHT)
 
 
 def _merge_in_steps(
@@ -147,6 +162,16 @@ def _join_behind_occluders(
     joined, height = ops.region_dendrogram(pairs, against, num_regions, threshold)
     merges.add(of_piece, joined, torch.full_like(height, threshold), threshold)
     return ops.connected_components(joined, num_regions)[region]
+
+
+def _join_small_regions(
+    pieces: PieceGraph, linkage: MaskLinkage, region: Tensor, merges: Merges, threshold: float
+) -> Tensor:
+    """Merges small regions [N] that no mask confirms with whom they touch most, and returns the new regions [N]."""
+    of_piece = pieces.regions_of_pieces(region)
+    joined = merges_of_small_regions(pieces, of_piece, linkage.confirmed(of_piece))
+    merges.add(of_piece, joined, torch.full((joined.shape[1],), threshold, dtype=torch.float64), threshold)
+    return ops.connected_components(joined, int(of_piece.max()) + 1)[region]
 
 
 def _with_far_pairs(

@@ -26,6 +26,7 @@ from torchjoint.segments.learned.agglomeration import (
     COARSER,
     Merges,
     crossing_edges,
+    default_height,
     merge_pieces,
     merging_steps,
 )
@@ -33,6 +34,7 @@ from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.mask_counts import counted
 from torchjoint.segments.learned.piece_graph import PieceGraph, disjoint_union
+from torchjoint.segments.learned.small_regions import merges_of_small_regions
 from torchjoint.segments.learned.summaries import sum_by
 
 #: Standard deviation of the noise of a disturbed judge, in log odds.
@@ -113,17 +115,21 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
     pieces = draws[0]
     size = pieces.statistics.size.long()
     levels, segments = segments_of_judges(draws, Panel(model), model.thresholds)
-    merges, below, default = Merges(len(size)), 0.0, max(model.thresholds)
+    merges, below, default = Merges(len(size)), 0.0, default_height(model.thresholds)
     of_piece = torch.arange(len(size))
     for level, of_judges in zip(levels, segments, strict=True):
         joined, against = vote(of_judges, of_piece, size, pieces.pairs)
         merges.add(of_piece, joined, below + (level - below) * against / MAJORITY, level)
         of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
-        if level == default:
-            votes = Votes(torch.stack(of_judges), size)
+        if level == max(model.thresholds):
             # what does not touch, but is together for the majority; all finer levels keep it apart
             joined, against = vote(of_judges, of_piece, size)
             merges.add(of_piece, joined, torch.full_like(against, level), level)
+            of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
+        if level == default:
+            votes = Votes(torch.stack(of_judges), size)
+            joined = merges_of_small_regions(pieces, of_piece)
+            merges.add(of_piece, joined, torch.full((joined.shape[1],), level, dtype=torch.float64), level)
             of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
         below = level
     return replace(merges.hierarchy(pieces.piece, default), votes=votes)

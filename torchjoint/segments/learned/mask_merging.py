@@ -16,6 +16,7 @@ from torch import Tensor
 from torchjoint.ops.mask_merges import mask_merges
 from torchjoint.runtime.sorted_groups import find, members_of_groups
 from torchjoint.segments.learned.mask_counts import MaskCounts
+from torchjoint.segments.learned.small_regions import MIN_SIZE
 from torchjoint.segments.learned.summaries import sum_by
 
 # These numbers were chosen on generated rooms, table-tops, shelves and kitchens with perfect, SAM-like and hard masks.
@@ -27,9 +28,6 @@ APART_WEIGHT = 0.6
 #: Weight of the model's probability, in frames that see both regions completely: the smallest one, the one of the first
 #: merging, and the factor on the masks' noise, which is the share of votes against the regions of the first merging.
 LEAST_PRIOR_WEIGHT, FIRST_PRIOR_WEIGHT, PRIOR_WEIGHT_OF_NOISE = 0.05, 0.1, 2.0
-#: A region of fewer points is joined to a neighbour, unless a mask confirms it. Networks do not detect smaller objects
-#: reliably, and inexact outlines leave small remains. Regions that most views show without a mask stay.
-MIN_SIZE = 50
 #: A mask contains a region if at least this many of the region's points lie in it. Fewer are mostly seen through a gap.
 MIN_POINTS = 3
 #: A mask confirms a region if their overlap (intersection over union of visible points) is at least this.
@@ -44,11 +42,14 @@ class MaskLinkage:
         masks: counts of the points of each piece in each mask.
         size: [P] int64, points of each piece.
         prior_weight: weight of the model's probability, in frames.
+        keeps_outlines: whether what a mask confirms stays apart from what most views show without a mask: "no mask"
+            beside a mask says that its thing ends there.
     """
 
     masks: MaskCounts
     size: Tensor
     prior_weight: float = FIRST_PRIOR_WEIGHT
+    keeps_outlines: bool = False
 
     @classmethod
     def of(cls, masks: MaskCounts | None, size: Tensor) -> MaskLinkage | None:
@@ -64,6 +65,9 @@ class MaskLinkage:
             cost: [C] float32, the model's probability that the ends belong to different objects.
             threshold: largest cost of two regions that merge.
         """
+        if self.keeps_outlines:
+            apart = (self.confirmed(of_piece)[ends] & self._without_masks(of_piece)[ends.flip(0)]).any(0)
+            ends, cost = ends[:, ~apart], cost[~apart]
         return mask_merges(ends, cost, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, threshold)
 
     def far_pairs(self, of_piece: Tensor) -> Tensor:
@@ -80,13 +84,27 @@ class MaskLinkage:
         return torch.stack([key // num_regions, key % num_regions])
 
     def crumbs(self, of_piece: Tensor, ends: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
-        """The merges with a neighbour of small regions in masks, unless a mask confirms them; arguments as `merges`."""
-        tables = size, in_mask, in_frame, *_ = self._tables(of_piece)
+        """The merges with a neighbour of small regions in masks, unless a mask confirms them; arguments as `merges`.
+
+        Regions that most views show without a mask stay.
+        """
+        stays = self.confirmed(of_piece) | self._without_masks(of_piece)
+        return mask_merges(
+            ends, cost, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE
+        )
+
+    def confirmed(self, of_piece: Tensor) -> Tensor:
+        """Whether a mask confirms each region, [R] bool."""
+        size, in_mask, in_frame, *_ = self._tables(of_piece)
         best = torch.zeros(len(size), dtype=torch.float64)
         best.scatter_reduce_(0, in_mask[0], overlaps(self.masks, in_mask, in_frame), "amax")
+        return best >= CONFIRMED
+
+    def _without_masks(self, of_piece: Tensor) -> Tensor:
+        """Whether most views show a region without a mask, [R] bool."""
+        size, in_mask, in_frame, *_ = self._tables(of_piece)
         in_masks, in_view = (sum_by(table[0], table[2], len(size)) for table in (in_mask, in_frame))
-        stays = (best >= CONFIRMED) | (2 * in_masks < in_view)
-        return mask_merges(ends, cost, *tables, APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE)
+        return 2 * in_masks < in_view
 
     def _tables(self, of_piece: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         size = sum_by(of_piece, self.size, int(of_piece.max()) + 1)
