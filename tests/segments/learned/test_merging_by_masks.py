@@ -121,10 +121,10 @@ def test_what_a_mask_confirms_keeps_its_outline(keeps: bool) -> None:
     masks = MaskCounts(in_mask, in_frame, torch.tensor([256, 256]), torch.tensor([0, 0]))
     linkage = MaskLinkage(masks, size, keeps_outlines=keeps)
     assert linkage.confirmed(torch.arange(4)).tolist() == [True, True, False, False]
-    ends = torch.tensor([[0, 1, 1], [3, 2, 3]])
-    joined, _ = linkage.merges(torch.arange(4), ends, torch.zeros(3), threshold=1.0)
+    ends = torch.tensor([[0, 0, 1, 1], [1, 3, 2, 3]])
+    joined, _ = linkage.merges(torch.arange(4), ends, torch.zeros(4), threshold=1.0)
     group = tj.ops.connected_components(joined, 4).tolist()
-    assert group == ([0, 1, 1, 2] if keeps else [0, 0, 0, 0])  # the part joins its whole, the floor nothing
+    assert group == ([0, 1, 1, 2] if keeps else [0, 0, 0, 0])  # only the part joins its whole
 
 
 def test_frames_in_any_order_and_in_parts_give_the_same_labels(scene_of) -> None:

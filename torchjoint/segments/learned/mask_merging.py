@@ -42,8 +42,8 @@ class MaskLinkage:
         masks: counts of the points of each piece in each mask.
         size: [P] int64, points of each piece.
         prior_weight: weight of the model's probability, in frames.
-        keeps_outlines: whether what a mask confirms stays apart from what most views show without a mask: "no mask"
-            beside a mask says that its thing ends there.
+        keeps_outlines: whether what a mask confirms stays apart from what another mask confirms, and from what most
+            views show without a mask: "no mask" beside a mask says that its thing ends there.
     """
 
     masks: MaskCounts
@@ -66,7 +66,8 @@ class MaskLinkage:
             threshold: largest cost of two regions that merge.
         """
         if self.keeps_outlines:
-            apart = (self.confirmed(of_piece)[ends] & self._without_masks(of_piece)[ends.flip(0)]).any(0)
+            confirmed = self.confirmed(of_piece)
+            apart = (confirmed[ends] & (confirmed | self._without_masks(of_piece))[ends.flip(0)]).any(0)
             ends, cost = ends[:, ~apart], cost[~apart]
         return mask_merges(ends, cost, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, threshold)
 
