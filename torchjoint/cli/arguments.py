@@ -70,6 +70,7 @@ def output_file(out: Path, overwrite: bool, inputs: Sequence[Path | None], optio
         FileNotFoundError, FileExistsError, ValueError: as :class:`~torchjoint.runtime.outputs.Output`; also if a folder
             stands there.
     """
+    _check_parent(out, option)
     if out.is_dir():
         raise FileExistsError(f"{option}: {out} is a folder; expected the name of a file")
     return Output(out, overwrite=overwrite, inputs=inputs, option=option)
@@ -85,10 +86,16 @@ def output_files_in(out: Path, kinds: tuple[str, ...], overwrite: bool, inputs: 
     """
     if out.suffix.lower() in (*kinds, *SUFFIXES) and not out.is_dir():
         raise ValueError(f"-o: expected a folder, for {', '.join(kinds)} files, got the name of a file, {out.name}")
+    _check_parent(out, "-o")
     made = Output(out, overwrite=overwrite, inputs=inputs)
     if out.exists() and not (out.is_dir() and all(_is_kind(file, kinds) for file in out.iterdir())):
         raise FileExistsError(f"{out}: holds more than {', '.join(kinds)} files and will not be overwritten")
     return made
+
+
+def _check_parent(out: Path, option: str) -> None:
+    if not out.parent.is_dir():
+        raise FileNotFoundError(f"{option}: {out.parent} is no folder")
 
 
 def _is_kind(file: Path, kinds: tuple[str, ...]) -> bool:

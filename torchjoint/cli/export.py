@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 import tyro
 
 from torchjoint.cli.arguments import output_file, output_files_in
-from torchjoint.results.exports import FORMATS, SUFFIXES, export_labelcloud
+from torchjoint.results.exports import FORMATS, SUFFIXES
+from torchjoint.results.exports.boxes import export_labelcloud
 from torchjoint.results.loading import load_result
 from torchjoint.results.mask_report import select_masked
 

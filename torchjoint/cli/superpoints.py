@@ -67,7 +67,7 @@ def superpoints(
             )
         out = out or Path(f"{cloud.stem}-superpoints{'' if cloud.is_dir() else '.laz'}")
         config = SuperpointsConfig.from_preset(preset).set(set)
-        made = superpoints_of_files(
+        cut = superpoints_of_files(
             cloud,
             out,
             tile=tile,
@@ -77,8 +77,8 @@ def superpoints(
             overwrite=overwrite,
             progress=sys.stderr.isatty(),
         )
-        tiles = "1 tile" if made.num_tiles == 1 else f"{made.num_tiles} tiles"
-        print(f"{made.num_points} points in {made.num_superpoints} superpoints, {tiles}: {out}")
+        tiles = "1 tile" if cut.num_tiles == 1 else f"{cut.num_tiles} tiles"
+        print(f"{cut.num_points} points in {cut.num_superpoints} superpoints, {tiles}: {out}")
         return
     for name, value in (("--tile", tile), ("--buffer", buffer), ("--engine", engine)):
         if value is not None:

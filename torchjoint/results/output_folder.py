@@ -147,11 +147,8 @@ def output_folder(
         try:
             yield places.partial
         except BaseException:
-            if (
-                held.is_held
-                and places.partial.is_dir()
-                and [path.name for path in places.partial.iterdir()] == [SOURCE]
-            ):  # nothing to resume
+            is_ours = held.is_held() and places.partial.is_dir()
+            if is_ours and [path.name for path in places.partial.iterdir()] == [SOURCE]:  # nothing to resume
                 shutil.rmtree(places.partial)
             raise
         held.check()

@@ -73,6 +73,6 @@ def write_text(path: Path, text: str) -> None:
 
 def remove_partial_files(folder: Path) -> None:
     """Deletes the temporary files that killed writers left in a folder; only for a folder that nobody else writes."""
-    for path in folder.rglob(f"{PARTIAL}{'[0-9a-f]' * 16}*"):
+    for path in folder.glob(f"{PARTIAL}{'[0-9a-f]' * 16}*"):
         if path.is_file():
             path.unlink()

@@ -26,7 +26,6 @@ class Lock(NamedTuple):
     path: Path
     descriptor: int
 
-    @property
     def is_held(self) -> bool:
         """Whether its file is still there: who removes it lets other runs in."""
         try:
@@ -36,7 +35,7 @@ class Lock(NamedTuple):
 
     def check(self) -> None:
         """Raises LostError unless it is held; comes before a step that must not meet that of another run."""
-        if not self.is_held:
+        if not self.is_held():
             raise LostError(
                 f"{self.path}: was removed while this run worked; another run may have taken its files; start again"
             )
@@ -58,7 +57,7 @@ def lock(path: Path, busy: str) -> Iterator[Lock]:
             os.close(descriptor)
             raise BusyError(busy) from error
         held = Lock(path, descriptor)
-        if held.is_held:
+        if held.is_held():
             break
         os.close(descriptor)  # the run that held the lock has removed the file in the meantime
     try:
@@ -67,7 +66,7 @@ def lock(path: Path, busy: str) -> Iterator[Lock]:
         held.check()
         raise
     finally:
-        if held.is_held:
+        if held.is_held():
             _release(path, descriptor)
         else:
             os.close(descriptor)  # the file is another run's

@@ -152,7 +152,6 @@ class Output:
         option: the name of `path` for messages.
 
     Raises:
-        FileNotFoundError: the folder of `path` does not exist.
         FileExistsError: something stands there, and `overwrite` is False.
         ValueError: it is an input.
     """
@@ -161,7 +160,7 @@ class Output:
         check_no_input(path, inputs, option)
         self.path, self._before = path, seen(path)
         if self._before and not overwrite:
-            raise FileExistsError(f"{option}: {path} exists already; choose another name, or --overwrite")
+            raise FileExistsError(f"{path}: exists already; choose another name with {option}, or --overwrite")
 
     @contextmanager
     def written(self) -> Iterator[Path]:
@@ -182,3 +181,12 @@ class Output:
             raise
         shutil.rmtree(beside)
         self._before = seen(self.path)
+
+    def remove(self) -> None:
+        """Deletes what stood there: it does not belong to what is written now.
+
+        Raises:
+            ChangedError: something else stands there now; it stays.
+        """
+        check_unchanged(self.path, self._before)
+        self.path.unlink(missing_ok=True)

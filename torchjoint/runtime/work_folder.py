@@ -51,7 +51,8 @@ def work_folder(folder: Path, source: str) -> Path:
     # A run may be killed after it made the folder, and before it wrote the first file.
     if known is None and any(not path.name.startswith(PARTIAL) for path in folder.iterdir()):
         raise FileExistsError(f"{folder}: expected the folder of an earlier run; move it, or choose another output")
-    remove_partial_files(folder)
+    for path in (folder, *folder.rglob("*")):
+        remove_partial_files(path)
     if known is not None and known != source:
         for path in folder.iterdir():
             if path.name != SOURCE:  # it goes last, so that a killed deletion can be repeated
