@@ -6,7 +6,7 @@ import pytest
 
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.results.folder import write_result
+from torchjoint.results.folder import parts_of, write_result
 from torchjoint.runtime import outputs
 
 pytestmark = pytest.mark.filterwarnings("ignore:boxes stand along z")
@@ -52,14 +52,13 @@ def contents(folder):
         ("show", "cloud.ply", "--static", "cloud.ply"),
         ("show", "result", "--static", "result/run.yaml"),
         ("live", "result", "-o", "out", "--rerun", "result/run.yaml", "--overwrite"),
-        ("evaluate", "result", "result", "-o", "result", "--overwrite"),
+        ("export", "result", "--format", "coco", "-o", "result/segments.json", "--overwrite"),
     ],
 )
 def test_an_output_is_no_input(run, result, cloud, tmp_path, monkeypatch, arguments, link):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "clouds").mkdir()
     shutil.copy(cloud, tmp_path / "clouds")
-    shutil.copy(cloud, result / "scores.csv")
     given = list(arguments)
     if link:
         (tmp_path / "link").symlink_to(tmp_path)
@@ -109,3 +108,15 @@ def test_what_comes_meanwhile_stays(run, result, cloud, tmp_path, monkeypatch, a
 def test_boxes_name_the_cloud_beside_them(run, result, tmp_path):
     run("export", result, "--format", "labelcloud", "-o", tmp_path / "boxes.json")
     assert f'"path": "{tmp_path / "boxes.ply"}"' in (tmp_path / "boxes.json").read_text()
+
+
+def test_a_page_may_lie_in_its_result(run, result):
+    for _ in range(2):
+        run("show", result, "--static", result / "page.html")
+    assert (result / "page.html").stat().st_size > 1000
+    tj.load_result(result)
+
+
+def test_parts_are_all_that_a_result_has(result, tmp_path):
+    assert set(parts_of(result)) == set(result.iterdir())
+    assert parts_of(result / "points.ply") == [result / "points.ply"]

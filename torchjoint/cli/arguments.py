@@ -60,7 +60,8 @@ def check_output(
     """
     if out.exists() and not out.is_dir():
         raise FileExistsError(f"-o: {out} exists and is not a folder")
-    return {name: Output(out / name, overwrite=overwrite, inputs=inputs) for name in names}
+    files = [path for path in inputs if path is not None and path.is_file()]  # scores may lie in a result's folder
+    return {name: Output(out / name, overwrite=overwrite, inputs=files) for name in names}
 
 
 def output_file(out: Path, overwrite: bool, inputs: Sequence[Path | None], option: str = "-o") -> Output:

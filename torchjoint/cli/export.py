@@ -10,6 +10,7 @@ import tyro
 from torchjoint.cli.arguments import output_file, output_files_in
 from torchjoint.results.exports import FORMATS, SUFFIXES
 from torchjoint.results.exports.boxes import export_labelcloud
+from torchjoint.results.folder import parts_of
 from torchjoint.results.loading import load_result
 from torchjoint.results.mask_report import select_masked
 
@@ -74,10 +75,9 @@ def export(
         loaded = loaded.at(granularity)
     suffix = SUFFIXES.get(format, "")
     out = out or Path(f"{result.resolve().name}-{format}{suffix}")
+    inputs = parts_of(result)
     made = (
-        output_file(out, overwrite, (result,))
-        if suffix
-        else output_files_in(out, _IN_FOLDER[format], overwrite, (result,))
+        output_file(out, overwrite, inputs) if suffix else output_files_in(out, _IN_FOLDER[format], overwrite, inputs)
     )
     with made.written() as path:
         if format == "labelcloud":

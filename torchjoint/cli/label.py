@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from torchjoint.cli.arguments import output_file, output_files_in
+from torchjoint.results.folder import parts_of
 from torchjoint.results.labelled_file import label_file, part_files
 from torchjoint.results.loading import load_result
 
@@ -39,7 +40,7 @@ def label(
     if granularity is not None:
         loaded = loaded.at(granularity)
     is_file = out.suffix.lower() in (".ply", ".glb")
-    inputs = (file, result)
+    inputs = (file, *parts_of(result))
     made = output_file(out, overwrite, inputs) if is_file else output_files_in(out, (".ply",), overwrite, inputs)
     if not name.isidentifier():
         raise ValueError(f"--name: expected letters, digits and _, got {name!r}")

@@ -19,7 +19,7 @@ from torchjoint.cli.arguments import output_file
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.edits import Edits, read_edits
-from torchjoint.results.folder import read_source
+from torchjoint.results.folder import parts_of, read_source
 from torchjoint.results.loading import load_result
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
@@ -67,7 +67,7 @@ def show(
     if not out.exists():
         raise FileNotFoundError(f"{out} does not exist; expected a result, or a cloud with labels")
     is_folder = not out.is_file()
-    page = None if static is None else output_file(static, True, (out,), "--static")
+    page = None if static is None else output_file(static, True, parts_of(out), "--static")
     result = _read(out, truth)
     if granularity is not None:
         check_granularity(granularity, "--granularity")

@@ -157,7 +157,7 @@ def _check_record(job: Job) -> None:
     record = {"torchjoint": version("torchjoint"), "options": {**vars(job.options)}, "config": job.config.to_dict()}
     text = yaml.safe_dump(record, sort_keys=False)
     for name in (SUMMARY, FAILURES):
-        if not file.is_file() and (job.out / name).exists() and not job.overwrite:
+        if not file.is_file() and (job.out / name).is_file() and not job.overwrite:
             raise FileExistsError(f"{job.out / name}: is of no batch; choose another folder, or --overwrite")
     if file.is_file() and file.read_text(encoding="utf-8", errors="replace") != text and not job.overwrite:
         raise ValueError(f"{job.out}: expected the parameters of {file}; choose another folder, or --overwrite")

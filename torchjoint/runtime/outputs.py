@@ -35,10 +35,10 @@ def seen(path: Path, without: Collection[str] = ()) -> Seen:
         return frozenset({("", own.st_mtime_ns, own.st_size)})
     found = {("", 0, 0)}
     for entry in path.iterdir():
-        if entry.name not in without:
+        with suppress(FileNotFoundError):  # it has just gone, such as a viewer's temporary file
             known = entry.lstat()
             found.add((entry.name, known.st_mtime_ns, 0 if stat.S_ISDIR(known.st_mode) else known.st_size))
-    return frozenset(found)
+    return frozenset(one for one in found if one[0] not in without)
 
 
 def check_unchanged(out: Path, before: Seen, without: Collection[str] = (), at: Path | None = None) -> None:
