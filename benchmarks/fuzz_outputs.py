@@ -98,6 +98,8 @@ def plant(root: Path, rng: np.random.Generator) -> None:
                     sealed.mkdir(exist_ok=True)
                     write_sealed(sealed / marker, ("first", '["first", [["", 0, 0]]]', "")[rng.integers(3)])
                     os.rename(sealed / marker, root / name / marker)
+    if rng.random() < 0.1:
+        (root / ".out.lock").write_text("mine")
 
 
 def output_case(index: int, seed: int, folder: Path) -> str:

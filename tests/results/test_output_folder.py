@@ -318,3 +318,17 @@ def test_a_result_is_not_its_input(tmp_path, given):
     with pytest.raises(ValueError, match=expected):
         run(tmp_path / "out", inputs=(tmp_path / given,))
     assert content(tmp_path / "out") == before
+
+
+def test_corrections_that_come_after_the_check_stay(out, monkeypatch):
+    write(out, OLD)
+    check = module._check_replaceable
+
+    def late(*arguments):
+        check(*arguments)
+        write(out, {"edits.json": "by hand"})
+
+    monkeypatch.setattr(module, "_check_replaceable", late)
+    with pytest.raises(FileExistsError, match=r"edits\.json: was made or changed while this run worked"):
+        run(out)
+    assert content(out).items() >= {**OLD, "edits.json": "by hand"}.items()

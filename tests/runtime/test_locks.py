@@ -1,5 +1,7 @@
 """A lock whose file somebody removes: its run says so, and leaves the lock of the next one alone."""
 
+import os
+
 import pytest
 
 from torchjoint.runtime.locks import BusyError, LostError, lock
@@ -46,3 +48,15 @@ def test_the_next_holder_keeps_its_lock(tmp_path):
             with pytest.raises(LostError):
                 first.check()
             second.check()
+
+
+@pytest.mark.parametrize("kind", ["file", "folder", "pipe"])
+def test_a_file_of_something_else_stays(tmp_path, kind):
+    path = tmp_path / "a.lock"
+    {"file": lambda: path.write_text("precious"), "folder": path.mkdir, "pipe": lambda: os.mkfifo(path)}[kind]()
+    with (
+        pytest.raises(FileExistsError, match=r"a\.lock: expected the empty file of a lock; move it"),
+        lock(path, "busy"),
+    ):
+        pass
+    assert path.exists()

@@ -141,8 +141,8 @@ def output_folder(
         if key and finished == key:
             yield None
             return
+        before = places.seen()  # first: what comes after the check is not replaced, either
         _check_replaceable(places, overwrite)
-        before = places.seen()
         work_folder(places.partial, source)
         try:
             yield places.partial
@@ -163,9 +163,10 @@ def _finish_earlier(places: _Places, overwrite: bool) -> str | None:
     if (marker := _Marker.read(partial / PLACING)) is not None:
         _place(places, marker.before)
     elif (marker := _Marker.read(partial / COMPLETE)) is not None:
-        if overwrite or places.seen() - marker.before:
+        before = places.seen()
+        if overwrite or before - marker.before:
             _check_replaceable(places, overwrite)
-        _place(places, places.seen() | marker.before)
+        _place(places, before | marker.before)
     elif (marker := _Marker.read(out / COMPLETE)) is not None:
         _tidy(out, COMPLETE)
     return None if marker is None else marker.key

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -41,16 +42,28 @@ class Lock(NamedTuple):
             )
 
 
+def _opened(path: Path) -> int:
+    """Opens the file of a lock, which is empty; another one would be removed at the end."""
+    with suppress(IsADirectoryError):
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        found = os.fstat(descriptor)
+        if stat.S_ISREG(found.st_mode) and found.st_size == 0:
+            return descriptor
+        os.close(descriptor)
+    raise FileExistsError(f"{path}: expected the empty file of a lock; move it, or choose another output")
+
+
 @contextmanager
 def lock(path: Path, busy: str) -> Iterator[Lock]:
     """Holds the lock of a file inside the block; then removes the file.
 
     Raises:
         BusyError: another process holds it; `busy` is the message.
+        FileExistsError: there is a file of something else.
         LostError: the file was removed, and then a file of the run was missing.
     """
     while True:
-        descriptor = os.open(no_link(path), os.O_RDWR | os.O_CREAT, 0o644)
+        descriptor = _opened(no_link(path))
         try:
             _take(descriptor)
         except OSError as error:

@@ -131,11 +131,11 @@ def check_no_input(out: Path, inputs: Iterable[Path | None], option: str = "-o")
     Raises:
         ValueError: `out` is an input, contains one, or is an existing file of an input folder.
     """
-    real = out.resolve()
+    real = Path(os.path.realpath(out))
     for given in inputs:
         if given is None or not given.exists():
             continue
-        known = given.resolve()
+        known = Path(os.path.realpath(given))
         if out.exists() and (out.samefile(given) or (real.is_file() and known in real.parents)):
             raise ValueError(f"{option}: expected another path than the input's, {given}, got {out}")
         if real in known.parents:

@@ -115,8 +115,8 @@ def superpoints_of_files(
     with lock(out.with_name(f".{out.name}.lock"), busy) as held:
         if read_sealed(work / SOURCE) is not None:
             settle(work / "result", out, work / "replaced")
-        _check_output(cloud, files, out, overwrite)  # what it has seen above, another run may have replaced
         before = seen(out)
+        _check_output(cloud, files, out, overwrite)  # again, because another run may have made it in the meantime
         stats = [fingerprint(file) for file in files]
         work_folder(work, repr((stats, tile, buffer, config, MOST_POINTS, version("torchjoint"))))
         cut = _cut(files, work, tile, buffer, progress)
