@@ -122,9 +122,9 @@ def output_case(index: int, seed: int, folder: Path) -> str:
     events: dict[str, Meanwhile] = {
         "nothing": lambda out, lock: None,
         "appears": lambda out, lock: late(out, kind, name),
-        "lock removed": lambda out, lock: lock.unlink(missing_ok=True),
+        "lock removed": lambda out, lock: unlock(lock),
         "two runs": lambda out, lock: second(out, kind, overwrite),
-        "two runs, lock removed": lambda out, lock: (lock.unlink(missing_ok=True), second(out, kind, overwrite))[1],
+        "two runs, lock removed": lambda out, lock: (unlock(lock), second(out, kind, overwrite))[1],
     }
     event = list(events)[rng.integers(len(events))]
     is_killed, ended = rng.random() < 0.5, "whole"
@@ -141,6 +141,12 @@ def output_case(index: int, seed: int, folder: Path) -> str:
             raise FindingError(f"outputs: {kind}, {before}, {name}: what appeared is gone, or the run did not say so")
     check(root, out, mine, kind, f"{kind}, {before}, {event}, killed {is_killed}, {ended}")
     return f"outputs: {ended}"
+
+
+def unlock(lock: Path) -> None:
+    """Removes the lock of a run."""
+    if lock.is_file() and not lock.stat().st_size:
+        lock.unlink()
 
 
 def second(out: Path, kind: str, overwrite: bool) -> None:
