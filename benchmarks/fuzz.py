@@ -1,6 +1,6 @@
 """Random inputs to the compiled operators, and damaged files to all readers: nothing may crash, or be silently wrong.
 
-    python benchmarks/fuzz.py --operators 1000000 --files 100000 --results 10000 --state fuzz.json
+    python benchmarks/fuzz.py --operators 1000000 --files 100000 --results 10000 --outputs 10000 --state fuzz.json
 
 * Operators get arguments that are right, with random changes of values, shapes, dtypes and strides: through the
   wrappers and through ``torch.ops``. An error must be a clear one; a result must be that of the slow twin, if there is
@@ -8,6 +8,8 @@
 * Files are the samples of tests/samples, clouds, and the state and result of a run; bytes are cut, flipped and
   replaced. A reader must raise a clear error, or read what can be right (benchmarks/fuzz_files.py).
 * Results are tampered with, as are corrections and names of frames (benchmarks/fuzz_results.py).
+* Outputs are written where others have files, markers or locks, where something appears meanwhile, by two runs at once,
+  and by runs that are killed (benchmarks/fuzz_outputs.py).
 
 Case i depends on the seed and on i alone. The work is done in a process of its own; if it dies, the case is a finding,
 and the work goes on behind it. With --state an interrupted campaign goes on where it was. .ci/sanitize runs it, too.
@@ -31,6 +33,7 @@ from typing import Any
 import numpy as np
 import torch
 from fuzz_files import FindingError, file_case, make_samples
+from fuzz_outputs import output_case
 from fuzz_results import Results, result_case
 
 from torchjoint.runtime.files import write_text
@@ -149,8 +152,13 @@ def worker(begin: int, end: int, seed: int, kind: str, place: Any, connection: A
     findings: list[str] = []
     folder = Path(tempfile.mkdtemp())
     try:
-        made = {"operators": lambda _: None, "files": make_samples, "results": Results}[kind](folder)
-        case = {"operators": lambda *given: operator_case(*given[:2]), "files": file_case, "results": result_case}[kind]
+        make, case = {
+            "operators": (lambda folder: None, lambda index, seed, made: operator_case(index, seed)),
+            "files": (make_samples, file_case),
+            "results": (Results, result_case),
+            "outputs": (lambda folder: folder, output_case),
+        }[kind]
+        made = make(folder)
         for index in range(begin, end):
             place.value = index
             try:
@@ -188,6 +196,7 @@ def main() -> None:
     parser.add_argument("--operators", type=int, default=1_000_000)
     parser.add_argument("--files", type=int, default=100_000)
     parser.add_argument("--results", type=int, default=10_000)
+    parser.add_argument("--outputs", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--state", type=Path)
     arguments = parser.parse_args()
@@ -195,6 +204,7 @@ def main() -> None:
         "operators": 0,
         "files": 0,
         "results": 0,
+        "outputs": 0,
         "counts": {},
         "findings": [],
         "seed": arguments.seed,
@@ -203,7 +213,7 @@ def main() -> None:
         state |= json.loads(arguments.state.read_text())
         if state["seed"] != arguments.seed:
             sys.exit(f"{arguments.state}: of seed {state['seed']}")
-    for kind in ("operators", "files", "results"):
+    for kind in ("operators", "files", "results", "outputs"):
         for done, counts, findings in blocks(state[kind], getattr(arguments, kind), arguments.seed, kind):
             state[kind] = done
             for name, count in counts.items():
@@ -215,7 +225,7 @@ def main() -> None:
                 write_text(arguments.state, json.dumps(state, indent=1))
     found = len(state["findings"])
     print(f"{state['operators']} inputs of operators, {state['files']} damaged files, ", end="")
-    print(f"{state['results']} tampered results, {found} findings")
+    print(f"{state['results']} tampered results, {state['outputs']} outputs, {found} findings")
     for name, count in sorted(state["counts"].items()):
         print(f"  {name}: {count}")
     sys.exit(1 if state["findings"] else 0)

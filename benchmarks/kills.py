@@ -3,7 +3,7 @@
 A recording without a cloud is segmented: fusion, frames, step 6, writing, and in every second round the replacement of
 an earlier result. Each run is killed (SIGKILL) in a random stage, and again with a chance of one half, until a last run
 is left to end. All files must then be those of a run that nobody disturbed, byte for byte (except for the seconds in
-run.yaml), and nothing else may be left beside them.
+run.yaml), and nothing else may be left beside them but a user's files, which were there before.
 
     python benchmarks/kills.py --kills 100 --state kills.json
 
@@ -37,6 +37,8 @@ from torchjoint.runtime.files import write_text
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 STAGES = ["starting, or ended", "fusing", "frames", "step 6", "writing", "replacing"]
+#: Files of a user beside OUT, below names that runs have used for themselves.
+MINE = (".out.replaced/thesis.tex", ".partial-mine", "complete.txt")
 OPTIONS = ["--voxel-size", "0.1", "--set", "boundary.detector=gradient"]
 
 
@@ -128,6 +130,9 @@ def kill_and_end(folder: Path, again: bool, most: int, seconds: float, rng: rand
     """Kills the runs of one result, at most so often, and lets a last one end; returns what they were doing."""
     recording, out, log, hit = folder / "recording", folder / "results" / "out", folder / "log.txt", Counter[str]()
     shutil.rmtree(out.parent, ignore_errors=True)
+    for name in MINE:
+        (out.parent / name).parent.mkdir(parents=True, exist_ok=True)
+        (out.parent / name).write_text("mine")
     if again:
         shutil.copytree(folder / "earlier", out)
     while sum(hit.values()) < most:
@@ -140,8 +145,10 @@ def kill_and_end(folder: Path, again: bool, most: int, seconds: float, rng: rand
     must_end(segment(recording, out, log, "--overwrite"), log)
     if contents(out) != contents(folder / "expected"):
         sys.exit(f"after kills while {', '.join(hit)} the result differs")
-    if [path.name for path in out.parent.iterdir()] != ["out"]:
+    if {path.name for path in out.parent.iterdir()} != {"out", *(name.split("/")[0] for name in MINE)}:
         sys.exit(f"left behind: {sorted(path.name for path in out.parent.iterdir())}")
+    if any((out.parent / name).read_text() != "mine" for name in MINE):
+        sys.exit(f"after kills while {', '.join(hit)} the files of the user differ")
     return hit
 
 

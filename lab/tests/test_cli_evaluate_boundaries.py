@@ -63,7 +63,7 @@ def test_nothing_is_overwritten(bsds, tmp_path, run_lab):
     out = tmp_path / "scores"
     out.mkdir()
     (out / "boundaries.csv").write_text("precious")
-    with pytest.raises(SystemExit, match=r"boundaries\.csv: exists already; choose another folder with -o"):
+    with pytest.raises(SystemExit, match=r"boundaries\.csv: exists already; choose another name with -o"):
         run_lab("evaluate-boundaries", "gradient", bsds, "-o", out)
     run_lab("evaluate-boundaries", "gradient", bsds, "-o", out, "--overwrite", "--thresholds", 1, "--no-regions")
     assert (out / "boundaries.csv").read_text() != "precious"

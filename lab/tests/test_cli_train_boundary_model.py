@@ -54,8 +54,8 @@ def test_evidence_of_other_scenes_is_deleted(tmp_path):
     (folder("a", "b") / "scene-0-00000.pt").touch()
     assert (folder("a", "b") / "scene-0-00000.pt").exists()
     assert not (folder("a", "c") / "scene-0-00000.pt").exists()
-    (tmp_path / "a.npz.partial" / "key").unlink()
-    with pytest.raises(FileExistsError, match=r"a\.npz\.partial: is in the way"):
+    (tmp_path / "a.npz.partial" / "source.txt").rename(tmp_path / "a.npz.partial" / "mine.txt")
+    with pytest.raises(FileExistsError, match=r"a\.npz\.partial: expected the folder of an earlier run"):
         folder("a", "c")
 
 

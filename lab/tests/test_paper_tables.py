@@ -196,7 +196,7 @@ def test_what_is_wrong_is_told_before_the_work(data, monkeypatch, tmp_path, run_
 
 def test_nothing_is_overwritten(data, run_lab, tmp_path):
     (tmp_path / "tables.csv").write_text("precious")
-    with pytest.raises(SystemExit, match=r"tables\.csv: exists already; choose another folder with -o"):
+    with pytest.raises(SystemExit, match=r"tables\.csv: exists already; choose another name with -o"):
         run_lab("paper-tables", data, "-o", tmp_path)
 
 

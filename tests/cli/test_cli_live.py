@@ -8,6 +8,7 @@ import torch
 from folder_files import write_folder
 
 import torchjoint as tj
+from torchjoint.runtime import outputs
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +121,7 @@ def test_a_recording_of_rerun_is_written(recording, tmp_path, run):
 
 def test_no_file_of_rerun_is_overwritten(recording, tmp_path, run):
     (tmp_path / "a.rrd").write_text("mine")
-    with pytest.raises(SystemExit, match=r"--rerun: .*a\.rrd exists already; choose another name, or --overwrite"):
+    with pytest.raises(SystemExit, match=r"a\.rrd: exists already; choose another name with --rerun, or --overwrite"):
         run("live", recording, "-o", tmp_path / "out", "--rerun", tmp_path / "a.rrd")
     assert (tmp_path / "a.rrd").read_text() == "mine"
     assert not (tmp_path / "out").exists()
@@ -135,3 +136,17 @@ def test_a_bag_is_played(tmp_path, run, capsys):
     assert list(tj.load_result(tmp_path / "out").names) == names
     with pytest.raises(SystemExit, match=r"topics: color: .* has no messages of /front"):
         run("live", bag, "-o", tmp_path / "other", "--topics", "color=/front")
+
+
+def test_a_file_of_rerun_that_comes_meanwhile_stays(recording, tmp_path, run, monkeypatch):
+    pytest.importorskip("rerun", reason="recordings of Rerun need rerun: pip install 'torchjoint[rerun]'")
+    file, put = tmp_path / "log.rrd", outputs.put
+
+    def late(*given):
+        file.write_text("by hand")
+        put(*given)
+
+    monkeypatch.setattr(outputs, "put", late)
+    with pytest.raises(SystemExit, match=r"log\.rrd: was made or changed while this run worked"):
+        run("live", recording, "-o", tmp_path / "out", "--rate", "None", "--voxel-size", "0.1", "--rerun", file)
+    assert file.read_text() == "by hand"

@@ -132,6 +132,14 @@ def test_other_parameters_are_not_mixed(done, scans):
         tj.batch(scans, done[0], engine=HereEngine())
 
 
+def test_tables_of_others_stay(scans, tmp_path):
+    (tmp_path / "summary.csv").write_text("precious")
+    with pytest.raises(FileExistsError, match=r"summary\.csv: is of no batch; choose another folder"):
+        tj.batch(scans, tmp_path, engine=HereEngine())
+    assert [path.name for path in tmp_path.iterdir()] == ["summary.csv"]
+    assert (tmp_path / "summary.csv").read_text() == "precious"
+
+
 def test_the_command(done, scans, run, capsys):
     options = ["-o", done[0], "--max-frames", 1, "--thin", 0.2, "--set", "boundary.detector=gradient"]
     run("batch", scans / "a", scans / "c", *options)  # nothing to do: no worker starts

@@ -127,9 +127,10 @@ def test_nothing_is_written_through_a_link(run, place, tmp_path):
     victim = tmp_path / "victim"
     out = place / "out"
     out.mkdir()
-    (out / ".edits.partial.json").symlink_to(victim / "PWN.png")
+    (out / "edits.json").symlink_to(victim / "PWN.png")
     write_edits(out, Edits(3))
-    for name, target in ((".one.replaced", victim), ("one.partial", victim), (".one.lock", victim / "created")):
+    assert not (out / "edits.json").is_symlink()
+    for name, target in (("one.partial", victim), (".one.lock", victim / "created")):
         (place / name).symlink_to(target)
         with pytest.raises(FileExistsError, match="got a link"), output_folder(place / "one", "source"):
             pass

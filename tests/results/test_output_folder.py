@@ -10,10 +10,11 @@ import pytest
 
 from torchjoint.results import output_folder as module
 from torchjoint.results.output_folder import STATE, output_folder, own_files
+from torchjoint.runtime import outputs
 
 NEW = {"run.yaml": "new", "images/0.png": "new image", "points.ply": "new points"}
 OLD = {"run.yaml": "old", "images/0.png": "old image", "images/1.png": "old image", "hierarchy.npz": "old levels"}
-STEPS = {"os.rename", "os.remove", "os.rmdir", "os.mkdir", "shutil.rmtree", "open"}
+STEPS = {"os.rename", "os.link", "os.remove", "os.rmdir", "os.mkdir", "shutil.rmtree", "open"}
 
 
 def write(folder, files):
@@ -26,14 +27,15 @@ def content(folder):
     return {str(p.relative_to(folder)): p.read_text() for p in folder.rglob("*") if p.is_file()}
 
 
-def run(out, key="key", source="source", files=NEW, overwrite=True):
-    """One run; returns whether it had something to do."""
-    with output_folder(out, source, key=key, overwrite=overwrite) as partial:
+def run(out, key="key", source="source", files=NEW, overwrite=True, inputs=(), meanwhile=lambda partial: None):
+    """One run, beside which something happens; returns whether it had something to do."""
+    with output_folder(out, source, key=key, overwrite=overwrite, inputs=inputs) as partial:
         if partial is None:
             return False
         (partial / STATE).mkdir(exist_ok=True)
         (partial / STATE / "sums.pt").write_text("state")
         write(partial, files)
+        meanwhile(partial)
     return True
 
 
@@ -122,17 +124,31 @@ def test_killed_again_while_it_finishes(out, kill):
     assert content(out) == NEW
 
 
+def completed(out, overwrite=False):
+    """A run that was killed after its last file."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_place", lambda *arguments: None)
+        run(out, overwrite=overwrite)
+
+
 def test_a_complete_result_is_not_computed_again(tmp_path):
-    write(tmp_path / "out.partial", {**NEW, module.COMPLETE: "key"})
+    completed(tmp_path / "out")
+    assert not run(tmp_path / "out", overwrite=False)
+    assert content(tmp_path / "out") == NEW
+
+
+def test_a_completed_run_replaces_what_it_was_to_replace(tmp_path):
+    write(tmp_path / "out", OLD)
+    completed(tmp_path / "out", overwrite=True)
     assert not run(tmp_path / "out", overwrite=False)
     assert content(tmp_path / "out") == NEW
 
 
 def test_a_completed_run_stays_without_overwrite(tmp_path):
     """Its place has been taken meanwhile: nothing is lost."""
-    out, partial = tmp_path / "out", tmp_path / "out.partial"
+    out = tmp_path / "out"
+    completed(out)
     write(out, OLD)
-    write(partial, {**NEW, module.COMPLETE: "key"})
     with pytest.raises(FileExistsError, match="out: exists already"):
         run(out, overwrite=False)
     assert content(out) == OLD
@@ -187,3 +203,132 @@ def test_corrections_by_hand_are_not_overwritten(tmp_path):
     with pytest.raises(FileExistsError, match=r"edits\.json: has corrections by hand; move or delete it"):
         run(out, overwrite=True, key="other")
     assert (out / "edits.json").read_text() == "by hand"
+
+
+def test_what_appears_while_a_run_works_stays(tmp_path):
+    """Also an earlier result, which would be replaced if it had been there at the start."""
+    out = tmp_path / "out"
+    with pytest.raises(FileExistsError, match="out: was made or changed while this run worked, and is kept"):
+        run(out, meanwhile=lambda partial: write(out, OLD))
+    assert content(out) == OLD
+    os.rename(out, tmp_path / "mine")
+    assert not run(out, overwrite=False)  # the result has waited
+    assert content(out) == NEW
+    assert content(tmp_path / "mine") == OLD
+
+
+@pytest.mark.parametrize("name", ["mine.txt", "edits.json", "run.yaml"])
+def test_what_changes_in_a_result_while_a_run_works_stays(out, name):
+    write(out, OLD)
+    with pytest.raises(FileExistsError, match=f"{name}: was made or changed while this run worked, and is kept"):
+        run(out, meanwhile=lambda partial: write(out, {name: "by hand"}))
+    assert (out / name).read_text() == "by hand"
+    (out / name).unlink()
+    write(out, OLD)
+    assert not run(out)
+    assert content(out) == NEW
+    assert list(out.parent.iterdir()) == [out]
+
+
+def test_what_appears_in_the_last_moment_stays(out, monkeypatch):
+    """After the last check: the moves themselves replace nothing, and what was moved comes back or waits."""
+    write(out, OLD)
+    move = module.move_new if module.is_fixed(out) else outputs.move_new
+
+    def late(source, target):
+        if target.name in ("out", "points.ply"):
+            write(out, {"points.ply": "by hand"})
+        move(source, target)
+
+    monkeypatch.setattr(module if module.is_fixed(out) else outputs, "move_new", late)
+    with pytest.raises(FileExistsError, match="was made or changed while this run worked, and is kept"):
+        run(out)
+    assert (out / "points.ply").read_text() == "by hand"
+    monkeypatch.undo()
+    kept = content(out.parent)
+    assert set(OLD.values()) | set(NEW.values()) <= set(kept.values())
+
+
+@pytest.mark.parametrize("markers", [("placing.txt", "complete.txt"), ("complete.txt",), ("source.txt",)])
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_planted_markers_delete_nothing(tmp_path, markers, overwrite):
+    """A folder that was unpacked beside OUT, or is left of something else."""
+    photos, planted = tmp_path / "photos", {"x.png": "theirs"}
+    write(photos, {"wedding.jpg": "precious", "run.yaml": ""})
+    text = f"torchjoint {photos.stat().st_ino}\n"
+    for name in markers:
+        planted[name] = f'{text}["key", [["", 0, 0]]]'
+    write(tmp_path / "photos.partial", planted)
+    before = content(tmp_path)
+    with pytest.raises(FileExistsError, match=r"photos(: exists already|\.partial: expected the folder of an earlier)"):
+        run(photos, overwrite=overwrite)
+    assert content(tmp_path) == before
+
+
+def test_names_beside_a_result_are_not_touched(tmp_path):
+    mine = {".out.replaced/thesis.tex": "precious", ".out.lock": "", ".placing.txt": "mine"}
+    write(tmp_path, mine)
+    write(tmp_path / "out", OLD | {"complete.txt": "key"})
+    assert run(tmp_path / "out")
+    assert content(tmp_path / "out") == NEW
+    assert (tmp_path / ".out.replaced" / "thesis.tex").read_text() == "precious"
+
+
+def test_a_copy_of_an_interrupted_run_is_not_used(tmp_path):
+    completed(tmp_path / "out")
+    module.shutil.copytree(tmp_path / "out.partial", tmp_path / "two.partial")
+    with pytest.raises(FileExistsError, match=r"two\.partial: expected the folder of an earlier run; move it"):
+        run(tmp_path / "two")
+    assert content(tmp_path / "two.partial") == content(tmp_path / "out.partial")
+
+
+def lock_of(out):
+    return next(path for path in own_files(out) if path.name.endswith(".lock"))
+
+
+def test_a_lock_that_was_removed(out):
+    """Two runs then work in one folder: the first one says why its files are gone, and spoils nothing."""
+
+    def meanwhile(partial):
+        lock_of(out).unlink()
+        assert run(out, source="other")
+        (partial / "points.ply").write_text("half")
+
+    with pytest.raises(OSError, match=r"\.lock: was removed while this run worked; another run may have taken"):
+        run(out, meanwhile=meanwhile)
+    assert content(out) == NEW
+
+
+def test_a_lock_of_another_run_stays(out):
+    def meanwhile(partial):
+        lock_of(out).unlink()
+        lock_of(out).touch()
+
+    with pytest.raises(OSError, match=r"\.lock: was removed while this run worked"):
+        run(out, meanwhile=meanwhile)
+    assert lock_of(out).exists()
+
+
+@pytest.mark.parametrize("given", ["out", "out/recording", "link"])
+def test_a_result_is_not_its_input(tmp_path, given):
+    write(tmp_path / "out", OLD | {"recording/a.png": "pixels"})
+    (tmp_path / "link").symlink_to("out/recording")
+    before = content(tmp_path / "out")
+    expected = r"-o: expected (another path than the input's|a folder that does not contain)"
+    with pytest.raises(ValueError, match=expected):
+        run(tmp_path / "out", inputs=(tmp_path / given,))
+    assert content(tmp_path / "out") == before
+
+
+def test_corrections_that_come_after_the_check_stay(out, monkeypatch):
+    write(out, OLD)
+    check = module._check_replaceable
+
+    def late(*arguments):
+        check(*arguments)
+        write(out, {"edits.json": "by hand"})
+
+    monkeypatch.setattr(module, "_check_replaceable", late)
+    with pytest.raises(FileExistsError, match=r"edits\.json: was made or changed while this run worked"):
+        run(out)
+    assert content(out).items() >= {**OLD, "edits.json": "by hand"}.items()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from torchjoint.runtime.files import atomic_write, write_text
+from torchjoint.runtime.files import atomic_write, remove_partial_files, write_text
 
 
 def names(folder):
@@ -50,3 +50,29 @@ def test_text_is_utf_8(tmp_path):
     write_text(tmp_path / "page.md", "5 × 10 µm")
     assert (tmp_path / "page.md").read_bytes() == "5 × 10 µm".encode()
     assert names(tmp_path) == ["page.md"]
+
+
+def test_two_writers_of_one_file(tmp_path):
+    """Each writes a whole file, whenever the other one begins or ends."""
+    file = tmp_path / "labels.csv"
+    with atomic_write(file) as one:
+        one.write_text("one")
+        with atomic_write(file) as two:
+            two.write_text("two")
+            assert one.read_text() == "one"
+        assert file.read_text() == "two"
+    assert file.read_text() == "one"
+    assert names(tmp_path) == [file.name]
+
+
+def test_a_name_as_long_as_it_can_be(tmp_path):
+    write_text(tmp_path / f"{'n' * 251}.txt", "content")
+    assert names(tmp_path) == [f"{'n' * 251}.txt"]
+
+
+def test_what_killed_writers_left(tmp_path):
+    mine = [".partial-mine.csv", "a.csv", ".partial"]
+    for name in (*mine, ".partial-0123456789abcdef.csv"):
+        (tmp_path / name).touch()
+    remove_partial_files(tmp_path)
+    assert names(tmp_path) == sorted(mine)

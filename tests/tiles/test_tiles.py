@@ -1,5 +1,7 @@
 """Superpoints of LAS files in tiles: the same as in one piece, as far as can be; files, restarts, errors."""
 
+import shutil
+
 import laspy
 import numpy as np
 import pytest
@@ -86,6 +88,68 @@ def test_a_folder_of_files_is_one_cloud(tmp_path):
         superpoints_of_files(tmp_path / name, tmp_path / out, tile=5, buffer=1, engine="loky:1")
     parts = [labels_of(tmp_path / "out" / name) for name in ("a.laz", "b.las")]
     assert torch.equal(torch.cat(parts), labels_of(tmp_path / "out.las"))
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_what_comes_meanwhile_stays(cloud, tmp_path, monkeypatch, kind, overwrite):
+    given, out = (cloud, tmp_path / "out.laz") if kind == "file" else (tmp_path / "parts", tmp_path / "out")
+    if kind == "folder":
+        given.mkdir()
+        shutil.copy(cloud, given)
+    mine = out if kind == "file" else out / "mine.txt"
+    if overwrite:
+        superpoints_of_files(given, out, engine="loky:1")
+    stitch_all = tiles._stitch
+
+    def late(*arguments):
+        out.mkdir(exist_ok=True) if kind == "folder" else None
+        mine.write_text("by hand")
+        return stitch_all(*arguments)
+
+    monkeypatch.setattr(tiles, "_stitch", late)
+    with pytest.raises(FileExistsError, match="was made or changed while this run worked, and is kept"):
+        superpoints_of_files(given, out, engine="loky:1", overwrite=overwrite)
+    assert mine.read_text() == "by hand"
+    monkeypatch.undo()
+    mine.unlink()
+    made = superpoints_of_files(given, out, engine="loky:1", overwrite=True)  # goes on
+    assert made.num_points == 8_000
+    assert not (tmp_path / f"{out.name}.tiles").exists()
+
+
+def test_an_earlier_result_comes_back_after_a_kill(cloud, tmp_path, monkeypatch):
+    """The run was killed when the earlier folder had moved aside, and is not started again with the same tiles."""
+    (tmp_path / "parts").mkdir()
+    shutil.copy(cloud, tmp_path / "parts")
+    out = tmp_path / "out"
+    superpoints_of_files(tmp_path / "parts", out, engine="loky:1")
+    before = (out / "town.laz").read_bytes()
+
+    def killed(new, place, before, aside):
+        place.rename(aside)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(tiles, "put", killed)
+    with pytest.raises(KeyboardInterrupt):
+        superpoints_of_files(tmp_path / "parts", out, engine="loky:1", overwrite=True)
+    assert not out.exists()
+    monkeypatch.undo()
+    with pytest.raises(FileExistsError, match="out: exists already"):
+        superpoints_of_files(tmp_path / "parts", out, engine="loky:1", tile=7, buffer=1)
+    assert (out / "town.laz").read_bytes() == before
+    superpoints_of_files(tmp_path / "parts", out, engine="loky:1", tile=7, buffer=1, overwrite=True)
+    assert [path.name for path in out.iterdir()] == ["town.laz"]
+
+
+def test_a_folder_of_tiles_that_no_run_made_stays(cloud, tmp_path):
+    work = tmp_path / "out.laz.tiles"
+    work.mkdir()
+    for name in ("source.txt", "photo.jpg"):
+        (work / name).write_text("precious")
+    with pytest.raises(FileExistsError, match=r"out\.laz\.tiles: expected the folder of an earlier run; move it"):
+        superpoints_of_files(cloud, tmp_path / "out.laz")
+    assert (work / "photo.jpg").read_text() == "precious"
 
 
 def test_the_command(cloud, tmp_path, run, capsys):

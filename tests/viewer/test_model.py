@@ -87,6 +87,20 @@ def test_join_split_name_and_undo(model):
             action()
 
 
+@pytest.mark.parametrize("kind", ["PLY", "PNG", "COCO"])
+def test_long_names_of_segments_are_cut(model, tmp_path, kind):
+    if kind == "COCO":
+        pytest.importorskip("pycocotools", reason="COCO needs pycocotools")
+    chosen = largest(model, 7)
+    model.select(chosen)
+    for segment in chosen:
+        model.select((segment,))
+        model.name("ü" * 120)
+    model.select(chosen)
+    name, content = export_selected(model, kind)
+    (tmp_path / name).write_bytes(content)  # the browser can, too
+
+
 def test_a_split_goes_down_the_tree():
     merges = torch.tensor([[0, 1], [2, 3], [1, 2], [3, 4]])
     hierarchy = Hierarchy(torch.arange(5), merges, torch.tensor([0.1, 0.2, 0.3, 0.9], dtype=torch.float64))

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +11,7 @@ import tyro
 
 from torchjoint.config import Config, presets
 from torchjoint.datasets.formats.cloud_alone import SUFFIXES
+from torchjoint.runtime.outputs import Output
 
 
 @dataclass(frozen=True)
@@ -51,36 +49,54 @@ def read_topics(assignments: Iterable[str]) -> tuple[tuple[str, str], ...]:
     return tuple((role, topic) for role, _, topic in parts.values())
 
 
-def check_output(out: Path, names: Iterable[str], overwrite: bool) -> None:
-    """Checks that files with these names may be written into folder `out`.
+def check_output(
+    out: Path, names: Iterable[str], overwrite: bool, inputs: Sequence[Path | None] = ()
+) -> dict[str, Output]:
+    """Checks that files with these names may be written into folder `out`; returns what writes each of them.
 
     Raises:
         FileExistsError: `out` is not a folder, or it holds one of the files and `overwrite` is False.
+        ValueError: one of the files is an input.
     """
     if out.exists() and not out.is_dir():
         raise FileExistsError(f"-o: {out} exists and is not a folder")
-    for name in names:
-        if (out / name).exists() and not overwrite:
-            raise FileExistsError(f"{out / name}: exists already; choose another folder with -o, or --overwrite")
+    files = [path for path in inputs if path is not None and path.is_file()]  # scores may lie in a result's folder
+    return {name: Output(out / name, overwrite=overwrite, inputs=files) for name in names}
 
 
-@contextmanager
-def folder_of(out: Path, *kinds: str) -> Iterator[Path]:
-    """Yields the path of a new folder beside `out`, to be written; then it becomes `out`, and replaces an earlier one.
+def output_file(out: Path, overwrite: bool, inputs: Sequence[Path | None], option: str = "-o") -> Output:
+    """Checks that a file may be written; returns what writes it.
 
     Raises:
-        FileExistsError: the earlier one holds more than files with the suffixes `kinds`, and folders of them.
+        FileNotFoundError, FileExistsError, ValueError: as :class:`~torchjoint.runtime.outputs.Output`; also if a folder
+            stands there.
+    """
+    _check_parent(out, option)
+    if out.is_dir():
+        raise FileExistsError(f"{option}: {out} is a folder; expected the name of a file")
+    return Output(out, overwrite=overwrite, inputs=inputs, option=option)
+
+
+def output_files_in(out: Path, kinds: tuple[str, ...], overwrite: bool, inputs: Sequence[Path | None]) -> Output:
+    """Checks that a folder of files with the suffixes `kinds` may be written; returns what writes it.
+
+    Raises:
+        FileExistsError: there is an earlier one, which holds more than such files and folders of them.
         ValueError: `out` has the name of a file.
+        As :func:`output_file`.
     """
     if out.suffix.lower() in (*kinds, *SUFFIXES) and not out.is_dir():
         raise ValueError(f"-o: expected a folder, for {', '.join(kinds)} files, got the name of a file, {out.name}")
+    _check_parent(out, "-o")
+    made = Output(out, overwrite=overwrite, inputs=inputs)
     if out.exists() and not (out.is_dir() and all(_is_kind(file, kinds) for file in out.iterdir())):
         raise FileExistsError(f"{out}: holds more than {', '.join(kinds)} files and will not be overwritten")
-    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as temporary:
-        yield Path(temporary) / "new"
-        if out.exists():
-            os.replace(out, Path(temporary) / "old")
-        os.replace(Path(temporary) / "new", out)
+    return made
+
+
+def _check_parent(out: Path, option: str) -> None:
+    if not out.parent.is_dir():
+        raise FileNotFoundError(f"{option}: {out.parent} is no folder")
 
 
 def _is_kind(file: Path, kinds: tuple[str, ...]) -> bool:

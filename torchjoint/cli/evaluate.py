@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -19,6 +20,7 @@ from torchjoint.evaluation.predictions import Prediction, is_result, read_predic
 from torchjoint.evaluation.protocols import Name, counted, find_table
 from torchjoint.evaluation.scores import Scores
 from torchjoint.evaluation.table import Row, scene_table, write_csv, write_plot
+from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Scene, Truth
 
 TABLE, PICTURE, LEVELS = "scores.csv", "scores.png", "levels.csv"
@@ -52,8 +54,7 @@ def evaluate(
         voxel_size: metres, for fusing a cloud from depth; used only if PRED does not hold the cloud.
         overwrite: replace files in OUT.
     """
-    if out is not None:
-        check_output(out, (TABLE, PICTURE, LEVELS), overwrite)
+    files = None if out is None else check_output(out, (TABLE, PICTURE, LEVELS), overwrite, (pred, scene, label_table))
     if not class_agnostic:
         raise ValueError("--no-class-agnostic: expected --class-agnostic; classes of predictions are not read")
     if protocol is None and label_table is not None:
@@ -72,7 +73,7 @@ def evaluate(
             else:
                 scored.add(name, loaded, read_prediction(found, loaded))
     finally:  # also reports the scores from before an error
-        scored.report(out)
+        scored.report(out, files)
 
 
 class _ScoreCollector:
@@ -97,7 +98,7 @@ class _ScoreCollector:
             found = prediction.points if prediction.instances is None else prediction.instances.points
             self.instances.update(found, truth[prediction.of_points], prediction.scores)
 
-    def report(self, out: Path | None) -> None:
+    def report(self, out: Path | None, files: Mapping[str, Output] | None) -> None:
         if not self.rows:
             return
         print(scene_table(self.rows))
@@ -112,13 +113,17 @@ class _ScoreCollector:
             self.notes.append(f"only {len(self.levels)} of {len(in_3d)} results have levels: no scores of all levels")
         for note in self.notes:
             print(note)
-        if out is not None:
+        if out is not None and files is not None:
             out.mkdir(parents=True, exist_ok=True)
-            write_csv(out / TABLE, self.rows)
-            write_plot(out / PICTURE, self.rows)
-            (out / LEVELS).unlink(missing_ok=True)  # a file of an earlier run does not belong to these scores
+            with files[TABLE].written() as path:
+                write_csv(path, self.rows)
+            with files[PICTURE].written() as path:
+                write_plot(path, self.rows)
             if self.levels:
-                write_levels(out / LEVELS, self.levels)
+                with files[LEVELS].written() as path:
+                    write_levels(path, self.levels)
+            else:
+                files[LEVELS].remove()
             print(f"written to {out}: {TABLE}, {PICTURE}{', ' + LEVELS if self.levels else ''}")
 
 

@@ -7,8 +7,10 @@ from typing import Annotated, Literal
 
 import tyro
 
-from torchjoint.cli.arguments import folder_of
+from torchjoint.cli.arguments import output_file, output_files_in
 from torchjoint.results.exports import FORMATS, SUFFIXES
+from torchjoint.results.exports.boxes import export_labelcloud
+from torchjoint.results.folder import parts_of
 from torchjoint.results.loading import load_result
 from torchjoint.results.mask_report import select_masked
 
@@ -73,15 +75,13 @@ def export(
         loaded = loaded.at(granularity)
     suffix = SUFFIXES.get(format, "")
     out = out or Path(f"{result.resolve().name}-{format}{suffix}")
-    if not out.parent.is_dir():
-        raise FileNotFoundError(f"-o: {out.parent} is no folder")
-    if out.is_dir() and suffix:
-        raise FileExistsError(f"-o: {out} is a folder; {format} writes one file")
-    if out.exists() and not overwrite:
-        raise FileExistsError(f"{out}: exists already; choose another name with -o, or --overwrite")
-    if suffix:
-        FORMATS[format](out, loaded)
-    else:
-        with folder_of(out, *_IN_FOLDER[format]) as folder:
-            FORMATS[format](folder, loaded)
+    inputs = parts_of(result)
+    made = (
+        output_file(out, overwrite, inputs) if suffix else output_files_in(out, _IN_FOLDER[format], overwrite, inputs)
+    )
+    with made.written() as path:
+        if format == "labelcloud":
+            export_labelcloud(path, loaded, out.with_suffix(".ply"))
+        else:
+            FORMATS[format](path, loaded)
     print(out)

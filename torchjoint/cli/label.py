@@ -7,7 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from torchjoint.cli.arguments import folder_of
+from torchjoint.cli.arguments import output_file, output_files_in
+from torchjoint.results.folder import parts_of
 from torchjoint.results.labelled_file import label_file, part_files
 from torchjoint.results.loading import load_result
 
@@ -39,15 +40,13 @@ def label(
     if granularity is not None:
         loaded = loaded.at(granularity)
     is_file = out.suffix.lower() in (".ply", ".glb")
-    if not out.parent.is_dir():
-        raise FileNotFoundError(f"-o: {out.parent} is no folder")
-    if out.exists() and (not overwrite or out.is_dir() == is_file):
-        raise FileExistsError(f"-o: {out} exists already; choose another name, or --overwrite")
+    inputs = (file, *parts_of(result))
+    made = output_file(out, overwrite, inputs) if is_file else output_files_in(out, (".ply",), overwrite, inputs)
     if not name.isidentifier():
         raise ValueError(f"--name: expected letters, digits and _, got {name!r}")
-    if is_file:
-        label_file(file, out, loaded, name=name)
-    else:
-        with folder_of(out, ".ply") as folder:
-            part_files(file, folder, loaded)
+    with made.written() as path:
+        if is_file:
+            label_file(file, path, loaded, name=name)
+        else:
+            part_files(file, path, loaded)
     print(out)

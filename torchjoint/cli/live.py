@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -11,13 +11,14 @@ import tyro
 
 from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
-from torchjoint.cli.arguments import DEFAULTS, Flat, Out, read_topics
+from torchjoint.cli.arguments import DEFAULTS, Flat, Out, output_file, read_topics
 from torchjoint.cli.show import growing_view, serve_until_interrupted
 from torchjoint.datasets import load_scene
 from torchjoint.live import LiveResult, LiveSegmenter, RerunLog
 from torchjoint.recordings.playing import Played, computed_beside, play
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
+from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.subset import subset
 
@@ -66,13 +67,14 @@ def live(
         time_limit: for a ROS recording: largest time from an image to its depth image and its pose, seconds.
         overwrite: replace OUT if it is an earlier result, and the file of --rerun.
     """
-    _check(rate, every, rerun, overwrite)
+    _check(rate, every)
+    log_file = None if rerun is None else output_file(rerun, overwrite, (scene,), "--rerun")
     config = parameters.config()
     view = growing_view(show)
     segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn, views=views, memory=memory)
-    logged = nullcontext() if rerun is None else RerunLog.to_file(rerun)
+    logged = nullcontext() if log_file is None else _logged(log_file)
     key = f"live {scene.absolute()}"
-    with printed_log(), logged as log, output_folder(out, key, overwrite=overwrite) as partial:
+    with printed_log(), logged as log, output_folder(out, key, overwrite=overwrite, inputs=(scene,)) as partial:
         assert partial is not None  # only runs with a key can be finished
         recording = load_scene(scene, topics=dict(read_topics(topics)), time_limit=time_limit, fuse=False)
         if not len(recording.frames):
@@ -88,13 +90,17 @@ def live(
         serve_until_interrupted(view.viewer)
 
 
-def _check(rate: float | None, every: int, rerun: Path | None, overwrite: bool) -> None:
+@contextmanager
+def _logged(file: Output) -> Iterator[RerunLog]:
+    with file.written() as path, RerunLog.to_file(path) as log:
+        yield log
+
+
+def _check(rate: float | None, every: int) -> None:
     if rate is not None and not 0 < rate <= 1000:
         raise ValueError(f"--rate: expected more than 0 and up to 1000 frames a second, or None, got {rate}")
     if every < 0:
         raise ValueError(f"--every: expected a number of frames of at least 0, got {every}")
-    if rerun is not None and (rerun.is_dir() or (rerun.exists() and not overwrite)):
-        raise FileExistsError(f"--rerun: {rerun} exists already; choose another name, or --overwrite")
 
 
 def _play(results: _Results, rate: float | None, every: int) -> Played:

@@ -15,13 +15,15 @@ import tyro
 from torch import Tensor
 
 from torchjoint.cli._demo_scene import SOURCE, demo_scene
+from torchjoint.cli.arguments import output_file
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.edits import Edits, read_edits
-from torchjoint.results.folder import read_source
+from torchjoint.results.folder import parts_of, read_source
 from torchjoint.results.loading import load_result
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
+from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
 
@@ -65,13 +67,14 @@ def show(
     if not out.exists():
         raise FileNotFoundError(f"{out} does not exist; expected a result, or a cloud with labels")
     is_folder = not out.is_file()
+    page = None if static is None else output_file(static, True, parts_of(out), "--static")
     result = _read(out, truth)
     if granularity is not None:
         check_granularity(granularity, "--granularity")
         if result.hierarchy is None:
             raise ValueError(f"--granularity: expected a result with levels (method learned), got {out} with one")
-    if static is not None:
-        _write_static(static, result, out if is_folder else None, granularity, direction)
+    if page is not None:
+        _write_static(page, result, out if is_folder else None, granularity, direction)
     else:
         encoder = None if text_encoder is None else _text_encoder(text_encoder, result)
         _serve(result, out if is_folder else None, granularity, direction, host, port, open_browser, encoder)
@@ -132,14 +135,16 @@ def _scene_of(out: Path) -> Scene:
 
 
 def _write_static(
-    page: Path, result: Result, folder: Path | None, granularity: float | None, up: Tensor | None
+    page: Output, result: Result, folder: Path | None, granularity: float | None, up: Tensor | None
 ) -> None:
     from torchjoint.results.page import write_page
 
     count = Parts(result).count
     edits = Edits(count) if folder is None else read_edits(folder, count)
-    shown = write_page(page, result, up, edits if granularity is None else replace(edits, granularity=granularity))
-    print(page if shown == len(result.points) else f"{page}: {shown} of {len(result.points)} points")
+    edits = edits if granularity is None else replace(edits, granularity=granularity)
+    with page.written() as path:
+        shown = write_page(path, result, up, edits)
+    print(page.path if shown == len(result.points) else f"{page.path}: {shown} of {len(result.points)} points")
 
 
 def _serve(

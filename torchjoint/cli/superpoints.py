@@ -11,12 +11,12 @@ import torch
 import tyro
 from torch import Tensor
 
+from torchjoint.cli.arguments import output_file
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.oversegmentation import superpoints as segment
-from torchjoint.runtime.files import atomic_write
 from torchjoint.scene import Scene
 from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.run import is_las
@@ -67,7 +67,7 @@ def superpoints(
             )
         out = out or Path(f"{cloud.stem}-superpoints{'' if cloud.is_dir() else '.laz'}")
         config = SuperpointsConfig.from_preset(preset).set(set)
-        made = superpoints_of_files(
+        cut = superpoints_of_files(
             cloud,
             out,
             tile=tile,
@@ -77,15 +77,18 @@ def superpoints(
             overwrite=overwrite,
             progress=sys.stderr.isatty(),
         )
-        tiles = "1 tile" if made.num_tiles == 1 else f"{made.num_tiles} tiles"
-        print(f"{made.num_points} points in {made.num_superpoints} superpoints, {tiles}: {out}")
+        tiles = "1 tile" if cut.num_tiles == 1 else f"{cut.num_tiles} tiles"
+        print(f"{cut.num_points} points in {cut.num_superpoints} superpoints, {tiles}: {out}")
         return
     for name, value in (("--tile", tile), ("--buffer", buffer), ("--engine", engine)):
         if value is not None:
             raise ValueError(f"{name}: expected a .las or .laz cloud and result, got {cloud} and {out}")
     out = out or Path(f"{cloud.stem}-superpoints.ply")
     png = out.with_suffix(".png")
-    _check_output(out, png if picture else None, overwrite)
+    if out.suffix not in (".ply", ".npy", ".npz"):
+        raise ValueError(f"-o: expected a file that ends in .ply, .npy or .npz, got {out}")
+    made = output_file(out, overwrite, (cloud,))
+    pictured = output_file(png, overwrite, (cloud,)) if picture else None
     config = SuperpointsConfig.from_preset(preset).set(set)
     row = int(columns) if columns and columns.isdecimal() else columns
     read = read_cloud_file(cloud, row, "keep" if drop_invalid else "refuse")
@@ -102,21 +105,13 @@ def superpoints(
     valid = of_rows >= 0
     colors, normals = (None if of is None else of[valid] for of in (read.colors, read.normals))
     scene, labels = Scene(read.points[valid], colors=colors, normals=normals), of_rows[valid]
-    _write(out, scene, labels, of_rows)
+    with made.written() as path:
+        _write(path, scene, labels, of_rows)
     print(f"{len(labels)} points in {int(labels.max()) + 1} superpoints: {out}")
-    if picture:
-        _write_picture(png, scene, labels)
+    if pictured is not None:
+        with pictured.written() as path:
+            _write_picture(path, scene, labels)
         print(png)
-
-
-def _check_output(out: Path, png: Path | None, overwrite: bool) -> None:
-    if out.suffix not in (".ply", ".npy", ".npz"):
-        raise ValueError(f"-o: expected a file that ends in .ply, .npy or .npz, got {out}")
-    if not out.parent.is_dir():
-        raise FileNotFoundError(f"-o: {out.parent} is no folder")
-    for file in (out, png):
-        if file is not None and (file.is_dir() or (file.exists() and not overwrite)):
-            raise FileExistsError(f"{file}: exists already; choose another name with -o, or --overwrite")
 
 
 def _write(out: Path, scene: Scene, labels: Tensor, of_rows: Tensor) -> None:
@@ -128,15 +123,13 @@ def _write(out: Path, scene: Scene, labels: Tensor, of_rows: Tensor) -> None:
     arrays = {"points": scene.points.numpy(), "labels": labels.numpy()}
     if scene.colors is not None:
         arrays["colors"] = scene.colors.numpy()
-    with atomic_write(out) as partial:
-        if out.suffix == ".npy":
-            np.save(partial, of_rows.numpy())
-        else:
-            np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]
+    if out.suffix == ".npy":
+        np.save(out, of_rows.numpy())
+    else:
+        np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
 
 
 def _write_picture(png: Path, scene: Scene, labels: Tensor) -> None:
     from torchjoint.results.figures import cloud_figure
 
-    with atomic_write(png) as partial:
-        cloud_figure(scene, labels).savefig(partial, dpi=100)
+    cloud_figure(scene, labels).savefig(png, dpi=100)

@@ -15,10 +15,10 @@ from torchjoint.config import Config
 from torchjoint.engine import Engine, Outcome, WorkerDied, open_engine
 from torchjoint.recordings.one_scene import Job, SceneReport, check_origin, is_done, report_of, run_scene
 from torchjoint.recordings.options import RecordingOptions
-from torchjoint.recordings.scene_list import RECORD, find_recordings
+from torchjoint.recordings.scene_list import FAILURES, RECORD, SUMMARY, find_recordings
 from torchjoint.recordings.summary import Tables
 from torchjoint.results.folder import read_origin
-from torchjoint.runtime.files import write_text
+from torchjoint.runtime.files import remove_partial_files, write_text
 from torchjoint.runtime.locks import lock
 from torchjoint.runtime.messages import in_one_line, is_out_of_memory
 
@@ -91,6 +91,7 @@ def batch(
     found = {_folder(job.out, name, path, named): path for name, path in named.items()}
     with lock(job.out / _LOCK, f"{out}: another batch is writing its results here; wait for it, or choose another"):
         _check_record(job)
+        remove_partial_files(job.out)
         tables = Tables(job.out, list(found))
         todo, skipped = _sorted_out(job, tables, found)
         try:
@@ -155,6 +156,9 @@ def _check_record(job: Job) -> None:
     file = job.out / RECORD
     record = {"torchjoint": version("torchjoint"), "options": {**vars(job.options)}, "config": job.config.to_dict()}
     text = yaml.safe_dump(record, sort_keys=False)
+    for name in (SUMMARY, FAILURES):
+        if not file.is_file() and (job.out / name).is_file() and not job.overwrite:
+            raise FileExistsError(f"{job.out / name}: is of no batch; choose another folder, or --overwrite")
     if file.is_file() and file.read_text(encoding="utf-8", errors="replace") != text and not job.overwrite:
         raise ValueError(f"{job.out}: expected the parameters of {file}; choose another folder, or --overwrite")
     write_text(file, text)

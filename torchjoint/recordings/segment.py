@@ -23,6 +23,7 @@ from torchjoint.results.output_folder import STATE, output_folder, own_files
 from torchjoint.runtime.checked_files import file_checksum
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.memory import as_bytes
+from torchjoint.runtime.outputs import check_no_input
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
@@ -79,10 +80,7 @@ def segment_recording(
     """
     options.check(config)
     as_bytes(memory, "--memory")
-    if out.resolve() in (path.resolve(), *path.resolve().parents):
-        raise ValueError(f"-o: expected a folder that does not contain the recording, got {out}")
-    if masks is not None and out.resolve() in (masks.resolve(), *masks.resolve().parents):
-        raise ValueError(f"-o: expected a folder that does not contain the masks, got {out}")
+    check_no_input(out, (path, masks))  # before their files are looked at
     for name, needed in (("scene", path), ("--masks", masks)):
         if needed is not None and not needed.exists():
             raise FileNotFoundError(f"{name}: {needed} does not exist")

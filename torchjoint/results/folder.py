@@ -42,6 +42,19 @@ from torchjoint.scene.checks import as_labels
 MAX_LABEL = 2**16 - 2
 
 
+#: All files and folders of a result.
+PARTS = (
+    *("points.ply", "points.npz", "cloud-*mm.ply", "hierarchy.npz", "embeddings.npz", "overview.png", "run.yaml"),
+    *("cameras.json", "segments.json", "masks.json", "edits.json", "manifest.json"),
+    *("images", "images_color", "inputs", "pieces"),
+)
+
+
+def parts_of(result: Path) -> list[Path]:
+    """What a command reads of a result; of a file, the file. Other files in a result's folder are not of the result."""
+    return [result] if result.is_file() else [path for part in PARTS for path in result.glob(part)]
+
+
 class PointResult(NamedTuple):
     """The arrays of `points.npz`."""
 

@@ -2,31 +2,60 @@
 
 A run writes to a partial folder, OUT.partial. After the last file it writes a marker, `complete.txt`. From then on the
 partial folder is the result: a later run that finds the marker finishes the following steps. An earlier result is
-renamed to .OUT.replaced, then the partial folder is renamed to OUT, then the earlier result is deleted. OUT cannot be
-renamed if a file system is mounted there (a container's volume), or if its parent folder is read-only. Then both
-folders are inside OUT, and the contents of OUT are moved one by one.
+moved into the partial folder, as `.replaced`, then the partial folder is renamed to OUT, then the earlier result is
+deleted. OUT cannot be renamed if a file system is mounted there (a container's volume), or if its parent folder is
+read-only. Then the partial folder is inside OUT, and the contents of OUT are moved one by one.
+
+Markers count only in the folder that the run made (:mod:`torchjoint.runtime.work_folder`). What the run did not see at
+OUT when it began is not replaced (:mod:`torchjoint.runtime.outputs`): the result then waits in the partial folder.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from torchjoint.results.edits import FILE as EDITS
-from torchjoint.runtime.files import no_link, write_text
+from torchjoint.runtime.files import no_link
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.locks import lock
+from torchjoint.runtime.outputs import Seen, check_no_input, check_unchanged, move_new, put, seen
+from torchjoint.runtime.work_folder import SOURCE, read_sealed, work_folder, write_sealed
 
-#: Files in a partial folder: its source; the marker that it is complete; the marker that the old result has moved.
-SOURCE, COMPLETE, PLACING = "source.txt", "complete.txt", "placing.txt"
+#: Files in a partial folder: the marker that it is complete; the marker that the earlier result has moved.
+COMPLETE, PLACING = "complete.txt", "placing.txt"
+
+#: The folder in a partial folder that the earlier result moves to.
+REPLACED = ".replaced"
 
 #: A folder in a partial folder, with the files that only resuming needs. It is no part of the result.
 STATE = "state"
 
-_OVERWRITE = "overwrite "  # the marker's first word if an earlier result may be replaced; the key follows
+
+class _Marker(NamedTuple):
+    """What the marker of a complete result says."""
+
+    key: str  #: of the run
+    before: Seen  #: what stood at OUT when the run began, and may be replaced
+
+    def write(self, file: Path) -> None:
+        write_sealed(file, json.dumps([self.key, sorted(self.before)]))
+
+    @classmethod
+    def read(cls, file: Path) -> _Marker | None:
+        """None if there is no marker, or one that no run wrote there."""
+        text = read_sealed(file)
+        if text is None:
+            return None
+        with damage_is(f"{file}: damaged; move its folder, then start again"):
+            key, before = json.loads(text)
+            return cls(str(key), frozenset((str(name), int(time), int(size)) for name, time, size in before))
 
 
 @dataclass(frozen=True)
@@ -35,26 +64,22 @@ class _Places:
 
     out: Path
     partial: Path
-    replaced: Path
     lock: Path
-    inside: bool  #: whether partial, replaced and lock are inside OUT
+    inside: bool  #: whether partial and lock are inside OUT
 
     @classmethod
     def of(cls, out: Path) -> _Places:
         if is_fixed(out):
-            return cls(out, out / ".partial", out / ".replaced", out / ".lock", True)
-        partial, replaced, lock = (
-            out.with_name(name) for name in (f"{out.name}.partial", f".{out.name}.replaced", f".{out.name}.lock")
-        )
-        return cls(out, partial, replaced, lock, False)
+            return cls(out, out / ".partial", out / ".lock", True)
+        return cls(out, out.with_name(f"{out.name}.partial"), out.with_name(f".{out.name}.lock"), False)
 
     @property
     def own(self) -> set[Path]:
-        return {self.partial, self.replaced, self.lock}
+        return {self.partial, self.lock}
 
-    def content(self) -> list[Path]:
-        """The content of OUT, without the files of this module."""
-        return [path for path in sorted(self.out.iterdir()) if path not in self.own] if self.out.is_dir() else []
+    def seen(self) -> Seen:
+        """What stands at OUT, without the files of this module."""
+        return seen(self.out, {path.name for path in self.own} if self.inside else ())
 
 
 def is_fixed(out: Path) -> bool:
@@ -78,7 +103,9 @@ def own_files(out: Path) -> set[Path]:
 
 
 @contextmanager
-def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = False) -> Iterator[Path | None]:
+def output_folder(
+    out: Path, source: str, *, key: str = "", overwrite: bool = False, inputs: Sequence[Path | None] = ()
+) -> Iterator[Path | None]:
     """Yields a temporary folder, which becomes `out` on success. After an error it stays, so that the run can resume.
 
     Args:
@@ -87,12 +114,16 @@ def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = Fa
         key: describes input and parameters. If an earlier run with this key was killed after its last file, its result
             becomes `out`. Then nothing is left to do, and None is yielded.
         overwrite: replace an earlier result; only a result (an empty folder, or one with a run.yaml) is replaced.
+        inputs: what the run reads; `out` must not contain it.
 
     Raises:
         FileExistsError: `out` exists and `overwrite` is False; `out` is not a result; the path of the partial result is
-            used by something else; or another run is writing to `out`.
+            used by something else; another run is writing to `out`; or `out` was made or changed inside the block.
+        ValueError: `out` is an input.
+        LostError: the file of the lock was removed inside the block.
         PermissionError: nothing can be written there.
     """
+    check_no_input(out, inputs)
     out = Path(os.path.abspath(out))
     if out.is_symlink() or (out.exists() and not out.is_dir()):
         raise FileExistsError(f"{out}: exists and is not a folder; choose another name for the output")
@@ -105,97 +136,86 @@ def output_folder(out: Path, source: str, *, key: str = "", overwrite: bool = Fa
         no_link(path)
     if not os.access(places.lock.parent, os.W_OK | os.X_OK):
         raise PermissionError(f"{out}: the folder {places.lock.parent} cannot be written; choose another output")
-    with lock(places.lock, f"{out}: another run is writing this result; wait for it, or choose another output"):
+    with lock(places.lock, f"{out}: another run is writing this result; wait for it, or choose another output") as held:
         finished = _finish_earlier(places, overwrite)
         if key and finished == key:
             yield None
             return
+        before = places.seen()  # first: what comes after the check is not replaced, either
         _check_replaceable(places, overwrite)
-        _prepare(places.partial, source)
+        work_folder(places.partial, source)
         try:
             yield places.partial
         except BaseException:
-            if [path.name for path in places.partial.iterdir()] == [SOURCE]:  # nothing to resume: remove the folder
+            is_ours = held.is_held() and places.partial.is_dir()
+            if is_ours and [path.name for path in places.partial.iterdir()] == [SOURCE]:  # nothing to resume
                 shutil.rmtree(places.partial)
             raise
-        write_text(places.partial / COMPLETE, _OVERWRITE * overwrite + key)
-        _place(places)
-
-
-def _prepare(partial: Path, source: str) -> None:
-    """Makes the partial folder, or uses that of an earlier run with the same source."""
-    for path in partial.rglob("*"):
-        no_link(path)
-    source_file = partial / SOURCE
-    # A run may be killed after it made the folder and before it wrote the first file.
-    is_new = not partial.exists() or {path.name for path in partial.iterdir()} <= {f".{SOURCE[:-4]}.partial.txt"}
-    if not is_new and not source_file.is_file():
-        raise FileExistsError(f"{partial}: expected the folder of an earlier run; move it, or choose another output")
-    if not is_new and source_file.read_text(encoding="utf-8") != source:
-        _remove(partial, SOURCE)
-    partial.mkdir(parents=True, exist_ok=True)
-    write_text(source_file, source)
+        held.check()
+        marker = _Marker(key, before)
+        marker.write(places.partial / COMPLETE)
+        _place(places, marker.before)
 
 
 def _finish_earlier(places: _Places, overwrite: bool) -> str | None:
     """Finishes the steps of a killed run; returns the key of its result, or None if there is nothing to finish."""
     partial, out = places.partial, places.out
-    found = next((path for path in (partial / PLACING, partial / COMPLETE, out / COMPLETE) if path.is_file()), None)
-    marker = "" if found is None else found.read_text(encoding="utf-8")
-    if found is not None and found.parent == partial:
-        if found.name == COMPLETE:
-            _check_replaceable(places, overwrite or marker.startswith(_OVERWRITE))
-        _place(places)
-    elif found is not None:
-        found.unlink()
-    _remove(places.replaced, "run.yaml")
-    return None if found is None else marker.removeprefix(_OVERWRITE)
+    if (marker := _Marker.read(partial / PLACING)) is not None:
+        _place(places, marker.before)
+    elif (marker := _Marker.read(partial / COMPLETE)) is not None:
+        before = places.seen()
+        if overwrite or before - marker.before:
+            _check_replaceable(places, overwrite)
+        _place(places, before | marker.before)
+    elif (marker := _Marker.read(out / COMPLETE)) is not None:
+        _tidy(out, COMPLETE)
+    return None if marker is None else marker.key
 
 
-def _place(places: _Places) -> None:
+def _place(places: _Places, before: Seen) -> None:
     """Turns the complete partial folder into the result; can be repeated after a kill at any step."""
-    out, partial, replaced = places.out, places.partial, places.replaced
+    partial = places.partial
     shutil.rmtree(partial / STATE, ignore_errors=True)
     (partial / SOURCE).unlink(missing_ok=True)
     if places.inside:
-        if not (partial / PLACING).is_file():
-            replaced.mkdir(exist_ok=True)
-            for path in places.content():
-                os.replace(path, replaced / path.name)
-            os.replace(partial / COMPLETE, partial / PLACING)
-        for path in sorted(partial.iterdir()):
-            if path.name != PLACING:
-                os.replace(path, out / path.name)
-        (partial / PLACING).unlink()
-        partial.rmdir()
+        _fill(places, before)
     else:
-        if out.exists():
-            _remove(replaced, "run.yaml")
-            os.replace(out, replaced)
-        os.replace(partial, out)
-        (out / COMPLETE).unlink()
-    _remove(replaced, "run.yaml")
+        put(partial, places.out, before, partial / REPLACED)
+        _tidy(places.out, COMPLETE)
 
 
-def _remove(folder: Path, last: str) -> None:
-    """Deletes a folder; file `last`, which identifies it, goes last, so that a killed deletion can be repeated."""
-    if not folder.is_dir():
-        return
-    for path in folder.iterdir():
-        if path.name != last:
-            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
-    shutil.rmtree(folder)
+def _fill(places: _Places, before: Seen) -> None:
+    """Moves the contents of OUT into the partial folder, and those of the partial folder to OUT."""
+    out, partial, replaced = places.out, places.partial, places.partial / REPLACED
+    if not (partial / PLACING).is_file():
+        check_unchanged(out, before, {path.name for path in places.own})
+        replaced.mkdir(exist_ok=True)
+        for name in sorted({name for name, _, _ in before if name and os.path.lexists(out / name)}):
+            os.replace(out / name, replaced / name)
+        os.replace(partial / COMPLETE, partial / PLACING)
+    for path in sorted(partial.iterdir()):
+        if path.name not in (PLACING, REPLACED):
+            move_new(path, out / path.name)
+    _tidy(partial, PLACING)
+    partial.rmdir()
+
+
+def _tidy(folder: Path, marker: str) -> None:
+    """Deletes the earlier result, and then the marker."""
+    if (folder / REPLACED).is_dir():
+        shutil.rmtree(folder / REPLACED)
+    (folder / marker).unlink()
 
 
 def _check_replaceable(places: _Places, overwrite: bool) -> None:
-    out, content = places.out, places.content()
+    out = places.out
     if not out.exists():
         return
     if not overwrite:
         raise FileExistsError(f"{out}: exists already; choose another folder, or --overwrite")
     if (out / EDITS).exists():
         raise FileExistsError(f"{out / EDITS}: has corrections by hand; move or delete it, then start again")
-    if content and not (out / "run.yaml").is_file():
+    if len(places.seen()) > 1 and not (out / "run.yaml").is_file():
         raise FileExistsError(f"{out}: expected a result of torchjoint, which has a run.yaml; it is not overwritten")
     if places.inside and not os.access(out, os.W_OK | os.X_OK):
         raise PermissionError(f"{out}: is read-only")

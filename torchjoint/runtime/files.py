@@ -5,12 +5,15 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import secrets
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 #: Most bytes of a name: file systems allow 255, and a suffix may follow.
 LONGEST = 240
+#: How the names of temporary files begin; a random part follows, so that two writers of a file do not meet.
+PARTIAL = ".partial-"
 
 
 def file_name(name: str, *, is_free: bool = True) -> str:
@@ -51,10 +54,10 @@ def no_link(path: Path) -> Path:
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yields a temporary path beside `path`. It replaces `path` on success, and is removed after an error.
 
-    The temporary path has the suffix of `path`, because libraries choose the format by the suffix.
+    The temporary path has the suffix of `path`, because libraries choose the format by the suffix. Of several
+    writers of a file, the last one counts.
     """
-    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-    partial.unlink(missing_ok=True)  # it may be a link to another place
+    partial = path.with_name(f"{PARTIAL}{secrets.token_hex(8)}{path.suffix}")
     try:
         yield partial
         os.replace(partial, path)
@@ -66,3 +69,10 @@ def write_text(path: Path, text: str) -> None:
     """Writes a text file (UTF-8) atomically."""
     with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def remove_partial_files(folder: Path) -> None:
+    """Deletes the temporary files that killed writers left in a folder; only for a folder that nobody else writes."""
+    for path in folder.glob(f"{PARTIAL}{'[0-9a-f]' * 16}*"):
+        if path.is_file():
+            path.unlink()

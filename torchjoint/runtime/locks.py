@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import stat
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from torchjoint.runtime.files import no_link
 
@@ -15,31 +17,72 @@ class BusyError(FileExistsError):
     """Another run holds the lock."""
 
 
+class LostError(OSError):
+    """The file of the lock was removed while the lock was held, so that another run can hold one of the same name."""
+
+
+class Lock(NamedTuple):
+    """A lock that is held."""
+
+    path: Path
+    descriptor: int
+
+    def is_held(self) -> bool:
+        """Whether its file is still there: who removes it lets other runs in."""
+        try:
+            return os.path.samestat(os.stat(self.path), os.fstat(self.descriptor))
+        except FileNotFoundError:
+            return False
+
+    def check(self) -> None:
+        """Raises LostError unless it is held; comes before a step that must not meet that of another run."""
+        if not self.is_held():
+            raise LostError(
+                f"{self.path}: was removed while this run worked; another run may have taken its files; start again"
+            )
+
+
+def _opened(path: Path) -> int:
+    """Opens the file of a lock, which is empty; another one would be removed at the end."""
+    with suppress(IsADirectoryError):
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        found = os.fstat(descriptor)
+        if stat.S_ISREG(found.st_mode) and found.st_size == 0:
+            return descriptor
+        os.close(descriptor)
+    raise FileExistsError(f"{path}: expected the empty file of a lock; move it, or choose another output")
+
+
 @contextmanager
-def lock(path: Path, busy: str) -> Iterator[None]:
+def lock(path: Path, busy: str) -> Iterator[Lock]:
     """Holds the lock of a file inside the block; then removes the file.
 
     Raises:
         BusyError: another process holds it; `busy` is the message.
+        FileExistsError: there is a file of something else.
+        LostError: the file was removed, and then a file of the run was missing.
     """
     while True:
-        descriptor = os.open(no_link(path), os.O_RDWR | os.O_CREAT, 0o644)
+        descriptor = _opened(no_link(path))
         try:
             _take(descriptor)
         except OSError as error:
             os.close(descriptor)
             raise BusyError(busy) from error
-        try:
-            current = os.stat(path).st_ino
-        except FileNotFoundError:
-            current = None
-        if current == os.fstat(descriptor).st_ino:
+        held = Lock(path, descriptor)
+        if held.is_held():
             break
         os.close(descriptor)  # the run that held the lock has removed the file in the meantime
     try:
-        yield
+        yield held
+    except FileNotFoundError:
+        held.check()
+        raise
     finally:
-        _release(path, descriptor)
+        if held.is_held():
+            _release(path, descriptor)
+        else:
+            os.close(descriptor)  # the file is another run's
 
 
 if sys.platform == "win32":

@@ -24,8 +24,10 @@ from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.engine import Engine, open_engine
 from torchjoint.runtime.archives import read_archive
-from torchjoint.runtime.files import atomic_write, write_text
+from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.locks import lock
+from torchjoint.runtime.outputs import Seen, check_no_input, put, seen, settle
+from torchjoint.runtime.work_folder import SOURCE, read_sealed, work_folder
 from torchjoint.tiles.labelled_las import check_dimension, write_labelled
 from torchjoint.tiles.plan import NARROWEST, plan_tiles
 from torchjoint.tiles.spill import point_type, spill_points, tile_file
@@ -110,13 +112,19 @@ def superpoints_of_files(
         check_dimension(file)
     work = out.with_name(f"{out.name}.tiles")
     busy = f"{out}: another run is writing this result; wait for it, or choose another output"
-    with lock(out.with_name(f".{out.name}.lock"), busy):
+    with lock(out.with_name(f".{out.name}.lock"), busy) as held:
+        if read_sealed(work / SOURCE) is not None:
+            settle(work / "result", out, work / "replaced")
+        before = seen(out)
+        _check_output(cloud, files, out, overwrite)  # again, because another run may have made it in the meantime
         stats = [fingerprint(file) for file in files]
-        _prepare(work, repr((stats, tile, buffer, config, MOST_POINTS, version("torchjoint"))))
+        work_folder(work, repr((stats, tile, buffer, config, MOST_POINTS, version("torchjoint"))))
         cut = _cut(files, work, tile, buffer, progress)
         _segment(cut, work, config, engine, progress)
         num_superpoints, labels = _stitch(cut, work)
         _write(cloud, files, out, work, labels, progress)
+        held.check()
+        _place(cloud, out, work, before)
         shutil.rmtree(work)
     return TiledCloud(cut.num_points, num_superpoints, cut.num_tiles)
 
@@ -156,8 +164,7 @@ def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool
         )
     if not out.parent.is_dir():
         raise FileNotFoundError(f"out: expected an existing folder, got {out.parent}")
-    if out.exists() and out.samefile(cloud):
-        raise ValueError(f"out: expected another path than the cloud's, got {out}")
+    check_no_input(out, (cloud, *files), "out")
     if out.is_symlink() or (out.exists() and out.is_dir() != cloud.is_dir()):
         raise FileExistsError(
             f"{out}: expected no link, and a {'folder' if cloud.is_dir() else 'file'}; choose another name"
@@ -177,19 +184,6 @@ def _result_name(file: Path) -> str:
     """The name of a file in a folder of results; X.copc.laz becomes X.laz, because the result is not COPC."""
     is_copc = file.name.lower().endswith(COPC)
     return f"{file.name[: -len(COPC)]}.laz" if is_copc else file.name
-
-
-def _prepare(work: Path, source: str) -> None:
-    """Makes the working folder, or uses that of an earlier run with the same source."""
-    file = work / "source.txt"
-    if work.exists() and (not work.is_dir() or (any(work.iterdir()) and not file.is_file())):
-        raise FileExistsError(
-            f"{work}: expected nothing, or the folder of an earlier run; move it, or choose another output"
-        )
-    if file.is_file() and file.read_text(encoding="utf-8") != source:
-        shutil.rmtree(work)
-    work.mkdir(exist_ok=True)
-    write_text(file, source)
 
 
 def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | None, progress: bool | None) -> _Cut:
@@ -273,7 +267,7 @@ def _write(
     labels: npt.NDArray[np.unsignedinteger],
     progress: bool | None,
 ) -> None:
-    """Writes copies of the files with labels, then moves all of them to `out` in one step."""
+    """Writes copies of the files with labels."""
     made = work / "result"
     shutil.rmtree(made, ignore_errors=True)
     made.mkdir()
@@ -282,12 +276,12 @@ def _write(
         for file in files:
             name = _result_name(file) if cloud.is_dir() else out.name
             first += write_labelled(file, made / name, labels[first:], bar.update)
-    if not cloud.is_dir():
-        os.replace(made / out.name, out)
-        return
-    if out.exists():
-        shutil.rmtree(out)
-    os.replace(made, out)
+
+
+def _place(cloud: Path, out: Path, work: Path, before: Seen) -> None:
+    """Moves all of them to `out` in one step."""
+    made = work / "result"
+    put(made if cloud.is_dir() else made / out.name, out, before, work / "replaced")
 
 
 def _labels_file(work: Path, number: int) -> Path:

@@ -35,8 +35,8 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     if not model.selected:
         raise ValueError("export: select a segment first")
     called = {model.key(segment): model.names.get(segment, "") for segment in model.selected}
-    name = file_name("-".join(f"{key}-{name}" if name else str(key) for key, name in [*called.items()][:5]))
-    name += f"-and-{len(called) - 5}-more" if len(called) > 5 else ""
+    name = "-".join(f"{key}-{name}" if name else str(key) for key, name in [*called.items()][:5])
+    name = file_name(name + (f"-and-{len(called) - 5}-more" if len(called) > 5 else ""))
     result = model.result
     keys = np.where(np.isin(model.table, model.selected), model.parts.keys[model.table], -1)  # of pieces; -1: others
     labels = torch.from_numpy(keys[model.parts.of_point])

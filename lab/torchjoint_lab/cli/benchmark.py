@@ -13,6 +13,7 @@ from torchjoint.cli.arguments import check_output
 from torchjoint.evaluation.table import Row, summarize, write_csv, write_plot
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.outputs import Output
 from torchjoint_lab.benchmark.method import Method
 from torchjoint_lab.benchmark.methods import METHODS
 from torchjoint_lab.benchmark.run import compare, tune
@@ -81,7 +82,7 @@ def benchmark(
     with needed_for("torchjoint-lab benchmark", "scikit-image and scikit-learn", "torchjoint-lab"):
         import skimage.segmentation  # noqa: F401
         import sklearn.cluster  # noqa: F401
-    check_output(out, (TABLE, SCORES, PICTURE, SETTINGS), overwrite)
+    files = check_output(out, (TABLE, SCORES, PICTURE, SETTINGS), overwrite, (data, settings))
     _check_page(page, suite, len(chosen) == len(METHODS) and half == "checking")
     if tuning is not None and (tuning[0] < 1 or tuning[1] < 0):
         raise ValueError(f"--tuning: expected draws >= 1 and steps >= 0, got {tuning[0]} {tuning[1]}")
@@ -96,24 +97,29 @@ def benchmark(
     rows: list[Row] = []
     for of_scene in compare(kind, chosen, used, data, half):
         rows += of_scene
-        write_csv(out / SCORES, rows)
+        with files[SCORES].written() as path:
+            write_csv(path, rows)
     if not rows:
         raise ValueError(f"--data: none of the {half} scenes has a truth to compare with")
     text = report(rows, kind, half)
     names = dict.fromkeys(method.like or method.name for method in chosen)
-    write_settings(out / SETTINGS, {name: used[name] for name in names if name in used}, f"suite {suite}")
-    _write_tables(out, rows, text)
+    with files[SETTINGS].written() as path:
+        write_settings(path, {name: used[name] for name in names if name in used}, f"suite {suite}")
+    _write_tables(files, rows, text)
+    print(f"written to {out}: {TABLE}, {SCORES}, {PICTURE}, {SETTINGS}")
     if page is not None:
         _fill(page, f"benchmark {suite}", text)
         print(f"and to {page}")
 
 
-def _write_tables(out: Path, rows: list[Row], text: str) -> None:
+def _write_tables(files: Mapping[str, Output], rows: list[Row], text: str) -> None:
     """Writes the picture, and the table of all scenes with one of each scene, which is printed too."""
-    write_plot(out / PICTURE, rows, _title)
+    with files[PICTURE].written() as path:
+        write_plot(path, rows, _title)
     by_scene = "\n\n".join(method_table(rows, space, _title) for space in dict.fromkeys(row.space for row in rows))
-    write_text(out / TABLE, f"{text}\n\n{by_scene}\n")
-    print(f"\n{by_scene}\n\n{text}\n\nwritten to {out}: {TABLE}, {SCORES}, {PICTURE}, {SETTINGS}")
+    with files[TABLE].written() as path:
+        write_text(path, f"{text}\n\n{by_scene}\n")
+    print(f"\n{by_scene}\n\n{text}\n")
 
 
 def _benchmark_masks(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,7 +14,7 @@ from torch import Tensor
 from torchjoint.cli.arguments import check_output
 from torchjoint.config import DETECTORS, BoundaryConfig
 from torchjoint.images.boundary import make_boundary
-from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.outputs import Output
 from torchjoint_lab.datasets.boundary_maps import find_boundary_map, read_boundary_map
 from torchjoint_lab.datasets.bsds import BsdsImage, bsds_images
 from torchjoint_lab.evaluation.boundary_scores import BoundaryScores, evaluate_predictions
@@ -50,7 +50,7 @@ def evaluate_boundaries(
         regions: also score the image segmentation with and without the boundaries.
         overwrite: replace files in OUT.
     """
-    check_output(out, (CURVE, PICTURE), overwrite)
+    files = check_output(out, (CURVE, PICTURE), overwrite, (Path(boundaries), bsds_dir))
     if multi_scale and not _is_forest(boundaries):
         raise ValueError(f"--multi-scale: only for structured forests, got {boundaries}")
     if boundaries == FOREST and split != "test":
@@ -58,7 +58,8 @@ def evaluate_boundaries(
     records = bsds_images(bsds_dir, split)
     predict = _predictor(boundaries, records, multi_scale)
     scores = evaluate_predictions(predict, records, thresholds, nms=nms, progress=True)
-    _write(out, scores, boundaries)
+    out.mkdir(parents=True, exist_ok=True)
+    _write(files, scores, boundaries)
     print(_boundary_table(scores))
     if regions:
         settings = {"with boundaries": WITH_BOUNDARIES, "without": WITHOUT_BOUNDARIES}
@@ -111,13 +112,12 @@ def _region_table(rows: dict[str, RegionScores]) -> str:
     return "\n".join(lines)
 
 
-def _write(out: Path, scores: BoundaryScores, name: str) -> None:
-    out.mkdir(parents=True, exist_ok=True)
-    with atomic_write(out / CURVE) as partial, partial.open("w", newline="", encoding="utf-8") as stream:
+def _write(files: Mapping[str, Output], scores: BoundaryScores, name: str) -> None:
+    with files[CURVE].written() as partial, partial.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(scores.curve._fields)
         writer.writerows([f"{value:.6f}" for value in row] for row in torch.stack(list(scores.curve), 1).tolist())
-    with atomic_write(out / PICTURE) as partial:
+    with files[PICTURE].written() as partial:
         _draw(partial, scores, name)
 
 

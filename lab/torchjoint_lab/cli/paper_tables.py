@@ -20,6 +20,7 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.results.folder import read_config
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.outputs import Output
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene, Truth
@@ -70,7 +71,7 @@ def paper_tables(
         parameters: parameters of the method.
         overwrite: replace files in OUT.
     """
-    check_output(out, (TABLES, MEANS, SCENES), overwrite)
+    files = check_output(out, (TABLES, MEANS, SCENES), overwrite, (scenes, sis3d, scenecut, results))
     check_max_frames(max_frames)
     for folder in (sis3d, scenecut, results):
         if folder is not None and not folder.is_dir():
@@ -85,7 +86,8 @@ def paper_tables(
             found[scene.name] = sources.score(scene, path)
     finally:  # scores from before an error are not lost
         if any(found.values()):
-            print(f"\n{_write(out, found, sources.notes)}\nwritten to {out}: {TABLES}, {MEANS}, {SCENES}")
+            out.mkdir(parents=True, exist_ok=True)
+            print(f"\n{_write(files, found, sources.notes)}\nwritten to {out}: {TABLES}, {MEANS}, {SCENES}")
     if not any(found.values()):
         raise ValueError(f"{scenes}: none of its {len(paths)} scenes has a truth to compare with")
 
@@ -174,7 +176,7 @@ def _fitted(labels: Tensor, size: tuple[int, int], file: Path) -> Tensor:
     return resize_nearest(labels, size)
 
 
-def _write(out: Path, found: Mapping[str, Mapping[Row, Scores]], notes: Sequence[str]) -> str:
+def _write(files: Mapping[str, Output], found: Mapping[str, Mapping[Row, Scores]], notes: Sequence[str]) -> str:
     """Writes the three files; returns the tables."""
     rows = comparable(found)
     partial = [
@@ -187,10 +189,14 @@ def _write(out: Path, found: Mapping[str, Mapping[Row, Scores]], notes: Sequence
     singles = [[name, *row, *_rounded(scores[row])] for name, scores in found.items() for row in ROWS if row in scores]
     remarks = "\n".join(f"- {note}" for note in (*notes, *partial, *missing))
     text = "\n\n".join(part for part in (paper_table(rows, "I"), paper_table(rows, "II"), remarks) if part) + "\n"
-    out.mkdir(parents=True, exist_ok=True)
-    write_text(out / SCENES, _csv(("scene", *Row._fields, *Scores._fields), singles))
-    write_text(out / MEANS, _csv((*Row._fields, "scenes", *Scores._fields), means))
-    write_text(out / TABLES, text)
+    texts = {
+        SCENES: _csv(("scene", *Row._fields, *Scores._fields), singles),
+        MEANS: _csv((*Row._fields, "scenes", *Scores._fields), means),
+        TABLES: text,
+    }
+    for name, content in texts.items():
+        with files[name].written() as path:
+            write_text(path, content)
     return text
 
 

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import tyro
 
+from torchjoint.cli.arguments import output_file
+from torchjoint.runtime.work_folder import work_folder
 from torchjoint.scene import Scene
 from torchjoint_lab.cli.arguments import check_max_frames
 
@@ -72,10 +74,7 @@ def train_boundary_model(
         raise ValueError(f"--varied: expected numbers from 0 to 1, got {' '.join(map(str, varied)) or 'none'}")
     if out.suffix != ".npz":
         raise ValueError(f"-o: expected a name that ends in .npz, got {out}")
-    if out.exists() and not overwrite:
-        raise FileExistsError(f"{out}: exists already; choose another name with -o, or --overwrite")
-    if not out.absolute().parent.is_dir():
-        raise FileNotFoundError(f"-o: {out.parent} is no folder")
+    made = output_file(out, overwrite, (*scenes, models))
     options = training.BoundaryModelOptions(trees=trees, folds=folds, members=members, seed=seed)
     sources = [*_own(scenes, thin, max_frames), *_generated(domains, seeds, models)]
     if len(sources) < 2:
@@ -85,8 +84,9 @@ def train_boundary_model(
     prepared = [_prepare(folder, sources, place, share) for place, share in enumerate(varied)]
     trained = [training.fit_boundary_model(one, options, report=_print_scores, progress=True) for one in prepared]
     model = BoundaryModel(tuple(member for one in trained for member in one.members))
-    training.save_boundary_model(out, model)
-    training.load_boundary_model(out)
+    with made.written() as path:
+        training.save_boundary_model(path, model)
+        training.load_boundary_model(path)
     shutil.rmtree(folder)
     print(
         f"{len(model.members)} models of {len(model.thresholds)} rounds from {len(sources)} scenes "
@@ -141,12 +141,11 @@ def _generated(domains: Sequence[str], seeds: Sequence[int], models: Path | None
 def _folder(out: Path, sources: Sequence[_Source], shares: Sequence[float]) -> Path:
     """The folder with the evidence of these scenes; deletes that of other scenes."""
     from torchjoint_lab.training.boundary_examples import learned_config
-    from torchjoint_lab.training.resumable_folder import resumable_folder
 
     record = json.dumps(
         [version("torchjoint"), learned_config().to_dict(), list(shares), [source.key for source in sources]]
     )
-    return resumable_folder(out.with_name(f"{out.name}.partial"), record)
+    return work_folder(out.with_name(f"{out.name}.partial"), record)
 
 
 def _prepare(folder: Path, sources: Sequence[_Source], place: int, share: float) -> Sequence[LabelledEvidence]:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from torchjoint.cli.arguments import output_file
 from torchjoint_lab.datasets.bsds import SPLITS, bsds_images
 
 
@@ -37,10 +38,7 @@ def train_forest(
     """
     from torchjoint_lab import training
 
-    if out.exists() and not overwrite:
-        raise FileExistsError(f"{out}: exists already; choose another name with -o, or --overwrite")
-    if not out.absolute().parent.is_dir():
-        raise FileNotFoundError(f"-o: {out.parent} is no folder")
+    output_file(out, overwrite, (bsds_dir,))
     unknown = [split for split in splits if split not in SPLITS]
     if unknown or not splits:
         raise ValueError(f"--splits: expected some of {', '.join(SPLITS)}, got {' '.join(splits) or 'none'}")
@@ -53,7 +51,7 @@ def train_forest(
         tree=training.TreeOptions(min_child=min_child),
     )
     begin = time.perf_counter()
-    forest = training.train_boundaries(images, out, options, workers=workers)
+    forest = training.train_boundaries(images, out, options, workers=workers, overwrite=overwrite)
     size = out.stat().st_size / 1e6
     print(
         f"{len(forest.children)} trees of up to {forest.children.shape[1]} nodes from {len(images)} images in "

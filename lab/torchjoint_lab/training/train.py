@@ -18,10 +18,11 @@ from tqdm import tqdm
 
 from torchjoint.images.forest import LABEL_SIZE, NUM_FEATURES, Forest, read_forest
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.outputs import Output
+from torchjoint.runtime.work_folder import work_folder
 from torchjoint_lab.datasets.bsds import BsdsImage
 from torchjoint_lab.training.forest_file import write_forest
 from torchjoint_lab.training.patches import FeatureCodes, draw_samples, segmentation_lines
-from torchjoint_lab.training.resumable_folder import resumable_folder
 from torchjoint_lab.training.tree import TreeOptions, grow_tree
 
 
@@ -69,7 +70,12 @@ class GrownTree(NamedTuple):
 
 
 def train_boundaries(
-    images: Sequence[BsdsImage], out: Path, options: TrainingOptions = TrainingOptions(), *, workers: int = 2
+    images: Sequence[BsdsImage],
+    out: Path,
+    options: TrainingOptions = TrainingOptions(),
+    *,
+    workers: int = 2,
+    overwrite: bool = True,
 ) -> Forest:
     """Trains a forest and writes it in OpenCV's format.
 
@@ -80,9 +86,10 @@ def train_boundaries(
         out: file for the forest, ``NAME.yml.gz``.
         options: the same images and options make the same file with any number of workers.
         workers: number of processes; each takes about 6 kB of memory per sample with the default `feature_share`.
+        overwrite: replace an earlier file.
 
     Raises:
-        FileExistsError: ``OUT.trees`` exists, but not from an earlier training.
+        FileExistsError: ``OUT.trees`` exists, but not from an earlier training; or OUT, without `overwrite`.
         ValueError: no images, or a name that does not end in .yml.gz.
     """
     if not images:
@@ -91,6 +98,7 @@ def train_boundaries(
         raise ValueError(f"workers: expected a whole number >= 1, got {workers}")
     if not out.name.endswith(".yml.gz"):
         raise ValueError(f"out: expected a name that ends in .yml.gz, got {out}")
+    made = Output(out, overwrite=overwrite)
     folder = _tree_folder(out, images, options)
     missing = [index for index in range(options.trees) if not (folder / _tree_name(index)).is_file()]
     with ProcessPoolExecutor(max(1, min(workers, len(missing))), mp_context=get_context("spawn")) as pool:
@@ -103,8 +111,9 @@ def train_boundaries(
             raise
     trees = [_load_tree(folder / _tree_name(index)) for index in range(options.trees)]
     forest = _forest(trees, options.trees_per_site)
-    write_forest(out, forest)
-    read_forest(out)
+    with made.written() as path:
+        write_forest(path, forest)
+        read_forest(path)
     shutil.rmtree(folder)
     return forest
 
@@ -112,7 +121,7 @@ def train_boundaries(
 def _tree_folder(out: Path, images: Sequence[BsdsImage], options: TrainingOptions) -> Path:
     """The folder with the trees of this training; deletes trees of a training with other images or options."""
     record = json.dumps([[image.name for image in images], dataclasses.asdict(options)])
-    return resumable_folder(out.with_name(f"{out.name}.trees"), record)
+    return work_folder(out.with_name(f"{out.name}.trees"), record)
 
 
 def _tree_name(index: int) -> str:

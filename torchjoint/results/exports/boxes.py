@@ -35,10 +35,13 @@ def export_openpcdet(path: Path, result: Result) -> None:
 
 
 @on_cpu()
-def export_labelcloud(path: Path, result: Result) -> None:
-    """Writes the boxes as labelCloud reads them (format centroid_abs); its cloud is ``points.ply`` of the result."""
+def export_labelcloud(path: Path, result: Result, cloud: Path | None = None) -> None:
+    """Writes the boxes as labelCloud reads them (format centroid_abs); its cloud is ``points.ply`` of the result.
+
+    `cloud` is where labelCloud finds it; default: beside `path`, with the same name.
+    """
     _warn_if_tilted(result)
-    record = labelcloud_record(boxes_of(result).values(), path.with_suffix(".ply"))
+    record = labelcloud_record(boxes_of(result).values(), path.with_suffix(".ply") if cloud is None else cloud)
     write_text(path, json.dumps(record, indent=1, ensure_ascii=False))
 
 

@@ -1,0 +1,122 @@
+"""Every command that writes: OUT is never what it reads, and what comes to OUT while it works stays there."""
+
+import shutil
+
+import pytest
+
+import torchjoint as tj
+from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.results.folder import parts_of, write_result
+from torchjoint.runtime import outputs
+
+pytestmark = pytest.mark.filterwarnings("ignore:boxes stand along z")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made") / "result"
+    folder.mkdir()
+    scene = tj.synthetic.make_scene(seed=3, num_points=400, num_views=2, height=48, width=64).scene
+    segmenter = tj.JointSegmenter(tj.Config().set(["boundary.detector=gradient"]))
+    write_result(folder, scene, segmenter(scene), segmenter.config, "made")
+    return folder
+
+
+@pytest.fixture
+def result(made, tmp_path):
+    return shutil.copytree(made, tmp_path / "result")
+
+
+@pytest.fixture
+def cloud(result, tmp_path):
+    scene = tj.load_result(result).scene
+    write_cloud(tmp_path / "cloud.ply", scene.points, scene.colors)
+    return tmp_path / "cloud.ply"
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("link", [False, True])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("superpoints", "cloud.ply", "-o", "cloud.ply", "--overwrite"),
+        ("superpoints", "result/points.npz", "-o", "result/points.npz", "--overwrite"),
+        ("label", "result", "cloud.ply", "-o", "cloud.ply", "--overwrite"),
+        ("label", "result", "cloud.ply", "-o", "result/points.ply", "--overwrite"),
+        ("label", "result", "clouds/cloud.ply", "-o", "clouds", "--overwrite"),
+        ("export", "result", "--format", "npz", "-o", "result/points.npz", "--overwrite"),
+        ("export", "result", "--format", "ply", "-o", "result", "--overwrite"),
+        ("show", "cloud.ply", "--static", "cloud.ply"),
+        ("show", "result", "--static", "result/run.yaml"),
+        ("live", "result", "-o", "out", "--rerun", "result/run.yaml", "--overwrite"),
+        ("export", "result", "--format", "coco", "-o", "result/segments.json", "--overwrite"),
+    ],
+)
+def test_an_output_is_no_input(run, result, cloud, tmp_path, monkeypatch, arguments, link):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "clouds").mkdir()
+    shutil.copy(cloud, tmp_path / "clouds")
+    given = list(arguments)
+    if link:
+        (tmp_path / "link").symlink_to(tmp_path)
+        given = [f"link/{one}" if (tmp_path / one).exists() and index > 2 else one for index, one in enumerate(given)]
+    before = contents(tmp_path)
+    with pytest.raises(
+        SystemExit, match=r"(-o|--static|--rerun): expected (another path than the input's|a folder that)"
+    ):
+        run(*given)
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize(
+    ("arguments", "out"),
+    [
+        (("superpoints", "cloud.ply", "--no-picture", "-o"), "out.ply"),
+        (("superpoints", "cloud.ply", "--no-picture", "-o"), "out.npy"),
+        (("superpoints", "cloud.ply", "-o", "other.npz"), "other.png"),
+        (("label", "result", "cloud.ply", "-o"), "out.ply"),
+        (("label", "result", "cloud.ply", "-o"), "parts/"),
+        (("export", "result", "--format", "npz", "-o"), "out.npz"),
+        (("export", "result", "--format", "labelcloud", "-o"), "out.json"),
+        (("export", "result", "--format", "scannet", "-o"), "instances/"),
+        (("show", "result", "--static"), "page.html"),
+    ],
+)
+def test_what_comes_meanwhile_stays(run, result, cloud, tmp_path, monkeypatch, arguments, out, overwrite):
+    monkeypatch.chdir(tmp_path)
+    mine = tmp_path / out / "mine.txt" if out.endswith("/") else tmp_path / out
+    put = outputs.put
+
+    def late(new, place, before, aside):
+        if place.resolve() == tmp_path / out:
+            mine.parent.mkdir(exist_ok=True)
+            mine.write_text("by hand")
+        put(new, place, before, aside)
+
+    monkeypatch.setattr(outputs, "put", late)
+    more = ([] if out == "other.png" else [out]) + ["--overwrite"] * (overwrite and arguments[0] != "show")
+    with pytest.raises(SystemExit, match="was made or changed while this run worked, and is kept; move it"):
+        run(*arguments, *more)
+    assert mine.read_text() == "by hand"
+    assert not list(tmp_path.rglob(".partial-*"))
+
+
+def test_boxes_name_the_cloud_beside_them(run, result, tmp_path):
+    run("export", result, "--format", "labelcloud", "-o", tmp_path / "boxes.json")
+    assert f'"path": "{tmp_path / "boxes.ply"}"' in (tmp_path / "boxes.json").read_text()
+
+
+def test_a_page_may_lie_in_its_result(run, result):
+    for _ in range(2):
+        run("show", result, "--static", result / "page.html")
+    assert (result / "page.html").stat().st_size > 1000
+    tj.load_result(result)
+
+
+def test_parts_are_all_that_a_result_has(result, tmp_path):
+    assert set(parts_of(result)) == set(result.iterdir())
+    assert parts_of(result / "points.ply") == [result / "points.ply"]

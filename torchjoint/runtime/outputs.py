@@ -1,0 +1,192 @@
+"""How a run puts its file or folder in its place: what the run did not see there when it began is never replaced.
+
+A user, a viewer or another program may make or change OUT while a run works. So the run notes what stands at OUT when
+it begins, and compares at the moment of replacing. An earlier folder is moved aside until the new one stands.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from torchjoint.runtime.files import PARTIAL
+
+#: What stands at a path: name, time of the last change, and size of a file, or of all entries of a folder; "" is the
+#: path itself. Empty: nothing. Inodes are left out, because some network file systems change them.
+Seen = frozenset[tuple[str, int, int]]
+
+
+class ChangedError(FileExistsError):
+    """What stands at OUT is not what the run saw when it began."""
+
+
+def seen(path: Path, without: Collection[str] = ()) -> Seen:
+    """What stands at a path, without the entries of these names."""
+    try:
+        own = path.lstat()
+    except FileNotFoundError:
+        return frozenset()
+    if not stat.S_ISDIR(own.st_mode):
+        return frozenset({("", own.st_mtime_ns, own.st_size)})
+    found = {("", 0, 0)}
+    for entry in path.iterdir():
+        with suppress(FileNotFoundError):  # it has just gone, such as a viewer's temporary file
+            known = entry.lstat()
+            found.add((entry.name, known.st_mtime_ns, 0 if stat.S_ISDIR(known.st_mode) else known.st_size))
+    return frozenset(one for one in found if one[0] not in without)
+
+
+def check_unchanged(out: Path, before: Seen, without: Collection[str] = (), at: Path | None = None) -> None:
+    """Checks that nothing stands at a path that was not there before; `at`: what stood there has moved there.
+
+    Raises:
+        ChangedError: it names what is new.
+    """
+    if new := seen(out if at is None else at, without) - before:
+        raise _changed(out / min(new)[0])
+
+
+def _changed(path: Path) -> ChangedError:
+    return ChangedError(f"{path}: was made or changed while this run worked, and is kept; move it, then start again")
+
+
+def move_new(source: Path, target: Path) -> None:
+    """Renames a file or folder to a path where nothing is, or an empty folder. Can be repeated after a kill.
+
+    Raises:
+        ChangedError: something is there.
+    """
+    if source.is_dir():
+        try:
+            os.rename(source, target)  # the system refuses to replace a file, or a folder that is not empty
+        except OSError as error:
+            if os.path.lexists(target):
+                raise _changed(target) from error
+            raise
+        return
+    try:
+        os.link(source, target)  # unlike a rename, it never replaces a file
+    except OSError as error:
+        if not os.path.lexists(target):  # a file system without hard links
+            os.rename(source, target)
+            return
+        if not source.samefile(target):  # not of a killed run
+            raise _changed(target) from error
+    source.unlink()
+
+
+def put(new: Path, out: Path, before: Seen, aside: Path) -> None:
+    """Puts a new file or folder in the place of what stood at `out`.
+
+    Args:
+        new: the file or folder, in the same file system.
+        out: its place.
+        before: what stood there when the run began.
+        aside: where an earlier folder goes; the caller deletes it afterwards.
+
+    Raises:
+        ChangedError: something else stands there now; it stays, or is put back.
+    """
+    check_unchanged(out, before)
+    if not before:
+        move_new(new, out)
+    elif not new.is_dir():
+        os.replace(new, out)
+    else:
+        if os.path.lexists(out) and not os.path.lexists(aside):
+            os.rename(out, aside)
+        try:
+            check_unchanged(out, before, at=aside)
+            move_new(new, out)
+        except BaseException:
+            with suppress(OSError):  # something stands at `out` already
+                move_new(aside, out)
+            raise
+
+
+def settle(new: Path, out: Path, aside: Path) -> None:
+    """Ends a :func:`put` of a folder that was killed: gives back what stood at `out`, unless `new` has replaced it.
+
+    Raises:
+        FileExistsError: meanwhile something else stands there.
+    """
+    if not os.path.lexists(aside):
+        return
+    if not os.path.lexists(new):
+        shutil.rmtree(aside)
+    elif os.path.lexists(out):
+        raise FileExistsError(f"{aside}: holds what stood at {out} before the last run; move it, then start again")
+    else:
+        os.rename(aside, out)
+
+
+def check_no_input(out: Path, inputs: Iterable[Path | None], option: str = "-o") -> None:
+    """Checks that an output replaces no input, also by way of links.
+
+    Raises:
+        ValueError: `out` is an input, contains one, or is an existing file of an input folder.
+    """
+    real = Path(os.path.realpath(out))
+    for given in inputs:
+        if given is None or not given.exists():
+            continue
+        known = Path(os.path.realpath(given))
+        if out.exists() and (out.samefile(given) or (real.is_file() and known in real.parents)):
+            raise ValueError(f"{option}: expected another path than the input's, {given}, got {out}")
+        if real in known.parents:
+            raise ValueError(f"{option}: expected a folder that does not contain the input, {given}, got {out}")
+
+
+class Output:
+    """A file or folder that a command writes when its work is done.
+
+    Args:
+        path: of the file or folder.
+        overwrite: replace what stands there now.
+        inputs: what the command reads.
+        option: the name of `path` for messages.
+
+    Raises:
+        FileExistsError: something stands there, and `overwrite` is False.
+        ValueError: it is an input.
+    """
+
+    def __init__(self, path: Path, *, overwrite: bool, inputs: Sequence[Path | None] = (), option: str = "-o") -> None:
+        check_no_input(path, inputs, option)
+        self.path, self._before = path, seen(path)
+        if self._before and not overwrite:
+            raise FileExistsError(f"{path}: exists already; choose another name with {option}, or --overwrite")
+
+    @contextmanager
+    def written(self) -> Iterator[Path]:
+        """Yields a path of the same name in a new folder beside it. What is there at the end takes its place.
+
+        Raises:
+            ChangedError: something else stands there now; it stays.
+        """
+        beside = Path(tempfile.mkdtemp(dir=self.path.parent, prefix=PARTIAL))
+        new = beside / self.path.name
+        try:
+            yield new
+            put(new, self.path, self._before, beside / f"{PARTIAL}replaced")
+        except BaseException:
+            shutil.rmtree(new, ignore_errors=True) if new.is_dir() else new.unlink(missing_ok=True)
+            with suppress(OSError):  # it holds what could not be put back
+                beside.rmdir()
+            raise
+        shutil.rmtree(beside)
+        self._before = seen(self.path)
+
+    def remove(self) -> None:
+        """Deletes what stood there: it does not belong to what is written now.
+
+        Raises:
+            ChangedError: something else stands there now; it stays.
+        """
+        check_unchanged(self.path, self._before)
+        self.path.unlink(missing_ok=True)
