@@ -275,7 +275,7 @@ def test_other_walls_stay_apart(options):
 def test_the_wall_is_whole_at_coarse_levels_only():
     scene, (left, _, right) = room_with_a_post()
     hierarchy = tj.JointSegmenter()(scene).hierarchy
-    for granularity, joined in ((0.4, True), (0.5, True), (0.55, False)):
+    for granularity, joined in ((0.4, True), (0.5, True), (0.65, False)):
         labels = hierarchy.at(granularity)
         assert (labels[left][0] == labels[right][0]) == joined
 
