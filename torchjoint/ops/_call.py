@@ -37,7 +37,8 @@ def call(kernel: Any, *arguments: Any) -> Any:
 def _translated(error: RuntimeError, names: list[str]) -> ValueError | MemoryError | None:
     """The exception that a kernel threw, from the message of a RuntimeError; None if a kernel did not throw it."""
     message = str(error)
-    if is_out_of_memory(error):  # of C++, or of torch's allocator
+    # Kernels call torch itself only to make tensors, which fails if there is no memory; up to 2.14 without the reason.
+    if is_out_of_memory(error) or "API call failed" in message:
         return MemoryError("a compiled operator: not enough memory")
     first = re.match(r"\w+", message)
     return ValueError(message) if first is not None and first.group() in names else None
