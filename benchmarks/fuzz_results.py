@@ -28,6 +28,7 @@ from torch import Tensor
 
 import torchjoint as tj
 from torchjoint.results.folder import write_result
+from torchjoint.results.manifest import manifest_checksum
 from torchjoint.runtime.files import LONGEST, file_name
 
 #: Parts of names that a stranger may give.
@@ -179,7 +180,7 @@ def add(results: Results, file: Path, rng: np.random.Generator) -> None:
 
 
 def correct(results: Results, file: Path, rng: np.random.Generator) -> None:
-    """Corrections that may be none."""
+    """Corrections that may be none, of this result, of another one, or of one that they do not name."""
     count = int(results.intact["pieces"].max()) + 1
     steps = []
     for _ in range(rng.integers(4)):
@@ -189,6 +190,8 @@ def correct(results: Results, file: Path, rng: np.random.Generator) -> None:
             pieces[0] = ODD[rng.integers(len(ODD))]
         steps.append({"kind": kind, "pieces": pieces} | ({"name": "ü<b>"} if rng.integers(2) else {}))
     record = {"pieces": count, "granularity": [None, 0.3, 1.0, 0][rng.integers(4)], "edits": steps}
+    if (of := (None, results.root, results.other)[rng.integers(3)]) is not None:
+        record["result"] = manifest_checksum(of)
     if rng.integers(3) == 0:
         change_record(record, ODD[rng.integers(len(ODD))], rng)
     (results.root / "edits.json").write_text(json.dumps(record))
@@ -230,8 +233,12 @@ def result_case(index: int, seed: int, results: Results) -> str:
             raise FindingError(f"results: an error without words: {error!r}") from error
         return f"results{' of 0.1.0' * is_old}: error"
     finally:
-        is_corrected = (results.root / "edits.json").is_file()
+        edits = results.root / "edits.json"
+        is_corrected = edits.is_file()
+        is_of_other = is_corrected and str(manifest_checksum(results.other)) in edits.read_text(errors="replace")
         results.restore()
+    if is_of_other and not is_old:
+        raise FindingError("results: corrections of another result were taken")
     if is_old:
         return "results of 0.1.0: read"
     return judged(results.intact, read, is_corrected)

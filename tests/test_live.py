@@ -287,3 +287,21 @@ def test_a_state_survives_a_kill(frames, tmp_path):
             assert len(segmenter.result(images=False).labels)
         program.stdin.close()
     assert len(sizes) > 1
+
+
+@pytest.mark.parametrize("around", [torch.inference_mode, lambda: torch.device("meta")], ids=["inference", "device"])
+def test_inference_mode_and_a_default_device_change_no_label(frames, around, tmp_path):
+    expected = played(frames).result()
+    with around():
+        begun = played(frames[:2])
+        begun.save(tmp_path / "state")
+        segmenter = tj.LiveSegmenter(voxel_size=VOXEL)
+        segmenter.restore(tmp_path / "state")
+        segmenter.update(frames[2])
+        segmenter.result(images=False)
+    segmenter.update(frames[3:])  # what was made inside can be changed here
+    with around():
+        result = segmenter.result()
+    assert torch.equal(result.segmentation.points, expected.segmentation.points)
+    for one, other in zip(result.segmentation.images, expected.segmentation.images, strict=True):
+        assert torch.equal(one, other)

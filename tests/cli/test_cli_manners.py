@@ -1,6 +1,8 @@
 """Small things a person meets: versions, presets, pipes, interrupts, types."""
 
 import dataclasses
+import os
+import re
 import subprocess
 import sys
 
@@ -55,15 +57,39 @@ def test_a_closed_pipe_is_no_error():
     assert process.wait() == 141
 
 
-def test_an_interrupt_while_fusing_says_what_is_lost(run, scene_of, tmp_path, monkeypatch):
+def test_an_interrupt_while_fusing_says_what_is_lost(run, scene_of, tmp_path, monkeypatch, capsys):
     recording = write_folder(tmp_path / "recording", scene_of(2), cloud=False)
 
     def interrupt(path):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("torchjoint.datasets.formats.folder.read_depth", interrupt)
-    with pytest.raises(SystemExit, match=r"interrupted; .*the cloud was being fused from depth; the next run"):
+    with pytest.raises(SystemExit) as end:
         run("segment", recording, "-o", tmp_path / "out")
+    assert end.value.code == 130
+    assert re.search(r"interrupted; .*the cloud was being fused from depth; the next run", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("message", "ends"),
+    [("libtorch_cpu.so: failed to map segment from shared object", True), ("cannot import name 'x' from 'y'", False)],
+)
+def test_a_library_that_does_not_fit_in_memory_is_one_line(run, monkeypatch, message, ends):
+    def fails(name):
+        raise ImportError(message)
+
+    monkeypatch.setattr("torchjoint.cli.commands.import_module", fails)
+    with pytest.raises(SystemExit if ends else ImportError, match="error: out of memory" if ends else message):
+        run("segment", "x")
+
+
+@pytest.mark.parametrize("cache", ["cache", ""])
+def test_matplotlib_keeps_its_fonts_in_the_cache(run, tmp_path, monkeypatch, cache):
+    monkeypatch.setenv("MPLCONFIGDIR", "")  # so that it is restored
+    monkeypatch.delenv("MPLCONFIGDIR")
+    monkeypatch.setenv("TORCHJOINT_CACHE", cache and str(tmp_path / cache))
+    run("formats")
+    assert os.environ.get("MPLCONFIGDIR") == (str(tmp_path / cache / "matplotlib") if cache else None)
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,8 @@ REFUSED = (ValueError, RuntimeError)
     [
         ("edge_index: expected node numbers in [0, 4), got 9 at edge 2", ValueError),
         ("std::bad_alloc", MemoryError),
-        ("[enforce fail at alloc_cpu.cpp:121] data. DefaultCPUAllocator: not enough memory", RuntimeError),
+        ("[enforce fail at alloc_cpu.cpp:121] data. DefaultCPUAllocator: not enough memory", MemoryError),
+        ('torch_call_dispatcher( "aten::new_empty", ...) API call failed at ops.h, line 939', MemoryError),
         ("expected scalar type Long but found Float", RuntimeError),
     ],
 )
@@ -279,3 +280,25 @@ def test_every_folder_is_packaged() -> None:
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
     found = {".".join(path.parent.relative_to(ROOT).parts) for path in (ROOT / "torchjoint").rglob("__init__.py")}
     assert found | {"torchjoint.configs"} == set(listed)
+
+
+LITTLE = """
+import resource, torch
+from torchjoint import ops
+points = torch.rand(300_000, 3)
+ops.nearest_neighbors(points[:100], 3)
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 20_000_000, resource.RLIM_INFINITY))
+no_edges = torch.empty(2, 0, dtype=torch.int64)
+for call in (lambda: ops.nearest_neighbors(points, 2000), lambda: ops.connected_components(no_edges, 10**9)):
+    try:
+        call()
+    except MemoryError:  # first of torch's allocator, then of C++
+        print("refused")
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of the address space are Linux's")
+def test_an_allocation_that_fails_is_a_memory_error() -> None:
+    done = subprocess.run([sys.executable, "-c", LITTLE], capture_output=True, text=True, check=True)
+    assert done.stdout == "refused\n" * 2

@@ -87,6 +87,20 @@ def test_a_forwarded_port(viewer, host):
     assert answer(viewer.url, Host=host) == 200
 
 
+ODD = [
+    b"GET /%(token)s/ HTTP/1.1\r\nHost: 127.0.0.1\r\nHost: 127.0.0.1\r\n\r\n",
+    b"GET /%(token)s/ HTTP/1.1\r\nHost: [\r\n\r\n",
+    b"GET /\xff HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+]
+
+
+@pytest.mark.parametrize("request_", ODD, ids=["two hosts", "half an address", "no text"])
+def test_an_odd_request_is_refused_as_any_other(viewer, request_):
+    with socket.create_connection(("127.0.0.1", viewer.server.get_port()), timeout=10) as connection:
+        connection.sendall(request_.replace(b"%(token)s", viewer.url.split("/")[3].encode()))
+        assert connection.recv(100).split(b"\r\n")[0] == b"HTTP/1.1 403 Forbidden"
+
+
 def test_the_websocket_needs_it_too(viewer):
     url = viewer.url.replace("http", "ws").rstrip("/")
     assert opens(viewer, url)

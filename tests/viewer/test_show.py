@@ -2,8 +2,11 @@
 
 import re
 import shutil
+import stat
 import sys
 from dataclasses import replace
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ import torch
 from folder_files import write_folder, write_truth
 
 import torchjoint as tj
+from torchjoint.cli.show import _open_page
 from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.page import write_page
 from torchjoint.viewer.superpoint_file import read_labelled_cloud
@@ -137,3 +141,19 @@ def test_corrections_are_in_the_static_page(run, out, tmp_path):
     write_edits(folder, Edits(parts.count, None, (Edit("join", (0, other)),)))
     run("show", folder, "--static", tmp_path / "page.html")
     assert f"{result.num_point_segments - 1} segments" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+def test_the_token_is_not_in_the_list_of_processes(monkeypatch, capsys):
+    """The browser is called with a page that only this user can read, and that leads to the address."""
+    called = []
+    monkeypatch.setattr("webbrowser.open", called.append)
+    url = "http://127.0.0.1:8080/secret-token/"
+    _open_page(url)
+    _open_page(url, in_browser=False)
+    (page,) = called
+    assert "secret-token" not in page
+    file = Path(unquote(urlsplit(page).path))
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    assert f"url={url}" in file.read_text(encoding="utf-8")
+    assert capsys.readouterr().out.count(url) == 2
+    file.unlink()

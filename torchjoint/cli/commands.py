@@ -13,10 +13,12 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import NamedTuple, NoReturn
 
+from torchjoint.runtime.files import cache_folder
 from torchjoint.runtime.messages import in_one_line, is_out_of_memory
 
-#: Exit status of a program whose output is not read to its end, as shells give it: 128 + SIGPIPE.
-PIPE_CLOSED = 141
+#: Exit status of a program whose output is not read to its end, and of one that is interrupted, as shells give it: 128
+#: + SIGPIPE, 128 + SIGINT.
+PIPE_CLOSED, INTERRUPTED = 141, 130
 
 
 class Command(NamedTuple):
@@ -36,6 +38,8 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         interrupted: the message after Ctrl-C about commands that can be resumed.
     """
     warnings.formatwarning = lambda message, *_, **__: f"{program}: warning: {message}\n"
+    if (cache := cache_folder()) is not None:  # else matplotlib writes its list of fonts to the home folder
+        os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))
     names = argparse.ArgumentParser(program, description=description, formatter_class=argparse.RawTextHelpFormatter)
     names.add_argument("--version", action="version", version=f"{program} {version(program)}")
     chosen = names.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
@@ -53,8 +57,9 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(PIPE_CLOSED)
     except KeyboardInterrupt as stop:
-        sys.exit(f"{program}: interrupted; {interrupted}{f'; {stop}' if str(stop) else ''}")
-    except (ValueError, TypeError, OSError, ModuleNotFoundError, MemoryError, RecursionError, RuntimeError) as error:
+        print(f"{program}: interrupted; {interrupted}{f'; {stop}' if str(stop) else ''}", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    except (ValueError, TypeError, OSError, ImportError, MemoryError, RecursionError, RuntimeError) as error:
         _tell(program, error)
 
 
@@ -67,6 +72,7 @@ def _call(function: object, program: str, arguments: list[str]) -> None:
 def _tell(program: str, error: Exception) -> NoReturn:
     """Exits with the message of a user error; raises any other error again, so that its traceback is printed."""
     is_users = isinstance(error, BrokenExecutor | RecursionError) or is_out_of_memory(error)
-    if isinstance(error, RuntimeError) and not is_users:
+    is_users |= isinstance(error, ModuleNotFoundError)
+    if isinstance(error, RuntimeError | ImportError) and not is_users:
         raise error
     sys.exit(f"{program}: error: {in_one_line(error)}")

@@ -10,10 +10,11 @@ import tyro
 
 from torchjoint.results.box_edits import edits_of_boxes
 from torchjoint.results.boxes import read_boxes
-from torchjoint.results.edits import FILE, read_edits, write_edits
+from torchjoint.results.edits import FILE, read_edits
 from torchjoint.results.loading import load_result
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.point_edits import edits_of_points, read_point_labels
+from torchjoint.results.shared_edits import save_edits
 
 
 def edits(
@@ -52,5 +53,5 @@ def edits(
             print(f"{len(empty)} boxes are those of no thing, such as box {empty[0]}; split in the viewer")
     if steps:
         steps = tuple(replace(step, granularity=before.granularity) for step in steps)
-        write_edits(result, replace(before, steps=before.steps + steps))
+        save_edits(result, replace(before, steps=before.steps + steps), before, parts)
         print(result / FILE)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
+import os
+import tempfile
 import webbrowser
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -189,4 +193,16 @@ def serve_until_interrupted(viewer: Viewer) -> None:
 def _open_page(url: str, in_browser: bool = True) -> None:
     print(f"{url}\nCtrl-C ends it", flush=True)
     if in_browser:
-        webbrowser.open(url)
+        webbrowser.open(_redirect(url).as_uri())
+
+
+def _redirect(url: str) -> Path:
+    """Writes a page that leads to an address and that only this user can read, until the program ends.
+
+    The list of processes, which everybody can read, shows what the browser was called with.
+    """
+    descriptor, name = tempfile.mkstemp(prefix="torchjoint-", suffix=".html")  # of mode 0600
+    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+        file.write(f'<meta charset="utf-8"><meta http-equiv="refresh" content="0; url={escape(url)}">\n')
+    atexit.register(lambda: Path(name).unlink(missing_ok=True))
+    return Path(name)

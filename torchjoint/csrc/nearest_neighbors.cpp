@@ -5,6 +5,7 @@
 #include <atomic>
 #include <cmath>
 #include <optional>
+#include <type_traits>
 
 namespace torchjoint {
 namespace {
@@ -18,6 +19,11 @@ constexpr size_t kMostRanked = 96;
 // Factor for bounds, larger than their rounding errors.
 constexpr double kSlack = 1 + 1e-9;
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
+// Points are only closer together than sqrt(rounded_up(0)) if their coordinates are below this limit. All of a clump of
+// such points would be candidates of each of them. So smaller coordinates in float32 are searched in float64, in which
+// no difference of them is too small to be squared; in float64 they count as 0.
+template <typename Value>
+constexpr double kTiny = std::is_same_v<Value, float> ? 1e-11 : 1e-136;
 
 struct Neighbor {
   double squared_distance;
@@ -271,6 +277,27 @@ void search_all(const Value* points, const double* limits, int64_t num_points, i
   });
 }
 
+template <typename Value>
+bool is_tiny(Value value) {
+  return value != 0 && std::abs(value) < kTiny<Value>;
+}
+
+// The values of a tensor in another dtype.
+template <typename To, typename From>
+Tensor converted(const Tensor& tensor, ScalarType dtype) {
+  Tensor values = torch::stable::new_empty(tensor, {tensor.size(0), tensor.size(1)}, dtype);
+  std::copy_n(tensor.const_data_ptr<From>(), tensor.numel(), values.mutable_data_ptr<To>());
+  return values;
+}
+
+// A copy of points in float64 without coordinates whose squares vanish.
+Tensor without_tiny(const Tensor& points) {
+  Tensor values = converted<double, double>(points, ScalarType::Double);
+  double* const at = values.mutable_data_ptr<double>();
+  std::replace_if(at, at + values.numel(), is_tiny<double>, 0.0);
+  return values;
+}
+
 std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count, int64_t num_distances,
                                              const std::optional<Tensor>& limits) {
   check(points.is_cpu(), "points: expected a CPU tensor");
@@ -280,7 +307,7 @@ std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count
   check(num_points <= kMaxCount, "points: expected at most 2^31 - 1 points, got ", num_points);
   check(count >= 0, "count: expected a number >= 0, got ", count);
   check(num_distances >= 0, "num_distances: expected a number >= 0, got ", num_distances);
-  const Tensor coordinates = torch::stable::contiguous(points);
+  Tensor coordinates = torch::stable::contiguous(points);
   std::vector<double> limit;
   if (limits) {
     const Tensor given = checked_array(*limits, ScalarType::Double, {num_points}, "limits");
@@ -289,14 +316,24 @@ std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count
       check(limit[i] >= 0, "limits: expected numbers >= 0, got ", limit[i], " at ", i);
     }
   }
+  bool has_tiny = false;
+  with_values(coordinates, [&]<typename Value>(const Value* values) {
+    for (int64_t i = 0; i < 3 * num_points; ++i) {
+      check(std::isfinite(values[i]), "points: expected finite coordinates, got ", values[i], " in row ", i / 3);
+      has_tiny |= is_tiny(values[i]);
+    }
+  });
+  if (has_tiny && points.scalar_type() == ScalarType::Float) {
+    const auto [indices, distances] =
+        nearest_neighbors(converted<double, float>(coordinates, ScalarType::Double), count, num_distances, limits);
+    return {indices, converted<float, double>(distances, ScalarType::Float)};
+  }
+  if (has_tiny) coordinates = without_tiny(coordinates);
   count = std::min(count, std::max<int64_t>(num_points - 1, 0));
   num_distances = std::min(num_distances, count);
   Tensor indices = torch::stable::new_empty(coordinates, {num_points, count}, ScalarType::Int);
   Tensor distances = torch::stable::new_empty(coordinates, {num_points, num_distances}, points.scalar_type());
   with_values(coordinates, [&]<typename Value>(const Value* values) {
-    for (int64_t i = 0; i < 3 * num_points; ++i) {
-      check(std::isfinite(values[i]), "points: expected finite coordinates, got ", values[i], " in row ", i / 3);
-    }
     if (count == 0) return;
     use_huge_pages(indices.mutable_data_ptr<int32_t>(), num_points * count * sizeof(int32_t));
     use_huge_pages(distances.mutable_data_ptr<Value>(), num_points * num_distances * sizeof(Value));

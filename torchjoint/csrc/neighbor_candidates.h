@@ -105,7 +105,8 @@ size_t count_up_to(const Value* values, size_t size, Value limit) {
 }
 
 // A limit below or at which there are at least `wanted` of the values, but not many more; `high` is such a limit. On a
-// surface the number of points grows linearly with the squared distance, so interpolation finds the limit fast.
+// surface the number of points grows linearly with the squared distance, so interpolation finds the limit fast. It does
+// not in a clump that is tiny beside the distances of other points; there the values are partly sorted.
 template <typename Value>
 Value threshold(const Value* values, size_t size, size_t wanted, Value high, Value guess) {
   const size_t enough = wanted + wanted / 4 + 2;
@@ -122,7 +123,10 @@ Value threshold(const Value* values, size_t size, size_t wanted, Value high, Val
     const double share = (1.1 * wanted + 1 - below) / (up_to_high - below);
     guess = static_cast<Value>(low + (high - low) * std::clamp(share, 1e-4, 0.9));
   }
-  return high;
+  if (up_to_high <= 8 * enough) return high;
+  std::vector<Value> copy(values, values + size);
+  std::nth_element(copy.begin(), copy.begin() + wanted - 1, copy.end());
+  return std::min(high, copy[wanted - 1]);
 }
 
 }  // namespace torchjoint

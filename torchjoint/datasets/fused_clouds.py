@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -13,10 +12,8 @@ from torch import Tensor
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import fingerprint, read_cloud
 from torchjoint.datasets.fusion import fuse_cloud
+from torchjoint.runtime.files import cache_folder
 from torchjoint.scene import Frame
-
-#: Environment variable with the cache's folder; empty: no cache. Default: torchjoint/ in the user's XDG_CACHE_HOME.
-VARIABLE = "TORCHJOINT_CACHE"
 
 
 def fuse_or_recall(
@@ -49,9 +46,8 @@ def fuse_or_recall(
 
 
 def _file(path: Path, voxel_size: float) -> Path | None:
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    folder = os.environ.get(VARIABLE, os.path.join(home, "torchjoint"))
-    if not folder:
+    folder = cache_folder()
+    if folder is None:
         return None
     key = repr((fingerprint(path), float(voxel_size), version("torchjoint")))
-    return Path(folder) / "clouds" / f"{hashlib.sha256(key.encode()).hexdigest()}.ply"
+    return folder / "clouds" / f"{hashlib.sha256(key.encode()).hexdigest()}.ply"

@@ -30,7 +30,7 @@ from torchjoint.runtime.free_memory import give_back
 from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.spill import SpillFile
 from torchjoint.runtime.stopwatch import Stopwatch
-from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
+from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Segmentation
 from torchjoint.scene.camera import camera_center
 from torchjoint.scene.checks import as_pose
@@ -92,6 +92,7 @@ class LiveSegmenter(nn.Module):
         (True, True)
     """
 
+    @on_cpu()
     def __init__(
         self,
         config: Config | None = None,
@@ -233,6 +234,7 @@ class LiveSegmenter(nn.Module):
         with self._lock:
             self._volume, self._keyframes, self._pose, self._views = volume, moved, poses[-1], views
 
+    @on_cpu()
     def save(self, path: str | Path) -> None:
         """Writes what :meth:`restore` needs to go on from here: one file, which is replaced as a whole.
 
@@ -256,6 +258,7 @@ class LiveSegmenter(nn.Module):
         torch.save(values, content)
         write_checked(Path(path), content.getvalue())
 
+    @on_cpu()
     def restore(self, path: str | Path) -> None:
         """Goes on from what :meth:`save` wrote: the same frames then give the same results, to the bit.
 

@@ -1,6 +1,7 @@
 """Compiled torch operators for users of graphs, point clouds and images.
 
-They work on CPU tensors with any strides, are deterministic, release the GIL, and support :func:`torch.compile`.
+They work on CPU tensors with any strides, are deterministic, release the GIL, and support :func:`torch.compile`. As
+with torch's own operators, no other thread may change an argument while one runs: its numbers were checked before.
 
 Each operator has a module with its name. Operators that only this package calls, such as
 :mod:`torchjoint.ops.parse_numbers`, also have one; they may change without notice. A slow and simple Python version of

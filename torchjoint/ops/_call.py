@@ -8,6 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.messages import is_out_of_memory
+
 
 def call(kernel: Any, *arguments: Any) -> Any:
     """Calls ``kernel``, such as ``torch.ops.torchjoint.min_cut.default``, without gradient; returns its result.
@@ -26,15 +28,17 @@ def call(kernel: Any, *arguments: Any) -> Any:
     try:
         return kernel(*arguments)
     except RuntimeError as error:
-        translated = _translated(str(error), [argument.name for argument in kernel._schema.arguments])
+        translated = _translated(error, [argument.name for argument in kernel._schema.arguments])
         if translated is None:
             raise
         raise translated from None
 
 
-def _translated(message: str, names: list[str]) -> ValueError | MemoryError | None:
+def _translated(error: RuntimeError, names: list[str]) -> ValueError | MemoryError | None:
     """The exception that a kernel threw, from the message of a RuntimeError; None if a kernel did not throw it."""
-    if message == "std::bad_alloc":
+    message = str(error)
+    # Kernels call torch itself only to make tensors, which fails if there is no memory; up to 2.14 without the reason.
+    if is_out_of_memory(error) or "API call failed" in message:
         return MemoryError("a compiled operator: not enough memory")
     first = re.match(r"\w+", message)
     return ValueError(message) if first is not None and first.group() in names else None

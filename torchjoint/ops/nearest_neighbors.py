@@ -17,7 +17,8 @@ def nearest_neighbors(
     """Find the nearest neighbours of each point, nearest first, without the point itself.
 
     Exact: squared distances are computed and compared in float64, as ``(x² + y²) + z²``. Of equally far points the one
-    with the smaller number comes first. Copies of a point are its neighbours, at distance 0.
+    with the smaller number comes first. Copies of a point are its neighbours, at distance 0. Coordinates in float64
+    between -1e-136 and 1e-136 count as 0, because their squares vanish.
 
     Args:
         points: ``[N, 3]`` float32 or float64, finite, N < 2^31.

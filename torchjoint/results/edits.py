@@ -2,6 +2,7 @@
 
 An edit names a segment by one of its pieces, so it means the same at every level. A name also has the level at which it
 was given: it belongs to that segment and to finer ones. edits.json holds the edits; the labels on disk stay the same.
+It also holds the checksum of the result's manifest: another result of as many pieces has other pieces.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from torchjoint.results.manifest import manifest_checksum
 from torchjoint.results.splits import split
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import damage_is
@@ -52,6 +54,7 @@ class Edits:
     num_pieces: int  #: number of pieces of the result's hierarchy; without a hierarchy, of its segments
     granularity: float | None = None  #: the level that was corrected; None: the labels of the result
     steps: tuple[Edit, ...] = ()  #: the corrections
+    of: str | None = None  #: the checksum of the result's manifest; None: not known
 
     def apply(self, table: Table, hierarchy: Hierarchy | None) -> Table:
         """Applies the corrections to a level.
@@ -91,28 +94,31 @@ def write_edits(folder: Path, edits: Edits) -> None:
         asdict(step) if step.kind == "name" else {"kind": step.kind, "pieces": step.pieces} for step in edits.steps
     ]
     lines = ",\n".join(json.dumps(step, ensure_ascii=False) for step in steps)
-    head = f'"pieces": {edits.num_pieces}, "granularity": {json.dumps(edits.granularity)}'
+    head = f'"result": {json.dumps(edits.of)}, "pieces": {edits.num_pieces}'
+    head = f'{head}, "granularity": {json.dumps(edits.granularity)}'
     write_text(folder / FILE, f'{{{head}, "edits": [\n{lines}\n]}}\n')
 
 
 def read_edits(folder: Path, num_pieces: int) -> Edits:
-    """The corrections of a result; none if there is no edits.json.
+    """The corrections of a result; none if there is no edits.json. Files of 0.1.0 do not say of which result they are.
 
     Raises:
         ValueError: the file is damaged, or of another result; the message names it.
     """
-    file = folder / FILE
+    file, own = folder / FILE, manifest_checksum(folder)
     if not file.is_file():
-        return Edits(num_pieces)
+        return Edits(num_pieces, of=own)
     with damage_is(f"{file}: not a list of edits"):
         record = json.loads(file.read_text(encoding="utf-8"))
         granularity = _level(record["granularity"])
         # In files of 0.1.0 a name has no level of its own: the level of the file was the last to be seen.
         steps = tuple(_parse({"granularity": granularity, **step}, num_pieces) for step in record["edits"])
-        found = _integer(record["pieces"])
+        found, of = _integer(record["pieces"]), record.get("result")
     if found != num_pieces:
         raise ValueError(f"{file}: expected edits of {num_pieces} pieces, got {found}; of another result?")
-    return Edits(num_pieces, granularity, steps)
+    if None not in (of, own) and of != own:
+        raise ValueError(f"{file}: expected edits of this result, got those of another; move the file away")
+    return Edits(num_pieces, granularity, steps, own)
 
 
 def _parse(step: Mapping[str, Any], num_pieces: int) -> Edit:

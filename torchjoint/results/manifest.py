@@ -33,6 +33,11 @@ def write_manifest(folder: Path, record: Mapping[str, Any]) -> None:
     write_text(folder / FILE, f'{{"run": "{_checksum(record)}", "files": {{\n{lines}\n}}}}\n')
 
 
+def manifest_checksum(folder: Path) -> str | None:
+    """What tells one result from another: the checksum of its manifest; None for a result that has none."""
+    return file_checksum(folder / FILE) if (folder / FILE).is_file() else None
+
+
 def unchecked(path: Path) -> Path:
     """Returns the path."""
     return path

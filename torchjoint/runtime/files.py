@@ -1,4 +1,4 @@
-"""Names of files, and atomic writes: a file is written under a temporary name, then renamed."""
+"""Names of files, the cache, and atomic writes: a file is written under a temporary name, then renamed."""
 
 from __future__ import annotations
 
@@ -14,6 +14,15 @@ from pathlib import Path
 LONGEST = 240
 #: How the names of temporary files begin; a random part follows, so that two writers of a file do not meet.
 PARTIAL = ".partial-"
+#: Environment variable with the cache's folder; empty: no cache. Default: torchjoint/ in the user's XDG_CACHE_HOME.
+CACHE = "TORCHJOINT_CACHE"
+
+
+def cache_folder() -> Path | None:
+    """The folder of what is kept for later runs; None: nothing is kept."""
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    folder = os.environ.get(CACHE, os.path.join(home, "torchjoint"))
+    return Path(folder) if folder else None
 
 
 def file_name(name: str, *, is_free: bool = True) -> str:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import errno
 
-#: Parts of torch's messages.
-_OUT_OF_MEMORY = ("not enough memory", "can't allocate memory", "bad_alloc")
+#: Parts of the messages of torch, and of the system's loader of libraries.
+_OUT_OF_MEMORY = ("not enough memory", "can't allocate memory", "bad_alloc", "failed to map segment")
 
 
 def is_out_of_memory(error: BaseException) -> bool:

@@ -18,7 +18,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar, copy_context
 from functools import lru_cache
 from pathlib import Path
@@ -46,12 +46,17 @@ def one_thread_per_operation() -> Iterator[None]:
 
 @contextmanager
 def on_cpu() -> Iterator[None]:
-    """Inside the block, or a function that it decorates, new tensors are on the CPU, whatever the default device."""
-    if torch.get_default_device().type == "cpu":  # the usual case; the code below makes each operation slower
+    """Inside the block, or a function that it decorates, new tensors are on the CPU, whatever the default device.
+
+    Nor are they tensors of an inference mode around it, which nobody could change after it.
+    """
+    with ExitStack() as stack:
+        if torch.is_inference_mode_enabled():
+            stack.enter_context(torch.inference_mode(False))
+            stack.enter_context(torch.no_grad())
+        if torch.get_default_device().type != "cpu":  # not always, because it makes each operation slower
+            stack.enter_context(torch.device("cpu"))
         yield
-    else:
-        with torch.device("cpu"):
-            yield
 
 
 @contextmanager

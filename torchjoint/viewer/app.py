@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,9 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from torchjoint.results.edits import write_edits
 from torchjoint.results.result import Result
 from torchjoint.results.shading import Shading
+from torchjoint.results.shared_edits import save_edits
 from torchjoint.results.upright import up_direction
 from torchjoint.scene.checks import as_direction
 from torchjoint.viewer.cameras import Cameras, Viewpoint, add_camera, viewpoint
@@ -61,9 +62,12 @@ class Viewer:
     ) -> None:
         upward = (up_direction(result.scene) if up is None else as_direction(up, "up")).numpy()
         self._shown = shown or Shown()
-        self.model = Model(result, self._shown.edits(result, granularity), upward)
+        self._saved = self._shown.edits(result, granularity)  # the corrections as they were read or saved last
+        self.model = Model(result, self._saved, upward)
         self._lock = threading.RLock()  # viser calls the functions below on several threads
         self._order, self._can_save, self._has_stopped = "points", True, False
+        self._workers: list[threading.Thread] = []
+        _at_end(weakref.WeakMethod(self._end_work))
         self.server, self._distance, self.url = start_server(result.scene, upward, host, port)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(self.model))
         self._relations = RelationLines(self.server)
@@ -114,9 +118,9 @@ class Viewer:
             ValueError: edits.json is damaged, or belongs to another result.
         """
         with self._lock:
-            edits = shown.edits(result)
+            self._saved = shown.edits(result)
             self._shown = shown
-            self.model = self.model.of_result(result, edits)
+            self.model = self.model.of_result(result, self._saved)
             self._add_panel(*((self._frame_index(), self._panel.cameras.value) if self._has_frames else ()))
         self._work_behind()
 
@@ -131,9 +135,14 @@ class Viewer:
 
     def stop(self) -> None:
         """Ends the page."""
-        with self._lock:  # what works in the background ends first
-            self._has_stopped = True
+        self._end_work()
         self.server.stop()
+
+    def _end_work(self) -> None:
+        """Ends what works in the background: a thread that is in compiled code when Python ends aborts the program."""
+        self._has_stopped = True
+        for worker in self._workers:
+            worker.join()
 
     def _add_panel(self, frame: int = 0, cameras: bool = False) -> None:
         """Builds a new panel, and connects its elements to their actions."""
@@ -304,8 +313,12 @@ class Viewer:
         assert self.folder is not None  # without a folder there is no button
         if not self._can_save:
             raise ValueError("save: expected the parameters of the result on disk, got others")
-        write_edits(self.folder, self.model.edits)
-        self._say(f"corrections saved: {len(self.model.edits.steps)}, in {self.folder / 'edits.json'}")
+        saved = save_edits(self.folder, self.model.edits, self._saved, self.model.parts)
+        if saved.steps != self.model.edits.steps:
+            self._say("others have corrected this result, too; their corrections are shown now", "blue")
+            self._change(lambda: self.model.take(saved))
+        self._saved = saved
+        self._say(f"corrections saved: {len(saved.steps)}, in {self.folder / 'edits.json'}")
 
     def _on_export(self, client: Any) -> None:
         if self.model.selected:
@@ -357,14 +370,27 @@ class Viewer:
         model, is_running = self.model, self._shown.is_running
 
         def work() -> None:
-            if model.shading is None:
+            if model.shading is None and not self._has_stopped:
                 self._guarded(self._shade, Shading(model.result.scene.points, model.up))
-            if not is_running:  # labelling all frames is most of a run's work
-                model.measures.read_frames()
+            if not is_running and not self._has_stopped:  # labelling all frames is most of a run's work
+                model.measures.read_frames(lambda: self._has_stopped)
                 self._guarded(self._draw_lists)
 
-        threading.Thread(target=work, daemon=True).start()
+        self._workers = [worker for worker in self._workers if worker.is_alive()]
+        self._workers.append(threading.Thread(target=work, daemon=True))
+        self._workers[-1].start()
 
     def _shade(self, shading: Shading) -> None:
         self.model.shading = shading
         self._cloud.recolor(point_colors(self.model))
+
+
+def _at_end(method: weakref.WeakMethod[Callable[[], None]]) -> None:
+    """Calls a method when the program ends, if its object still exists."""
+
+    def call() -> None:
+        if (end := method()) is not None:
+            end()
+
+    # Not atexit, which comes when Python has waited for all threads of pools, and no pool can begin another item.
+    threading._register_atexit(call)  # type: ignore[attr-defined]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -48,10 +48,12 @@ class Measures:
             of_point[self._order], return_index=True, return_counts=True
         )
 
-    def read_frames(self) -> None:
-        """Counts the pixels of each piece in all frames; before this call, no frame is listed."""
+    def read_frames(self, is_stopped: Callable[[], bool] = lambda: False) -> None:
+        """Counts the pixels of each piece in all frames, unless it is stopped; before this call, no frame is listed."""
 
         def count(index: int) -> tuple[Table, Table]:
+            if is_stopped():
+                return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
             pieces, pixels = np.unique(self._parts.image(index), return_counts=True)
             return pieces[pieces >= 0], pixels[pieces >= 0]
 

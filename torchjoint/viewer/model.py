@@ -185,6 +185,11 @@ class Model:
         self._edit(replace(self.edits, steps=self._before.pop() if self._before else self.edits.steps[:-1]))
         return True
 
+    def take(self, edits: Edits) -> None:
+        """Takes corrections that were saved together with those of others; each of them can be undone."""
+        self._edit(edits)
+        self._before = []
+
     def _the_selected(self, action: str) -> int:
         if len(self.selected) != 1:
             raise ValueError(f"{action}: expected one selected segment, got {len(self.selected)}")

@@ -83,16 +83,23 @@ def _guard(answer: Any, token: str, host: str) -> Any:
 
     def checked(connection: Any, request: Any) -> Any:
         given, _, path = request.path.removeprefix("/").partition("/")
-        address, origins = request.headers.get("Host", ""), request.headers.get_all("Origin")
-        name = urlsplit(f"//{address}").hostname or ""
-        is_own = name in own or _is_number(name)
-        is_same = all(origin.partition("://")[2] == address for origin in origins)
-        if not (is_own and is_same and secrets.compare_digest(given.encode(), token.encode())):
+        try:
+            is_allowed = _is_from_page(request.headers, own) and secrets.compare_digest(given.encode(), token.encode())
+        except (ValueError, LookupError):  # no text, no host, or two hosts
+            is_allowed = False
+        if not is_allowed:
             return connection.respond(403, "open the address that torchjoint has printed\n")
         request.path = f"/{path}"
         return answer(connection, request)
 
     return checked
+
+
+def _is_from_page(headers: Any, own: set[str]) -> bool:
+    address = headers.get("Host", "")
+    name = urlsplit(f"//{address}").hostname or ""
+    is_same = all(origin.partition("://")[2] == address for origin in headers.get_all("Origin"))
+    return is_same and (name in own or _is_number(name))
 
 
 def _is_number(host: str) -> bool:

@@ -1,0 +1,107 @@
+"""Corrections of two programs at once: nothing is lost, and none lands on another result."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+import torchjoint as tj
+from torchjoint.results.edits import FILE, Edit, Edits, read_edits, write_edits
+from torchjoint.results.folder import write_result
+from torchjoint.results.parts import Parts
+from torchjoint.results.shared_edits import merged_steps, save_edits
+from torchjoint.runtime.locks import BusyError, lock
+
+A, B, C, D = (Edit("name", (0,), name) for name in "abcd")
+
+
+@pytest.fixture
+def out(scene_of, tmp_path):
+    return written(scene_of(3).scene, tmp_path / "out")
+
+
+def written(scene: tj.Scene, folder: Path) -> Path:
+    folder.mkdir()
+    result = tj.Segmentation(torch.arange(len(scene.points)) % 5, ())
+    write_result(folder, replace(scene, frames=()), result, tj.Config(), "test")
+    return folder
+
+
+def opened(folder: Path) -> tuple[Parts, Edits]:
+    parts = Parts(tj.load_result(folder, edits=False))
+    return parts, read_edits(folder, parts.count)
+
+
+@pytest.mark.parametrize(
+    ("before", "theirs", "own", "merged"),
+    [
+        ((), (), (), ()),
+        ((A,), (A, B), (A, C), (A, B, C)),
+        ((A, B), (A,), (A, B, C), (A, C)),  # they have undone b
+        ((A, B), (A, B, C), (A,), (A, C)),  # this one has undone b
+        ((A, B), (A,), (), ()),
+        ((A,), (A, B, C), (A, B, D), (A, B, C, D)),  # both have done b
+        ((A,), (B,), (A,), (B,)),
+    ],
+)
+def test_what_two_make_of_the_same_corrections(before, theirs, own, merged):
+    assert merged_steps(before, theirs, own) == merged
+
+
+def test_the_later_one_keeps_what_the_earlier_one_saved(out):
+    parts, before = opened(out)
+    first, second = (replace(before, steps=(step,)) for step in (A, Edit("join", (1, 2))))
+    save_edits(out, first, before, parts)
+    saved = save_edits(out, second, before, parts)
+    assert saved.steps == (A, *second.steps)
+    assert opened(out)[1] == saved
+    assert save_edits(out, replace(saved, steps=saved.steps[:-1]), saved, parts).steps == (A,)
+    assert sorted(path.name for path in out.iterdir() if "edits" in path.name) == [FILE]
+
+
+def test_a_file_that_was_moved_away_has_undone_nothing(out):
+    parts, before = opened(out)
+    saved = save_edits(out, replace(before, steps=(A,)), before, parts)
+    (out / FILE).unlink()
+    assert save_edits(out, replace(saved, steps=(A, B)), saved, parts).steps == (A, B)
+
+
+def test_corrections_that_are_not_possible_together_change_nothing(out):
+    parts, before = opened(out)
+    save_edits(out, replace(before, steps=(A,)), before, parts)
+    with pytest.raises(ValueError, match=r"edits\.json: expected corrections that go with those that others have"):
+        save_edits(out, replace(before, steps=(Edit("split", (0,)),)), before, parts)
+    assert opened(out)[1].steps == (A,)
+
+
+def test_only_one_saves_at_a_time(out):
+    parts, before = opened(out)
+    with lock(out / f".{FILE}.lock", "busy"), pytest.raises(BusyError, match=r"edits\.json: another program is saving"):
+        save_edits(out, before, before, parts)
+
+
+def test_corrections_of_the_same_cloud_in_another_order(scene_of, out, tmp_path):
+    """It has as many pieces, but they are others."""
+    scene = scene_of(3).scene
+    other = written(scene.select_points(torch.arange(len(scene.points)).flip(0)), tmp_path / "other")
+    parts, before = opened(out)
+    saved = save_edits(out, replace(before, steps=(A,)), before, parts)
+    assert opened(other)[0].count == parts.count
+    shutil.copy(out / FILE, other)
+    for read in (lambda: opened(other), lambda: tj.load_result(other)):
+        with pytest.raises(ValueError, match=r"edits\.json: expected edits of this result, got those of another"):
+            read()
+    (other / FILE).unlink()
+    with pytest.raises(ValueError, match="expected the result that was opened, got another"):
+        save_edits(other, saved, saved, parts)
+    assert not (other / FILE).exists()
+
+
+def test_a_file_that_does_not_say_its_result_is_still_read(out):
+    parts, before = opened(out)
+    write_edits(out, Edits(parts.count, None, (A,)))
+    assert opened(out)[1] == replace(before, steps=(A,))

@@ -1,0 +1,76 @@
+"""The viewer's page as an object: two of them on one result, and the end of a program that opened one."""
+
+import shutil
+import subprocess
+import sys
+import threading
+import warnings
+
+import pytest
+
+import torchjoint as tj
+from torchjoint.results.edits import Edit, read_edits
+from torchjoint.viewer.shown import Shown
+
+pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+
+
+def opened(folder, port):
+    from torchjoint.viewer.app import Viewer
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return Viewer(tj.load_result(folder, edits=False), Shown(folder), port=port)
+
+
+def test_of_two_pages_the_later_save_keeps_the_earlier_one_s(out, tmp_path):
+    folder = shutil.copytree(out, tmp_path / "out")
+    one, other = opened(folder, 8990), opened(folder, 8990)
+    steps = Edit("name", (0,), "sofa"), Edit("name", (1,), "lamp")
+    for viewer, step in ((one, steps[0]), (other, steps[1])):
+        viewer.model.select((int(viewer.model.table[step.pieces[0]]),))
+        viewer.model.name(step.name)
+        viewer._on_save()
+    saved = read_edits(folder, one.model.parts.count)
+    assert [step.name for step in saved.steps] == ["sofa", "lamp"]
+    assert set(other.model.names.values()) >= {"lamp"}
+    assert other.model.edits == saved
+    one._on_save()  # it has nothing new, and shows what the other one has saved
+    assert one.model.edits == saved
+    for viewer in (one, other):
+        viewer.stop()
+
+
+def test_a_page_that_ends_has_no_thread_at_work(out):
+    viewer = opened(out, 8990)
+    (worker,) = viewer._workers
+    viewer.stop()
+    assert not worker.is_alive()
+    assert worker not in threading.enumerate()
+
+
+PROGRAM = """
+import sys, time, threading
+import torchjoint as tj
+from torchjoint.results.parts import Parts
+from torchjoint.viewer.app import Viewer
+
+image, started = Parts.image, threading.Event()
+def slow(*arguments):
+    started.set()
+    time.sleep(0.2)  # the thread is at work when the program ends
+    return image(*arguments)
+Parts.image = slow
+viewer = Viewer(tj.load_result(sys.argv[1], edits=False), port=8995)
+assert started.wait(60)
+print("end", flush=True)
+"""
+
+
+def test_a_program_that_opened_a_page_ends(out):
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(out)], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert (done.returncode, done.stdout.splitlines()[0]) == (0, "end"), done.stderr
+    assert "Traceback" not in done.stderr
