@@ -19,6 +19,7 @@ from torchjoint.evaluation.predictions import Prediction, is_result, read_predic
 from torchjoint.evaluation.protocols import Name, counted, find_table
 from torchjoint.evaluation.scores import Scores
 from torchjoint.evaluation.table import Row, scene_table, write_csv, write_plot
+from torchjoint.runtime.foreign_files import has_file, is_there
 from torchjoint.scene import Scene, Truth
 
 TABLE, PICTURE, LEVELS = "scores.csv", "scores.png", "levels.csv"
@@ -124,7 +125,7 @@ class _ScoreCollector:
 
 def _of_scene(pred: Path, name: str) -> Path:
     for candidate in (pred / name, *(pred / f"{name}{suffix}" for suffix in (".npy", ".txt", ".npz"))):
-        if candidate.exists():
+        if is_there(candidate):
             return candidate
     raise FileNotFoundError(f"{pred / name}: missing; expected a result (or {name}.npy, .txt, .npz) for each scene")
 
@@ -138,4 +139,4 @@ def _with_truth_of(protocol: Name, scene: Scene, path: Path, table: Path) -> Sce
 
 def _kept_cloud(result: Path, voxel_size: float) -> Path | None:
     kept = result / f"cloud-{voxel_size * 1000:g}mm.ply"
-    return kept if kept.is_file() else None
+    return kept if has_file(kept) else None

@@ -22,6 +22,7 @@ from torchjoint.results.folder import read_source
 from torchjoint.results.loading import load_result
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
+from torchjoint.runtime.foreign_files import has_file, is_there
 from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
 
@@ -62,9 +63,9 @@ def show(
     if up is not None and not any(up):
         raise ValueError("--up: expected a direction, got 0 0 0")
     direction = None if up is None else torch.tensor(up, dtype=torch.float64)
-    if not out.exists():
+    if not is_there(out):
         raise FileNotFoundError(f"{out} does not exist; expected a result, or a cloud with labels")
-    is_folder = not out.is_file()
+    is_folder = not has_file(out)
     result = _read(out, truth)
     if granularity is not None:
         check_granularity(granularity, "--granularity")
@@ -106,7 +107,7 @@ def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, sce
 
 
 def _read(out: Path, truth: bool) -> Result:
-    if out.is_file():
+    if has_file(out):
         from torchjoint.viewer.superpoint_file import read_labelled_cloud
 
         if truth:
@@ -126,7 +127,7 @@ def _scene_of(out: Path) -> Scene:
     if source == SOURCE:
         return demo_scene().scene
     recording = Path(source)
-    if not recording.exists():
+    if not is_there(recording):
         raise FileNotFoundError(f"--truth: expected the recording of this result, {recording}; it does not exist")
     return load_scene(recording, cloud=next(iter(sorted(out.glob("cloud-*mm.ply"))), None))
 

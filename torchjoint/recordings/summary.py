@@ -11,6 +11,7 @@ from pathlib import Path
 from torchjoint.recordings.one_scene import SceneReport
 from torchjoint.recordings.scene_list import FAILURES, SUMMARY
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.foreign_files import read_text
 from torchjoint.runtime.messages import in_one_line
 
 #: Least time between two writes, seconds, and largest share of the time that writes may take.
@@ -37,7 +38,7 @@ class Tables:
     def earlier_memory(self) -> dict[str, float]:
         """Reads the peak memory by scene from the summary of an earlier run; the results do not contain it."""
         try:
-            text = (self.folder / SUMMARY).read_text(encoding="utf-8")
+            text = read_text(self.folder / SUMMARY, "a table")
             rows = list(csv.DictReader(io.StringIO(text)))
             return {
                 row["scene"].removeprefix("'"): float(row["peak_memory_mb"]) for row in rows if row["peak_memory_mb"]

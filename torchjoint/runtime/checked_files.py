@@ -6,6 +6,7 @@ import hashlib
 from pathlib import Path
 
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.foreign_files import open_file, read_file
 
 _MARK = b"torchjoint checked file 1\n"
 
@@ -20,10 +21,10 @@ def read_checked(path: Path) -> bytes:
     """Reads what :func:`write_checked` wrote.
 
     Raises:
-        OSError: the file cannot be read.
-        ValueError: the file has another version, or is damaged; the message names the file.
+        FileNotFoundError: there is no such file.
+        ValueError: the file cannot be read, has another version, or is damaged; the message names the file.
     """
-    data = path.read_bytes()
+    data = read_file(path, "a checked file of torchjoint")
     if not data.startswith(_MARK):
         raise ValueError(f"{path}: expected a file of this version of torchjoint, got another, or a damaged one")
     checksum, _, content = data[len(_MARK) :].partition(b"\n")
@@ -34,5 +35,5 @@ def read_checked(path: Path) -> bytes:
 
 def file_checksum(path: Path) -> str:
     """SHA-256 of a file."""
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

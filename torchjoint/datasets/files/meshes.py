@@ -13,6 +13,7 @@ from torch.nn.functional import normalize
 
 from torchjoint.datasets.files.ply import Ply
 from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.foreign_files import has_file
 
 SUFFIXES = (".obj", ".glb", ".gltf", ".off", ".stl")
 #: A triangle is large if its longest edge is longer than this share of the mesh's diagonal.
@@ -35,7 +36,7 @@ def read_mesh_file(path: Path) -> Ply:
     """
     with needed_for(f"{path.suffix} files", "trimesh", "torchjoint[mesh]"):
         import trimesh
-    if not path.is_file():
+    if not has_file(path):
         raise FileNotFoundError(f"{path}: missing; expected a mesh")
     try:
         mesh = trimesh.load_scene(path, process=False).to_mesh()
