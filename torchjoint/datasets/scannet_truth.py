@@ -11,7 +11,8 @@ from torch import Tensor
 
 from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.members import Members
-from torchjoint.datasets.files.readers import decode_image, labels_of, read_label_image
+from torchjoint.datasets.files.rasters import decode_image
+from torchjoint.datasets.files.readers import labels_of, read_label_image
 from torchjoint.datasets.resampling import resize_nearest
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder

@@ -27,6 +27,8 @@ LINE = 1 << 24
 ELEMENTS, PROPERTIES = 256, 4096
 #: Rows of lists of several lengths, each of which takes a step in Python.
 LIST_ROWS = 1 << 24
+#: Values of the vertices and triangles of a mesh that stands at many places, beyond POINTS_PER_BYTE.
+INSTANCED = 16_000_000
 #: Files of a recording that are looked through for changes.
 FILES = 1_000_000
 
