@@ -76,15 +76,13 @@ def scene_table(rows: Sequence[Row], titles: Callable[[str], str] = str) -> str:
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """Writes one line per scene, method and space; atomic (a temporary file is renamed)."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     kinds = _kinds(rows)
     names = [*(name.replace(" ", "_") for name in Scores._fields), *(f"{kind}_iou" for kind in kinds)]
-    writer.writerow(["scene", "method", "space", *names])
+    lines: list[Sequence[object]] = [["scene", "method", "space", *names]]
     for row in rows:
         by_kind = (f"{row.kinds[kind]:.6f}" if kind in row.kinds else "" for kind in kinds)
-        writer.writerow([row.scene, row.method, row.space, *(f"{value:.6f}" for value in row.scores), *by_kind])
-    write_text(path, text.getvalue())
+        lines.append([row.scene, row.method, row.space, *(f"{value:.6f}" for value in row.scores), *by_kind])
+    write_text(path, csv_text(lines))
 
 
 def write_plot(path: Path, rows: Sequence[Row], titles: Callable[[str], str] = str) -> None:

@@ -69,7 +69,7 @@ class Tables:
         write_text(self.folder / SUMMARY, self._summary())
         if self.failures:
             rows = [(name, self.failures[name]) for name in self._names if name in self.failures]
-            write_text(self.folder / FAILURES, _csv([("scene", "reason"), *rows]))
+            write_text(self.folder / FAILURES, csv_text([("scene", "reason"), *rows]))
         else:
             (self.folder / FAILURES).unlink(missing_ok=True)
 
@@ -77,7 +77,7 @@ class Tables:
         reports = [(name, self.reports[name]) for name in self._names if name in self.reports]
         parts = list(dict.fromkeys(part for _, report in reports for part in report.seconds))
         header = (*_COLUMNS[:5], *(f"seconds: {part}" for part in parts), *_COLUMNS[5:])
-        return _csv([header, *(_row(name, report, parts) for name, report in reports)])
+        return csv_text([header, *(_row(name, report, parts) for name, report in reports)])
 
 
 def _row(name: str, report: SceneReport, parts: list[str]) -> tuple[object, ...]:
@@ -88,11 +88,3 @@ def _row(name: str, report: SceneReport, parts: list[str]) -> tuple[object, ...]
     return (name, *counts, total, *seconds, memory, "; ".join(report.warnings))
 
 
-def _csv(rows: list[tuple[object, ...]]) -> str:
-    """Rows as text. A cell that a spreadsheet would compute gets an apostrophe in front: names come from others."""
-    text = io.StringIO()
-    safe = [
-        [f"'{cell}" if str(cell).startswith(("=", "+", "-", "@", "\t", "\r")) else cell for cell in row] for row in rows
-    ]
-    csv.writer(text, lineterminator="\n").writerows(safe)
-    return text.getvalue()

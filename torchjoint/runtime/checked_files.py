@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import io
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import torch
+from torch import Tensor
+
+from torchjoint.runtime import bounds
 from torchjoint.runtime.files import atomic_write
-from torchjoint.runtime.foreign_files import open_file, read_file
+from torchjoint.runtime.foreign_files import damage_is, open_file, read_file
 
 _MARK = b"torchjoint checked file 1\n"
 
@@ -31,6 +39,43 @@ def read_checked(path: Path) -> bytes:
     if checksum != hashlib.sha256(content).hexdigest().encode():
         raise ValueError(f"{path}: damaged: its checksum does not match its content")
     return content
+
+
+def write_values(path: Path, values: Mapping[str, Any]) -> None:
+    """Writes a dict of tensors, numbers and texts, atomically."""
+    content = io.BytesIO()
+    torch.save(values, content)
+    write_checked(path, content.getvalue())
+
+
+def read_values(path: Path) -> dict[str, Any]:
+    """Reads what :func:`write_values` wrote. No code in it is run, and no tensor is larger than its file.
+
+    Raises:
+        FileNotFoundError, ValueError: as :func:`read_checked`; also if the content is another one.
+    """
+    content = read_checked(path)
+    with damage_is(f"{path}: not a saved state", Exception):  # torch raises errors of many types
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            stored = sum(entry.file_size for entry in archive.infolist())
+        bounds.check(stored, len(content), "bytes, for torch packs nothing,")
+        values = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        if not isinstance(values, dict):
+            raise TypeError(f"expected a dict, got {type(values).__name__}")
+        # A tensor may show the same bytes many times; three times is a grey image.
+        size = sum(tensor.numel() * tensor.element_size() for tensor in _tensors(values))
+        bounds.check(size, 4 * len(content), "bytes of tensors")
+    return values
+
+
+def _tensors(values: object) -> Iterator[Tensor]:
+    if isinstance(values, Tensor):
+        if values.layout != torch.strided or values.is_quantized:
+            raise TypeError(f"expected plain tensors, got {values.layout}")
+        yield values
+    elif isinstance(values, (Mapping, Sequence)) and not isinstance(values, (str, bytes)):
+        for one in values.values() if isinstance(values, Mapping) else values:
+            yield from _tensors(one)
 
 
 def file_checksum(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""What a mesh of .gltf, .glb or .obj may have: trimesh trusts the sizes in a file, and lets Pillow choose the decoder."""
+"""What a mesh of .gltf, .glb or .obj may have: trimesh trusts its sizes, and lets Pillow choose the decoder."""
 
 from __future__ import annotations
 

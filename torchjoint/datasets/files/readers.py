@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 import warnings
 from collections.abc import Iterable, Iterator, Set
 from pathlib import Path
@@ -169,21 +170,40 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     left_out = {os.path.abspath(one) for one in without}
     beside = () if has_folder(path) else folder.parent.glob(f"*/{path.stem}.*")
     files = sorted({*_files_below(folder, left_out), *beside})
-    stats = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files if has_file(file)]
+    stats = [(str(file), *_size_and_time(file)) for file in files]
     return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
 
 
 def _files_below(folder: Path, without: Set[str]) -> Iterator[Path]:
-    """Files in and below a folder without results; links are followed, one to a folder above only once."""
-    entered = set()
+    """Files in and below a folder without results; links are followed, but not those to a folder around it.
+
+    Raises:
+        ValueError: there are too many: a link leads to more than a recording.
+    """
+    entered, count, root = set(), 0, os.path.realpath(folder)
     for place, folders, names in os.walk(folder, followlinks=True):
         if place != str(folder) and not RESULTS.isdisjoint(names):
             folders.clear()
             continue
         entered.add(os.path.realpath(place))
         inside = [name for name in folders if os.path.abspath(os.path.join(place, name)) not in without]
-        folders[:] = [name for name in sorted(inside) if os.path.realpath(os.path.join(place, name)) not in entered]
+        folders[:] = [
+            name
+            for name in sorted(inside)
+            if (real := os.path.realpath(os.path.join(place, name))) not in entered
+            and os.path.commonpath([real, root]) != real
+        ]
+        count += len(names) + len(folders)
+        bounds.check(count, bounds.FILES, "files below it (does a link lead out of the recording?)", str(folder))
         yield from (Path(place, name) for name in names if os.path.abspath(os.path.join(place, name)) not in without)
+
+
+def _size_and_time(file: Path) -> tuple[int | str, int]:
+    """Of a file; a link that leads nowhere has its target, so that it counts as a change when it leads somewhere."""
+    if os.path.islink(file) and not os.path.exists(file):
+        return os.readlink(file), 0
+    status = file.stat()
+    return (status.st_size, status.st_mtime_ns) if stat.S_ISREG(status.st_mode) else ("no file", 0)
 
 
 def _as_calibrated(image: Image.Image, camera_size: tuple[int, int] | None, name: str) -> Image.Image:
