@@ -13,7 +13,7 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import NamedTuple, NoReturn
 
-from torchjoint.runtime.messages import in_one_line, is_out_of_memory
+from torchjoint.runtime.messages import in_one_line, is_out_of_memory, on_terminal
 
 #: Exit status of a program whose output is not read to its end, as shells give it: 128 + SIGPIPE.
 PIPE_CLOSED = 141
@@ -35,7 +35,7 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         description: for `--help`.
         interrupted: the message after Ctrl-C about commands that can be resumed.
     """
-    warnings.formatwarning = lambda message, *_, **__: f"{program}: warning: {message}\n"
+    warnings.formatwarning = lambda message, *_, **__: f"{program}: warning: {on_terminal(str(message))}\n"
     names = argparse.ArgumentParser(program, description=description, formatter_class=argparse.RawTextHelpFormatter)
     names.add_argument("--version", action="version", version=f"{program} {version(program)}")
     chosen = names.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)

@@ -20,6 +20,7 @@ from torchjoint.evaluation.protocols import Name, counted, find_table
 from torchjoint.evaluation.scores import Scores
 from torchjoint.evaluation.table import Row, scene_table, write_csv, write_plot
 from torchjoint.runtime.foreign_files import has_file, is_there
+from torchjoint.runtime.messages import say
 from torchjoint.scene import Scene, Truth
 
 TABLE, PICTURE, LEVELS = "scores.csv", "scores.png", "levels.csv"
@@ -101,18 +102,18 @@ class _ScoreCollector:
     def report(self, out: Path | None) -> None:
         if not self.rows:
             return
-        print(scene_table(self.rows))
+        say(scene_table(self.rows))
         average = self.instances.compute() if self.instances.update_called else None
         if average is not None and not math.isnan(average.ap):
             ap, ap50, ap25 = average
-            print(f"ScanNet's class-agnostic AP {ap:.3f}, AP50 {ap50:.3f}, AP25 {ap25:.3f}: 3D, all scenes together")
+            say(f"ScanNet's class-agnostic AP {ap:.3f}, AP50 {ap50:.3f}, AP25 {ap25:.3f}: 3D, all scenes together")
         in_3d = {row.scene for row in self.rows if row.space == "3D"}
         if self.levels and set(self.levels) == in_3d:
-            print(level_table(self.levels))
+            say(level_table(self.levels))
         elif self.levels:
             self.notes.append(f"only {len(self.levels)} of {len(in_3d)} results have levels: no scores of all levels")
         for note in self.notes:
-            print(note)
+            say(note)
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
             write_csv(out / TABLE, self.rows)
@@ -120,7 +121,7 @@ class _ScoreCollector:
             (out / LEVELS).unlink(missing_ok=True)  # a file of an earlier run does not belong to these scores
             if self.levels:
                 write_levels(out / LEVELS, self.levels)
-            print(f"written to {out}: {TABLE}, {PICTURE}{', ' + LEVELS if self.levels else ''}")
+            say(f"written to {out}: {TABLE}, {PICTURE}{', ' + LEVELS if self.levels else ''}")
 
 
 def _of_scene(pred: Path, name: str) -> Path:

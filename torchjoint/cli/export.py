@@ -11,6 +11,7 @@ from torchjoint.cli.arguments import folder_of
 from torchjoint.results.exports import FORMATS, SUFFIXES
 from torchjoint.results.loading import load_result
 from torchjoint.results.mask_report import select_masked
+from torchjoint.runtime.messages import say
 
 #: What a folder of a format has in it.
 _IN_FOLDER = {"sam": (".json",), "ply": (".ply",), "scannet": (".txt",), "openmask3d": (".pt", ".npy")}
@@ -64,7 +65,7 @@ def export(
         if out is not None or granularity is not None or only_masked:
             raise ValueError("--format graph adds to segments.json: expected no -o, --granularity, --only-masked")
         load_result(result, edits=False).graph().save(result)
-        print(result / "segments.json")
+        say(result / "segments.json")
         return
     loaded = load_result(result, edits=not only_masked)
     if only_masked:
@@ -84,4 +85,4 @@ def export(
     else:
         with folder_of(out, *_IN_FOLDER[format]) as folder:
             FORMATS[format](folder, loaded)
-    print(out)
+    say(out)

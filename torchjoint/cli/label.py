@@ -10,6 +10,7 @@ import tyro
 from torchjoint.cli.arguments import folder_of
 from torchjoint.results.labelled_file import label_file, part_files
 from torchjoint.results.loading import load_result
+from torchjoint.runtime.messages import say
 
 
 def label(
@@ -50,4 +51,4 @@ def label(
     else:
         with folder_of(out, ".ply") as folder:
             part_files(file, folder, loaded)
-    print(out)
+    say(out)

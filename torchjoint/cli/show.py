@@ -23,6 +23,7 @@ from torchjoint.results.loading import load_result
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
 from torchjoint.runtime.foreign_files import has_file, is_there
+from torchjoint.runtime.messages import say
 from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
 
@@ -99,7 +100,7 @@ def growing_view(now: bool) -> GrowingView | None:
 def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, scene: Scene) -> None:
     """Shows a new result, whose parameters can be changed on the page; without a view, prints how to show it."""
     if view is None:
-        print(f"torchjoint show {out}: look at it in the browser")
+        say(f"torchjoint show {out}: look at it in the browser")
         return
     from torchjoint.viewer.parameters import LiveRun
 
@@ -140,7 +141,7 @@ def _write_static(
     count = Parts(result).count
     edits = Edits(count) if folder is None else read_edits(folder, count)
     shown = write_page(page, result, up, edits if granularity is None else replace(edits, granularity=granularity))
-    print(page if shown == len(result.points) else f"{page}: {shown} of {len(result.points)} points")
+    say(page if shown == len(result.points) else f"{page}: {shown} of {len(result.points)} points")
 
 
 def _serve(
@@ -158,7 +159,7 @@ def _serve(
     from torchjoint.viewer.shown import Shown
 
     if not is_loopback(host):
-        print(f"--host {host}: whoever gets the address below from this network sees this result, and may change it")
+        say(f"--host {host}: whoever gets the address below from this network sees this result, and may change it")
     shown = Shown(folder, text_encoder=text_encoder)
     viewer = Viewer(result, shown, granularity=granularity, up=up, host=host, port=port)
     _open_page(viewer.url, open_browser)
@@ -183,6 +184,6 @@ def serve_until_interrupted(viewer: Viewer) -> None:
 
 
 def _open_page(url: str, in_browser: bool = True) -> None:
-    print(f"{url}\nCtrl-C ends it", flush=True)
+    say(f"{url}\nCtrl-C ends it", flush=True)
     if in_browser:
         webbrowser.open(url)

@@ -17,6 +17,7 @@ from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.oversegmentation import superpoints as segment
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.messages import say
 from torchjoint.scene import Scene
 from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.run import is_las
@@ -78,7 +79,7 @@ def superpoints(
             progress=sys.stderr.isatty(),
         )
         tiles = "1 tile" if made.num_tiles == 1 else f"{made.num_tiles} tiles"
-        print(f"{made.num_points} points in {made.num_superpoints} superpoints, {tiles}: {out}")
+        say(f"{made.num_points} points in {made.num_superpoints} superpoints, {tiles}: {out}")
         return
     for name, value in (("--tile", tile), ("--buffer", buffer), ("--engine", engine)):
         if value is not None:
@@ -103,10 +104,10 @@ def superpoints(
     colors, normals = (None if of is None else of[valid] for of in (read.colors, read.normals))
     scene, labels = Scene(read.points[valid], colors=colors, normals=normals), of_rows[valid]
     _write(out, scene, labels, of_rows)
-    print(f"{len(labels)} points in {int(labels.max()) + 1} superpoints: {out}")
+    say(f"{len(labels)} points in {int(labels.max()) + 1} superpoints: {out}")
     if picture:
         _write_picture(png, scene, labels)
-        print(png)
+        say(png)
 
 
 def _check_output(out: Path, png: Path | None, overwrite: bool) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +9,7 @@ from statistics import fmean, stdev
 from typing import NamedTuple
 
 from torchjoint.evaluation.scores import COLUMNS, Scores, mean_scores
+from torchjoint.runtime.csv_tables import csv_text
 from torchjoint.runtime.files import atomic_write, write_text
 
 

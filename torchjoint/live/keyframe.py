@@ -83,9 +83,7 @@ class Keyframe(NamedTuple):
         check_size(frame.size if masks is None else masks.size, frame.size, f"masks of keyframe {frame.name!r}")
         low, high = int(segments.labels.min()), int(segments.labels.max())
         if not -1 <= low <= high < segments.labels.numel():
-            raise ValueError(
-                f"labels of keyframe {frame.name!r}: expected -1 or more, got {low} to {high}"
-            )
+            raise ValueError(f"labels of keyframe {frame.name!r}: expected -1 or more, got {low} to {high}")
         return keyframe._replace(intrinsics=frame.intrinsics, world_to_camera=frame.world_to_camera)
 
     @property

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from torchjoint.recordings.one_scene import SceneReport
 from torchjoint.recordings.scene_list import FAILURES, SUMMARY
+from torchjoint.runtime.csv_tables import csv_text
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import read_text
 from torchjoint.runtime.messages import in_one_line
@@ -86,5 +87,3 @@ def _row(name: str, report: SceneReport, parts: list[str]) -> tuple[object, ...]
     total = round(sum(report.seconds.values()), 3)
     counts = (report.points, report.frames, report.segments)
     return (name, *counts, total, *seconds, memory, "; ".join(report.warnings))
-
-
