@@ -1,4 +1,4 @@
-"""Files that are none: dead links, pipes that nobody fills, devices that never end. benchmarks/fuzz.py has them, too."""
+"""Files that are none: dead links, pipes that nobody fills, devices that never end; for tests and fuzz.py."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from torchjoint.masks.segmentation import merged, pixels_of
+from torchjoint.masks.segmentation import check_declared, merged, pixels_of
 from torchjoint.runtime.foreign_files import damage_is, read_json
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
@@ -34,6 +34,7 @@ def from_coco(
     Masks(1 masks, 2 x 4 pixels, 50% covered)
     """
     scores = torch.tensor([_score(annotation, f"annotations[{index}]") for index, annotation in enumerate(annotations)])
+    check_declared((annotation["segmentation"] for annotation in annotations), "annotations")
     masks = (
         pixels_of(annotation["segmentation"], size, f"annotations[{index}]'s segmentation")
         for index, annotation in enumerate(annotations)

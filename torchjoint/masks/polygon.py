@@ -11,6 +11,8 @@ from torchjoint.runtime import bounds
 
 #: Rows of edges that are computed at a time.
 _STEP = 1 << 20
+#: Pixels of a window that are filled at a time.
+_STRIP = 1 << 22
 
 
 class Window:
@@ -20,7 +22,7 @@ class Window:
         low = np.clip(np.ceil(corners.min(0)), 0, size[::-1])
         high = np.clip(np.floor(corners.max(0)) + 1, low, size[::-1])
         (self.column, self.row), (width, height) = low.astype(int).tolist(), (high - low).astype(int).tolist()
-        self.size = (height, width)
+        self.size, self.image_width = (height, width), size[1]
 
 
 def polygon_pixels(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> npt.NDArray[np.int64]:
@@ -37,10 +39,22 @@ def polygon_pixels(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> n
         ValueError: the edges cross too many rows.
     """
     window = Window(corners, size)
-    height, width = window.size
+    strip = max(1, _STRIP // max(1, window.size[1]))
+    return np.concatenate(
+        [np.empty(0, np.int64)]
+        + [
+            _strip_pixels(corners, window, row, min(strip, window.row + window.size[0] - row)) + row * size[1]
+            for row in range(window.row, window.row + window.size[0], strip)
+        ]
+    )
+
+
+def _strip_pixels(corners: npt.NDArray[np.float64], window: Window, start: int, height: int) -> npt.NDArray[np.int64]:
+    """The pixels in some rows of the window; indices begin with the first of these rows."""
+    width = window.size[1]
     crossed = np.zeros((height, width + 1), dtype=np.int32)
     covered = np.zeros((height, width + 1), dtype=np.int32)  # steps of the number of edges that lie on a pixel
-    for row, x, low_x, high_x, counts in _edge_rows(corners - (window.column, window.row), height):
+    for row, x, low_x, high_x, counts in _edge_rows(corners - (window.column, start), height):
         first = np.clip(np.ceil(low_x), 0, width).astype(np.int64)
         end = np.clip(np.floor(high_x) + 1, first, width).astype(np.int64)
         np.add.at(covered, (row, first), 1)
@@ -49,7 +63,7 @@ def polygon_pixels(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> n
         np.add.at(crossed, (row[counts], np.clip(np.ceil(x[counts]), 0, width).astype(np.int64)), 1)
     inside = (np.cumsum(crossed[:, :width], axis=1) % 2 == 1) | (np.cumsum(covered[:, :width], axis=1) > 0)
     rows, columns = np.nonzero(inside)
-    return (rows + window.row) * size[1] + columns + window.column
+    return rows * window.image_width + columns + window.column
 
 
 def _edge_rows(corners: npt.NDArray[np.float64], height: int) -> Iterator[tuple[npt.NDArray[np.generic], ...]]:

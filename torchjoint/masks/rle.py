@@ -15,7 +15,7 @@ _DIGITS = 7
 
 
 def rle_pixels(rle: Mapping[str, Any], name: str = "segmentation") -> tuple[tuple[int, int], npt.NDArray[np.int64]]:
-    """The size (H, W) of run lengths, and the pixels inside as indices row x W + column, column by column.
+    """The size (H, W) of run lengths, and the pixels inside as indices row x W + column, in any order.
 
     Args:
         rle: ``size`` [H, W], and ``counts``: a list of numbers, or COCO's compressed string.
@@ -43,10 +43,22 @@ def rle_pixels(rle: Mapping[str, Any], name: str = "segmentation") -> tuple[tupl
         )
     bounds.check(sum(counts[1::2]), bounds.INSIDE, "pixels inside", name)
     length = np.array(counts, dtype=np.int64)
+    if 8 * int(length[1::2].sum()) > height * width:  # fewer bytes, and less time
+        inside = np.repeat(np.arange(len(length)) % 2 == 1, length)
+        return (height, width), np.flatnonzero(inside.reshape(width, height).T)
     end, length = np.cumsum(length)[1::2], length[1::2]
     place = np.arange(length.sum()) + np.repeat(end - np.cumsum(length), length)
     column, row = np.divmod(place, height)
     return (height, width), row * width + column
+
+
+def declared_pixels(rle: Mapping[str, Any], name: str) -> int:
+    """How many pixels inside run lengths declare, which may be wrong otherwise; errors as of :func:`rle_pixels`."""
+    counts = rle.get("counts", ())
+    if isinstance(counts, (str, bytes)):
+        return int(_uncompressed(counts, f"{name}'s counts")[1::2].sum())
+    is_list = isinstance(counts, Sequence) and all(map(_is_integer, counts))
+    return sum(counts[1::2]) if is_list else 0
 
 
 def _uncompressed(text: str | bytes, name: str) -> npt.NDArray[np.int64]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from torchjoint.masks.segmentation import Pixels, merged, pixels_of
+from torchjoint.masks.segmentation import Pixels, check_declared, merged, pixels_of
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
 
@@ -33,6 +33,7 @@ def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None 
         raise TypeError(f"records: expected a list of dicts, got {type(records).__name__}")
     names = [f"records[{index}]" for index in range(len(records))]
     scores = torch.tensor([_score(record, name) for record, name in zip(records, names, strict=True)])
+    check_declared((record["segmentation"] for record in records), "records")
     masks = (_pixels(record, size, name) for record, name in zip(records, names, strict=True))
     return merged(masks, len(records), size, scores, "records")
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchjoint.masks.arrays import as_binary
 from torchjoint.masks.polygon import Window, polygon_pixels
-from torchjoint.masks.rle import rle_pixels
+from torchjoint.masks.rle import declared_pixels, rle_pixels
 from torchjoint.runtime import bounds
 from torchjoint.scene.masks import Masks
 
@@ -56,7 +56,7 @@ def pixels_of(segmentation: Any, size: Size | None, name: str) -> Pixels:
 
 def _filled(polygons: Sequence[Any], size: Size, name: str) -> npt.NDArray[np.int64]:
     """The pixels whose centres lie in one of the polygons; COCO's pixel centres have coordinates that end with .5."""
-    found, area = [np.empty(0, np.int64)], 0
+    found, area = [], 0
     for polygon in polygons:
         try:
             corners = np.array(polygon, dtype=np.float64)
@@ -70,8 +70,19 @@ def _filled(polygons: Sequence[Any], size: Size, name: str) -> npt.NDArray[np.in
         height, width = Window(corners, size).size
         area += height * width
         bounds.check(area, bounds.INSIDE, "pixels around polygons", name)
-        found.append(polygon_pixels(corners, size))
-    return found[-1] if len(found) <= 2 else np.unique(np.concatenate(found))
+        found.append(corners)
+    pixels = [np.empty(0, np.int64), *(polygon_pixels(corners, size) for corners in found)]
+    return pixels[-1] if len(pixels) <= 2 else np.unique(np.concatenate(pixels))
+
+
+def check_declared(segmentations: Iterable[Any], name: str) -> None:
+    """Checks how many pixels all run lengths of an image declare, before any of them is unpacked.
+
+    Raises:
+        ValueError: too many.
+    """
+    inside = sum(declared_pixels(one, name) for one in segmentations if isinstance(one, Mapping))
+    bounds.check(max(0, inside), bounds.INSIDE, "pixels in all masks", name)
 
 
 def merged(masks: Iterable[Pixels], count: int, size: Size | None, scores: Tensor, name: str) -> Masks:

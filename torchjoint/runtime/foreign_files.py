@@ -87,11 +87,9 @@ def read_file(path: Path, expected: str, most: int | None = None) -> bytes:
         FileNotFoundError, ValueError: as of :func:`present`, or the file is larger.
     """
     with open_file(path, expected) as stream:
-        if most is None:
-            return stream.read()
-        data = stream.read(most + 1)  # not by its size: files of the system have none
-        bounds.check(max(len(data), os.fstat(stream.fileno()).st_size), most, f"bytes of {expected}", str(path))
-        return data
+        size = os.fstat(stream.fileno()).st_size
+        bounds.check(size, size if most is None else most, f"bytes of {expected}", str(path))
+        return stream.read(size)  # files of the system may have no size, and no end
 
 
 def read_text(path: Path, expected: str, most: int = bounds.TEXT_BYTES, *, errors: str = "strict") -> str:

@@ -7,8 +7,6 @@ import re
 
 #: Parts of torch's messages.
 _OUT_OF_MEMORY = ("not enough memory", "can't allocate memory", "bad_alloc")
-
-
 #: Characters that move the cursor, begin an escape sequence, or turn the direction of writing; not tab and line break.
 _CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
@@ -24,11 +22,7 @@ def printable(name: str) -> str:
 
 
 def on_terminal(text: str) -> str:
-    """Text with names of others for a terminal: characters that control it are shown as their numbers.
-
-    >>> on_terminal("a\x1b[2Jb")
-    'a\\x1b[2Jb'
-    """
+    """Text with names of others for a terminal: characters that control it are shown as their numbers."""
     return _CONTROLS.sub(lambda match: match[0].encode("unicode_escape").decode(), printable(text))
 
 
