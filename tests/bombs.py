@@ -185,7 +185,7 @@ BOMBS: dict[str, Bomb] = {
         "size", ".npy", npy((1,), "<u8", struct.pack("<Q", 2**63)), read_array, "expected integers below 2"
     ),
     "run lengths, sum": Bomb("sum", ".json", rle(60, SIDE, True), MASKS, "pixels in all masks"),
-    "run lengths, size": Bomb("size", ".json", rle(1, 60000, True), MASKS, "are too many"),
+    "run lengths, size": Bomb("size", ".json", rle(1, 60000, False), MASKS, "are too many"),
     "size of SAM": Bomb(
         "size", ".json", b'{"image":{"height":60000,"width":60000},"annotations":[]}', MASKS, "are too many"
     ),

@@ -95,7 +95,7 @@ def _read_npz(path: Path) -> Masks:
     arrays = read_archive(path)
     for name in ("atom", "masks"):
         if name in arrays and arrays[name].ndim in (2, 3):
-            bounds.check_pixels(*arrays[name].shape[-2:], name)
+            bounds.check_pixels(arrays[name].shape[-2], arrays[name].shape[-1], name)
     for name, most in (("mask_scores", bounds.MASKS), ("ids", bounds.MASKS), ("names", bounds.MASKS)):
         bounds.check(len(np.atleast_1d(arrays.get(name, ()))), most, name)
     bounds.check(arrays.get("pairs", np.empty(0)).size, 2 * bounds.PAIRS, "numbers of pairs")

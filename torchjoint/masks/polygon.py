@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -66,7 +67,7 @@ def _strip_pixels(corners: npt.NDArray[np.float64], window: Window, start: int, 
     return rows * window.image_width + columns + window.column
 
 
-def _edge_rows(corners: npt.NDArray[np.float64], height: int) -> Iterator[tuple[npt.NDArray[np.generic], ...]]:
+def _edge_rows(corners: npt.NDArray[np.float64], height: int) -> Iterator[tuple[npt.NDArray[Any], ...]]:
     """For each row [n] that an edge crosses: the row, x there, from where to where the edge covers it, if it counts."""
     (x0, y0), (x1, y1) = corners.T, np.roll(corners, -1, axis=0).T
     low, high = np.minimum(y0, y1), np.maximum(y0, y1)

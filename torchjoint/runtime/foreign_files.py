@@ -14,8 +14,9 @@ import tokenize
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 from zipfile import BadZipFile
 
 from torchjoint.runtime import bounds
@@ -70,7 +71,7 @@ def present(path: Path, expected: str) -> Path:
     return path
 
 
-def open_file(path: Path, expected: str = "a file") -> BinaryIO:
+def open_file(path: Path, expected: str = "a file") -> BufferedReader:
     """Opens a file to read its bytes; errors as of :func:`present`."""
     return present(path, expected).open("rb")
 

@@ -52,8 +52,8 @@ class Masks:
         if self.pairs.ndim != 2 or self.pairs.shape[0] != 2 or self.pairs.dtype != torch.int64:
             raise ValueError(f"pairs: expected [2, L] int64, got {list(self.pairs.shape)} {self.pairs.dtype}")
         if self.atom.numel() and not 0 <= int(self.atom.min()) <= int(self.atom.max()) < self.atom.numel():
-            low, high = int(self.atom.min()), int(self.atom.max())
-            raise ValueError(f"atom: expected numbers from 0, at most one for each pixel, got {low} to {high}")
+            span = f"{int(self.atom.min())} to {int(self.atom.max())}"
+            raise ValueError(f"atom: expected numbers from 0, at most one for each pixel, got {span}")
         if any(not INT64.min <= one <= INT64.max for one in self.ids):
             raise ValueError(f"ids: expected integers of 64 bits, got {str(max(self.ids, key=abs))[:60]}")
         if self.pairs.numel():

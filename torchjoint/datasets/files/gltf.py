@@ -49,7 +49,8 @@ class Parts:
             raise
         return data
 
-    __getitem__ = get
+    def __getitem__(self, name: str) -> bytes:
+        return self.get(name)
 
     def _read(self, name: str) -> bytes:
         for candidate in (name.strip(), name.strip().lstrip("/"), os.path.split(name)[-1]):
@@ -66,7 +67,8 @@ def bound_textures() -> None:
     """Makes trimesh decode the textures of .obj files with our decoder; those of .gltf are checked before."""
     from trimesh.exchange import obj
 
-    obj.Image = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", formats=TEXTURES))
+    decoder = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", formats=TEXTURES))
+    vars(obj)["Image"] = decoder
 
 
 def check_gltf(data: bytes, parts: Parts, name: str) -> None:

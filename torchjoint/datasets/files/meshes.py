@@ -43,7 +43,7 @@ def read_mesh_file(path: Path) -> Ply:
     try:
         if suffix in (".gltf", ".glb"):
             check_gltf(data, parts, str(path))
-        mesh = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=parts, process=False).to_mesh()
+        mesh = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=parts, process=False).to_mesh()  # type: ignore[arg-type]  # it only gets
         if parts.error is not None:
             raise parts.error
         if suffix == ".stl":

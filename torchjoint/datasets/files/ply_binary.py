@@ -80,7 +80,7 @@ def _rows_with_lists(
         rows = np.frombuffer(data, dtype, element.rows, place)
         if all((rows[f"#{name}"] == length).all() for name, length in lengths.items()):
             return {name: rows[name] for name in element.names}, place + rows.nbytes
-    return _rows_of_several_lengths(memoryview(data), place, element, header)
+    return _rows_of_several_lengths(memoryview(data.data), place, element, header)
 
 
 def _rows_of_several_lengths(
