@@ -1,12 +1,13 @@
 """Random inputs to the compiled operators, and damaged files to all readers: nothing may crash, or be silently wrong.
 
-    python benchmarks/fuzz.py --operators 1000000 --files 100000 --results 10000 --state fuzz.json
+    python benchmarks/fuzz.py --operators 1000000 --files 100000 --results 10000 --foreign 10000 --state fuzz.json
 
 * Operators get arguments that are right, with random changes of values, shapes, dtypes and strides: through the
   wrappers and through ``torch.ops``. An error must be a clear one; a result must be that of the slow twin, if there is
   one.
 * Files are the samples of tests/samples, clouds, and the state and result of a run; bytes are cut, flipped and
   replaced. A reader must raise a clear error, or read what can be right (benchmarks/fuzz_files.py).
+* Files are replaced by dead links, pipes, devices, EPS and bombs (benchmarks/fuzz_foreign.py).
 * Results are tampered with, as are corrections and names of frames (benchmarks/fuzz_results.py).
 
 Case i depends on the seed and on i alone. The work is done in a process of its own; if it dies, the case is a finding,
@@ -31,6 +32,7 @@ from typing import Any
 import numpy as np
 import torch
 from fuzz_files import FindingError, file_case, make_samples
+from fuzz_foreign import Foreign, foreign_case
 from fuzz_results import Results, result_case
 
 from torchjoint.runtime.files import write_text
@@ -149,8 +151,15 @@ def worker(begin: int, end: int, seed: int, kind: str, place: Any, connection: A
     findings: list[str] = []
     folder = Path(tempfile.mkdtemp())
     try:
-        made = {"operators": lambda _: None, "files": make_samples, "results": Results}[kind](folder)
-        case = {"operators": lambda *given: operator_case(*given[:2]), "files": file_case, "results": result_case}[kind]
+        made = {"operators": lambda _: None, "files": make_samples, "results": Results, "foreign": Foreign}[kind](
+            folder
+        )
+        case = {
+            "operators": lambda *given: operator_case(*given[:2]),
+            "files": file_case,
+            "results": result_case,
+            "foreign": foreign_case,
+        }[kind]
         for index in range(begin, end):
             place.value = index
             try:
@@ -188,6 +197,7 @@ def main() -> None:
     parser.add_argument("--operators", type=int, default=1_000_000)
     parser.add_argument("--files", type=int, default=100_000)
     parser.add_argument("--results", type=int, default=10_000)
+    parser.add_argument("--foreign", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--state", type=Path)
     arguments = parser.parse_args()
@@ -195,6 +205,7 @@ def main() -> None:
         "operators": 0,
         "files": 0,
         "results": 0,
+        "foreign": 0,
         "counts": {},
         "findings": [],
         "seed": arguments.seed,
@@ -203,7 +214,7 @@ def main() -> None:
         state |= json.loads(arguments.state.read_text())
         if state["seed"] != arguments.seed:
             sys.exit(f"{arguments.state}: of seed {state['seed']}")
-    for kind in ("operators", "files", "results"):
+    for kind in ("operators", "files", "results", "foreign"):
         for done, counts, findings in blocks(state[kind], getattr(arguments, kind), arguments.seed, kind):
             state[kind] = done
             for name, count in counts.items():
@@ -215,7 +226,7 @@ def main() -> None:
                 write_text(arguments.state, json.dumps(state, indent=1))
     found = len(state["findings"])
     print(f"{state['operators']} inputs of operators, {state['files']} damaged files, ", end="")
-    print(f"{state['results']} tampered results, {found} findings")
+    print(f"{state['results']} tampered results, {state['foreign']} foreign files, {found} findings")
     for name, count in sorted(state["counts"].items()):
         print(f"  {name}: {count}")
     sys.exit(1 if state["findings"] else 0)

@@ -151,7 +151,7 @@ class TestStates:
     def test_a_tampered_keyframe(self, name, change, tmp_path):
         segmenter = tj.LiveSegmenter(step=0)
         scene = tj.load_scene(samples.write("folder", tmp_path / "scene"))
-        segmenter.add(scene.frames[0])
+        segmenter.update(scene.frames[0])
         segmenter.save(tmp_path / "state")
         values = read_values(tmp_path / "state")
         assert values["keyframes"]

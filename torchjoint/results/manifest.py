@@ -14,7 +14,7 @@ from typing import Any
 from torchjoint.config import read_yaml
 from torchjoint.runtime.checked_files import file_checksum
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.foreign_files import damage_is, has_file, read_json
+from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
 from torchjoint.runtime.threads import parallel_map
 
 FILE, RUN = "manifest.json", "run.yaml"
@@ -53,11 +53,13 @@ def open_manifest(folder: Path) -> Check:
     files = _read(folder / FILE, record)
     names = set(_names(folder))
     for name in sorted(files.keys() - names):
+        has_file(folder / name)  # a dead link is not found either
         raise FileNotFoundError(f"{folder / name}: missing; expected a whole result{_WAY_OUT}")
     for name in sorted(names - files.keys()):
         raise ValueError(f"{folder / name}: expected only files that the run wrote, got another{_WAY_OUT}")
 
     def check(path: Path) -> Path:
+        present(path, "a file of a result")
         entry = files.get(path.relative_to(folder).as_posix())
         if entry != [path.stat().st_size, file_checksum(path)]:
             raise ValueError(f"{path}: expected the file that the run wrote, got another, or a damaged one{_WAY_OUT}")
