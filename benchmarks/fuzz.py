@@ -25,7 +25,7 @@ import shutil
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +144,15 @@ def compare(operator: str, result: Any, expected: Any) -> None:
             raise FindingError(f"{operator}: {one} instead of {other}")
 
 
+#: What makes the samples of a kind of cases, and what does one of them.
+KINDS: dict[str, tuple[Callable[[Path], Any], Callable[[int, int, Any], str]]] = {
+    "operators": (lambda _: None, lambda index, seed, _: operator_case(index, seed)),
+    "files": (make_samples, file_case),
+    "results": (Results, result_case),
+    "foreign": (Foreign, foreign_case),
+}
+
+
 def worker(begin: int, end: int, seed: int, kind: str, place: Any, connection: Any) -> None:
     """Does the cases from `begin` to `end`; `place` is the case that is being done."""
     torch.set_num_threads(1)
@@ -214,7 +223,7 @@ def main() -> None:
         state |= json.loads(arguments.state.read_text())
         if state["seed"] != arguments.seed:
             sys.exit(f"{arguments.state}: of seed {state['seed']}")
-    for kind in ("operators", "files", "results", "foreign"):
+    for kind in KINDS:
         for done, counts, findings in blocks(state[kind], getattr(arguments, kind), arguments.seed, kind):
             state[kind] = done
             for name, count in counts.items():

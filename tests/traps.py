@@ -30,8 +30,9 @@ def trapped(path: Path, trap: str) -> Iterator[None]:
         TRAPS[trap](path)
         yield
     finally:
-        path.unlink()
-        away.rename(path)
+        path.unlink(missing_ok=True)
+        if away.exists():  # a state whose key is another one is removed
+            away.rename(path)
 
 
 @contextmanager
