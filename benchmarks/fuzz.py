@@ -160,15 +160,8 @@ def worker(begin: int, end: int, seed: int, kind: str, place: Any, connection: A
     findings: list[str] = []
     folder = Path(tempfile.mkdtemp())
     try:
-        made = {"operators": lambda _: None, "files": make_samples, "results": Results, "foreign": Foreign}[kind](
-            folder
-        )
-        case = {
-            "operators": lambda *given: operator_case(*given[:2]),
-            "files": file_case,
-            "results": result_case,
-            "foreign": foreign_case,
-        }[kind]
+        make, case = KINDS[kind]
+        made = make(folder)
         for index in range(begin, end):
             place.value = index
             try:

@@ -54,7 +54,7 @@ REFUSED = (ValueError, RuntimeError)
     [
         ("edge_index: expected node numbers in [0, 4), got 9 at edge 2", ValueError),
         ("std::bad_alloc", MemoryError),
-        ("[enforce fail at alloc_cpu.cpp:121] data. DefaultCPUAllocator: not enough memory", RuntimeError),
+        ("[enforce fail at alloc_cpu.cpp:121] data. DefaultCPUAllocator: not enough memory", MemoryError),
         ("expected scalar type Long but found Float", RuntimeError),
     ],
 )
