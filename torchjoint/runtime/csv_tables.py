@@ -18,13 +18,4 @@ def csv_text(rows: Iterable[Sequence[object]]) -> str:
 
 
 def _safe(cell: object) -> object:
-    is_formula = str(cell).startswith(_FORMULAS) and not _is_number(cell)
-    return f"'{cell}" if is_formula else cell
-
-
-def _is_number(cell: object) -> bool:
-    try:
-        float(str(cell))
-    except ValueError:
-        return False
-    return True
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(_FORMULAS) else cell
