@@ -45,7 +45,7 @@ kills: # runs that are killed end with the same files
 	$(PYTHON) benchmarks/kills.py --kills 10
 
 fuzz: # random inputs and damaged files crash nothing
-	$(PYTHON) benchmarks/fuzz.py --operators 20000 --files 2000 --results 300 --outputs 1000
+	$(PYTHON) benchmarks/fuzz.py --operators 20000 --files 2000 --results 300 --outputs 1000 --foreign 300
 
 sanitize: # the operators under the address and the undefined-behaviour sanitizer
 	.ci/sanitize $(PYTHON)

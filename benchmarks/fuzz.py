@@ -1,12 +1,14 @@
 """Random inputs to the compiled operators, and damaged files to all readers: nothing may crash, or be silently wrong.
 
-    python benchmarks/fuzz.py --operators 1000000 --files 100000 --results 10000 --outputs 10000 --state fuzz.json
+    python benchmarks/fuzz.py --operators 1000000 --files 100000 --results 10000 --outputs 10000 --foreign 10000
+        --state fuzz.json
 
 * Operators get arguments that are right, with random changes of values, shapes, dtypes and strides: through the
   wrappers and through ``torch.ops``. An error must be a clear one; a result must be that of the slow twin, if there is
   one.
 * Files are the samples of tests/samples, clouds, and the state and result of a run; bytes are cut, flipped and
   replaced. A reader must raise a clear error, or read what can be right (benchmarks/fuzz_files.py).
+* Files are replaced by dead links, pipes, devices, EPS and bombs (benchmarks/fuzz_foreign.py).
 * Results are tampered with, as are corrections and names of frames (benchmarks/fuzz_results.py).
 * Outputs are written where others have files, markers or locks, where something appears meanwhile, by two runs at once,
   and by runs that are killed (benchmarks/fuzz_outputs.py).
@@ -26,13 +28,14 @@ import shutil
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from fuzz_files import FindingError, file_case, make_samples
+from fuzz_foreign import Foreign, foreign_case
 from fuzz_outputs import output_case
 from fuzz_results import Results, result_case
 
@@ -145,6 +148,16 @@ def compare(operator: str, result: Any, expected: Any) -> None:
             raise FindingError(f"{operator}: {one} instead of {other}")
 
 
+#: What makes the samples of a kind of cases, and what does one of them.
+KINDS: dict[str, tuple[Callable[[Path], Any], Callable[[int, int, Any], str]]] = {
+    "operators": (lambda _: None, lambda index, seed, _: operator_case(index, seed)),
+    "files": (make_samples, file_case),
+    "results": (Results, result_case),
+    "outputs": (lambda folder: folder, output_case),
+    "foreign": (Foreign, foreign_case),
+}
+
+
 def worker(begin: int, end: int, seed: int, kind: str, place: Any, connection: Any) -> None:
     """Does the cases from `begin` to `end`; `place` is the case that is being done."""
     torch.set_num_threads(1)
@@ -152,12 +165,7 @@ def worker(begin: int, end: int, seed: int, kind: str, place: Any, connection: A
     findings: list[str] = []
     folder = Path(tempfile.mkdtemp())
     try:
-        make, case = {
-            "operators": (lambda folder: None, lambda index, seed, made: operator_case(index, seed)),
-            "files": (make_samples, file_case),
-            "results": (Results, result_case),
-            "outputs": (lambda folder: folder, output_case),
-        }[kind]
+        make, case = KINDS[kind]
         made = make(folder)
         for index in range(begin, end):
             place.value = index
@@ -197,6 +205,7 @@ def main() -> None:
     parser.add_argument("--files", type=int, default=100_000)
     parser.add_argument("--results", type=int, default=10_000)
     parser.add_argument("--outputs", type=int, default=10_000)
+    parser.add_argument("--foreign", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--state", type=Path)
     arguments = parser.parse_args()
@@ -205,6 +214,7 @@ def main() -> None:
         "files": 0,
         "results": 0,
         "outputs": 0,
+        "foreign": 0,
         "counts": {},
         "findings": [],
         "seed": arguments.seed,
@@ -213,7 +223,7 @@ def main() -> None:
         state |= json.loads(arguments.state.read_text())
         if state["seed"] != arguments.seed:
             sys.exit(f"{arguments.state}: of seed {state['seed']}")
-    for kind in ("operators", "files", "results", "outputs"):
+    for kind in KINDS:
         for done, counts, findings in blocks(state[kind], getattr(arguments, kind), arguments.seed, kind):
             state[kind] = done
             for name, count in counts.items():
@@ -225,7 +235,10 @@ def main() -> None:
                 write_text(arguments.state, json.dumps(state, indent=1))
     found = len(state["findings"])
     print(f"{state['operators']} inputs of operators, {state['files']} damaged files, ", end="")
-    print(f"{state['results']} tampered results, {state['outputs']} outputs, {found} findings")
+    print(
+        f"{state['results']} tampered results, {state['outputs']} outputs, {state['foreign']} foreign files, ", end=""
+    )
+    print(f"{found} findings")
     for name, count in sorted(state["counts"].items()):
         print(f"  {name}: {count}")
     sys.exit(1 if state["findings"] else 0)

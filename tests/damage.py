@@ -9,6 +9,9 @@ import numpy as np
 #: A clear error of a file that cannot be read is one of these, and names the file or the argument.
 CLEAR = (ValueError, FileNotFoundError, TypeError)
 
+#: Numbers in text that no tensor, or no float, has.
+HUGE = (b"999999999999", b"%d" % 2**63, b"%d" % 2**64, b"-%d" % (2**63 + 1), b"1" + bytes(400).replace(b"\0", b"0"))
+
 
 def damage(data, rng):
     """One way of many to spoil a file's bytes."""
@@ -24,7 +27,7 @@ def damage(data, rng):
         numbers = list(re.finditer(rb"\d+", data))
         if numbers:
             chosen = numbers[rng.integers(len(numbers))]
-            return data[: chosen.start()] + b"999999999999" + data[chosen.end() :]
+            return data[: chosen.start()] + HUGE[rng.integers(len(HUGE))] + data[chosen.end() :]
     spoiled = bytearray(data)
     for _ in range(1 + int(rng.integers(8))):
         if spoiled:

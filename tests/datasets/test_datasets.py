@@ -230,7 +230,7 @@ def test_arrays(tmp_path, dtype):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (b"(30, 4)", b"(90, 4)", "greater than file size"),  # before there is memory for it
+        (b"(30, 4)", b"(90, 4)", "a shape that fits the file"),  # before there is memory for it
         (b", }", b"( ", ""),  # which Python's tokenizer has an error of its own for
         (b"<f8", b"|O8", ""),
         (b"NUMPY", b"NUMPX", "magic string"),

@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from torchjoint.datasets.files import ros_packing
 from torchjoint.datasets.files.ros_bag import Bag
 from torchjoint.datasets.files.ros_packing import unpack
-from torchjoint.runtime import archives
+from torchjoint.runtime import bounds
 
 TEXT = "a" * 300_000  # packs well
 TYPE = "std_msgs/msg/String"
@@ -47,8 +47,8 @@ def ros_2(path, mode, storage):
 def test_packed_recordings(name, write, arguments, tmp_path, monkeypatch):
     write(tmp_path / name, *arguments)
     assert Bag(tmp_path / name).first("/text").data == TEXT
-    monkeypatch.setattr(archives, "FREE", 100_000)
-    monkeypatch.setattr(archives, "RATIO", 1)
+    monkeypatch.setattr(bounds, "FREE", 100_000)
+    monkeypatch.setattr(bounds, "RATIO", 1)
     with pytest.raises(ValueError, match=r"walk.*: not a whole ROS recording: .* packed bytes have more than 10\d{4}"):
         Bag(tmp_path / name).first("/text")
 
@@ -61,10 +61,10 @@ def test_the_bound_is_exact(pack, make, step, monkeypatch):
     monkeypatch.setattr(ros_packing, "STEP", step)
     packed = pack(bytes(5000)) + pack(b"ab")  # two streams
     assert unpack(make, packed) == bytes(5000) + b"ab"
-    monkeypatch.setattr(archives, "RATIO", 0)
-    monkeypatch.setattr(archives, "FREE", 5002)
+    monkeypatch.setattr(bounds, "RATIO", 0)
+    monkeypatch.setattr(bounds, "FREE", 5002)
     assert len(unpack(make, packed)) == 5002
-    monkeypatch.setattr(archives, "FREE", 5001)
+    monkeypatch.setattr(bounds, "FREE", 5001)
     with pytest.raises(ValueError, match=f"^{len(packed)} packed bytes have more than 5001"):
         unpack(make, packed)
     with pytest.raises(ValueError, match="packed bytes are truncated"):

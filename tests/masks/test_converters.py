@@ -282,7 +282,7 @@ class TestFiles:
         with pytest.raises(ValueError, match=r"metadata.csv: expected a line with id 10"):
             tj.masks.read_masks(tmp_path)
         table.write_text("id,area,predicted_iou,stability_score\n2,4,nan,0.8\n10,4,1.02,1.0\n")
-        with pytest.raises(ValueError, match=rf"{re.escape(str(tmp_path))}: stack' scores"):
+        with pytest.raises(ValueError, match=rf"{re.escape(str(tmp_path))}: .*' scores"):
             tj.masks.read_masks(tmp_path)
 
     def test_masks_of_one_bit_a_pixel(self, tmp_path):
@@ -316,7 +316,7 @@ class TestFiles:
             np.lib.format.write_array_header_1_0(
                 stream, {"descr": "|u1", "fortran_order": False, "shape": (1 << 20, 1 << 20)}
             )
-        with pytest.raises(ValueError, match=r"a\.npz: .*expected a shape that fits the archive"):
+        with pytest.raises(ValueError, match=r"a\.npz: .*expected a shape that fits the file"):
             tj.masks.read_masks(tmp_path / "a.npz")
 
     @pytest.mark.parametrize("suffix", [".png", ".npz", ".json"])

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from torchjoint.masks.polygon import filled_polygon
+from torchjoint.masks.polygon import polygon_pixels
+
+
+def filled_polygon(corners, size):
+    filled = np.zeros(size, dtype=bool)
+    filled.flat[polygon_pixels(corners, size)] = True
+    return filled
 
 
 def test_a_triangle_and_what_lies_on_its_edges():

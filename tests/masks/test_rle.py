@@ -8,7 +8,14 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchjoint.masks.rle import decode_rle
+from torchjoint.masks.rle import rle_pixels
+
+
+def decode_rle(rle):
+    size, pixels = rle_pixels(rle)
+    mask = torch.zeros(size, dtype=torch.bool)
+    mask.view(-1)[torch.from_numpy(pixels)] = True
+    return mask
 
 
 def small():

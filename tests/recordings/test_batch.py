@@ -16,7 +16,7 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.engine import Engine, tasks_on_machine
 from torchjoint.engine.worker import Shared
 from torchjoint.recordings import find_recordings, segment_recording
-from torchjoint.recordings.summary import _csv
+from torchjoint.runtime.csv_tables import csv_text
 from torchjoint.runtime.locks import lock
 from torchjoint.scene.thinning import voxel_subsample
 
@@ -282,4 +282,4 @@ class TestOrigin:
 
 
 def test_cells_are_no_formulas():
-    assert _csv([("=1+1", "@x", "-5", 7)]) == "'=1+1,'@x,'-5,7\n"
+    assert csv_text([("=1+1", "@x", "-5", 7)]) == "'=1+1,'@x,'-5,7\n"

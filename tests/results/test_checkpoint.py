@@ -68,7 +68,7 @@ def test_saving_takes_a_small_share_of_the_time(tmp_path, segmenter, monkeypatch
         clock[0] += 0.5
         writes.append(path.name)
 
-    monkeypatch.setattr(module, "_write", slow_write)
+    monkeypatch.setattr(module, "write_values", slow_write)
     checkpoint = Checkpoint(tmp_path / "state", "key")
     for _ in range(1000):
         clock[0] += 0.1

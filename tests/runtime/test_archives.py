@@ -29,16 +29,16 @@ def test_what_numpy_writes(tmp_path):
 def test_an_array_that_declares_more_than_there_is(tmp_path):
     path = declared(tmp_path / "a.npz", (10**9, 3))
     tracemalloc.start()
-    with pytest.raises(ValueError, match=r"a\.npz.*expected a shape that fits the archive, got \[1000000000, 3\]"):
+    with pytest.raises(ValueError, match=r"a\.npz.*expected a shape that fits the file, got \[1000000000, 3\]"):
         read_cloud_file(path)
     assert tracemalloc.get_traced_memory()[1] < 10_000_000
     tracemalloc.stop()
 
 
 def test_an_archive_that_inflates(tmp_path, monkeypatch):
-    monkeypatch.setattr("torchjoint.runtime.archives.FREE", 0)
+    monkeypatch.setattr("torchjoint.runtime.bounds.FREE", 0)
     path = declared(tmp_path / "a.npz", (100_000, 3), bytes(1_200_000))
-    with pytest.raises(ValueError, match=r"expected at most .* GB in so small a file, got 0\.0012 GB"):
+    with pytest.raises(ValueError, match=r"expected at most \d+ bytes when \d+ bytes are unpacked, got 1200128"):
         read_archive(path)
 
 
@@ -52,7 +52,7 @@ def test_headers_that_are_no_dictionary(tmp_path, header):
 
 def test_objects_are_not_read(tmp_path):
     np.savez(tmp_path / "a.npz", a=np.array([{}], dtype=object))
-    with pytest.raises(ValueError, match=r"a\.npz: not a whole archive of arrays: Object arrays"):
+    with pytest.raises(ValueError, match=r"a\.npz: .*expected numbers, or texts .*, got dtype object"):
         read_archive(tmp_path / "a.npz")
 
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from torchjoint.synthetic import SyntheticScene
 
+from torchjoint.runtime.messages import say
+
 #: The name of the scene in run.yaml.
 SOURCE = "synthetic, seed 0"
 
@@ -19,5 +21,5 @@ def demo_scene() -> SyntheticScene:
     """
     from torchjoint.synthetic import make_scene
 
-    print("making a synthetic scene ...", flush=True)
+    say("making a synthetic scene ...", flush=True)
     return make_scene(seed=0, size="medium", height=360, width=480, num_points=150_000)

@@ -7,19 +7,20 @@ from pathlib import Path
 
 from torchjoint.results.folder import read_record
 from torchjoint.results.mask_report import count_masks
+from torchjoint.runtime.messages import say
 from torchjoint.scene import Segmentation
 
 
 def summarize(result: Segmentation, out: Path) -> None:
     """Prints the numbers of points, segments and images, the seconds of the run, and the written files."""
     _, parts = read_record(out)
-    print(f"{len(result.points)} points in {result.num_point_segments} segments, {len(result.images)} images")
-    print(f"{sum(parts.values()):.1f} seconds: {_listed(parts)}")
-    print(f"segmenting, added up over threads: {_listed(result.seconds)}")
+    say(f"{len(result.points)} points in {result.num_point_segments} segments, {len(result.images)} images")
+    say(f"{sum(parts.values()):.1f} seconds: {_listed(parts)}")
+    say(f"segmenting, added up over threads: {_listed(result.seconds)}")
     if (masks := count_masks(out)) is not None:
-        print(f"masks: {masks[0]} of {masks[1]} became a segment (IoU at least .5); masks.json tells of each")
+        say(f"masks: {masks[0]} of {masks[1]} became a segment (IoU at least .5); masks.json tells of each")
     levels = ", hierarchy.npz, pieces/" if result.hierarchy is not None else ""
-    print(
+    say(
         f"written to {out}: overview.png, points.ply, points.npz, segments.json, images/, images_color/, inputs/, "
         f"cameras.json, run.yaml{levels}"
     )

@@ -12,6 +12,7 @@ from torchjoint.cli.reading import AS_IT_IS, FlatReading
 from torchjoint.recordings import BatchReport
 from torchjoint.recordings import batch as run_batch
 from torchjoint.recordings.scene_list import FAILURES, SUMMARY
+from torchjoint.runtime.messages import say
 
 #: Most failures that are printed, and most characters of each; failures.csv has all.
 MOST_PRINTED, MOST_CHARACTERS = 20, 160
@@ -60,14 +61,14 @@ def batch(
 
 def _print(report: BatchReport) -> None:
     new = len(report.reports) - len(report.skipped)
-    print(f"{new} segmented, {len(report.skipped)} were done before, {len(report.failures)} failed")
+    say(f"{new} segmented, {len(report.skipped)} were done before, {len(report.failures)} failed")
     warned = sum(bool(one.warnings) for one in report.reports.values())
     if warned:
-        print(f"{warned} with warnings: see {report.out / SUMMARY}")
+        say(f"{warned} with warnings: see {report.out / SUMMARY}")
     width = max((len(name) for name in report.failures), default=0)
     for name, reason in list(report.failures.items())[:MOST_PRINTED]:
-        print(f"  {name:{width}}  {reason if len(reason) <= MOST_CHARACTERS else reason[:MOST_CHARACTERS] + '...'}")
+        say(f"  {name:{width}}  {reason if len(reason) <= MOST_CHARACTERS else reason[:MOST_CHARACTERS] + '...'}")
     if len(report.failures) > MOST_PRINTED:
-        print(f"  and {len(report.failures) - MOST_PRINTED} more in {report.out / FAILURES}")
+        say(f"  and {len(report.failures) - MOST_PRINTED} more in {report.out / FAILURES}")
     tables = f"{SUMMARY}, {FAILURES}" if report.failures else SUMMARY
-    print(f"written to {report.out}: a folder for each recording, {tables}")
+    say(f"written to {report.out}: a folder for each recording, {tables}")

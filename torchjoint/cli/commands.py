@@ -14,7 +14,7 @@ from importlib.metadata import version
 from typing import NamedTuple, NoReturn
 
 from torchjoint.runtime.files import cache_folder
-from torchjoint.runtime.messages import in_one_line, is_out_of_memory
+from torchjoint.runtime.messages import in_one_line, is_out_of_memory, on_terminal
 
 #: Exit status of a program whose output is not read to its end, and of one that is interrupted, as shells give it: 128
 #: + SIGPIPE, 128 + SIGINT.
@@ -37,7 +37,7 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         description: for `--help`.
         interrupted: the message after Ctrl-C about commands that can be resumed.
     """
-    warnings.formatwarning = lambda message, *_, **__: f"{program}: warning: {message}\n"
+    warnings.formatwarning = lambda message, *_, **__: f"{program}: warning: {on_terminal(str(message))}\n"
     if (cache := cache_folder()) is not None:  # else matplotlib writes its list of fonts to the home folder
         os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))
     names = argparse.ArgumentParser(program, description=description, formatter_class=argparse.RawTextHelpFormatter)

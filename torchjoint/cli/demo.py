@@ -14,6 +14,7 @@ from torchjoint.cli.show import live_view, show_result
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
+from torchjoint.runtime.messages import say
 from torchjoint.runtime.stopwatch import Stopwatch
 
 
@@ -41,5 +42,5 @@ def demo(
     summarize(result, out)
     in_3d = metrics.objects_and_parts(result.points, synthetic.point_labels)
     covering = metrics.segmentation_covering(result.points, synthetic.point_labels)
-    print(f"against the truth, in 3D: covering {covering.symmetric:.2f}, F for objects and parts {in_3d.f:.2f}")
+    say(f"against the truth, in 3D: covering {covering.symmetric:.2f}, F for objects and parts {in_3d.f:.2f}")
     show_result(out, view, segmenter, synthetic.scene)

@@ -15,6 +15,7 @@ from torchjoint.results.loading import load_result
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.point_edits import edits_of_points, read_point_labels
 from torchjoint.results.shared_edits import save_edits
+from torchjoint.runtime.messages import say
 
 
 def edits(
@@ -41,17 +42,17 @@ def edits(
     if labels is not None:
         steps, others = edits_of_points(parts, before, labels)
         kinds = [step.kind for step in steps]
-        print(f"labels of points: {kinds.count('gather')} things gathered, {kinds.count('name')} names changed")
+        say(f"labels of points: {kinds.count('gather')} things gathered, {kinds.count('name')} names changed")
         if others:
-            print(f"{others} points stay with their piece, of which most points have another label")
+            say(f"{others} points stay with their piece, of which most points have another label")
     else:
         boxes = read_boxes(file)
         changes = edits_of_boxes(edited(stored, before), boxes, parts.of_point)
         steps, empty = changes.steps, changes.empty
-        print(f"{len(boxes)} boxes: {changes.joined} things joined others, {changes.named} names changed")
+        say(f"{len(boxes)} boxes: {changes.joined} things joined others, {changes.named} names changed")
         if empty:
-            print(f"{len(empty)} boxes are those of no thing, such as box {empty[0]}; split in the viewer")
+            say(f"{len(empty)} boxes are those of no thing, such as box {empty[0]}; split in the viewer")
     if steps:
         steps = tuple(replace(step, granularity=before.granularity) for step in steps)
         save_edits(result, replace(before, steps=before.steps + steps), before, parts)
-        print(result / FILE)
+        say(result / FILE)

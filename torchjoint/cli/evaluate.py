@@ -20,6 +20,8 @@ from torchjoint.evaluation.predictions import Prediction, is_result, read_predic
 from torchjoint.evaluation.protocols import Name, counted, find_table
 from torchjoint.evaluation.scores import Scores
 from torchjoint.evaluation.table import Row, scene_table, write_csv, write_plot
+from torchjoint.runtime.foreign_files import has_file, is_there
+from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Scene, Truth
 
@@ -101,18 +103,18 @@ class _ScoreCollector:
     def report(self, out: Path | None, files: Mapping[str, Output] | None) -> None:
         if not self.rows:
             return
-        print(scene_table(self.rows))
+        say(scene_table(self.rows))
         average = self.instances.compute() if self.instances.update_called else None
         if average is not None and not math.isnan(average.ap):
             ap, ap50, ap25 = average
-            print(f"ScanNet's class-agnostic AP {ap:.3f}, AP50 {ap50:.3f}, AP25 {ap25:.3f}: 3D, all scenes together")
+            say(f"ScanNet's class-agnostic AP {ap:.3f}, AP50 {ap50:.3f}, AP25 {ap25:.3f}: 3D, all scenes together")
         in_3d = {row.scene for row in self.rows if row.space == "3D"}
         if self.levels and set(self.levels) == in_3d:
-            print(level_table(self.levels))
+            say(level_table(self.levels))
         elif self.levels:
             self.notes.append(f"only {len(self.levels)} of {len(in_3d)} results have levels: no scores of all levels")
         for note in self.notes:
-            print(note)
+            say(note)
         if out is not None and files is not None:
             out.mkdir(parents=True, exist_ok=True)
             with files[TABLE].written() as path:
@@ -124,12 +126,12 @@ class _ScoreCollector:
                     write_levels(path, self.levels)
             else:
                 files[LEVELS].remove()
-            print(f"written to {out}: {TABLE}, {PICTURE}{', ' + LEVELS if self.levels else ''}")
+            say(f"written to {out}: {TABLE}, {PICTURE}{', ' + LEVELS if self.levels else ''}")
 
 
 def _of_scene(pred: Path, name: str) -> Path:
     for candidate in (pred / name, *(pred / f"{name}{suffix}" for suffix in (".npy", ".txt", ".npz"))):
-        if candidate.exists():
+        if is_there(candidate):
             return candidate
     raise FileNotFoundError(f"{pred / name}: missing; expected a result (or {name}.npy, .txt, .npz) for each scene")
 
@@ -143,4 +145,4 @@ def _with_truth_of(protocol: Name, scene: Scene, path: Path, table: Path) -> Sce
 
 def _kept_cloud(result: Path, voxel_size: float) -> Path | None:
     kept = result / f"cloud-{voxel_size * 1000:g}mm.ply"
-    return kept if kept.is_file() else None
+    return kept if has_file(kept) else None

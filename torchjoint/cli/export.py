@@ -13,6 +13,7 @@ from torchjoint.results.exports.boxes import export_labelcloud
 from torchjoint.results.folder import parts_of
 from torchjoint.results.loading import load_result
 from torchjoint.results.mask_report import select_masked
+from torchjoint.runtime.messages import say
 
 #: What a folder of a format has in it.
 _IN_FOLDER = {"sam": (".json",), "ply": (".ply",), "scannet": (".txt",), "openmask3d": (".pt", ".npy")}
@@ -66,7 +67,7 @@ def export(
         if out is not None or granularity is not None or only_masked:
             raise ValueError("--format graph adds to segments.json: expected no -o, --granularity, --only-masked")
         load_result(result, edits=False).graph().save(result)
-        print(result / "segments.json")
+        say(result / "segments.json")
         return
     loaded = load_result(result, edits=not only_masked)
     if only_masked:
@@ -84,4 +85,4 @@ def export(
             export_labelcloud(path, loaded, out.with_suffix(".ply"))
         else:
             FORMATS[format](path, loaded)
-    print(out)
+    say(out)

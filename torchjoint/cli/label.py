@@ -11,6 +11,7 @@ from torchjoint.cli.arguments import output_file, output_files_in
 from torchjoint.results.folder import parts_of
 from torchjoint.results.labelled_file import label_file, part_files
 from torchjoint.results.loading import load_result
+from torchjoint.runtime.messages import say
 
 
 def label(
@@ -49,4 +50,4 @@ def label(
             label_file(file, path, loaded, name=name)
         else:
             part_files(file, path, loaded)
-    print(out)
+    say(out)

@@ -18,6 +18,7 @@ from torchjoint.live import LiveResult, LiveSegmenter, RerunLog
 from torchjoint.recordings.playing import Played, computed_beside, play
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
+from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.subset import subset
@@ -114,7 +115,7 @@ def _play(results: _Results, rate: float | None, every: int) -> Played:
                 due(count)
 
         played = play(results.frames, results.segmenter, rate, tell)
-    print(
+    say(
         f"{len(played.seconds)} frames, the slowest in {max(played.seconds):.2f} seconds; {played.told_dropped()}; "
         f"{len(played.keyframes)} keyframes"
     )
@@ -140,7 +141,7 @@ class _Results(NamedTuple):
         """Of the first `count` frames."""
         result = self.segmenter.result(images=is_last)
         when = "at the end" if is_last else f"after {count} frames"
-        print(f"{when}: {_described(result)}", flush=True)
+        say(f"{when}: {_described(result)}", flush=True)
         if self.log is not None:
             self.log.show(result, count)
         if self.view is not None:

@@ -16,6 +16,7 @@ from torchjoint.cli.reading import AS_IT_IS, FlatReading
 from torchjoint.cli.show import live_view, show_result
 from torchjoint.engine import open_engine
 from torchjoint.recordings import segment_recording
+from torchjoint.runtime.messages import say
 
 
 def segment(
@@ -70,7 +71,7 @@ def segment(
             allow_import=True,
         )
     if segmented is None:
-        print(f"{out}: an earlier run was killed after it wrote the result; this result is now in its place")
+        say(f"{out}: an earlier run was killed after it wrote the result; this result is now in its place")
         return
     summarize(segmented.result, out)
     show_result(out, view, segmented.segmenter, segmented.scene)

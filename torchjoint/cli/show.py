@@ -27,6 +27,8 @@ from torchjoint.results.folder import parts_of, read_source
 from torchjoint.results.loading import load_result
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
+from torchjoint.runtime.foreign_files import has_file, is_there
+from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
@@ -68,9 +70,9 @@ def show(
     if up is not None and not any(up):
         raise ValueError("--up: expected a direction, got 0 0 0")
     direction = None if up is None else torch.tensor(up, dtype=torch.float64)
-    if not out.exists():
+    if not is_there(out):
         raise FileNotFoundError(f"{out} does not exist; expected a result, or a cloud with labels")
-    is_folder = not out.is_file()
+    is_folder = not has_file(out)
     page = None if static is None else output_file(static, True, parts_of(out), "--static")
     result = _read(out, truth)
     if granularity is not None:
@@ -105,7 +107,7 @@ def growing_view(now: bool) -> GrowingView | None:
 def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, scene: Scene) -> None:
     """Shows a new result, whose parameters can be changed on the page; without a view, prints how to show it."""
     if view is None:
-        print(f"torchjoint show {out}: look at it in the browser")
+        say(f"torchjoint show {out}: look at it in the browser")
         return
     from torchjoint.viewer.parameters import LiveRun
 
@@ -113,7 +115,7 @@ def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, sce
 
 
 def _read(out: Path, truth: bool) -> Result:
-    if out.is_file():
+    if has_file(out):
         from torchjoint.viewer.superpoint_file import read_labelled_cloud
 
         if truth:
@@ -133,7 +135,7 @@ def _scene_of(out: Path) -> Scene:
     if source == SOURCE:
         return demo_scene().scene
     recording = Path(source)
-    if not recording.exists():
+    if not is_there(recording):
         raise FileNotFoundError(f"--truth: expected the recording of this result, {recording}; it does not exist")
     return load_scene(recording, cloud=next(iter(sorted(out.glob("cloud-*mm.ply"))), None))
 
@@ -148,7 +150,7 @@ def _write_static(
     edits = edits if granularity is None else replace(edits, granularity=granularity)
     with page.written() as path:
         shown = write_page(path, result, up, edits)
-    print(page.path if shown == len(result.points) else f"{page.path}: {shown} of {len(result.points)} points")
+    say(page.path if shown == len(result.points) else f"{page.path}: {shown} of {len(result.points)} points")
 
 
 def _serve(
@@ -166,7 +168,7 @@ def _serve(
     from torchjoint.viewer.shown import Shown
 
     if not is_loopback(host):
-        print(f"--host {host}: whoever gets the address below from this network sees this result, and may change it")
+        say(f"--host {host}: whoever gets the address below from this network sees this result, and may change it")
     shown = Shown(folder, text_encoder=text_encoder)
     viewer = Viewer(result, shown, granularity=granularity, up=up, host=host, port=port)
     _open_page(viewer.url, open_browser)
@@ -191,7 +193,7 @@ def serve_until_interrupted(viewer: Viewer) -> None:
 
 
 def _open_page(url: str, in_browser: bool = True) -> None:
-    print(f"{url}\nCtrl-C ends it", flush=True)
+    say(f"{url}\nCtrl-C ends it", flush=True)
     if in_browser:
         webbrowser.open(_redirect(url).as_uri())
 

@@ -17,6 +17,7 @@ from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.oversegmentation import superpoints as segment
+from torchjoint.runtime.messages import say
 from torchjoint.scene import Scene
 from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.run import is_las
@@ -78,7 +79,7 @@ def superpoints(
             progress=sys.stderr.isatty(),
         )
         tiles = "1 tile" if cut.num_tiles == 1 else f"{cut.num_tiles} tiles"
-        print(f"{cut.num_points} points in {cut.num_superpoints} superpoints, {tiles}: {out}")
+        say(f"{cut.num_points} points in {cut.num_superpoints} superpoints, {tiles}: {out}")
         return
     for name, value in (("--tile", tile), ("--buffer", buffer), ("--engine", engine)):
         if value is not None:
@@ -107,11 +108,11 @@ def superpoints(
     scene, labels = Scene(read.points[valid], colors=colors, normals=normals), of_rows[valid]
     with made.written() as path:
         _write(path, scene, labels, of_rows)
-    print(f"{len(labels)} points in {int(labels.max()) + 1} superpoints: {out}")
+    say(f"{len(labels)} points in {int(labels.max()) + 1} superpoints: {out}")
     if pictured is not None:
         with pictured.written() as path:
             _write_picture(path, scene, labels)
-        print(png)
+        say(png)
 
 
 def _write(out: Path, scene: Scene, labels: Tensor, of_rows: Tensor) -> None:

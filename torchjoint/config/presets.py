@@ -9,6 +9,9 @@ from typing import Any, TypeVar
 
 import yaml
 
+from torchjoint.runtime import bounds
+from torchjoint.runtime.foreign_files import read_text
+
 T = TypeVar("T")
 
 
@@ -57,7 +60,7 @@ def read_yaml(path: Path, make: Callable[[Mapping[str, Any]], T], form: str = "p
         FileNotFoundError: there is no such file.
         ValueError, TypeError: invalid YAML, or an error of `make`; the message names the file.
     """
-    return _parse(path.read_text(encoding="utf-8"), str(path), make, form)
+    return _parse(read_text(path, form, bounds.YAML_BYTES), str(path), make, form)
 
 
 def read_assignment(assignment: str, form: str = "parameter") -> tuple[str, Any]:

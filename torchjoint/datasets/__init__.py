@@ -8,6 +8,7 @@ from pathlib import Path
 
 from torchjoint.datasets.formats import FORMATS, Format
 from torchjoint.datasets.recording import Options
+from torchjoint.runtime.foreign_files import has_file, has_folder, is_there
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
 
@@ -52,7 +53,7 @@ def load_scene(
         FileNotFoundError, ValueError: the message names the file; if no format fits, what the most similar one needs.
     """
     path = Path(path)
-    if not path.exists():
+    if not is_there(path):
         raise FileNotFoundError(f"scene: {path} does not exist")
     if not 0 < time_limit < float("inf"):
         raise ValueError(f"time_limit: expected more than 0 seconds, got {time_limit}")
@@ -83,7 +84,7 @@ def list_scenes(path: str | Path) -> dict[str, Path]:
         ValueError: there is no scene; the message says what is there, and what the most similar format needs.
     """
     path = Path(path)
-    if not path.exists():
+    if not is_there(path):
         raise FileNotFoundError(f"scenes: {path} does not exist")
     found = _find_scenes(path)
     if not found:
@@ -96,26 +97,26 @@ def list_scenes(path: str | Path) -> dict[str, Path]:
 
 def _find_scenes(path: Path) -> dict[str, Path]:
     if any(module.recognizes(path) for module in FORMATS.values()):
-        return {path.stem if path.is_file() else path.name: path}
+        return {path.stem if has_file(path) else path.name: path}
     for module in FORMATS.values():
         found: dict[str, Path] = getattr(module, "scenes", lambda _: {})(path)
         if found:
             return found
-    folders = sorted(one for one in path.iterdir() if one.is_dir()) if path.is_dir() else []
+    folders = sorted(one for one in path.iterdir() if has_folder(one)) if has_folder(path) else []
     return {one.name: one for one in folders if any(module.recognizes(one) for module in FORMATS.values())}
 
 
 def _content(path: Path) -> str:
     """What a folder or file of no known format has, in a few words."""
-    if path.is_file():
+    if has_file(path):
         return f"is a file that ends in {path.suffix!r}"
-    kinds = Counter("folders" if one.is_dir() else one.suffix or "files without suffix" for one in path.iterdir())
+    kinds = Counter("folders" if has_folder(one) else one.suffix or "files without suffix" for one in path.iterdir())
     return f"has {', '.join(f'{count} {kind}' for kind, count in kinds.most_common(6)) or 'no files'}"
 
 
 def _nearest(path: Path) -> str:
     """What the format needs that mentions most of the names in a folder, or most of their suffixes."""
-    present = list(path.iterdir()) if path.is_dir() else [path]
+    present = list(path.iterdir()) if has_folder(path) else [path]
     names, suffixes = {one.name for one in present}, {one.suffix.lower() for one in present} - {""}
 
     def likeness(module: Format) -> tuple[int, int]:

@@ -13,6 +13,7 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import fingerprint, read_cloud
 from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.runtime.files import cache_folder
+from torchjoint.runtime.foreign_files import has_file
 from torchjoint.scene import Frame
 
 
@@ -29,7 +30,7 @@ def fuse_or_recall(
         points [N, 3] metres and colours [N, 3] in [0, 1]; the same with and without the cache.
     """
     file = _file(path, voxel_size)
-    if file is not None and file.is_file():
+    if file is not None and has_file(file):
         try:
             points, colors, _ = read_cloud(file)
             return points.float(), colors

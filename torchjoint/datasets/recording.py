@@ -12,6 +12,7 @@ from torch import Tensor
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import read_cloud
 from torchjoint.datasets.fused_clouds import fuse_or_recall
+from torchjoint.runtime.foreign_files import has_file
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.camera import camera_center
 from torchjoint.scene.checks import Invalid
@@ -55,7 +56,7 @@ def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, cloud
 def find_cloud(path: Path, options: Options, clouds: Sequence[Path] = ()) -> Path | None:
     """Returns the first cloud that exists: `options.cloud`, `cloud.*` in the folder, the format's own `clouds`."""
     candidates = (options.cloud, *(path / f"cloud{suffix}" for suffix in CLOUD_SUFFIXES), *clouds)
-    return next((file for file in candidates if file is not None and file.is_file()), None)
+    return next((file for file in candidates if file is not None and has_file(file)), None)
 
 
 def invert_pose(pose: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_matrix
+from torchjoint.runtime.foreign_files import has_file, read_text
 from torchjoint.scene.checks import as_intrinsics
 
 Size = tuple[int, int]
@@ -66,11 +67,11 @@ def find_cameras(folder: Path, info: Path) -> Cameras | None:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
     color = folder / "intrinsic" / "intrinsic_color.txt"
-    if color.is_file():
+    if has_file(color):
         depth = color.with_name("intrinsic_depth.txt")
         of_color = _read_calibration(color)
-        return Cameras(of_color, _read_calibration(depth) if depth.is_file() else of_color)
-    return _read_info(info) if info.is_file() else None
+        return Cameras(of_color, _read_calibration(depth) if has_file(depth) else of_color)
+    return _read_info(info) if has_file(info) else None
 
 
 def _read_calibration(file: Path) -> Calibration:
@@ -85,7 +86,7 @@ def _read_info(path: Path) -> Cameras | None:
     The file's fx_depth does not: it describes the sensor before warping (https://github.com/ScanNet/ScanNet/issues/92).
     """
     try:
-        lines = [line.partition("=") for line in path.read_text(encoding="utf-8").splitlines()]
+        lines = [line.partition("=") for line in read_text(path, "a description of a scan").splitlines()]
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: expected lines of text, got {error}") from error
     values = {name.strip(): value.strip() for name, _, value in lines}

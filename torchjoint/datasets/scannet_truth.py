@@ -11,8 +11,11 @@ from torch import Tensor
 
 from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.members import Members
-from torchjoint.datasets.files.readers import MAX_PIXELS, decode_image, labels_of, read_label_image
+from torchjoint.datasets.files.rasters import decode_image
+from torchjoint.datasets.files.readers import labels_of, read_label_image
 from torchjoint.datasets.resampling import resize_nearest
+from torchjoint.runtime import bounds
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame
 
@@ -21,7 +24,7 @@ SEGMENTS, OBJECTS = "_vh_clean_2.0.010000.segs.json", ".aggregation.json"
 
 def has_point_instances(folder: Path, scan: str) -> bool:
     """Returns whether the vertices of `SCAN_vh_clean_2.ply` are annotated."""
-    return (folder / f"{scan}{OBJECTS}").is_file()
+    return has_file(folder / f"{scan}{OBJECTS}")
 
 
 def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
@@ -100,16 +103,16 @@ def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Seq
 
 
 def _folder_reader(folder: Path, names: Sequence[str]) -> Callable[[str], Tensor] | None:
-    if not folder.is_dir():
+    if not has_folder(folder):
         return None
     for name in names:
-        if not (folder / f"{name}.png").is_file():
+        if not has_file(folder / f"{name}.png"):
             raise FileNotFoundError(f"{folder / name}.png: missing; expected the instances of every frame's pixels")
     return lambda name: read_label_image(folder / f"{name}.png")
 
 
 def _archive_reader(file: Path, names: Sequence[str]) -> Callable[[str], Tensor] | None:
-    if not file.is_file():
+    if not has_file(file):
         return None
     archive = Members(file)
     for name in names:
@@ -124,7 +127,7 @@ def _member(name: str) -> str:
 
 def _read_label_member(archive: Members, member: str) -> Tensor:
     name = f"{archive.path}, {member}"
-    return labels_of(decode_image(archive.read(member, 4 * MAX_PIXELS), name), name)
+    return labels_of(decode_image(archive.read(member, bounds.IMAGE_BYTES), name), name)
 
 
 def _object_id(group: Record) -> int:

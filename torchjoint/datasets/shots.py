@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.readers import read_depth, read_image
+from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame
 
@@ -26,7 +27,7 @@ class Shot(NamedTuple):
 
     def read(self) -> Frame:
         """Reads the frame."""
-        depth = read_depth(self.depth, self.unit) if self.depth is not None and self.depth.is_file() else None
+        depth = read_depth(self.depth, self.unit) if self.depth is not None and has_file(self.depth) else None
         return self.camera.frame(read_image(self.color, self.camera.size), self.world_to_camera, depth, self.name)
 
 

@@ -79,8 +79,16 @@ class Volume:
         return {"key": self._key.clone(), "sums": self._sums[self._row]}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Takes the :meth:`state` of another volume with voxels of the same size."""
-        self._key, self._sums = state["key"], state["sums"]
+        """Takes the :meth:`state` of another volume with voxels of the same size.
+
+        Raises:
+            ValueError: it is none.
+        """
+        key, sums = state["key"], state["sums"]
+        is_key = key.dtype == torch.int64 and key.ndim == 1 and bool((key >= 0).all() & (key.diff() > 0).all())
+        if not is_key or sums.dtype != torch.int32 or sums.shape != (len(key), SIDE**3, CHANNELS):
+            raise ValueError(f"volume: expected ascending blocks and their sums, got {key.shape} and {sums.shape}")
+        self._key, self._sums = key, sums.contiguous()
         self._file = self._map = None
         self._row = torch.arange(len(self._key))
 

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime.archives import read_archive
-from torchjoint.runtime.foreign_files import present
+from torchjoint.runtime.foreign_files import open_file, present, read_text
 
 #: Largest number of masks of a scene.
 MOST = 100_000
@@ -32,8 +32,9 @@ class Instances(NamedTuple):
 
 def is_listing(path: Path) -> bool:
     """Whether a .txt file lists masks; one with a label for each point has numbers only."""
-    with path.open(encoding="utf-8", errors="replace") as stream:
-        words = next((line.split() for line in stream if line.strip()), [])
+    with open_file(path) as stream:
+        start = stream.read(1 << 16).decode("utf-8", "replace")
+    words = next((line.split() for line in start.splitlines() if line.strip()), [])
     return len(words) == 3 and words[0].endswith(".txt")
 
 
@@ -79,7 +80,7 @@ def _of_archive(path: Path, num_points: int) -> Instances:
 def _of_listing(path: Path, num_points: int) -> Instances:
     points: list[Tensor] = []
     scores: list[float] = []
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+    for number, line in enumerate(read_text(path, "a list of instances", errors="replace").splitlines(), 1):
         words, where = line.split(), f"{path}, line {number}"
         if not words:
             continue
@@ -101,7 +102,7 @@ def _read_mask(file: Path, num_points: int) -> Tensor:
     if file.stat().st_size > 32 * (num_points + 1):
         raise ValueError(f"{file}: expected 0 or 1 for each of {num_points} points, got {file.stat().st_size} bytes")
     try:
-        mask = np.array(file.read_text(encoding="utf-8").split(), dtype=np.float64)
+        mask = np.array(read_text(file, "a mask").split(), dtype=np.float64)
     except ValueError as error:
         raise ValueError(f"{file}: expected 0 or 1 for each point: {error}") from error
     if len(mask) != num_points:

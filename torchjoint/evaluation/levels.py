@@ -7,8 +7,6 @@ the best levels. So they show what a hierarchy contains, not what a user gets at
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
@@ -18,6 +16,7 @@ from torch import Tensor
 
 from torchjoint.evaluation.scores import COLUMNS, Scores, score
 from torchjoint.evaluation.table import markdown
+from torchjoint.runtime.csv_tables import csv_text
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
@@ -93,10 +92,8 @@ def level_table(scenes: Mapping[str, Sequence[Scores]]) -> str:
 
 def write_levels(path: Path, scenes: Mapping[str, Sequence[Scores]]) -> None:
     """Writes one line per scene and granularity, .csv; atomic (a temporary file is renamed)."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["scene", "granularity", *Scores._fields])
+    rows = [["scene", "granularity", *Scores._fields]]
     for name, of_scene in scenes.items():
         for granularity, scores in zip(GRANULARITIES, of_scene, strict=True):
-            writer.writerow([name, f"{granularity:.2f}", *(f"{value:.6f}" for value in scores)])
-    write_text(path, text.getvalue())
+            rows.append([name, f"{granularity:.2f}", *(f"{value:.6f}" for value in scores)])
+    write_text(path, csv_text(rows))

@@ -15,6 +15,7 @@ from torchjoint.evaluation.instances import Instances, is_listing, painted, read
 from torchjoint.results.folder import read_points
 from torchjoint.results.hierarchy_files import FILE, read_hierarchy
 from torchjoint.runtime.files import frame_files
+from torchjoint.runtime.foreign_files import has_file, has_folder, read_text
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy, Scene, Segmentation
@@ -38,7 +39,7 @@ class Prediction(NamedTuple):
 
 def is_result(path: Path) -> bool:
     """Returns whether a path is one prediction, not a folder of several."""
-    return path.is_file() or (path / "points.npz").is_file() or (path / "images").is_dir()
+    return has_file(path) or has_file(path / "points.npz") or has_folder(path / "images")
 
 
 def read_prediction(path: Path, scene: Scene) -> Prediction:
@@ -54,22 +55,22 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
     Raises:
         FileNotFoundError, ValueError, TypeError: the message names the file and its error.
     """
-    if path.is_file():
+    if has_file(path):
         if path.suffix == ".npz" or (path.suffix == ".txt" and is_listing(path)):
             found = read_instances(path, len(scene.points))
             labels = painted(found, len(scene.points))
             return Prediction(labels, torch.arange(len(labels)), (), (), None, found.scores, found)
         labels = _read_labels(path)
         return Prediction(as_labels(labels, (len(scene.points),), str(path)), torch.arange(len(labels)), (), ())
-    if not path.is_dir():
+    if not has_folder(path):
         raise FileNotFoundError(f"{path}: missing; expected a result of `torchjoint segment`, or labels")
     points, of_points, hierarchy, scores = None, torch.empty(0, dtype=torch.int64), None, None
-    if (path / "points.npz").is_file():
+    if has_file(path / "points.npz"):
         result = read_points(path)
         points, of_points = result.labels, _places(result.points, scene.points, path / "points.npz")
-        hierarchy = read_hierarchy(path, len(points)) if (path / FILE).is_file() else None
+        hierarchy = read_hierarchy(path, len(points)) if has_file(path / FILE) else None
         scores = Segmentation(points, (), hierarchy=hierarchy).confidence
-    files = sorted((path / "images").glob("*.png")) if (path / "images").is_dir() else []
+    files = sorted((path / "images").glob("*.png")) if has_folder(path / "images") else []
     if points is None and not files:
         raise FileNotFoundError(f"{path}: has neither points.npz nor images/*.png; expected a result")
     names = _frame_names(scene) if files else {}
@@ -98,7 +99,7 @@ def _read_labels(path: Path) -> Tensor:
     if path.suffix != ".txt":
         raise ValueError(f"{path}: expected labels of points, .npy or .txt, instances, .npz or .txt, or a result")
     try:
-        return torch.from_numpy(np.array(path.read_text(encoding="utf-8").split(), dtype=np.int64))
+        return torch.from_numpy(np.array(read_text(path, "labels").split(), dtype=np.int64))
     except (ValueError, OverflowError) as error:
         raise ValueError(f"{path}: expected a whole number for each point, got {error}") from error
 

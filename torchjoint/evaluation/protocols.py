@@ -10,6 +10,7 @@ table. The instances are those of the toolkit (github.com/scannetpp/scannetpp, s
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Set
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -19,7 +20,7 @@ from torch import Tensor
 
 from torchjoint.datasets.formats.scannetpp import truth_files
 from torchjoint.datasets.scannet_truth import OBJECTS, point_instances, read_object_classes
-from torchjoint.runtime.foreign_files import present
+from torchjoint.runtime.foreign_files import has_file, read_text
 
 Name = Literal["scannetv2", "scannet200", "scannetpp"]
 #: The tables of labels that the downloads of ScanNet and ScanNet++ bring.
@@ -63,7 +64,7 @@ def find_table(scans: Path, name: Name) -> Path:
     """
     table = TABLE_PP if name == "scannetpp" else TABLE
     for folder in (scans, *scans.resolve().parents[:2]):
-        if (folder / table).is_file():
+        if has_file(folder / table):
             return folder / table
     raise FileNotFoundError(f"{scans / table}: missing, also in the two folders above; it comes with the data set")
 
@@ -84,11 +85,10 @@ def read_table(file: Path, name: Name) -> dict[str, int]:
 
 def _pairs(file: Path, first: str, second: str, delimiter: str) -> list[tuple[str, str]]:
     """Two columns of a table, row by row."""
-    present(file, "the data set's table of labels")
+    text = read_text(file, "the data set's table of labels", errors="replace")
     try:
-        with file.open(encoding="utf-8", errors="replace", newline="") as stream:
-            reader = csv.DictReader(stream, delimiter=delimiter)
-            rows, missing = list(reader), {first, second} - {*(reader.fieldnames or ())}
+        reader = csv.DictReader(io.StringIO(text), delimiter=delimiter)
+        rows, missing = list(reader), {first, second} - {*(reader.fieldnames or ())}
     except csv.Error as error:
         raise ValueError(f"{file}: expected a table: {error}") from error
     if missing:
@@ -110,7 +110,7 @@ def counted(truth: Tensor, scan: Path, name: Name, table: Path) -> Tensor:
     """
     if name == "scannetpp":
         return _counted_of_scannetpp(len(truth), scan, table)
-    folder, stem = (scan.parent, scan.stem) if scan.is_file() else (scan, scan.name)
+    folder, stem = (scan.parent, scan.stem) if has_file(scan) else (scan, scan.name)
     class_of, classes = read_table(table, name), PROTOCOLS[name].classes
     of_object = read_object_classes(folder / f"{stem}{OBJECTS}")
     kept = [one for one, category in of_object.items() if class_of.get(category) in classes]
@@ -125,8 +125,7 @@ def _counted_of_scannetpp(num_points: int, scan: Path, table: Path) -> Tensor:
 
     def objects_of(name: str) -> list[int]:
         file = table.with_name(name)
-        present(file, "the benchmark's classes, a line each")
-        classes = file.read_text(encoding="utf-8", errors="replace").splitlines()
+        classes = read_text(file, "the benchmark's classes, a line each", errors="replace").splitlines()
         return [one for one, found in of_object.items() if found in classes]
 
     truth = point_instances(segments, objects, num_points, smallest=True, among=set(objects_of(CLASSES_PP)))

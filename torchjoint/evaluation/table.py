@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +9,7 @@ from statistics import fmean, stdev
 from typing import NamedTuple
 
 from torchjoint.evaluation.scores import COLUMNS, Scores, mean_scores
+from torchjoint.runtime.csv_tables import csv_text
 from torchjoint.runtime.files import atomic_write, write_text
 
 
@@ -76,15 +75,13 @@ def scene_table(rows: Sequence[Row], titles: Callable[[str], str] = str) -> str:
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """Writes one line per scene, method and space; atomic (a temporary file is renamed)."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     kinds = _kinds(rows)
     names = [*(name.replace(" ", "_") for name in Scores._fields), *(f"{kind}_iou" for kind in kinds)]
-    writer.writerow(["scene", "method", "space", *names])
+    lines: list[Sequence[object]] = [["scene", "method", "space", *names]]
     for row in rows:
         by_kind = (f"{row.kinds[kind]:.6f}" if kind in row.kinds else "" for kind in kinds)
-        writer.writerow([row.scene, row.method, row.space, *(f"{value:.6f}" for value in row.scores), *by_kind])
-    write_text(path, text.getvalue())
+        lines.append([row.scene, row.method, row.space, *(f"{value:.6f}" for value in row.scores), *by_kind])
+    write_text(path, csv_text(lines))
 
 
 def write_plot(path: Path, rows: Sequence[Row], titles: Callable[[str], str] = str) -> None:

@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from torchjoint.runtime.foreign_files import has_file
+
 #: Largest size of a forest's decompressed file, bytes; the forest of the package has 26 MB.
 MAX_TEXT = 1 << 27
 #: Side of the patch of boundaries that a leaf stores, pixels.
@@ -91,7 +93,7 @@ def read_forest(path: Path) -> Forest:
 
 def _read_text(path: Path) -> bytes:
     """The content of a file, decompressed and checked to be complete; errors as in :func:`read_forest`."""
-    if not path.is_file():
+    if not has_file(path):
         raise FileNotFoundError(f"{path}: missing; expected a structured forest, NAME.yml.gz")
     try:
         with path.open("rb") as stream:

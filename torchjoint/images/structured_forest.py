@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torchjoint.images.forest import read_forest
 from torchjoint.images.non_maximum_suppression import suppress_non_maxima
 from torchjoint.ops.structured_forest import structured_forest
+from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.threads import all_threads, parallel_map
 
 #: Width of the mirrored margin around the image, pixels. It gives boundaries near the image border as many votes as
@@ -154,7 +155,7 @@ def padded(image: NDArray[Any]) -> NDArray[Any]:
 
 def _version(model: str | None) -> tuple[int, int] | None:
     """Modification time and size of the file, so that a replaced file is noticed; None for the package's own forest."""
-    if model is None or not Path(model).is_file():
+    if model is None or not has_file(Path(model)):
         return None
     status = Path(model).stat()
     return status.st_mtime_ns, status.st_size

@@ -51,7 +51,8 @@ class LastingIds:
         tenant: dict[int, int] = {}
         merged: dict[int, int] = {}  # the home of what is mostly in one segment
         parent: dict[int, int] = {}  # the former thing to which most of a segment belonged
-        before_size, now_size = (torch.bincount(index).tolist() for index in (self._id, segment_of_cube))
+        before_size = dict(zip(*(one.tolist() for one in self._id.unique(return_counts=True)), strict=True))
+        now_size = torch.bincount(segment_of_cube).tolist()
         for count, old, new in self._shared(cube, segment_of_cube):
             if old not in home:
                 home[old] = new
@@ -78,8 +79,18 @@ class LastingIds:
         return {"cube": self._cube, "id": self._id, "next": self._next}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Goes on with the ids of another object."""
-        self._cube, self._id, self._next = state["cube"], state["id"], state["next"]
+        """Goes on with the ids of another object.
+
+        Raises:
+            ValueError: they are none.
+        """
+        cube, ids, after = state["cube"], state["id"], state["next"]
+        whole = all(one.dtype == torch.int64 and one.shape == (len(ids),) for one in (cube, ids))
+        if not whole or type(after) is not int or not 0 <= after < 1 << 62 or bool((cube.diff() <= 0).any()):
+            raise ValueError("ids: expected ascending cubes, an id for each, and the next id")
+        if len(ids) and not 0 <= int(ids.min()) <= int(ids.max()) < after:
+            raise ValueError(f"ids: expected 0 to {after - 1}, got {int(ids.min())} to {int(ids.max())}")
+        self._cube, self._id, self._next = cube, ids, after
 
     def _shared(self, cube: Tensor, segment: Tensor) -> list[tuple[int, int, int]]:
         """(number of shared cubes, former thing, segment): most cubes first, then the oldest and the lowest."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -68,10 +68,23 @@ class Keyframe(NamedTuple):
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Keyframe:
-        """The inverse of :meth:`to_dict`."""
+        """The inverse of :meth:`to_dict`, for values of a file.
+
+        Raises:
+            TypeError, ValueError, LookupError: they are no keyframe; the message names what is wrong.
+        """
         packed = {name: Packed.from_dict(values[name]) for name in _PACKED if values[name] is not None}
         masks = None if values["masks"] is None else Masks(**values["masks"])
-        return cls(**{**values, **packed, "masks": masks})
+        keyframe = cls(**{**values, **packed, "masks": masks})
+        frame, segments = keyframe.opened()
+        keyframe.measured()
+        for name, shape in (("boundary", segments.boundary.shape), ("labels", segments.labels.shape)):
+            check_size(shape, frame.size, f"{name} of keyframe {frame.name!r}")
+        check_size(frame.size if masks is None else masks.size, frame.size, f"masks of keyframe {frame.name!r}")
+        low, high = int(segments.labels.min()), int(segments.labels.max())
+        if not -1 <= low <= high < segments.labels.numel():
+            raise ValueError(f"labels of keyframe {frame.name!r}: expected -1 or more, got {low} to {high}")
+        return keyframe._replace(intrinsics=frame.intrinsics, world_to_camera=frame.world_to_camera)
 
     @property
     def num_bytes(self) -> int:
@@ -100,6 +113,12 @@ class Keyframe(NamedTuple):
             return None
         frame = Frame(_image(self.taken or self.image), self.intrinsics, self.world_to_camera, name=self.name)
         return replace(frame, depth=self.depth.unpack().float() * DEPTH_STEP)
+
+
+def check_size(got: Sequence[int], expected: tuple[int, int], name: str) -> None:
+    """Raises ValueError unless the sizes (H, W) are equal."""
+    if tuple(got) != expected:
+        raise ValueError(f"{name}: expected {list(expected)}, got {list(got)}")
 
 
 def _bytes(values: Tensor) -> Tensor:

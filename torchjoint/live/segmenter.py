@@ -6,7 +6,6 @@ segments once, and keep them packed. A result takes the surface for the cloud, a
 
 from __future__ import annotations
 
-import io
 import math
 import threading
 from collections import Counter
@@ -25,7 +24,8 @@ from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter
 from torchjoint.labels.lasting_ids import Changes, LastingIds
 from torchjoint.live.keyframe import Keyframe
-from torchjoint.runtime.checked_files import read_checked, write_checked
+from torchjoint.runtime.checked_files import read_values, write_values
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.free_memory import give_back
 from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.spill import SpillFile
@@ -33,7 +33,7 @@ from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Segmentation
 from torchjoint.scene.camera import camera_center
-from torchjoint.scene.checks import as_pose
+from torchjoint.scene.checks import as_float, as_pose, check_shape
 from torchjoint.scene.hierarchy import check_granularity
 from torchjoint.segments.learned.method import Learned
 
@@ -254,9 +254,7 @@ class LiveSegmenter(nn.Module):
             "to_compare": None if compared is None else [_frame_values(frame) for frame in compared],
             "ids": self._ids.state(),
         }
-        content = io.BytesIO()
-        torch.save(values, content)
-        write_checked(Path(path), content.getvalue())
+        write_values(Path(path), values)
 
     @on_cpu()
     def restore(self, path: str | Path) -> None:
@@ -266,21 +264,30 @@ class LiveSegmenter(nn.Module):
             path: of a segmenter with the same arguments; networks are not compared.
 
         Raises:
-            OSError: the file cannot be read.
-            ValueError: it is damaged, or of another version, or of a segmenter with other arguments.
+            FileNotFoundError: there is no such file.
+            ValueError: it cannot be read, is damaged, or of another version, or of a segmenter with other arguments.
+                Then the segmenter stays as it was.
         """
-        values = torch.load(io.BytesIO(read_checked(Path(path))), weights_only=True)
-        if values["settings"] != self._settings():
-            raise ValueError(f"{path}: expected a state with {self._settings()}, got {values['settings']}")
-        self._origin, self._pose = values["origin"], values["pose"]
-        self._views = Counter(values["views"])
-        self._volume.restore(values["volume"])
+        values = read_values(Path(path))
+        if values.get("settings") != self._settings():
+            raise ValueError(f"{path}: expected a state with {self._settings()}, got {values.get('settings')}")
+        with damage_is(f"{path}: not a state of live segmentation"):
+            origin, pose, compared = values["origin"], values["pose"], values["to_compare"]
+            origin = None if origin is None else as_float(origin, "origin", torch.float64)
+            check_shape(torch.zeros(3) if origin is None else origin, (3,), "origin")
+            pose = None if pose is None else as_pose(pose, "pose")
+            views = Counter({int(block): int(count) for block, count in values["views"].items()})
+            keyframes = [Keyframe.from_dict(one) for one in values["keyframes"]]
+            if (origin is None or pose is None) != (not keyframes):
+                raise ValueError(f"expected an origin and a pose with {len(keyframes)} keyframes")
+            frames = None if compared is None else [Frame(**one) for one in compared]
+            ids = LastingIds()
+            ids.restore(values["ids"])
+            self._volume.restore(values["volume"])
+        self._origin, self._pose, self._views, self._to_compare, self._ids = origin, pose, views, frames, ids
         self._keyframes, self._in_memory, self._file = [], 0, None
-        for one in values["keyframes"]:
-            self._keep(Keyframe.from_dict(one))
-        compared = values["to_compare"]
-        self._to_compare = None if compared is None else [Frame(**one) for one in compared]
-        self._ids.restore(values["ids"])
+        for keyframe in keyframes:
+            self._keep(keyframe)
 
     def _keep(self, keyframe: Keyframe) -> None:
         size = keyframe.num_bytes

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.archives import as_int64
+
 
 def as_tensor(values: Any, name: str) -> Tensor:
     """Converts a tensor or a NumPy array to a tensor on the CPU without gradient.
@@ -21,8 +23,7 @@ def as_tensor(values: Any, name: str) -> Tensor:
         raise TypeError(f"{name}: expected a torch.Tensor or a NumPy array, got {type(values).__name__}")
     if values.dtype.kind not in "biuf":
         raise TypeError(f"{name}: expected numbers or booleans, got dtype {values.dtype}")
-    wider = {"uint16": np.int32, "uint32": np.int64, "uint64": np.int64}.get(values.dtype.name)
-    return torch.from_numpy(np.array(values if wider is None else values.astype(wider)))
+    return torch.from_numpy(np.array(as_int64(values, name)))
 
 
 def as_binary(values: Any, name: str) -> Tensor:

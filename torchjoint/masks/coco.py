@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +9,8 @@ from typing import Any
 
 import torch
 
-from torchjoint.masks.segmentation import mask_of, stacked
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.masks.segmentation import check_declared, merged, pixels_of
+from torchjoint.runtime.foreign_files import damage_is, read_json
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
 
@@ -34,20 +33,25 @@ def from_coco(
     >>> from_coco([{"segmentation": [[1, 0, 3, 0, 3, 2, 1, 2]]}], (2, 4))
     Masks(1 masks, 2 x 4 pixels, 50% covered)
     """
-    masks, scores = [], []
-    for index, annotation in enumerate(annotations):
-        name = f"annotations[{index}]"
-        if not isinstance(annotation, Mapping) or "segmentation" not in annotation:
-            raise ValueError(f"{name}: expected a dict with segmentation, got {type(annotation).__name__}")
-        masks.append(mask_of(annotation["segmentation"], size, f"{name}'s segmentation"))
-        score = annotation.get("score", 1.0)
-        if isinstance(score, bool) or not isinstance(score, (int, float)):
-            raise TypeError(f"{name}'s score: expected a number, got {score!r}")
-        scores.append(float(score))
-    found = Masks.from_stack(stacked(masks, size, "annotations"), torch.tensor(scores), "annotations")
+    scores = torch.tensor([_score(annotation, f"annotations[{index}]") for index, annotation in enumerate(annotations)])
+    check_declared((annotation["segmentation"] for annotation in annotations), "annotations")
+    masks = (
+        pixels_of(annotation["segmentation"], size, f"annotations[{index}]'s segmentation")
+        for index, annotation in enumerate(annotations)
+    )
+    found = merged(masks, len(annotations), size, scores, "annotations")
     ids = [one["id"] for one in annotations if isinstance(one.get("id"), int)]
     names = [str(categories.get(one.get("category_id", -1), "")) for one in annotations] if categories else []
     return replace(found, ids=tuple(ids) if len(ids) == len(found) else (), names=tuple(names))
+
+
+def _score(annotation: Mapping[str, Any], name: str) -> float:
+    if not isinstance(annotation, Mapping) or "segmentation" not in annotation:
+        raise ValueError(f"{name}: expected a dict with segmentation, got {type(annotation).__name__}")
+    score = annotation.get("score", 1.0)
+    if isinstance(score, bool) or not isinstance(score, (int, float)):
+        raise TypeError(f"{name}'s score: expected a number, got {score!r}")
+    return float(min(score, 2))  # a huge integer has no float; 2 is refused, too
 
 
 class CocoFile:
@@ -59,7 +63,7 @@ class CocoFile:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        data = read_json(path)
+        data = read_json(path, "a COCO data set")
         if not isinstance(data, dict) or not {"images", "annotations"} <= set(data):
             raise ValueError(f"{path}: expected a COCO data set with images and annotations")
         try:
@@ -90,13 +94,3 @@ class CocoFile:
         with damage_is(f"{self._path}, image {name!r}"):
             size = int(image["height"]), int(image["width"])
             return from_coco(self._annotations[image["id"]], size, self._categories)
-
-
-def read_json(path: Path) -> Any:
-    """The content of a JSON file.
-
-    Raises:
-        ValueError: the file is damaged; the message names it.
-    """
-    with damage_is(f"{path}: not a whole JSON file"):
-        return json.loads(path.read_text(encoding="utf-8"))

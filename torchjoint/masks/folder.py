@@ -13,6 +13,7 @@ from torch.utils.data import Subset
 
 from torchjoint.masks.coco import CocoFile
 from torchjoint.masks.files import SUFFIXES, read_masks
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Scene
@@ -97,17 +98,17 @@ def _with_masks(frame: Frame, reader: Callable[[], Masks] | None) -> Frame:
 
 def _readers(folder: Path) -> Readers:
     """The readers of masks: name of the masks -> function that reads them."""
-    if folder.is_file():
+    if has_file(folder):
         coco = CocoFile(folder)
         return {name: partial(coco.read, name) for name in coco.names}
-    if not folder.is_dir():
+    if not has_folder(folder):
         raise FileNotFoundError(f"{folder}: missing; expected a folder of masks, or a COCO file")
     readers: Readers = {}
     for path in sorted(folder.iterdir()):
-        is_masks = path.suffix.lower() in SUFFIXES or (path.is_dir() and any(path.glob("*.png")))
+        is_masks = path.suffix.lower() in SUFFIXES or (has_folder(path) and any(path.glob("*.png")))
         if path.name.startswith(".") or not is_masks:
             continue
-        name = path.name if path.is_dir() else path.stem
+        name = path.name if has_folder(path) else path.stem
         if name in readers:
             raise ValueError(f"{folder}: two masks for {name!r}, the second one is {path.name}")
         readers[name] = partial(read_masks, path)

@@ -11,7 +11,7 @@ import torch
 from torchjoint.masks.arrays import as_tensor
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import as_labels
-from torchjoint.scene.masks import Masks
+from torchjoint.scene.masks import INT64, Masks
 
 
 @on_cpu()
@@ -37,6 +37,8 @@ def from_panoptic(segmentation: Any, segments_info: Sequence[Mapping[str, Any]])
         if not isinstance(info, Mapping) or "id" not in info:
             raise ValueError(f"segments_info[{index}]: expected a dict with id, got {info!r}")
         ids.append(int(info["id"]))
+        if not INT64.min <= ids[-1] <= INT64.max:
+            raise ValueError(f"segments_info[{index}]: expected an id of 64 bits, got {str(ids[-1])[:60]}")
         masks.append(labels == ids[-1])
         scores.append(float(info.get("score", 1.0)))
     if len(set(ids)) < len(ids):

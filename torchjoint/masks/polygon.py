@@ -2,37 +2,88 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
+from torchjoint.runtime import bounds
 
-def filled_polygon(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> npt.NDArray[np.bool_]:
-    """The pixels whose centres lie in a polygon, or on its edge.
+#: Rows of edges that are computed at a time.
+_STEP = 1 << 20
+#: Pixels of a window that are filled at a time.
+_STRIP = 1 << 22
 
-    A pixel is inside if a ray from it crosses an odd number of edges. Edges may cross each other.
+
+class Window:
+    """A part of an image around a polygon: its first row and column, and its size (H, W)."""
+
+    def __init__(self, corners: npt.NDArray[np.float64], size: tuple[int, int]) -> None:
+        low = np.clip(np.ceil(corners.min(0)), 0, size[::-1])
+        high = np.clip(np.floor(corners.max(0)) + 1, low, size[::-1])
+        (self.column, self.row), (width, height) = low.astype(int).tolist(), (high - low).astype(int).tolist()
+        self.size, self.image_width = (height, width), size[1]
+
+
+def polygon_pixels(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """The pixels whose centres lie in a polygon, or on its edge, as indices row x W + column, ascending.
+
+    A pixel is inside if a ray from it crosses an odd number of edges. Edges may cross each other. Time and memory grow
+    with the polygon's window, not with the image.
 
     Args:
         corners: [C, 2] finite (x, y), pixels; integers are the centres of pixels.
         size: (H, W) of the image.
 
-    Returns:
-        [H, W] bool.
+    Raises:
+        ValueError: the edges cross too many rows.
     """
-    height, width = size
-    crossed = np.zeros((height, width + 1), dtype=np.int64)
-    on_edge = np.zeros(size, dtype=bool)
-    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        low, high = (y0, y1) if y0 <= y1 else (y1, y0)
-        row = np.arange(max(int(np.ceil(low)), 0), min(int(np.floor(high)), height - 1) + 1)
-        if y0 == y1:
-            on_edge[row, max(int(np.ceil(min(x0, x1))), 0) : max(int(np.floor(max(x0, x1))) + 1, 0)] = True
-            continue
-        x = x0 + (row - y0) * ((x1 - x0) / (y1 - y0))
-        column = np.round(x)
-        exact = ((column - x0) * (y1 - y0) == (row - y0) * (x1 - x0)) & (column >= 0) & (column < width)
-        on_edge[row[exact], column[exact].astype(np.int64)] = True
+    window = Window(corners, size)
+    strip = max(1, _STRIP // max(1, window.size[1]))
+    return np.concatenate(
+        [np.empty(0, np.int64)]
+        + [
+            _strip_pixels(corners, window, row, min(strip, window.row + window.size[0] - row)) + row * size[1]
+            for row in range(window.row, window.row + window.size[0], strip)
+        ]
+    )
+
+
+def _strip_pixels(corners: npt.NDArray[np.float64], window: Window, start: int, height: int) -> npt.NDArray[np.int64]:
+    """The pixels in some rows of the window; indices begin with the first of these rows."""
+    width = window.size[1]
+    crossed = np.zeros((height, width + 1), dtype=np.int32)
+    covered = np.zeros((height, width + 1), dtype=np.int32)  # steps of the number of edges that lie on a pixel
+    for row, x, low_x, high_x, counts in _edge_rows(corners - (window.column, start), height):
+        first = np.clip(np.ceil(low_x), 0, width).astype(np.int64)
+        end = np.clip(np.floor(high_x) + 1, first, width).astype(np.int64)
+        np.add.at(covered, (row, first), 1)
+        np.add.at(covered, (row, end), -1)
         # A row through a corner belongs to the edge below it alone; pixels to the right of the edge change sides.
-        counts = row < high
-        crossed[row[counts], np.clip(np.ceil(x[counts]), 0, width).astype(np.int64)] += 1
-    inside = np.cumsum(crossed[:, :width], axis=1) % 2 == 1
-    return inside | on_edge
+        np.add.at(crossed, (row[counts], np.clip(np.ceil(x[counts]), 0, width).astype(np.int64)), 1)
+    inside = (np.cumsum(crossed[:, :width], axis=1) % 2 == 1) | (np.cumsum(covered[:, :width], axis=1) > 0)
+    rows, columns = np.nonzero(inside)
+    return rows * window.image_width + columns + window.column
+
+
+def _edge_rows(corners: npt.NDArray[np.float64], height: int) -> Iterator[tuple[npt.NDArray[Any], ...]]:
+    """For each row [n] that an edge crosses: the row, x there, from where to where the edge covers it, if it counts."""
+    (x0, y0), (x1, y1) = corners.T, np.roll(corners, -1, axis=0).T
+    low, high = np.minimum(y0, y1), np.maximum(y0, y1)
+    start = np.clip(np.ceil(low), 0, height).astype(np.int64)
+    count = np.clip(np.floor(high) + 1, start, height).astype(np.int64) - start
+    bounds.check(int(count.sum()), bounds.EDGE_ROWS, "rows of all edges")
+    ends = np.cumsum(count)
+    for first in range(0, int(ends[-1]), _STEP):
+        place = np.arange(first, min(first + _STEP, int(ends[-1])))
+        edge = np.searchsorted(ends, place, side="right")
+        row = place - (ends - count)[edge] + start[edge]
+        flat = y0[edge] == y1[edge]
+        rise, run = np.where(flat, 1, y1[edge] - y0[edge]), x1[edge] - x0[edge]
+        x = x0[edge] + (row - y0[edge]) * (run / rise)
+        column = np.round(x)
+        exact = (column - x0[edge]) * rise == (row - y0[edge]) * run
+        low_x = np.where(flat, np.minimum(x0[edge], x1[edge]), np.where(exact, column, np.inf))
+        high_x = np.where(flat, np.maximum(x0[edge], x1[edge]), np.where(exact, column, -np.inf))
+        yield row, x, low_x, high_x, ~flat & (row < high[edge])

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from torchjoint.masks.segmentation import mask_of, stacked
+from torchjoint.masks.segmentation import Pixels, check_declared, merged, pixels_of
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
 
@@ -31,28 +31,31 @@ def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None 
     """
     if isinstance(records, (Mapping, str)) or not isinstance(records, Sequence):
         raise TypeError(f"records: expected a list of dicts, got {type(records).__name__}")
-    masks, scores = [], []
-    for index, record in enumerate(records):
-        name = f"records[{index}]"
-        if not isinstance(record, Mapping) or "segmentation" not in record:
-            raise ValueError(f"{name}: expected a dict with segmentation, got {_entries(record)}")
-        mask = mask_of(record["segmentation"], size, f"{name}'s segmentation")
-        area = record.get("area")
-        if area is not None and area != int(mask.sum()):
-            raise ValueError(f"{name}'s area: expected the mask's {int(mask.sum())} pixels, got {area}")
-        masks.append(mask)
-        scores.append(_score(record, name))
-    return Masks.from_stack(stacked(masks, size, "records"), torch.tensor(scores), "records")
+    names = [f"records[{index}]" for index in range(len(records))]
+    scores = torch.tensor([_score(record, name) for record, name in zip(records, names, strict=True)])
+    check_declared((record["segmentation"] for record in records), "records")
+    masks = (_pixels(record, size, name) for record, name in zip(records, names, strict=True))
+    return merged(masks, len(records), size, scores, "records")
+
+
+def _pixels(record: Mapping[str, Any], size: tuple[int, int] | None, name: str) -> Pixels:
+    own, pixels = pixels_of(record["segmentation"], size, f"{name}'s segmentation")
+    area = record.get("area")
+    if area is not None and area != len(pixels):
+        raise ValueError(f"{name}'s area: expected the mask's {len(pixels)} pixels, got {area}")
+    return own, pixels
 
 
 def _score(record: Mapping[str, Any], name: str) -> float:
+    if not isinstance(record, Mapping) or "segmentation" not in record:
+        raise ValueError(f"{name}: expected a dict with segmentation, got {_entries(record)}")
     product = 1.0
     for entry in ("predicted_iou", "stability_score"):
         value = record.get(entry, 1.0)
         try:
             product *= float(value)
-        except (TypeError, ValueError) as error:
-            raise TypeError(f"{name}'s {entry}: expected a number, got {value!r}") from error
+        except (TypeError, ValueError, OverflowError) as error:
+            raise TypeError(f"{name}'s {entry}: expected a number, got {str(value)[:60]!r}") from error
         if not math.isfinite(float(value)):
             raise ValueError(f"{name}'s {entry}: expected a finite number, got {value}")
     return min(max(product, 0.0), 1.0)

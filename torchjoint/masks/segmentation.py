@@ -1,21 +1,33 @@
-"""One mask from any form in the records of SAM and COCO: array, run lengths, polygons."""
+"""Masks from the forms in the records of SAM and COCO: arrays, run lengths, polygons.
+
+A mask is given as the indices of its pixels, so that a small mask of a large image is small. The masks of an image are
+made one after the other.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import torch
+import numpy.typing as npt
 from torch import Tensor
 
 from torchjoint.masks.arrays import as_binary
-from torchjoint.masks.polygon import filled_polygon
-from torchjoint.masks.rle import decode_rle
+from torchjoint.masks.polygon import Window, polygon_pixels
+from torchjoint.masks.rle import declared_pixels, rle_pixels
+from torchjoint.runtime import bounds
+from torchjoint.scene.masks import Masks
+
+Size = tuple[int, int]
+#: A mask: the size (H, W) of its image, and its pixels as indices row x W + column.
+Pixels = tuple[Size, npt.NDArray[np.int64]]
+#: Corners of polygons farther away are no places in an image.
+_FAR = 1e9
 
 
-def mask_of(segmentation: Any, size: tuple[int, int] | None, name: str) -> Tensor:
-    """The mask [H, W] bool.
+def pixels_of(segmentation: Any, size: Size | None, name: str) -> Pixels:
+    """The pixels of a mask.
 
     Args:
         segmentation: an array [H, W], run lengths (a dict), or polygons (a list of lists x, y, x, y, ...).
@@ -26,47 +38,84 @@ def mask_of(segmentation: Any, size: tuple[int, int] | None, name: str) -> Tenso
         ValueError, TypeError: naming the segmentation, what was expected and what came.
     """
     if isinstance(segmentation, Mapping):
-        mask = decode_rle(segmentation, name)
+        own, pixels = rle_pixels(segmentation, name)
     elif isinstance(segmentation, (list, tuple)):
         if size is None:
             raise ValueError(f"{name}: polygons need the size (H, W) of the image")
-        mask = _filled(segmentation, size, name)
+        bounds.check_pixels(*size, "size")
+        own, pixels = size, _filled(segmentation, size, name)
     else:
         mask = as_binary(segmentation, name)
         if mask.ndim != 2:
             raise ValueError(f"{name}: expected shape [H, W], got {list(mask.shape)}")
-    if size is not None and tuple(mask.shape) != tuple(size):
-        raise ValueError(f"{name}: expected {size[0]} x {size[1]} pixels, got {mask.shape[0]} x {mask.shape[1]}")
-    return mask
+        own, pixels = (mask.shape[0], mask.shape[1]), np.flatnonzero(mask.numpy())
+    if size is not None and own != tuple(size):
+        raise ValueError(f"{name}: expected {size[0]} x {size[1]} pixels, got {own[0]} x {own[1]}")
+    return own, pixels
 
 
-def _filled(polygons: Sequence[Any], size: tuple[int, int], name: str) -> Tensor:
+def _filled(polygons: Sequence[Any], size: Size, name: str) -> npt.NDArray[np.int64]:
     """The pixels whose centres lie in one of the polygons; COCO's pixel centres have coordinates that end with .5."""
-    mask = np.zeros(size, dtype=bool)
+    found, area = [], 0
     for polygon in polygons:
         try:
             corners = np.array(polygon, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise TypeError(f"{name}: expected polygons x, y, x, y, ... of numbers, got {polygon!r}") from error
-        if corners.ndim != 1 or len(corners) < 6 or len(corners) % 2 or not np.isfinite(corners).all():
+            raise TypeError(f"{name}: expected polygons x, y, x, y, ... of numbers, got {str(polygon)[:60]}") from error
+        if corners.ndim != 1 or len(corners) < 6 or len(corners) % 2 or not (np.abs(corners) < _FAR).all():
             raise ValueError(
                 f"{name}: expected polygons x, y, x, y, ... of at least 3 finite corners, got {corners.shape} numbers"
             )
-        mask |= filled_polygon(corners.reshape(-1, 2) - 0.5, size)
-    return torch.from_numpy(mask)
+        corners = corners.reshape(-1, 2) - 0.5
+        height, width = Window(corners, size).size
+        area += height * width
+        bounds.check(area, bounds.INSIDE, "pixels around polygons", name)
+        found.append(corners)
+    pixels = [np.empty(0, np.int64), *(polygon_pixels(corners, size) for corners in found)]
+    return pixels[-1] if len(pixels) <= 2 else np.unique(np.concatenate(pixels))
 
 
-def stacked(masks: Sequence[Tensor], size: tuple[int, int] | None, name: str) -> Tensor:
-    """Stacks masks of one size to [M, H, W] bool.
+def check_declared(segmentations: Iterable[Any], name: str) -> None:
+    """Checks how many pixels all run lengths of an image declare, before any of them is unpacked.
 
     Raises:
-        ValueError: the sizes differ; or there is no mask and no size.
+        ValueError: too many.
     """
-    if not masks:
+    inside = sum(declared_pixels(one, name) for one in segmentations if isinstance(one, Mapping))
+    bounds.check(max(0, inside), bounds.INSIDE, "pixels in all masks", name)
+
+
+def merged(masks: Iterable[Pixels], count: int, size: Size | None, scores: Tensor, name: str) -> Masks:
+    """The masks of one image.
+
+    Args:
+        masks: of one size; they are taken one after the other.
+        count: their number.
+        size: (H, W) of the image; required if there are no masks.
+        scores: [count].
+        name: name of the masks in messages.
+
+    Raises:
+        ValueError: the sizes differ, or there is no mask and no size, or the masks are too large together.
+    """
+    bounds.check(count, bounds.MASKS, "masks", name)
+    rest = iter(masks)
+    first = next(rest, None)
+    if first is None:
         if size is None:
             raise ValueError(f"size: expected (H, W), because {name} has no masks")
-        return torch.zeros(0, *size, dtype=torch.bool)
-    for index, mask in enumerate(masks):
-        if mask.shape != masks[0].shape:
-            raise ValueError(f"{name}[{index}]: expected the size {list(masks[0].shape)}, got {list(mask.shape)}")
-    return torch.stack(list(masks))
+        bounds.check_pixels(*size, "size")
+        return Masks.from_pixels((), size, scores, name)
+
+    def checked() -> Iterator[npt.NDArray[np.int64]]:
+        inside = len(first[1])
+        yield first[1]
+        for index, (own, pixels) in enumerate(rest, 1):
+            if own != first[0]:
+                raise ValueError(f"{name}[{index}]: expected the size {list(first[0])}, got {list(own)}")
+            inside += len(pixels)
+            bounds.check(inside, bounds.INSIDE, "pixels in all masks", name)
+            yield pixels
+
+    bounds.check_pixels(*first[0], name)
+    return Masks.from_pixels(checked(), first[0], scores, name)

@@ -10,6 +10,9 @@ from torch import Tensor
 
 from torchjoint.runtime.messages import is_out_of_memory
 
+#: Integers beyond this do not fit an argument of a kernel.
+LIMIT = 1 << 63
+
 
 def call(kernel: Any, *arguments: Any) -> Any:
     """Calls ``kernel``, such as ``torch.ops.torchjoint.min_cut.default``, without gradient; returns its result.
@@ -25,10 +28,14 @@ def call(kernel: Any, *arguments: Any) -> Any:
     arguments = tuple(value.detach() if isinstance(value, Tensor) else value for value in arguments)
     if torch.compiler.is_compiling():
         return kernel(*arguments)
+    names = [argument.name for argument in kernel._schema.arguments]
+    for name, value in zip(names, arguments, strict=False):
+        if isinstance(value, int) and not -LIMIT <= value < LIMIT:
+            raise ValueError(f"{name}: expected an integer of at most 64 bits, got {str(value)[:60]}")
     try:
         return kernel(*arguments)
     except RuntimeError as error:
-        translated = _translated(error, [argument.name for argument in kernel._schema.arguments])
+        translated = _translated(error, names)
         if translated is None:
             raise
         raise translated from None

@@ -15,6 +15,7 @@ from torchjoint.recordings.options import RecordingOptions
 from torchjoint.recordings.segment import segment_recording
 from torchjoint.results.folder import Origin, read_origin, read_record
 from torchjoint.results.output_folder import own_files
+from torchjoint.runtime.foreign_files import has_file, is_there
 from torchjoint.runtime.locks import BusyError
 from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.peak_memory import peak_memory, reset_peak_memory
@@ -93,7 +94,7 @@ def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
 
 def is_done(out: Path) -> bool:
     """Whether a folder holds a result; results are written completely or not at all."""
-    return (out / "run.yaml").is_file()
+    return has_file(out / "run.yaml")
 
 
 def check_origin(job: Job, name: str, path: Path) -> None:
@@ -105,7 +106,7 @@ def check_origin(job: Job, name: str, path: Path) -> None:
     """
     out = job.folder(name)
     origin = read_origin(out)
-    files = fingerprint(path, own_files(out)) if path.exists() and origin.fingerprint else origin.fingerprint
+    files = fingerprint(path, own_files(out)) if is_there(path) and origin.fingerprint else origin.fingerprint
     asked = Origin(str(path.absolute()), files, version("torchjoint"), job.config)
     other = [field for field, one, two in zip(Origin._fields, asked, origin, strict=True) if one != two]
     if other:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from torchjoint.datasets import list_scenes
 from torchjoint.runtime.files import file_name
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, has_file, has_folder, is_there, read_text
 
 #: A file with one of these suffixes lists recordings, one per line.
 LISTS = (".txt", ".list")
@@ -41,14 +41,14 @@ def find_recordings(scenes: str | Path | Iterable[str | Path]) -> dict[str, Path
 
 def _expanded(scene: str | Path, lists: tuple[Path, ...] = ()) -> list[Path]:
     path = Path(scene)
-    if path.suffix.lower() in LISTS and path.is_file():
+    if path.suffix.lower() in LISTS and has_file(path):
         if (own := path.resolve()) in lists:
             raise ValueError(f"scenes: expected a list of recordings, got {path}, which names itself")
         return [found for line in _lines(path) for found in _expanded(path.parent / line, (*lists, own))]
-    if not path.exists() and glob.has_magic(str(scene)):
+    if not is_there(path) and glob.has_magic(str(scene)):
         matches = [Path(match) for match in sorted(glob.glob(str(scene), recursive=True))]
         matches = [match for match in matches if match.suffix.lower() not in LISTS]
-        recordings = [found for match in matches for found in _scenes(match) if match.is_dir() or _is_scene(match)]
+        recordings = [found for match in matches for found in _scenes(match) if has_folder(match) or _is_scene(match)]
         if not recordings:
             raise ValueError(f"scenes: {scene} matches no recording")
         return recordings
@@ -57,7 +57,7 @@ def _expanded(scene: str | Path, lists: tuple[Path, ...] = ()) -> list[Path]:
 
 def _lines(path: Path) -> list[str]:
     with damage_is(f"{path}: expected a list of recordings, one per line"):
-        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+        lines = [line.strip() for line in read_text(path, "a list of scenes").splitlines()]
     return [line for line in lines if line and not line.startswith("#")]
 
 
@@ -98,5 +98,5 @@ def _folder_name(name: str) -> str:
 def _parts(path: Path) -> list[str]:
     """The names of the folders above a recording, then its own name."""
     absolute = path.absolute()
-    own = absolute.stem if path.is_file() else absolute.name
+    own = absolute.stem if has_file(path) else absolute.name
     return [*absolute.parent.parts[1:], own]

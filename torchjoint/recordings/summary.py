@@ -10,7 +10,9 @@ from pathlib import Path
 
 from torchjoint.recordings.one_scene import SceneReport
 from torchjoint.recordings.scene_list import FAILURES, SUMMARY
+from torchjoint.runtime.csv_tables import csv_text
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.foreign_files import read_text
 from torchjoint.runtime.messages import in_one_line
 
 #: Least time between two writes, seconds, and largest share of the time that writes may take.
@@ -37,7 +39,7 @@ class Tables:
     def earlier_memory(self) -> dict[str, float]:
         """Reads the peak memory by scene from the summary of an earlier run; the results do not contain it."""
         try:
-            text = (self.folder / SUMMARY).read_text(encoding="utf-8")
+            text = read_text(self.folder / SUMMARY, "a table")
             rows = list(csv.DictReader(io.StringIO(text)))
             return {
                 row["scene"].removeprefix("'"): float(row["peak_memory_mb"]) for row in rows if row["peak_memory_mb"]
@@ -68,7 +70,7 @@ class Tables:
         write_text(self.folder / SUMMARY, self._summary())
         if self.failures:
             rows = [(name, self.failures[name]) for name in self._names if name in self.failures]
-            write_text(self.folder / FAILURES, _csv([("scene", "reason"), *rows]))
+            write_text(self.folder / FAILURES, csv_text([("scene", "reason"), *rows]))
         else:
             (self.folder / FAILURES).unlink(missing_ok=True)
 
@@ -76,7 +78,7 @@ class Tables:
         reports = [(name, self.reports[name]) for name in self._names if name in self.reports]
         parts = list(dict.fromkeys(part for _, report in reports for part in report.seconds))
         header = (*_COLUMNS[:5], *(f"seconds: {part}" for part in parts), *_COLUMNS[5:])
-        return _csv([header, *(_row(name, report, parts) for name, report in reports)])
+        return csv_text([header, *(_row(name, report, parts) for name, report in reports)])
 
 
 def _row(name: str, report: SceneReport, parts: list[str]) -> tuple[object, ...]:
@@ -85,13 +87,3 @@ def _row(name: str, report: SceneReport, parts: list[str]) -> tuple[object, ...]
     total = round(sum(report.seconds.values()), 3)
     counts = (report.points, report.frames, report.segments)
     return (name, *counts, total, *seconds, memory, "; ".join(report.warnings))
-
-
-def _csv(rows: list[tuple[object, ...]]) -> str:
-    """Rows as text. A cell that a spreadsheet would compute gets an apostrophe in front: names come from others."""
-    text = io.StringIO()
-    safe = [
-        [f"'{cell}" if str(cell).startswith(("=", "+", "-", "@", "\t", "\r")) else cell for cell in row] for row in rows
-    ]
-    csv.writer(text, lineterminator="\n").writerows(safe)
-    return text.getvalue()

@@ -5,7 +5,6 @@ Their boxes turn about z alone, which must point up.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -16,6 +15,8 @@ import numpy.typing as npt
 
 from torchjoint.results.oriented_box import oriented_box
 from torchjoint.results.result import Result
+from torchjoint.runtime import bounds
+from torchjoint.runtime.foreign_files import read_json, read_text
 from torchjoint.runtime.messages import printable
 
 Array = npt.NDArray[np.float64]
@@ -114,15 +115,15 @@ def read_boxes(file: Path) -> list[Box]:
     """Reads boxes: a .json is of labelCloud (centroid_abs), Segments.ai or CVAT, anything else has lines of OpenPCDet.
 
     Raises:
-        OSError: the file cannot be read.
-        ValueError: it has another content; the message names the file and the box.
+        FileNotFoundError: there is no such file.
+        ValueError: it cannot be read, or has another content; the message names the file and the box.
     """
-    text = file.read_text(encoding="utf-8", errors="replace")
     if file.suffix.lower() != ".json":
+        text = read_text(file, "boxes", bounds.JSON_BYTES, errors="replace")
         rows = [(number, line.split(maxsplit=7)) for number, line in enumerate(text.splitlines(), start=1)]
         return [_box(row[7:], row[:7], f"{file}, line {number}") for number, row in rows if row]
+    record = read_json(file, "boxes")
     try:
-        record = json.loads(text)
         record = record.get("attributes", record)  # of a whole label of Segments.ai
         key = next((key for key in ("annotations", "items") if key in record), "objects")
         objects = _cuboids(record) if key == "items" else record[key]

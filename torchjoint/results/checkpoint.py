@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import shutil
 import time
 import warnings
-from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
-import torch
 import yaml
 
 from torchjoint.config import Config
-from torchjoint.runtime.checked_files import read_checked, write_checked
+from torchjoint.runtime import bounds
+from torchjoint.runtime.checked_files import read_values, write_values
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.foreign_files import has_file, read_text
 from torchjoint.views.observation import PackedObservation
 from torchjoint.views.observations import Observations
 from torchjoint.views.state import JointState
@@ -46,7 +44,7 @@ class Checkpoint:
     def __init__(self, directory: Path, key: str) -> None:
         self.directory = directory
         key_file, known = directory / "key.txt", f"{FORMAT} {key}"
-        if not key_file.is_file() or key_file.read_text(encoding="utf-8", errors="replace") != known:
+        if not _is_of_run(key_file, known):
             shutil.rmtree(directory, ignore_errors=True)
             directory.mkdir(parents=True)
             write_text(key_file, known)
@@ -59,15 +57,16 @@ class Checkpoint:
         Args:
             observations: an empty object, which the state will use; default: one that keeps all in memory.
         """
-        if not (self.directory / "sums.pt").is_file():
-            return None
         try:
-            values = _read(self.directory / "sums.pt")
+            if not has_file(self.directory / "sums.pt"):
+                return None
+            values = read_values(self.directory / "sums.pt")
             count = values.pop("count")
             observations = Observations() if observations is None else observations
             for i in range(count):
-                observations.extend([PackedObservation.from_dict(_read(self._file(i)))])
+                observations.extend([PackedObservation.from_dict(read_values(self._file(i)))])
             state = JointState(**values, observations=observations)
+            state.check_types()
         except Exception as error:  # a damaged file can raise anything
             warnings.warn(f"{self.directory}: damaged, starting again ({error})", stacklevel=2)
             return None
@@ -84,10 +83,10 @@ class Checkpoint:
         if not now and start < self._next_save:
             return
         for i in range(self._saved, len(state.observations)):
-            _write(self._file(i), state.observations.packed(i).to_dict())
+            write_values(self._file(i), state.observations.packed(i).to_dict())
             self._saved = i + 1
         sums = {name: value for name, value in vars(state).items() if name != "observations"}
-        _write(self.directory / "sums.pt", sums | {"count": self._saved})
+        write_values(self.directory / "sums.pt", sums | {"count": self._saved})
         end = time.monotonic()
         self._next_save = end + min(INTERVAL, (end - start) / SHARE)
 
@@ -95,15 +94,12 @@ class Checkpoint:
         return self.directory / f"observation-{index:06d}.pt"
 
 
-def _write(path: Path, values: Mapping[str, Any]) -> None:
-    content = io.BytesIO()
-    torch.save(values, content)
-    write_checked(path, content.getvalue())
-
-
-def _read(path: Path) -> dict[str, Any]:
-    values: dict[str, Any] = torch.load(io.BytesIO(read_checked(path)), weights_only=True)
-    return values
+def _is_of_run(key_file: Path, known: str) -> bool:
+    """Whether a state is of this run; one whose key cannot be read is not."""
+    try:
+        return has_file(key_file) and read_text(key_file, "a key", bounds.LINE, errors="replace") == known
+    except ValueError:
+        return False
 
 
 def run_key(source: str, config: Config) -> str:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from torchjoint.results.manifest import manifest_checksum
 from torchjoint.results.splits import split
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, has_file, read_json
 from torchjoint.runtime.messages import printable
 from torchjoint.scene import Hierarchy
 from torchjoint.scene.hierarchy import check_granularity
@@ -106,10 +106,10 @@ def read_edits(folder: Path, num_pieces: int) -> Edits:
         ValueError: the file is damaged, or of another result; the message names it.
     """
     file, own = folder / FILE, manifest_checksum(folder)
-    if not file.is_file():
+    if not has_file(file):
         return Edits(num_pieces, of=own)
     with damage_is(f"{file}: not a list of edits"):
-        record = json.loads(file.read_text(encoding="utf-8"))
+        record = read_json(file, "a list of edits")
         granularity = _level(record["granularity"])
         # In files of 0.1.0 a name has no level of its own: the level of the file was the last to be seen.
         steps = tuple(_parse({"granularity": granularity, **step}, num_pieces) for step in record["edits"])

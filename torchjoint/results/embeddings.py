@@ -16,6 +16,7 @@ from torchjoint.results.crops import Camera, Crop, crops_of
 from torchjoint.results.objects import add_to_segments, read_segments, segment_records
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write, no_link
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene, Segmentation
 
@@ -96,7 +97,7 @@ class Embeddings:
             FileNotFoundError, ValueError: the folder is no result, or one of another number of points.
         """
         path = Path(path)
-        rows = self._rows(path) if path.is_dir() else None
+        rows = self._rows(path) if has_folder(path) else None
         file = path if rows is None else path / FILE
         with atomic_write(no_link(file)) as partial, partial.open("wb") as stream:
             np.savez_compressed(stream, vectors=self.vectors.numpy(), labels=self.labels.to(torch.int32).numpy())
@@ -136,7 +137,7 @@ def read_embeddings(folder: Path, num_points: int) -> Embeddings | None:
     Raises:
         ValueError: the file is damaged, or of another result; the message names it.
     """
-    if not (folder / FILE).is_file():
+    if not has_file(folder / FILE):
         return None
     found = Embeddings.load(folder / FILE)
     if len(found.labels) != num_points:

@@ -31,7 +31,7 @@ from torchjoint.results.manifest import Check, unchecked, write_manifest
 from torchjoint.results.objects import write_segments
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import frame_files
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.runtime.foreign_files import damage_is, has_file, present
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.packing import pack
 from torchjoint.runtime.threads import on_cpu, parallel_map
@@ -162,7 +162,7 @@ def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
     images = LazySequence(len(files), lambda index: read_label_image(check(files[index])) - 1)
     true = {file: name for name, file in read_names(folder).items()}
     names = tuple(true.get(file.stem, file.stem) for file in files)
-    if not (folder / FILE).is_file():
+    if not has_file(folder / FILE):
         return Segmentation(labels, images, names=names)
     hierarchy = read_hierarchy(folder, len(labels))
     of_piece = torch.zeros(hierarchy.num_pieces, dtype=torch.int64)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_image
 from torchjoint.runtime.archives import read_archive
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, has_file
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
 from torchjoint.scene.votes import Votes
@@ -70,7 +70,7 @@ def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
         ValueError: the file is damaged or of other points; the message names it.
     """
     file = folder / FILE
-    if not file.is_file():
+    if not has_file(file):
         raise FileNotFoundError(
             f"{file}: missing; expected a result of point_segments.method learned: only this method makes all levels"
         )

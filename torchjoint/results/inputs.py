@@ -20,7 +20,7 @@ from torchjoint.results.manifest import Check, unchecked
 from torchjoint.results.mask_report import MaskFates, compare_masks, write_mask_report
 from torchjoint.results.overlays import overlay
 from torchjoint.runtime.files import file_name, frame_files, write_text
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Masks, Scene, Segmentation
@@ -72,7 +72,7 @@ def read_names(folder: Path) -> dict[str, str]:
         ValueError: cameras.json is damaged; the message names the file.
     """
     stored = {file.stem for file in (folder / INPUTS).glob("*.jpg")}  # earlier versions had longer names
-    names = [str(name) for name in _read_cameras(folder)] if (folder / CAMERAS).is_file() else []
+    names = [str(name) for name in _read_cameras(folder)] if has_file(folder / CAMERAS) else []
     return {name: name if name in stored else file_name(name) for name in names}
 
 
@@ -106,7 +106,7 @@ def _read_cameras(folder: Path) -> dict[str, dict[str, Any]]:
     file = folder / CAMERAS
     present(file, "a result with cameras, which `torchjoint segment` writes")
     with damage_is(f"{file}: not the cameras of these images"):
-        return {record["name"]: record for record in json.loads(file.read_text(encoding="utf-8"))["frames"]}
+        return {record["name"]: record for record in read_json(file, "cameras")["frames"]}
 
 
 def _save(file: Path, pixels: Tensor) -> None:

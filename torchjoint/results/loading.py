@@ -12,6 +12,7 @@ from torchjoint.results.inputs import CAMERAS, read_inputs
 from torchjoint.results.manifest import open_manifest, unchecked
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.result import Result
+from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
 
@@ -49,12 +50,12 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
     segmentation = read_result(folder, check)
     if verify:
         _check_counts(folder, segmentation)
-    frames = read_inputs(folder, segmentation.names, check) if (folder / CAMERAS).is_file() else ()
+    frames = read_inputs(folder, segmentation.names, check) if has_file(folder / CAMERAS) else ()
     scene = Scene(stored.points, frames, stored.colors, name=folder.resolve().name)
     values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
     vectors = read_embeddings(folder, len(stored.points))
     result = Result(**values, scene=scene, config=config, saved_embeddings=vectors)
-    if not edits or not (folder / FILE).is_file():
+    if not edits or not has_file(folder / FILE):
         return result
     return edited(result, read_edits(folder, Parts(result).count))
 

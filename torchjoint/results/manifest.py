@@ -14,7 +14,7 @@ from typing import Any
 from torchjoint.config import read_yaml
 from torchjoint.runtime.checked_files import file_checksum
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
 from torchjoint.runtime.threads import parallel_map
 
 FILE, RUN = "manifest.json", "run.yaml"
@@ -51,18 +51,20 @@ def open_manifest(folder: Path) -> Check:
         ValueError, TypeError: a file was changed or does not belong to the result; the message names it.
     """
     record = read_yaml(folder / RUN, dict, "a record of a run")
-    if not (folder / FILE).is_file():
+    if not has_file(folder / FILE):
         if "manifest" not in record:  # of version 0.1.0
             return unchecked
         raise FileNotFoundError(f"{folder / FILE}: missing; expected the list of a result's files{_WAY_OUT}")
     files = _read(folder / FILE, record)
     names = set(_names(folder))
     for name in sorted(files.keys() - names):
+        has_file(folder / name)  # a dead link is not found either
         raise FileNotFoundError(f"{folder / name}: missing; expected a whole result{_WAY_OUT}")
     for name in sorted(names - files.keys()):
         raise ValueError(f"{folder / name}: expected only files that the run wrote, got another{_WAY_OUT}")
 
     def check(path: Path) -> Path:
+        present(path, "a file of a result")
         entry = files.get(path.relative_to(folder).as_posix())
         if entry != [path.stat().st_size, file_checksum(path)]:
             raise ValueError(f"{path}: expected the file that the run wrote, got another, or a damaged one{_WAY_OUT}")
@@ -84,7 +86,7 @@ def _names(folder: Path) -> list[str]:
 
 def _read(file: Path, record: Mapping[str, Any]) -> dict[str, list[Any]]:
     with damage_is(f"{file}: not the list of a result's files"):
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = read_json(file, "a list of files")
         run, files = content["run"], dict(content["files"])
     if run != _checksum(record):
         raise ValueError(f"{file.parent / RUN}: expected the record of this result, got another{_WAY_OUT}")

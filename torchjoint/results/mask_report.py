@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
 from torchjoint.scene import Masks
 from torchjoint.scene.level_images import LevelImages
 
@@ -99,7 +99,7 @@ def count_masks(folder: Path) -> tuple[int, int] | None:
     Raises:
         ValueError: the file is damaged; the message names it.
     """
-    if not (folder / FILE).is_file():
+    if not has_file(folder / FILE):
         return None
     masks = [mask["iou"] for frame in _read(folder)["frames"] for mask in frame["masks"]]
     return sum(iou >= FOUND for iou in masks), len(masks)
@@ -130,5 +130,5 @@ def _read(folder: Path) -> dict[str, Any]:
     file = folder / FILE
     present(file, "a result of a recording with masks")
     with damage_is(f"{file}: not the report of a result's masks"):
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = read_json(file, "a report on masks")
         return {name: list(content[name]) for name in ("frames", "segments")}

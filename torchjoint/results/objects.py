@@ -17,7 +17,7 @@ from torchjoint.results.oriented_box import OrientedBox, oriented_box
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import no_link, write_text
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.runtime.foreign_files import damage_is, read_json
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene, Segmentation
 
@@ -143,7 +143,7 @@ def read_segments(folder: Path) -> tuple[dict[str, Any], Tensor]:
     if file.is_symlink():
         raise ValueError(f"{file}: expected a file, got a link")
     with damage_is(f"{file}: not the segments of a result"):
-        content: dict[str, Any] = json.loads(present(file, "a result").read_text(encoding="utf-8"))
+        content: dict[str, Any] = read_json(file, "a result")
         got = [(one["id"], one["points"]) for one in content["segments"]]
         ids, points = labels[labels >= 0].unique(return_counts=True)
         if got != list(zip(ids.tolist(), points.tolist(), strict=True)):

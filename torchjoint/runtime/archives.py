@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 import zipfile
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.runtime.foreign_files import damage_is, present
-
-#: Limit of an unpacked archive, bytes: RATIO x its file + FREE. Labels compress well, decompression bombs even better.
-RATIO, FREE = 100, 1 << 30
+from torchjoint.runtime import bounds
+from torchjoint.runtime.foreign_files import damage_is, open_file, present
 
 
 def read_archive(path: Path, names: Collection[str] | None = None) -> dict[str, npt.NDArray[Any]]:
@@ -34,9 +33,7 @@ def read_archive(path: Path, names: Collection[str] | None = None) -> dict[str, 
     with damage_is(f"{path}: not a whole archive of arrays", OSError), zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
         _check_number(archive, len(entries))
-        size, most = sum(entry.file_size for entry in entries), RATIO * path.stat().st_size + FREE
-        if size > most:
-            raise ValueError(f"expected at most {most / 1e9:.3g} GB in so small a file, got {size / 1e9:.3g} GB")
+        bounds.check_unpacked(sum(entry.file_size for entry in entries), path.stat().st_size)
         named = {entry.filename.removesuffix(".npy"): entry for entry in entries}
         return {name: _read_array(archive, named[name]) for name in named if names is None or name in names}
 
@@ -52,13 +49,56 @@ def _check_number(archive: zipfile.ZipFile, got: int) -> None:
 
 def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray[Any]:
     with archive.open(entry) as stream:
-        version = np.lib.format.read_magic(stream)
-        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-        if version not in read_header:
-            raise ValueError(f"array {entry.filename}: expected version (1, 0) or (2, 0), got {version}")
-        shape, _, dtype = read_header[version](stream)
-        if math.prod(shape) * dtype.itemsize > entry.file_size:
-            raise ValueError(f"array {entry.filename}: expected a shape that fits the archive, got {list(shape)}")
+        check_header(stream, entry.file_size, f"array {entry.filename}")
     with archive.open(entry) as stream:
         array: npt.NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
         return array
+
+
+def read_npy(path: Path) -> npt.NDArray[Any]:
+    """Reads an array, .npy.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: as :func:`read_archive`.
+    """
+    with (
+        open_file(path, "an array of numbers, .npy") as stream,
+        damage_is(f"{path}: not a whole .npy array of numbers"),
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("ignore")  # about headers of Python 2, or of old numpy
+        check_header(stream, os.fstat(stream.fileno()).st_size, "array")
+        stream.seek(0)
+        array: npt.NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+        return array
+
+
+def check_header(stream: IO[bytes], size: int, name: str) -> None:
+    """Reads the header of an array of NumPy in `size` bytes, and checks that its numbers or texts lie in them.
+
+    Raises:
+        ValueError: they do not, or have no bytes at all (texts of length 0); the message begins with `name`.
+    """
+    version = np.lib.format.read_magic(stream)
+    read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    if version not in read_header:
+        raise ValueError(f"{name}: expected version (1, 0) or (2, 0), got {version}")
+    shape, _, dtype = read_header[version](stream)
+    if dtype.kind not in "biufUS" or dtype.itemsize == 0:
+        raise ValueError(f"{name}: expected numbers, or texts of at least one character, got dtype {dtype}")
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > size:
+        raise ValueError(f"{name}: expected a shape that fits the file, got {list(shape)}")
+
+
+def as_int64(values: npt.NDArray[Any], name: str) -> npt.NDArray[Any]:
+    """Integers as int64, which torch knows, unless they are; other arrays stay.
+
+    Raises:
+        ValueError: an integer of 2^63 or more; the message begins with `name`.
+    """
+    if values.dtype.kind != "u" or values.dtype.itemsize == 1:
+        return values
+    if values.dtype.itemsize == 8 and int(values.max(initial=0)) >= 1 << 63:
+        raise ValueError(f"{name}: expected integers below 2^63, got {int(values.max())}")
+    return values.astype(np.int64)

@@ -1,14 +1,25 @@
-"""Files that may come from others: errors name the file, and say what was expected."""
+"""Files that may come from others: the one way to open them. Errors name the file, and say what was expected.
+
+A name in a folder may lead nowhere (a lost mount, git-annex), to a device that never ends, or to a pipe that nobody
+fills. "Not there" and "cannot be read" are two things: without its cloud a recording is another recording.
+"""
 
 from __future__ import annotations
 
+import json
+import os
+import stat
 import struct
 import tokenize
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
+
+from torchjoint.runtime import bounds
 
 #: What readers raise where bytes are damaged; RecursionError is a RuntimeError, OverflowError an ArithmeticError.
 DAMAGE: tuple[type[Exception], ...] = (
@@ -17,15 +28,93 @@ DAMAGE: tuple[type[Exception], ...] = (
 )  # fmt: skip
 
 
+def is_there(path: Path) -> bool:
+    """Whether a path leads to something.
+
+    Raises:
+        ValueError: it cannot be known: a link leads nowhere, or a folder on the way cannot be entered.
+    """
+    return _mode(path) is not None
+
+
+def has_file(path: Path) -> bool:
+    """Whether a path leads to a file; False for a folder.
+
+    Raises:
+        ValueError: as of :func:`is_there`; also for a device or a pipe, which may never end.
+    """
+    mode = _mode(path)
+    if mode is not None and not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        raise ValueError(f"{path}: cannot be read: expected a file, got a device, a pipe or a socket")
+    return mode is not None and stat.S_ISREG(mode)
+
+
+def has_folder(path: Path) -> bool:
+    """Whether a path leads to a folder.
+
+    Raises:
+        ValueError: as of :func:`is_there`.
+    """
+    mode = _mode(path)
+    return mode is not None and stat.S_ISDIR(mode)
+
+
 def present(path: Path, expected: str) -> Path:
     """Returns the path of a file that must exist.
 
     Raises:
         FileNotFoundError: there is no such file; the message says what was expected.
+        ValueError: as of :func:`has_file`.
     """
-    if not path.is_file():
+    if not has_file(path):
         raise FileNotFoundError(f"{path}: missing; expected {expected}")
     return path
+
+
+def open_file(path: Path, expected: str = "a file") -> BufferedReader:
+    """Opens a file to read its bytes; errors as of :func:`present`."""
+    return present(path, expected).open("rb")
+
+
+def read_file(path: Path, expected: str, most: int | None = None) -> bytes:
+    """Reads the bytes of a file.
+
+    Args:
+        path: of the file.
+        expected: what it should be, for messages.
+        most: the largest number of bytes; None: any.
+
+    Raises:
+        FileNotFoundError, ValueError: as of :func:`present`, or the file is larger.
+    """
+    with open_file(path, expected) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        bounds.check(size, size if most is None else most, f"bytes of {expected}", str(path))
+        return stream.read(size)  # files of the system may have no size, and no end
+
+
+def read_text(path: Path, expected: str, most: int = bounds.TEXT_BYTES, *, errors: str = "strict") -> str:
+    """Reads a text file (UTF-8) with any line ends; errors as of :func:`read_file`, also if it is no text."""
+    data = read_file(path, expected, most)
+    with damage_is(f"{path}: expected {expected} as text"):
+        text = data.decode("utf-8", errors)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_json(path: Path, expected: str) -> Any:
+    """Reads a JSON file; errors as of :func:`read_file`, also if it is damaged."""
+    return parse_json(read_file(path, expected, bounds.JSON_BYTES), str(path))
+
+
+def parse_json(data: bytes, name: str) -> Any:
+    """Reads the bytes of a JSON file.
+
+    Raises:
+        ValueError: they are not JSON, or hold too many values; the message begins with `name`.
+    """
+    bounds.check(sum(map(data.count, (b",", b"[", b"{"))), bounds.JSON_VALUES, "values", name)
+    with damage_is(f"{name}: not a whole JSON file"):
+        return json.loads(data)
 
 
 @contextmanager
@@ -42,3 +131,25 @@ def damage_is(message: str, *more: type[Exception]) -> Iterator[None]:
     except (*DAMAGE, *more) as error:
         is_clear = isinstance(error, (ValueError, OSError)) or not isinstance(error, DAMAGE[:4])
         raise ValueError(f"{message}: {error if is_clear else repr(error)}") from error
+
+
+def _mode(path: Path) -> int | None:
+    """The mode of what a path leads to; None: nothing is there."""
+    try:
+        return os.stat(path).st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        _check_links(path)
+        return None
+    except OSError as error:  # no permission, or a link to itself
+        raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError:  # a name that no file can have
+        return None
+
+
+def _check_links(path: Path) -> None:
+    """Raises if a path that leads nowhere does so because of a link: its own, or that of a folder on the way."""
+    for place in (path, *path.parents):
+        if os.path.islink(place) and not os.path.exists(place):
+            raise ValueError(f"{path}: cannot be read: {place} is a link to {os.readlink(place)}, which is not there")
+        if os.path.exists(place):
+            return

@@ -18,8 +18,14 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchjoint.runtime import bounds
+
 _LEVEL, _WINDOW_BITS, _MEMORY = 1, 15, 9
 _TYPES = {str(dtype).removeprefix("torch."): dtype for dtype in (torch.uint8, torch.int32, torch.int64, torch.float32)}
+
+
+#: How numbers are stored, and a limit of what was subtracted from them.
+_STORED, _FAR = ("u1", "<u2", "<i4", "<i8"), 1 << 62
 
 
 class Content(Protocol):
@@ -45,7 +51,7 @@ class Packed:
 
     def unpack(self) -> Tensor:
         """Returns the original tensor, bit for bit."""
-        flat: npt.NDArray[Any] = np.frombuffer(zlib.decompress(self.data()), dtype=self.stored)
+        flat: npt.NDArray[Any] = np.frombuffer(self._inflated(), dtype=self.stored)
         if self.dtype == "float32":
             flat = np.ascontiguousarray(flat.reshape(4, -1).T).view(np.float32)
         numbers = flat.reshape(self.shape)
@@ -54,14 +60,32 @@ class Packed:
         tensor = torch.from_numpy(numbers if numbers.flags.writeable else numbers.copy()).to(_TYPES[self.dtype])
         return tensor + self.low if self.low else tensor
 
+    def _inflated(self) -> bytes:
+        """The stored numbers; allocates at most one byte more than they should have."""
+        data, stream = self.data(), zlib.decompressobj()
+        expected = math.prod(self.shape) * (4 if self.dtype == "float32" else np.dtype(self.stored).itemsize)
+        unpacked = stream.decompress(data, expected + 1)
+        if len(unpacked) != expected or not (stream.eof or not expected):
+            raise ValueError(f"packed {self.dtype}: expected {expected} bytes of shape {list(self.shape)}, got others")
+        return unpacked
+
     def to_dict(self) -> dict[str, Any]:
         """A dict of a tensor, numbers and strings, for torch.save and loading with ``weights_only=True``."""
         return {**vars(self), "content": torch.frombuffer(bytearray(self.data()), dtype=torch.uint8)}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Packed:
-        """The inverse of :meth:`to_dict`."""
-        return cls(**{**values, "content": values["content"].numpy().tobytes()})
+        """The inverse of :meth:`to_dict`, for values of a file.
+
+        Raises:
+            TypeError, ValueError: they are no packed tensor, or one that is too large for its bytes.
+        """
+        packed = cls(**{**values, "content": values["content"].numpy().tobytes(), "shape": tuple(values["shape"])})
+        whole = all(type(size) is int and size >= 0 for size in packed.shape) and type(packed.low) is int
+        if packed.dtype not in _TYPES or packed.stored not in _STORED or not whole or not -_FAR <= packed.low < _FAR:
+            raise ValueError(f"expected a packed tensor, got {packed.dtype} as {packed.stored} of {packed.shape}")
+        bounds.check_unpacked(packed.num_bytes, len(packed.data()))
+        return packed
 
     @property
     def num_bytes(self) -> int:

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchjoint.runtime import bounds
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import as_float, as_labels, check_shape
+
+#: The range of ids.
+INT64 = torch.iinfo(torch.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +51,11 @@ class Masks:
                 raise ValueError(f"{name}: expected one for each of {len(self)} masks, got {len(getattr(self, name))}")
         if self.pairs.ndim != 2 or self.pairs.shape[0] != 2 or self.pairs.dtype != torch.int64:
             raise ValueError(f"pairs: expected [2, L] int64, got {list(self.pairs.shape)} {self.pairs.dtype}")
-        if self.atom.numel() and int(self.atom.min()) < 0:
-            raise ValueError(f"atom: expected numbers >= 0, got {int(self.atom.min())}")
+        if self.atom.numel() and not 0 <= int(self.atom.min()) <= int(self.atom.max()) < self.atom.numel():
+            span = f"{int(self.atom.min())} to {int(self.atom.max())}"
+            raise ValueError(f"atom: expected numbers from 0, at most one for each pixel, got {span}")
+        if any(not INT64.min <= one <= INT64.max for one in self.ids):
+            raise ValueError(f"ids: expected integers of 64 bits, got {str(max(self.ids, key=abs))[:60]}")
         if self.pairs.numel():
             low, high = self.pairs.amin(1).tolist(), self.pairs.amax(1).tolist()
             if min(low) < 0 or high[0] >= self.num_atoms or high[1] >= len(self):
@@ -74,14 +82,38 @@ class Masks:
             raise TypeError(f"{name}: expected dtype bool for a stack [M, H, W], got {stack.dtype}; use `stack > 0.5`?")
         if stack.ndim != 3:
             raise ValueError(f"{name}: expected shape [M, H, W], got {list(stack.shape)}")
-        atom = torch.zeros(stack[0].numel() if len(stack) else stack.shape[1] * stack.shape[2], dtype=torch.int64)
+        scores = _as_scores(scores, len(stack), f"{name}' scores")
+        # NumPy's: torch's own starts threads for each mask.
+        pixels = (np.flatnonzero(mask.numpy()) for mask in stack.cpu())
+        return cls.from_pixels(pixels, (stack.shape[1], stack.shape[2]), scores, name)
+
+    @classmethod
+    @on_cpu()
+    def from_pixels(
+        cls, masks: Iterable[npt.NDArray[np.int64]], size: tuple[int, int], scores: Tensor, name: str = "masks"
+    ) -> Masks:
+        """Masks that may overlap and nest, of which only one has to be in memory at a time.
+
+        Args:
+            masks: the pixels of each mask, indices row x W + column.
+            size: (H, W) of the image.
+            scores: [M] in [0, 1].
+            name: name of the masks in messages.
+
+        Raises:
+            ValueError, TypeError: naming the argument, what was expected and what came.
+        """
+        atom = torch.zeros(size[0] * size[1], dtype=torch.int64)
         members: list[tuple[int, ...]] = [()]
-        for number, mask in enumerate(stack.cpu().flatten(1)):
-            inside = torch.from_numpy(np.flatnonzero(mask.numpy()))  # torch's own starts threads for each mask
-            before, new = torch.unique(atom[inside], return_inverse=True)
+        pairs = 0
+        for number, pixels in enumerate(masks):
+            inside = torch.from_numpy(pixels)
+            before, new = _unique(atom[inside], len(members))
             atom[inside] = new + len(members)  # the part of an atom inside the mask becomes a new atom
+            pairs += sum(len(members[old]) + 1 for old in before.tolist())
+            bounds.check(pairs, bounds.PAIRS, "parts of masks that lie in several masks", name)
             members += [(*members[old], number) for old in before.tolist()]
-        return cls._of_members(atom.view(stack.shape[1:]), members, _as_scores(scores, len(stack), f"{name}' scores"))
+        return cls._of_members(atom.view(size), members, _as_scores(scores, len(scores), f"{name}' scores"))
 
     @classmethod
     @on_cpu()
@@ -206,6 +238,16 @@ class Masks:
             members[atom].append(mask)
         atom = self.atom[row][:, column].long()
         return self._of_members(atom, [tuple(masks) for masks in members], self.scores, self.ids, self.names)
+
+
+def _unique(numbers: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """The distinct ones of some numbers below `count`, ascending, and the place of each number among them."""
+    if len(numbers) < count:
+        before, new = torch.unique(numbers, return_inverse=True)
+        return before, new
+    present = torch.zeros(count, dtype=torch.bool)
+    present[numbers] = True
+    return present.nonzero()[:, 0], (present.cumsum(0) - 1)[numbers]
 
 
 def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None = None, name: str = "masks") -> Masks:

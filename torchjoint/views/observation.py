@@ -71,6 +71,27 @@ class Observation:
         """Whether the frame came with masks."""
         return self.masks is not None
 
+    def check(self, num_points: int) -> None:
+        """Checks an observation that was read from a file, of a cloud of `num_points` points.
+
+        Raises:
+            TypeError, ValueError: a tensor has another shape, or a number that is no place in another one.
+        """
+        height, width = self.labels.shape
+        point, seen = self.visible.point, self.num_points
+        ranges = {
+            "labels": (self.labels, -1, height * width, (height, width)),
+            "point": (point, 0, num_points, (seen,)),
+            "row": (self.visible.row, 0, height, (seen,)),
+            "column": (self.visible.column, 0, width, (seen,)),
+            "image": (self.image, 0, 256, (3, height, width)),
+            "boundary": (self.boundary, 0, 256, (height, width)),
+            "lines": (self.lines, 0, num_points, (2, self.lines.shape[-1])),
+        }
+        for name, (values, low, end, shape) in ranges.items():
+            if values.shape != shape or (values.numel() and not low <= int(values.min()) <= int(values.max()) < end):
+                raise ValueError(f"{name} of {self.name!r}: expected {list(shape)} in [{low}, {end}), got other values")
+
     def pack(self) -> PackedObservation:
         """The same data, packed, which is much smaller."""
         return PackedObservation(self.name, {name: pack(tensor) for name, tensor in self.tensors().items()})

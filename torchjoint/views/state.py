@@ -47,6 +47,22 @@ class JointState:
             Observations() if observations is None else observations,
         )
 
+    def check_types(self) -> None:
+        """Checks a state that was read from a file.
+
+        Raises:
+            TypeError, ValueError: a tensor has another type or shape than the state of any cloud.
+        """
+        edges, points = (len(one) if isinstance(one, Tensor) and one.ndim else 0 for one in (self.views, self.facing))
+        for name, expected in vars(JointState.empty(edges, points)).items():
+            got = getattr(self, name)
+            if isinstance(expected, Tensor) and (got.dtype, got.shape) != (expected.dtype, expected.shape):
+                raise ValueError(
+                    f"{name}: expected {list(expected.shape)} {expected.dtype}, got {got.shape} {got.dtype}"
+                )
+        for index in range(len(self.observations)):
+            self.observations[index].check(points)
+
     def check_cloud(self, other: JointState, name: str) -> None:
         """Checks that another state has the same numbers of points and edges; the message calls it `name`.
 

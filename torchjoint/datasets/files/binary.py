@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.runtime.foreign_files import damage_is, open_file, present
 
 
 class BinaryFile:
@@ -28,7 +28,7 @@ class BinaryFile:
         self.size = path.stat().st_size
         if self.size == 0:
             raise ValueError(f"{path}: is empty")
-        with path.open("rb") as stream:
+        with open_file(path) as stream:
             self._data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
 
     def __enter__(self) -> BinaryFile:

@@ -20,6 +20,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import Camera, pinhole_matrix, rotations_from_quaternions
 from torchjoint.datasets.files.binary import BinaryFile
 from torchjoint.datasets.files.text import parse_integer, parse_numbers, read_lines
+from torchjoint.runtime.foreign_files import has_file
 
 #: Camera models; the index is the model's number in binary files.
 MODELS = (
@@ -60,7 +61,7 @@ _Point = tuple[float, ...]  # id, position, colour
 
 def has_model(folder: Path) -> bool:
     """Returns whether a folder holds a sparse model."""
-    return all(any((folder / f"{part}.{kind}").is_file() for kind in ("bin", "txt")) for part in ("cameras", "images"))
+    return all(any(has_file(folder / f"{part}.{kind}") for kind in ("bin", "txt")) for part in ("cameras", "images"))
 
 
 def read_images(folder: Path) -> list[ColmapImage]:
@@ -108,7 +109,7 @@ def read_points(folder: Path) -> tuple[Tensor, Tensor]:
 
 def _file(folder: Path, part: str) -> Path:
     binary = folder / f"{part}.bin"
-    return binary if binary.is_file() else folder / f"{part}.txt"  # COLMAP, too, prefers the binary file
+    return binary if has_file(binary) else folder / f"{part}.txt"  # COLMAP, too, prefers the binary file
 
 
 def _poses(rows: npt.NDArray[np.float64], name: str) -> Tensor:

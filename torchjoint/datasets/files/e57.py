@@ -15,14 +15,12 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.runtime.archives import FREE, RATIO
+from torchjoint.runtime import bounds
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.foreign_files import present
 
 _XYZ = ("cartesianX", "cartesianY", "cartesianZ")
 _RGB = ("colorRed", "colorGreen", "colorBlue")
-#: Bytes of a point in memory: six numbers.
-_POINT_SIZE = 48
 
 Array = npt.NDArray[Any]
 
@@ -54,8 +52,7 @@ def read_e57(path: Path) -> tuple[Tensor, Tensor | None]:
 def _check_counts(path: Path, counts: list[int]) -> None:
     if sum(counts) == 0 or min(counts) < 0:
         raise ValueError(f"expected scans with points, got {counts} points")
-    if sum(counts) * _POINT_SIZE > RATIO * path.stat().st_size + FREE:
-        raise ValueError(f"{sum(counts)} points do not fit into a file of {path.stat().st_size} bytes")
+    bounds.check_points(sum(counts), path.stat().st_size)
 
 
 def _scan(file: Any, index: int) -> tuple[Array, Array | None]:

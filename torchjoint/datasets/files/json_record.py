@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,10 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.runtime.foreign_files import damage_is, present
-
-#: Larger files are rejected, since they need many times as much memory; 100,000 posed frames are smaller.
-MAX_BYTES = 128 * 2**20
+from torchjoint.runtime.foreign_files import parse_json, read_json
 
 
 class Record:
@@ -96,10 +92,7 @@ def read_record(path: Path, expected: str) -> Record:
         FileNotFoundError: there is no such file.
         ValueError: the file is too large, is not JSON, or holds no object.
     """
-    present(path, expected)
-    if path.stat().st_size > MAX_BYTES:
-        raise ValueError(f"{path}: expected {expected}, at most {MAX_BYTES} bytes, got {path.stat().st_size}")
-    return parse_record(path.read_bytes(), str(path))
+    return _as_record(read_json(path, expected), str(path))
 
 
 def parse_record(data: bytes, name: str) -> Record:
@@ -108,9 +101,7 @@ def parse_record(data: bytes, name: str) -> Record:
     Raises:
         ValueError: the bytes are not JSON, or hold no object.
     """
-    with damage_is(f"{name}: not a whole JSON file"):
-        values = json.loads(data)
-    return _as_record(values, name)
+    return _as_record(parse_json(data, name), name)
 
 
 def _as_record(values: object, name: str) -> Record:

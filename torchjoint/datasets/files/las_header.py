@@ -11,7 +11,8 @@ import struct
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.runtime import bounds
+from torchjoint.runtime.foreign_files import damage_is, open_file
 
 #: Sizes of the header's fixed part, of the header of a variable length record, and of an extended one, bytes.
 HEADER, RECORD, EXTENDED_RECORD = 227, 54, 60
@@ -38,12 +39,13 @@ def check_header(path: Path) -> LasHeader:
         FileNotFoundError: there is no such file.
         ValueError: it is no LAS file, or sizes do not fit the file; the message names the file.
     """
-    present(path, "a point cloud, .las or .laz")
-    size = path.stat().st_size
-    with path.open("rb") as stream, damage_is(f"{path}: not a whole LAS file"):
+    with open_file(path, "a point cloud, .las or .laz") as stream, damage_is(f"{path}: not a whole LAS file"):
+        size = path.stat().st_size
         header = _parse(stream.read(375))
         _check_records(stream, header, size)
         if header.is_compressed:
+            bounds.check_points(header.num_points, size)
+            bounds.check_unpacked(header.num_points * header.record_size, size)
             _check_chunks(stream, header, size)
         elif header.num_points * header.record_size > size - header.points_at:
             raise ValueError(

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.runtime import bounds
+from torchjoint.runtime.foreign_files import damage_is, read_file
 
 _HEADER_BYTES = 128
 _ORDERS = {b"IM": "<", b"MI": ">"}
@@ -47,13 +48,13 @@ def read_matrices(path: Path, max_count: int) -> dict[str, npt.NDArray[Any]]:
 
     Args:
         path: the file.
-        max_count: largest number of elements of a matrix.
+        max_count: largest number of elements of all matrices together.
 
     Raises:
         FileNotFoundError: there is no such file.
         ValueError: a truncated file, another version, or a matrix that is too large.
     """
-    data = present(path, "a .mat file").read_bytes()
+    data = read_file(path, "a .mat file", bounds.IMAGE_BYTES)
     order = _ORDERS.get(data[126:128])
     if order is None or data.startswith(b"MATLAB 7.3") or data[124:126] not in (b"\x00\x01", b"\x01\x00"):
         raise ValueError(f"{path}: not a .mat file of versions 5 to 7 (save it with -v7)")
@@ -71,8 +72,9 @@ def read_matrices(path: Path, max_count: int) -> dict[str, npt.NDArray[Any]]:
                 continue
             variable = _read_start(body, order)
             if variable.is_real and len(variable.shape) == 2:
-                if math.prod(variable.shape) > max_count:
-                    raise ValueError(f"{variable.name} has {variable.shape} numbers; at most {max_count} are expected")
+                max_count -= math.prod(variable.shape)
+                if max_count < 0:
+                    raise ValueError(f"{variable.name} of {variable.shape} numbers: {-max_count} more than expected")
                 if packed is not None:
                     body = _unpack(packed, variable.start + 8 + 8 * math.prod(variable.shape), order)
                 matrices[variable.name] = _read_numbers(body, variable, order)

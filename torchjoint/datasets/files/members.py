@@ -6,7 +6,7 @@ import zlib
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, has_file, has_folder, open_file, read_file
 
 
 class Members:
@@ -21,9 +21,9 @@ class Members:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        if path.is_dir():
+        if has_folder(path):
             files = (file for pattern in ("*", "*/*") for file in path.glob(pattern))
-            self.names = {file.relative_to(path).as_posix() for file in files if file.is_file()}
+            self.names = {file.relative_to(path).as_posix() for file in files if has_file(file)}
             return
         with damage_is(f"{path}: not a whole archive", OSError), ZipFile(path) as archive:
             self._entries = {entry.filename: entry for entry in archive.infolist()}
@@ -38,15 +38,15 @@ class Members:
         if name not in self.names:
             raise ValueError(f"{self.path}: {name} is missing")
         file = self.path / name
-        size = file.stat().st_size if self.path.is_dir() else self._entries[name].file_size
+        size = file.stat().st_size if has_folder(self.path) else self._entries[name].file_size
         if size > most:
             raise ValueError(f"{self.path}: {name}: expected at most {most} bytes, got {size}")
-        return file.read_bytes() if self.path.is_dir() else self._unpack(name)
+        return read_file(file, "a part of a recording", most) if has_folder(self.path) else self._unpack(name)
 
     def _unpack(self, name: str) -> bytes:
         entry = self._entries[name]
         with damage_is(f"{self.path}: {name} in it is damaged", OSError):
-            with self.path.open("rb") as stream:
+            with open_file(self.path) as stream:
                 stream.seek(entry.header_offset)
                 header = stream.read(30)  # its last two numbers are the lengths of a name and of an extra field
                 stream.seek(sum(int.from_bytes(header[at : at + 2], "little") for at in (26, 28)), 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from pathlib import Path
 
@@ -11,8 +12,10 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from torchjoint.datasets.files.gltf import Parts, bound_textures, check_gltf
 from torchjoint.datasets.files.ply import Ply
 from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.foreign_files import read_file
 
 SUFFIXES = (".obj", ".glb", ".gltf", ".off", ".stl")
 #: A triangle is large if its longest edge is longer than this share of the mesh's diagonal.
@@ -35,11 +38,15 @@ def read_mesh_file(path: Path) -> Ply:
     """
     with needed_for(f"{path.suffix} files", "trimesh", "torchjoint[mesh]"):
         import trimesh
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: missing; expected a mesh")
+    data, suffix, parts = read_file(path, "a mesh"), path.suffix.lower(), Parts(path)
+    bound_textures()
     try:
-        mesh = trimesh.load_scene(path, process=False).to_mesh()
-        if path.suffix.lower() == ".stl":
+        if suffix in (".gltf", ".glb"):
+            check_gltf(data, parts, str(path))
+        mesh = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=parts, process=False).to_mesh()  # type: ignore[arg-type]  # it only gets
+        if parts.error is not None:
+            raise parts.error
+        if suffix == ".stl":
             mesh.merge_vertices()
         points, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
         kind = mesh.visual.kind

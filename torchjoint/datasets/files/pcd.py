@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.lzf import decompress
 from torchjoint.datasets.files.text import parse_integer
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.runtime.foreign_files import damage_is, open_file, read_file
 
 #: Largest size of a header, bytes; real headers have a few hundred bytes.
 MAX_HEADER = 65536
@@ -91,7 +91,7 @@ def read_pcd(path: Path) -> Pcd:
         FileNotFoundError, ValueError: the message names the file and its error; sizes in the header are compared
             with the file's size before memory is allocated.
     """
-    data = present(path, "a point cloud, .pcd").read_bytes()
+    data = read_file(path, "a point cloud, .pcd")
     header = _parse_header(path, data[:MAX_HEADER])
     body, dtype = memoryview(data)[header.size :], np.dtype(list(header.fields.items()))
     if header.encoding == "ascii":
@@ -108,7 +108,7 @@ def read_pcd(path: Path) -> Pcd:
 
 def read_pcd_header(path: Path) -> PcdHeader:
     """Reads the header only."""
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         return _parse_header(path, stream.read(MAX_HEADER))
 
 

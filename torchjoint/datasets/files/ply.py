@@ -16,10 +16,10 @@ from torch import Tensor
 
 from torchjoint.datasets.files.ply_ascii import read_ascii
 from torchjoint.datasets.files.ply_binary import read_binary
-from torchjoint.datasets.files.ply_columns import Columns
+from torchjoint.datasets.files.ply_columns import Columns, Lists
 from torchjoint.datasets.files.ply_header import MAX_HEADER, parse_header
 from torchjoint.runtime.files import atomic_write
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.runtime.foreign_files import damage_is, open_file
 
 Array = npt.NDArray[Any]
 
@@ -69,8 +69,7 @@ def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
 
 
 def _read_elements(path: Path) -> dict[str, Columns]:
-    present(path, "a point cloud, .ply")
-    with path.open("rb") as stream:
+    with open_file(path, "a point cloud, .ply") as stream:
         start = stream.read(MAX_HEADER)
     with damage_is(str(path)):
         header = parse_header(start)
@@ -148,17 +147,16 @@ def _faces(elements: Mapping[str, Columns], num_points: int) -> Tensor | None:
     name = next((name for name in _FACE_LISTS if name in face.kinds), None)
     if name is None or not face.rows:
         return None
-    lists = np.concatenate([block[name] for _, block in face.blocks()])
-    if lists.dtype != object:  # all of one length
+    lists = next(block[name] for _, block in face.blocks())  # rows with lists are one block
+    if isinstance(lists, Lists):
+        stacked = _fans(lists)
+    else:  # all of one length
         corners = lists.reshape(len(lists), -1)
         triangles = np.empty((len(lists), max(corners.shape[1] - 2, 0), 3), np.int64)
         for k in range(triangles.shape[1]):
             for place, corner in enumerate((0, k + 1, k + 2)):
                 triangles[:, k, place] = corners[:, corner]
         stacked = triangles.reshape(-1, 3)
-    else:
-        cut = [[one[0], one[k], one[k + 1]] for one in lists for k in range(1, len(one) - 1)]
-        stacked = np.array(cut, dtype=np.int64).reshape(-1, 3)
     if not len(stacked):
         return None
     if not 0 <= stacked.min() <= stacked.max() < num_points:
@@ -166,3 +164,11 @@ def _faces(elements: Mapping[str, Columns], num_points: int) -> Tensor | None:
             f"element face: expected vertices in [0, {num_points}), got {stacked.min()} to {stacked.max()}"
         )
     return torch.from_numpy(stacked)
+
+
+def _fans(lists: Lists) -> Array:
+    """The triangles [F, 3] int64 of polygons, from the first corner of each."""
+    count = np.maximum(lists.lengths - 2, 0)
+    start = np.repeat(np.cumsum(lists.lengths) - lists.lengths, count)
+    second = start + 1 + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    return np.stack([lists.values[start], lists.values[second], lists.values[second + 1]], axis=1).astype(np.int64)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from torchjoint.datasets.files.ply_columns import Columns
-from torchjoint.datasets.files.ply_header import Element, PlyHeader, list_arrays
+from torchjoint.datasets.files.ply_columns import Columns, Lists
+from torchjoint.datasets.files.ply_header import Element, PlyHeader
 from torchjoint.ops.parse_numbers import parse_numbers
+from torchjoint.runtime import bounds
 
 Array = npt.NDArray[Any]
 Bytes = npt.NDArray[np.uint8]
@@ -50,6 +53,7 @@ def _read_elements(body: Bytes, header: PlyHeader) -> tuple[dict[str, Columns], 
             continue
         text = body[place:]
         read = _equal_rows(text, element) if element.lists else _rows(text, element)
+        columns: Mapping[str, Array | Lists]
         columns, size = _rows_with_lists(text, element) if read is None else read
         elements[element.name] = Columns.of(columns, element.rows)
         place += size
@@ -129,14 +133,16 @@ def _message(text: torch.Tensor, num_rows: int, num_columns: int) -> str:
     raise AssertionError("rows that are wrong in a block are wrong in the whole")
 
 
-def _rows_with_lists(text: Bytes, element: Element) -> tuple[dict[str, Array], int]:
+def _rows_with_lists(text: Bytes, element: Element) -> tuple[dict[str, Array | Lists], int]:
+    bounds.check(element.rows, bounds.LIST_ROWS, f"rows of lists of several lengths in element {element.name}")
     lines = text.tobytes().split(b"\n", element.rows)
     rest = lines.pop() if len(lines) > element.rows else b""
     return _ascii_lists(lines, element), len(text) - len(rest)
 
 
-def _ascii_lists(lines: list[bytes], element: Element) -> dict[str, Array]:
-    columns: dict[str, list[Any]] = {name: [] for name in element.names}
+def _ascii_lists(lines: list[bytes], element: Element) -> dict[str, Array | Lists]:
+    found = {name: array("d") for name in element.names}
+    lengths = {one.name: array("d") for one in element.properties if one.length is not None}
     for line in lines:
         if b"_" in line:  # Python reads 1_0 as 10
             raise ValueError(f"element {element.name}: expected numbers, got {line[:80]!r}")
@@ -144,16 +150,21 @@ def _ascii_lists(lines: list[bytes], element: Element) -> dict[str, Array]:
         for one in element.properties:
             length = 1
             if one.length is not None:
-                lengths = _converted(np.array(words[place : place + 1]), one.length, one.name)
-                length, place = int(lengths[0]) if len(lengths) else 1, place + 1
+                read = _converted(np.array(words[place : place + 1]), one.length, one.name)
+                length, place = int(read[0]) if len(read) else 1, place + 1
+                lengths[one.name].append(length)
             if not 0 <= length <= len(words) - place:
                 raise ValueError(f"element {element.name}: expected {length} numbers of {one.name} in {line[:80]!r}")
-            values = _converted(np.array(words[place : place + length]), one.kind, one.name)
-            columns[one.name].append(values if one.length is not None else values[0])
+            found[one.name].extend(words[place : place + length])
             place += length
         if place != len(words):
             raise ValueError(f"element {element.name}: expected {place} numbers in {line[:80]!r}")
-    return list_arrays(columns, element)
+    columns: dict[str, Array | Lists] = {}
+    for one in element.properties:
+        values = _converted(np.array(found[one.name]), one.kind, one.name)
+        of_rows = np.array(lengths.get(one.name, ())).astype(np.int64)
+        columns[one.name] = values if one.length is None else Lists.of(values, of_rows)
+    return columns
 
 
 def _converted(values: npt.NDArray[np.float64], kind: str, name: str) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,11 +10,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.datasets.files.ply_columns import Block, Columns
-from torchjoint.datasets.files.ply_header import Element, PlyHeader, list_arrays
+from torchjoint.datasets.files.ply_columns import Block, Columns, Lists
+from torchjoint.datasets.files.ply_header import Element, PlyHeader
+from torchjoint.runtime import bounds
+from torchjoint.runtime.foreign_files import open_file
 
 Array = npt.NDArray[Any]
 
+#: The characters of module struct for the types of a list's length.
+_COUNTS = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
 #: Rows that are read at a time.
 _BLOCK = 1 << 15
 
@@ -39,10 +44,11 @@ def read_binary(path: Path, header: PlyHeader) -> dict[str, Columns]:
         _check_rest(size, place, dtype.itemsize * element.rows, element)
         elements[element.name] = _rows(path, place, element, dtype)
         place += dtype.itemsize * element.rows
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         stream.seek(place)
-        if stream.read().strip():
-            raise ValueError(f"expected the end at byte {place}, got {size - place} more bytes")
+        while rest := stream.read(1 << 20):
+            if rest.strip():
+                raise ValueError(f"expected the end at byte {place}, got {size - place} more bytes")
     return elements
 
 
@@ -60,8 +66,10 @@ def _rows(path: Path, place: int, element: Element, dtype: np.dtype[Any]) -> Col
     return Columns(element.rows, {name: dtype[name] for name in element.names}, blocks)
 
 
-def _rows_with_lists(data: Array, place: int, element: Element, header: PlyHeader) -> tuple[dict[str, Array], int]:
-    """The rows of an element with lists, as object arrays or [count, k] where all lists have one length."""
+def _rows_with_lists(
+    data: Array, place: int, element: Element, header: PlyHeader
+) -> tuple[dict[str, Array | Lists], int]:
+    """The rows of an element with lists."""
     smallest = sum(np.dtype(p.length or p.kind).itemsize for p in element.properties)
     _check_rest(len(data), place, smallest * element.rows, element)
     if element.rows == 0:
@@ -72,15 +80,40 @@ def _rows_with_lists(data: Array, place: int, element: Element, header: PlyHeade
         rows = np.frombuffer(data, dtype, element.rows, place)
         if all((rows[f"#{name}"] == length).all() for name, length in lengths.items()):
             return {name: rows[name] for name in element.names}, place + rows.nbytes
-    columns: dict[str, list[Any]] = {name: [] for name in element.names}
-    for _ in range(element.rows):
-        dtype = element.dtype(header.byte_order, _lengths(data, place, element, header))
-        _check_rest(len(data), place, dtype.itemsize, element)
-        row = np.frombuffer(data, dtype, 1, place)[0]
-        for name in element.names:
-            columns[name].append(row[name])
-        place += row.nbytes
-    return list_arrays(columns, element), place
+    return _rows_of_several_lengths(memoryview(data.data), place, element, header)
+
+
+def _rows_of_several_lengths(
+    data: memoryview, place: int, element: Element, header: PlyHeader
+) -> tuple[dict[str, Array | Lists], int]:
+    """The rows one by one: where a list begins depends on all lists before it. Numbers stay bytes until the end."""
+    bounds.check(element.rows, bounds.LIST_ROWS, f"rows of lists of several lengths in element {element.name}")
+    found = [bytearray() for _ in element.properties]
+    lengths = [np.ones(element.rows if one.length else 0, np.int64) for one in element.properties]
+    steps = [
+        (np.dtype(one.kind).itemsize, struct.Struct(header.byte_order + _COUNTS[one.length]) if one.length else None)
+        for one in element.properties
+    ]
+    for row in range(element.rows):
+        for column, (size, count) in enumerate(steps):
+            length = 1
+            if count is not None:
+                _check_rest(len(data), place, count.size, element)
+                length = count.unpack_from(data, place)[0]
+                if length < 0:
+                    raise ValueError(f"element {element.name}: a list of {length} numbers")
+                lengths[column][row] = length
+                place += count.size
+            end = place + length * size
+            if end > len(data):
+                _check_rest(len(data), place, length * size, element)
+            found[column] += data[place:end]
+            place = end
+    columns: dict[str, Array | Lists] = {}
+    for one, raw, of_rows in zip(element.properties, found, lengths, strict=True):
+        values = np.frombuffer(raw, header.byte_order + one.kind)
+        columns[one.name] = Lists.of(values, of_rows) if one.length else values
+    return columns, place
 
 
 def _lengths(data: Array, place: int, element: Element, header: PlyHeader) -> dict[str, int]:

@@ -10,8 +10,22 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 
-#: The values of some rows by name of the column: [n], or [n, length] for lists of one length.
+#: The values of some rows by name of the column: [n], [n, length] for lists of one length, or Lists.
 Block = tuple[slice, Any]
+
+
+class Lists(NamedTuple):
+    """A column of lists of several lengths, one after the other."""
+
+    values: Array  #: of all lists
+    lengths: Array  #: [rows] int64
+
+    @classmethod
+    def of(cls, values: Array, lengths: Array) -> Lists | Array:
+        """Makes it, or a column [rows, length] if all lists have one length."""
+        if len(lengths) and (lengths == lengths[0]).all():
+            return values.reshape(len(lengths), -1)
+        return cls(values, lengths)
 
 
 class Columns(NamedTuple):
@@ -22,9 +36,12 @@ class Columns(NamedTuple):
     blocks: Callable[[], Iterator[Block]]  #: yields all rows, block by block; a block is valid until the next one
 
     @classmethod
-    def of(cls, columns: Mapping[str, Array], rows: int) -> Columns:
+    def of(cls, columns: Mapping[str, Array | Lists], rows: int) -> Columns:
         """Makes it from columns in memory."""
-        kinds = {name: column.dtype if column.ndim == 1 else np.dtype(object) for name, column in columns.items()}
+        kinds = {
+            name: np.dtype(object) if isinstance(column, Lists) or column.ndim > 1 else column.dtype
+            for name, column in columns.items()
+        }
         return cls(rows, kinds, lambda: iter([(slice(0, rows), columns)]))
 
     def has_numbers(self, names: str | tuple[str, ...]) -> bool:

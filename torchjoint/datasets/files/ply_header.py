@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from torchjoint.datasets.files.text import parse_integer
+from torchjoint.runtime import bounds
 
 #: Largest size of a header, bytes; some writers list thousands of comments.
 MAX_HEADER = 1 << 20
@@ -79,27 +79,32 @@ def parse_header(data: bytes) -> PlyHeader:
         raise ValueError("not a PLY file, or its header is truncated")
     lines = data[: end.start()].decode("ascii", errors="replace").splitlines()[1:]
     encoding = ""
-    elements: list[tuple[str, int, list[Property]]] = []
+    elements: dict[str, tuple[int, dict[str, Property]]] = {}
+    name, num_properties = "", 0
     for line in lines:
         words = line.split()
         if not words or words[0] in ("comment", "obj_info"):
             continue
         if words[0] == "format" and len(words) == 3 and words[1] in _ORDERS and words[2] == "1.0" and not encoding:
             encoding = words[1]
-        elif words[0] == "element" and len(words) == 3 and words[1] not in [name for name, _, _ in elements]:
+        elif words[0] == "element" and len(words) == 3 and words[1] not in elements:
             count = parse_integer(words[2], f"header: {line!r}")
             if count < 0:
                 raise ValueError(f"header: {line!r}: expected a count")
-            elements.append((words[1], count, []))
+            name = words[1]
+            elements[name] = (count, {})
+            bounds.check(len(elements), bounds.ELEMENTS, "elements", "header")
         elif words[0] == "property" and elements and (one := _property(words)) is not None:
-            if one.name in [other.name for other in elements[-1][2]]:
-                raise ValueError(f"header: property {one.name} of element {elements[-1][0]} is there twice")
-            elements[-1][2].append(one)
+            if one.name in elements[name][1]:
+                raise ValueError(f"header: property {one.name} of element {name} is there twice")
+            elements[name][1][one.name] = one
+            num_properties += 1
+            bounds.check(num_properties, bounds.PROPERTIES, "properties", "header")
         else:
             raise ValueError(f"header: {line[:100]!r} is not understood")
     if not encoding:
         raise ValueError("header: expected format ascii, binary_little_endian or binary_big_endian 1.0")
-    made = tuple(Element(name, count, tuple(properties)) for name, count, properties in elements)
+    made = tuple(Element(name, count, tuple(of.values())) for name, (count, of) in elements.items())
     return PlyHeader(encoding, _ORDERS[encoding], made, end.end())
 
 
@@ -110,12 +115,3 @@ def _property(words: list[str]) -> Property | None:
         count = _KINDS[words[2]]
         return Property(words[4], _KINDS[words[3]], count) if count[0] in "iu" else None
     return None
-
-
-def list_arrays(columns: Mapping[str, list[Any]], element: Element) -> dict[str, npt.NDArray[Any]]:
-    """Makes an array for each property; an array of lists has dtype object."""
-    arrays = {}
-    for one in element.properties:
-        arrays[one.name] = np.empty(len(columns[one.name]), dtype=one.kind if one.length is None else object)
-        arrays[one.name][:] = columns[one.name]
-    return arrays

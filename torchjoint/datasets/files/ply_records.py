@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from torchjoint.datasets.files.ply_header import MAX_HEADER, Element, PlyHeader, parse_header
 from torchjoint.runtime.files import atomic_write
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.runtime.foreign_files import damage_is, read_file
 
 #: Bytes [rows, size] of a binary file, or lines [rows] of an ascii one.
 Records = npt.NDArray[Any]
@@ -92,7 +92,7 @@ def read_records(path: Path) -> PlyRecords:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
     with damage_is(str(path)):
-        return parse_records(present(path, "a .ply").read_bytes())
+        return parse_records(read_file(path, "a .ply"))
 
 
 def parse_records(data: bytes) -> PlyRecords:

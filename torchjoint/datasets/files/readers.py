@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import os
-import struct
+import stat
 import warnings
-import zlib
 from collections.abc import Iterable, Iterator, Set
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
-from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageOps
 from torch import Tensor
 
 from torchjoint.datasets.files import las, meshes
 from torchjoint.datasets.files.e57 import read_e57
 from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.ply import Ply, read_ply
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.datasets.files.rasters import read_raster
+from torchjoint.runtime import bounds
+from torchjoint.runtime.archives import as_int64, read_npy
+from torchjoint.runtime.foreign_files import damage_is, has_file, has_folder, is_there, present, read_text
 from torchjoint.scene.checks import Invalid, kept_points
 
-#: Larger images are rejected before they are decoded.
-MAX_PIXELS = 64_000_000
 #: Folders with one of these files hold results, of one recording or of many. They are no part of a recording.
 RESULTS = frozenset({"run.yaml", "batch.yaml"})
 #: Suffixes of clouds and recordings that stand alone: no other file belongs to them.
@@ -46,18 +43,18 @@ def read_image(path: Path, camera_size: tuple[int, int] | None = None) -> Tensor
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
-    return rgb_of(_as_calibrated(_opened(path), camera_size, str(path)), str(path))
+    return rgb_of(_as_calibrated(read_raster(path), camera_size, str(path)), str(path))
 
 
 def read_image_size(path: Path) -> tuple[int, int]:
     """Returns (H, W) of an image, from the header of its file."""
-    image = decode_image(present(path, "an image").read_bytes(), str(path), header_only=True)
+    image = read_raster(path, header_only=True)
     return image.height, image.width
 
 
 def read_depth(path: Path, unit: float = 0.001) -> Tensor:
     """Reads a 16-bit depth image, one step = `unit` metres, as [H, W] float32 metres; 0 and 65535 give 0 = unknown."""
-    image = _opened(path)
+    image = read_raster(path)
     if image.mode not in ("I;16", "I;16B", "I"):
         raise ValueError(f"{path}: expected a 16-bit grey image, got mode {image.mode}")
     raw = np.array(image, dtype=np.int32)
@@ -66,14 +63,14 @@ def read_depth(path: Path, unit: float = 0.001) -> Tensor:
 
 def read_label_image(path: Path) -> Tensor:
     """Reads an 8- or 16-bit label image; returns [H, W] int64."""
-    return labels_of(_opened(path), str(path))
+    return labels_of(read_raster(path), str(path))
 
 
 def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
     """Reads a matrix from a text file; returns float64 of this shape."""
     present(path, f"a text file with a {shape[0]}x{shape[1]} matrix")
     try:
-        values = np.array(path.read_text(encoding="utf-8").replace(",", " ").split(), dtype=np.float64)
+        values = np.array(read_text(path, "a matrix", bounds.LINE).replace(",", " ").split(), dtype=np.float64)
     except ValueError as error:
         raise ValueError(f"{path}: expected numbers, got {error}") from error
     if values.size != shape[0] * shape[1]:
@@ -143,14 +140,9 @@ def read_mesh(path: Path) -> Ply:
 
 def read_array(path: Path) -> Tensor:
     """Reads a .npy file of numbers, of any shape."""
-    present(path, "an array of numbers, .npy")
-    with damage_is(f"{path}: not a whole .npy array of numbers", OSError):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about headers of Python 2, or of old numpy
-            # Memory-mapped, so that the shape is checked against the file size before memory is allocated.
-            array: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
-        if array.dtype.kind == "u" and array.dtype.itemsize > 1:  # torch supports few operations on these types
-            array = array.astype(np.int64)
+    array = read_npy(path)
+    with damage_is(f"{path}: not a whole .npy array of numbers"):
+        array = as_int64(array, "array")  # torch supports few operations on unsigned numbers
         return torch.from_numpy(np.array(array, dtype=array.dtype.newbyteorder("="), order="C", subok=False))
 
 
@@ -168,35 +160,50 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     Raises:
         FileNotFoundError: there is no such file or folder.
     """
-    if not path.exists():
+    if not is_there(path):
         raise FileNotFoundError(f"{path} does not exist")
     path = path.absolute()  # a batch gives the same recording by a relative path and by the whole one
-    if path.is_file() and path.suffix.lower() in ALONE:
+    if has_file(path) and path.suffix.lower() in ALONE:
         status = path.stat()
         return hashlib.sha256(repr((str(path.resolve()), status.st_size, status.st_mtime_ns)).encode()).hexdigest()
-    folder = path if path.is_dir() else path.parent
+    folder = path if has_folder(path) else path.parent
     left_out = {os.path.abspath(one) for one in without}
-    beside = () if path.is_dir() else folder.parent.glob(f"*/{path.stem}.*")
+    beside = () if has_folder(path) else folder.parent.glob(f"*/{path.stem}.*")
     files = sorted({*_files_below(folder, left_out), *beside})
-    stats = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files if file.is_file()]
+    stats = [(str(file), *_size_and_time(file)) for file in files]
     return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
 
 
 def _files_below(folder: Path, without: Set[str]) -> Iterator[Path]:
-    """Files in and below a folder without results; links are followed, one to a folder above only once."""
-    entered = set()
+    """Files in and below a folder without results; links are followed, but not those to a folder around it.
+
+    Raises:
+        ValueError: there are too many: a link leads to more than a recording.
+    """
+    entered, count, root = set(), 0, os.path.realpath(folder)
     for place, folders, names in os.walk(folder, followlinks=True):
         if place != str(folder) and not RESULTS.isdisjoint(names):
             folders.clear()
             continue
         entered.add(os.path.realpath(place))
         inside = [name for name in folders if os.path.abspath(os.path.join(place, name)) not in without]
-        folders[:] = [name for name in sorted(inside) if os.path.realpath(os.path.join(place, name)) not in entered]
+        folders[:] = [
+            name
+            for name in sorted(inside)
+            if (real := os.path.realpath(os.path.join(place, name))) not in entered
+            and os.path.commonpath([real, root]) != real
+        ]
+        count += len(names) + len(folders)
+        bounds.check(count, bounds.FILES, "files below it (does a link lead out of the recording?)", str(folder))
         yield from (Path(place, name) for name in names if os.path.abspath(os.path.join(place, name)) not in without)
 
 
-def _opened(path: Path) -> Image.Image:
-    return decode_image(present(path, "an image").read_bytes(), str(path))
+def _size_and_time(file: Path) -> tuple[int | str, int]:
+    """Of a file; a link that leads nowhere has its target, so that it counts as a change when it leads somewhere."""
+    if os.path.islink(file) and not os.path.exists(file):
+        return os.readlink(file), 0
+    status = file.stat()
+    return (status.st_size, status.st_mtime_ns) if stat.S_ISREG(status.st_mode) else ("no file", 0)
 
 
 def _as_calibrated(image: Image.Image, camera_size: tuple[int, int] | None, name: str) -> Image.Image:
@@ -229,27 +236,3 @@ def labels_of(image: Image.Image, name: str) -> Tensor:
     if image.mode not in ("L", "P", "I;16", "I;16B", "I"):
         raise ValueError(f"{name}: expected a grey or palette image of labels, got mode {image.mode}")
     return torch.from_numpy(np.array(image).astype(np.int64))
-
-
-def decode_image(data: bytes, name: str, *, header_only: bool = False) -> Image.Image:
-    """Decodes an image file's bytes (or only its header); errors begin with `name`.
-
-    Raises:
-        ValueError: a damaged image, or an image of more than `MAX_PIXELS`.
-    """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the check below is stricter
-            image = Image.open(io.BytesIO(data))
-            if image.width * image.height > MAX_PIXELS:
-                raise ValueError(f"{image.width} x {image.height} pixels are too many (at most {MAX_PIXELS})")
-            if not header_only:
-                if image.format == "PNG":  # Pillow compares the checksums of pixels only if it is asked to
-                    Image.open(io.BytesIO(data)).verify()
-                image.load()
-    except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
-            Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
-        # Pillow's own message names the buffer in memory.
-        reason = "no known format" if isinstance(error, UnidentifiedImageError) else error
-        raise ValueError(f"{name}: not a whole image: {reason}") from error
-    return image

@@ -11,7 +11,9 @@ from threading import Lock
 from typing import Any, NamedTuple
 
 from torchjoint.datasets.files.ros_packing import bound_unpacking
+from torchjoint.runtime import bounds
 from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.foreign_files import has_file, has_folder, present, read_file
 
 #: Suffixes of a recording in one file, and of the files that a ROS 2 recording's folder lists.
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -101,13 +103,22 @@ def _open(path: Path) -> Any:
     with needed_for("reading ROS recordings", "rosbags", "torchjoint[ros]"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: missing; expected a ROS recording")
+    _check_files(path)
     bound_unpacking()
     # Recordings of ROS 2 before Iron do not contain the definitions of their messages.
     reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
     reader.open()
     return reader
+
+
+def _check_files(path: Path) -> None:
+    """Checks the files of a recording, which the library opens itself: no device, no pipe, no endless YAML."""
+    if not has_folder(path):
+        present(path, "a ROS recording")
+        return
+    for file in path.iterdir():
+        has_file(file)
+    read_file(path / "metadata.yaml", "the description of a ROS recording", bounds.YAML_BYTES)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-from torchjoint.runtime import archives
+from torchjoint.runtime import bounds
 
 #: Bytes that are unpacked at a time: lz4 allocates so many in advance.
 STEP = 1 << 24
@@ -24,7 +24,7 @@ def unpack(make: Callable[[], Any], packed: bytes) -> bytes:
     Raises:
         ValueError: the bytes are truncated, or their decompressed size exceeds the limit.
     """
-    most = archives.RATIO * len(packed) + archives.FREE
+    most = bounds.RATIO * len(packed) + bounds.FREE
     parts, count, left = [], 0, packed
     while left:
         unpacker = make()

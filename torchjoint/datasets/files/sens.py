@@ -15,8 +15,10 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files.binary import BinaryFile
-from torchjoint.datasets.files.readers import MAX_PIXELS, decode_image, rgb_of
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.datasets.files.rasters import decode_image
+from torchjoint.datasets.files.readers import rgb_of
+from torchjoint.runtime import bounds
+from torchjoint.runtime.foreign_files import damage_is, open_file
 from torchjoint.scene.checks import as_intrinsics
 
 VERSION = 4
@@ -99,13 +101,13 @@ class SensFile:
                 f"{self.path}: expected colour as PNG or JPEG (1, 2) and depth raw or by zlib (0, 1), got codecs "
                 f"{color_codec} and {depth_codec}"
             )
-        if not all(0 < h * w <= MAX_PIXELS for h, w in (self.color_size, self.depth_size)):
+        if not all(0 < h * w <= bounds.PIXELS for h, w in (self.color_size, self.depth_size)):
             raise ValueError(f"{self.path}: impossible image sizes {cw} x {ch}, {dw} x {dh}")
         if not (math.isfinite(shift) and shift > 0):
             raise ValueError(f"{self.path}: expected a positive number of depth units per metre, got {shift}")
 
     def _read(self, start: int, count: int, name: str) -> bytes:
-        with self.path.open("rb") as stream:
+        with open_file(self.path) as stream:
             stream.seek(start)
             data = stream.read(count)
         if len(data) != count:

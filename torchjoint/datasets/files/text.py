@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
+from io import TextIOWrapper
 from pathlib import Path
 
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.runtime import bounds
+from torchjoint.runtime.foreign_files import damage_is, open_file
 
 
 def read_lines(path: Path, expected: str) -> Iterator[tuple[str, str]]:
@@ -15,9 +18,10 @@ def read_lines(path: Path, expected: str) -> Iterator[tuple[str, str]]:
     Raises:
         FileNotFoundError, ValueError: there is no such file, or it is not a text file.
     """
-    present(path, expected)
-    with damage_is(f"{path}: expected {expected} as text"), path.open(encoding="utf-8") as stream:
-        for number, line in enumerate(stream, 1):
+    is_damaged = damage_is(f"{path}: expected {expected} as text")
+    with open_file(path, expected) as stream, is_damaged, TextIOWrapper(stream, "utf-8") as text:
+        for number, line in enumerate(iter(partial(text.readline, bounds.LINE), ""), 1):
+            bounds.check(len(line), bounds.LINE - 1, f"characters in line {number}")
             if not line.startswith("#"):
                 yield f"{path}: line {number}", line.strip()
 

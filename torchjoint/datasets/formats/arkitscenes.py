@@ -28,6 +28,7 @@ from torchjoint.datasets.files.readers import read_depth, read_image
 from torchjoint.datasets.files.text import parse_numbers, read_lines
 from torchjoint.datasets.pose_interpolation import interpolate_poses
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 
@@ -43,7 +44,7 @@ STEP = 0.001
 
 def recognizes(path: Path) -> bool:
     """Returns whether `path` is a recording's folder."""
-    return path.is_dir() and (_frames_folder(path) / TRAJECTORY).is_file()
+    return has_folder(path) and has_file(_frames_folder(path) / TRAJECTORY)
 
 
 def load(path: Path, options: Options) -> Scene:
@@ -51,14 +52,14 @@ def load(path: Path, options: Options) -> Scene:
     folder, clouds = _frames_folder(path), [path / f"{path.name}_3dod_mesh.ply"]
     scene = scene_of_frames(path, _read_frames(folder), options, clouds)
     annotation = path / f"{path.name}_3dod_annotation.json"
-    if not annotation.is_file() or find_cloud(path, options, clouds) != clouds[0]:
+    if not has_file(annotation) or find_cloud(path, options, clouds) != clouds[0]:
         return scene
     return replace(scene, truth=Truth(_instances(annotation, scene.points)))
 
 
 def _frames_folder(path: Path) -> Path:
     inside = path / f"{path.name}_frames"
-    return inside if inside.is_dir() else path
+    return inside if has_folder(inside) else path
 
 
 def _read_frames(folder: Path) -> LazySequence[Frame]:
@@ -72,7 +73,7 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
         file, pose = shots[index]
         depth = folder / DEPTHS / file.name
         camera = _camera(folder / CAMERAS, file.stem)
-        measured = read_depth(depth) if depth.is_file() else None
+        measured = read_depth(depth) if has_file(depth) else None
         return camera.frame(read_image(file, camera.size), invert_pose(pose), measured, file.stem)
 
     return LazySequence(len(shots), read, [file.stem for file, _ in shots])
@@ -105,7 +106,7 @@ def _read_poses(file: Path, times: list[float]) -> list[Tensor | None]:
 def _camera(folder: Path, stem: str) -> Camera:
     identifier, _, time = stem.rpartition("_")
     near = (f"{identifier}_{float(time) + shift:.3f}.pincam" for shift in (0, -STEP, STEP))
-    file = next((folder / name for name in near if (folder / name).is_file()), folder / f"{stem}.pincam")
+    file = next((folder / name for name in near if has_file(folder / name)), folder / f"{stem}.pincam")
     lines = [parse_numbers(line.split(), name) for name, line in read_lines(file, "width height fx fy cx cy")]
     numbers = [number for line in lines for number in line]
     if len(numbers) != 6:

@@ -25,6 +25,7 @@ from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.readers import read_image_size, read_label_image
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
 from torchjoint.datasets.shots import Shot, read_shots
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_pose
@@ -36,7 +37,7 @@ SAME_PLACE = 0.05
 
 def recognizes(path: Path) -> bool:
     """Returns whether the folder is a scene."""
-    return path.is_dir() and (path / "scene_camera.json").is_file()
+    return has_folder(path) and has_file(path / "scene_camera.json")
 
 
 def load(path: Path, options: Options) -> Scene:
@@ -55,7 +56,7 @@ def _read_shots(path: Path) -> list[Shot]:
 
 def _read_shot(path: Path, number: int, camera: Record, is_alone: bool) -> Shot:
     files = [path / kind / f"{number:06d}{suffix}" for kind in ("rgb", "gray") for suffix in (".png", ".jpg", ".tif")]
-    image = next((file for file in files if file.is_file()), None)
+    image = next((file for file in files if has_file(file)), None)
     if image is None:
         raise FileNotFoundError(f"{files[0]}: missing; {camera.name} has its camera")
     pose = torch.eye(4, dtype=torch.float64)
@@ -78,7 +79,7 @@ def _pose(record: Record, rotation: str, translation: str) -> Tensor:
 
 
 def _truth(path: Path, shots: Sequence[Shot]) -> Truth | None:
-    if not (path / "scene_gt.json").is_file() or not (path / "mask_visib").is_dir():
+    if not has_file(path / "scene_gt.json") or not has_folder(path / "mask_visib"):
         return None
     truth = read_record(path / "scene_gt.json", "the objects of the images")
     instances = _instances(shots, truth)

@@ -12,6 +12,7 @@ from pathlib import Path
 from torchjoint.datasets.files import meshes
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.recording import Options
+from torchjoint.runtime.foreign_files import has_file
 from torchjoint.scene import Scene
 
 SUFFIXES = (".ply", ".pcd", ".npy", ".npz", ".xyz", ".txt", ".las", ".laz", ".e57", ".bin", *meshes.SUFFIXES)
@@ -20,7 +21,7 @@ WHAT = f"a point cloud or a mesh alone: {', '.join(SUFFIXES)}"
 
 def recognizes(path: Path) -> bool:
     """Returns whether `path` is a file that can hold a cloud. Formats of clouds with images are tried before."""
-    return path.is_file() and path.suffix.lower() in SUFFIXES
+    return has_file(path) and path.suffix.lower() in SUFFIXES
 
 
 def load(path: Path, options: Options) -> Scene:

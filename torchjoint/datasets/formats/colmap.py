@@ -20,7 +20,7 @@ from torchjoint.datasets.files.colmap_model import has_model, read_images, read_
 from torchjoint.datasets.paths import frame_names, path_inside
 from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames
 from torchjoint.datasets.shots import Shot, read_shots
-from torchjoint.runtime.foreign_files import present
+from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
 WHAT = "COLMAP's cameras and images (.bin or .txt) in sparse/0, in sparse, or in the folder itself"
@@ -32,7 +32,7 @@ _CLOUDS = ("fused.ply", "dense/fused.ply", "dense/0/fused.ply")
 
 def recognizes(path: Path) -> bool:
     """Returns whether the folder has a sparse model."""
-    return path.is_dir() and any(has_model(path / place) for place in _MODELS)
+    return has_folder(path) and any(has_model(path / place) for place in _MODELS)
 
 
 def load(path: Path, options: Options) -> Scene:
@@ -64,7 +64,7 @@ def _read_frames(model: Path, bases: Sequence[Path]) -> Sequence[Frame]:
 def _image_folder(bases: Sequence[Path], name: str, source: str) -> Path:
     folders = [base / place for base in bases for place in _IMAGES]
     for folder in folders:
-        if path_inside(folder, name, source).is_file():
+        if has_file(path_inside(folder, name, source)):
             return folder
     places = ", ".join(str(folder) for folder in folders)
     raise FileNotFoundError(f"{source}: its image {name!r} is missing; looked for it in {places}")

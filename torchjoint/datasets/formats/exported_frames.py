@@ -11,6 +11,7 @@ from torchjoint.datasets.files.readers import read_depth, read_image, read_matri
 from torchjoint.datasets.recording import invert_pose
 from torchjoint.datasets.resampling import register_depth
 from torchjoint.datasets.scannet_cameras import Calibration, Cameras
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame
 from torchjoint.scene.checks import as_pose
@@ -20,7 +21,7 @@ _SUFFIXES = (".jpg", ".jpeg", ".png")
 
 def has_frames(folder: Path) -> bool:
     """Returns whether the folder has images and poses of this layout."""
-    return (folder / "color").is_dir() and (folder / "pose").is_dir()
+    return has_folder(folder / "color") and has_folder(folder / "pose")
 
 
 def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
@@ -52,7 +53,7 @@ def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
     def read(place: int) -> Frame:
         i = kept[place]
         image, depth = read_image(images[i]), folder / "depth" / f"{stems[i]}.png"
-        return make_frame(stems[i], image, read_depth(depth) if depth.is_file() else None, cameras, extrinsics[i])
+        return make_frame(stems[i], image, read_depth(depth) if has_file(depth) else None, cameras, extrinsics[i])
 
     return LazySequence(len(kept), read, [stems[i] for i in kept])
 

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_label_image, read_matrix
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_labels, as_pose
@@ -31,7 +32,7 @@ _COLOR = (".color.jpg", ".color.jpeg", ".color.png")
 
 def recognizes(path: Path) -> bool:
     """Returns whether the folder has colour frames of this format."""
-    return path.is_dir() and bool(_color_files(path))
+    return has_folder(path) and bool(_color_files(path))
 
 
 def load(path: Path, options: Options) -> Scene:
@@ -63,7 +64,7 @@ def read_frames(path: Path) -> Sequence[Frame]:
         )
     pose_files = [_beside(file, ".pose.txt") for file in colors]
     for file in pose_files:
-        if not file.is_file():
+        if not has_file(file):
             raise FileNotFoundError(f"{file}: missing; every colour frame needs its pose")
     # Reads all poses at once: a bad pose must be found before hours of work, not after.
     poses = [as_pose(read_matrix(file, (4, 4)), str(file)) for file in pose_files]
@@ -77,18 +78,18 @@ def _read_frame(file: Path, intrinsics: Tensor, camera_to_world: Tensor) -> Fram
         read_image(file),
         intrinsics,
         invert_pose(camera_to_world),
-        depth=read_depth(depth) if depth.is_file() else None,
-        labels=read_label_image(labels) - 1 if labels.is_file() else None,
+        depth=read_depth(depth) if has_file(depth) else None,
+        labels=read_label_image(labels) - 1 if has_file(labels) else None,
         name=file.name.split(".")[0],
     )
 
 
 def _truth(path: Path, colors: Sequence[Path], num_points: int) -> Truth | None:
     of_points, of_images = path / "cloud.truth.npy", [_beside(file, ".truth.png") for file in colors]
-    missing = [file for file in of_images if not file.is_file()]
+    missing = [file for file in of_images if not has_file(file)]
     if missing and len(missing) < len(colors):
         raise FileNotFoundError(f"{missing[0]}: missing; {len(colors) - len(missing)} other frames have their truth")
-    points = as_labels(read_array(of_points), (num_points,), str(of_points)) if of_points.is_file() else None
+    points = as_labels(read_array(of_points), (num_points,), str(of_points)) if has_file(of_points) else None
     if missing and points is None:
         return None
     images = () if missing else LazySequence(len(colors), lambda i: read_label_image(of_images[i]) - 1)

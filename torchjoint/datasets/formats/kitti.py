@@ -25,7 +25,7 @@ from torchjoint.datasets.files.clouds import read_scan
 from torchjoint.datasets.files.readers import read_image
 from torchjoint.datasets.files.text import parse_numbers, read_lines
 from torchjoint.datasets.recording import Options
-from torchjoint.runtime.foreign_files import present
+from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_intrinsics, as_pose
@@ -37,7 +37,7 @@ def recognizes(path: Path) -> bool:
     """Returns whether `path` is a LiDAR scan, or an image, in KITTI's folders."""
     folder = path.absolute().parent
     kinds = {("velodyne", ".bin"), ("image_2", ".png")}
-    return (folder.name, path.suffix) in kinds and path.is_file() and _is_root(folder.parent)
+    return (folder.name, path.suffix) in kinds and has_file(path) and _is_root(folder.parent)
 
 
 def scenes(path: Path) -> dict[str, Path]:
@@ -60,12 +60,12 @@ def load(path: Path, options: Options) -> Scene:
     present(image, "the image of the scan")
     frames = LazySequence(1, lambda _: Frame(read_image(image), projection[:3, :3], world_to_camera, name=name))
     labels = root / "label_2" / f"{name}.txt"
-    truth = Truth(_instances(labels, points, rectified_from_world)) if labels.is_file() else None
+    truth = Truth(_instances(labels, points, rectified_from_world)) if has_file(labels) else None
     return Scene(points, frames, name=name, truth=truth)
 
 
 def _is_root(path: Path) -> bool:
-    return all((path / name).is_dir() for name in ("velodyne", "image_2", "calib"))
+    return all(has_folder(path / name) for name in ("velodyne", "image_2", "calib"))
 
 
 def _read_calibration(path: Path) -> dict[str, Tensor]:

@@ -25,6 +25,7 @@ from torchjoint.datasets.files.json_record import read_record
 from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.readers import read_image, read_matrix
 from torchjoint.datasets.recording import Options
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import as_pose
@@ -34,7 +35,7 @@ WHAT = "pointcloud.pcd, image.png (or .jpg), camera_info.json and extrinsic.txt 
 
 def recognizes(path: Path) -> bool:
     """Returns whether the folder has such a cloud and camera."""
-    return path.is_dir() and all((path / name).is_file() for name in ("pointcloud.pcd", "camera_info.json"))
+    return has_folder(path) and all(has_file(path / name) for name in ("pointcloud.pcd", "camera_info.json"))
 
 
 def load(path: Path, options: Options) -> Scene:
@@ -43,7 +44,7 @@ def load(path: Path, options: Options) -> Scene:
     points, colors = cloud.points(), cloud.colors()
     known = torch.isfinite(points).all(dim=1)
     camera, pose = _read_camera(path / "camera_info.json"), _read_pose(path)
-    image = next((path / name for name in ("image.png", "image.jpg") if (path / name).is_file()), None)
+    image = next((path / name for name in ("image.png", "image.jpg") if has_file(path / name)), None)
     if image is None:
         raise FileNotFoundError(f"{path}: expected image.png or image.jpg beside pointcloud.pcd")
     frames = LazySequence(1, lambda _: camera.frame(read_image(image, camera.size), pose, name="image"))
@@ -62,10 +63,10 @@ def _read_camera(path: Path) -> Camera:
 
 def _read_pose(path: Path) -> Tensor:
     file = path / "extrinsic.txt"
-    if file.is_file():
+    if has_file(file):
         return as_pose(read_matrix(file, (4, 4)), str(file))
     file = path / "initial_guess.json"
-    if not file.is_file():
+    if not has_file(file):
         raise FileNotFoundError(f"{path}: expected extrinsic.txt or initial_guess.json beside pointcloud.pcd")
     guess = read_record(file, "a guess of the pose")
     x, y, z, *degrees = (guess.number(key) for key in ("x", "y", "z", "r_deg", "p_deg", "y_deg"))

@@ -32,6 +32,7 @@ from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_image_size
 from torchjoint.datasets.paths import frame_names, path_inside
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.checks import as_pose
@@ -53,12 +54,12 @@ class _Shot(NamedTuple):
 def recognizes(path: Path) -> bool:
     """Returns whether `path` is a transforms.json, or a folder with one."""
     is_file = path.suffix == ".json" and path.name.startswith("transforms")
-    return path.is_file() if is_file else (path / "transforms.json").is_file()
+    return has_file(path) if is_file else has_file(path / "transforms.json")
 
 
 def load(path: Path, options: Options) -> Scene:
     """Loads the scene; see :func:`torchjoint.load_scene`."""
-    file = path / "transforms.json" if path.is_dir() else path
+    file = path / "transforms.json" if has_folder(path) else path
     record = read_record(file, "poses as of nerfstudio")
     clouds = [_inside(file, record, "ply_file_path")] if "ply_file_path" in record else []
     if clouds and find_cloud(file.parent, options, clouds) is None:
@@ -88,10 +89,10 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
 def _shot(file: Path, frame: Record) -> _Shot:
     color = _inside(file, frame, "file_path")
     png = color.with_name(color.name + ".png")
-    color = png if png.is_file() and not color.is_file() else color
+    color = png if has_file(png) and not has_file(color) else color
     depth = _inside(file, frame, "depth_file_path") if "depth_file_path" in frame else None
     for needed in (color, depth):
-        if needed is not None and not needed.is_file():
+        if needed is not None and not has_file(needed):
             raise FileNotFoundError(f"{needed}: missing; expected an image that {frame.name} gives")
     unit = frame.number("depth_unit_scale_factor") if "depth_unit_scale_factor" in frame else None
     if unit is not None and unit <= 0:

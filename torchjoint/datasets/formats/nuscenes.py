@@ -29,7 +29,7 @@ from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.paths import path_inside
 from torchjoint.datasets.recording import Options
 from torchjoint.datasets.shots import Shot, read_shots
-from torchjoint.runtime.foreign_files import present
+from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_pose
 
@@ -38,7 +38,7 @@ WHAT = "a sample of nuScenes: sample.json (MMDetection3D) with its scan and imag
 
 def recognizes(path: Path) -> bool:
     """Returns whether the folder has a sample.json."""
-    return path.is_dir() and (path / "sample.json").is_file()
+    return has_folder(path) and has_file(path / "sample.json")
 
 
 def load(path: Path, options: Options) -> Scene:

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.pcd import Pcd, read_pcd, read_pcd_header
 from torchjoint.datasets.recording import Options
+from torchjoint.runtime.foreign_files import has_file
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_labels
 
@@ -32,7 +33,7 @@ LARGEST_OFFSET = 0.5
 
 def recognizes(path: Path) -> bool:
     """Returns whether the header describes an organised, coloured cloud."""
-    if path.suffix.lower() != ".pcd" or not path.is_file():
+    if path.suffix.lower() != ".pcd" or not has_file(path):
         return False
     try:
         header = read_pcd_header(path)

@@ -22,6 +22,7 @@ from torchjoint.datasets.cameras import FLIP_YZ, Camera, pinhole_matrix, resize_
 from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.readers import read_depth, read_image, read_label_image
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.checks import as_pose
@@ -31,7 +32,7 @@ WHAT = "keyframes/ with corrected_images/ and corrected_cameras/, or images/ and
 
 def recognizes(path: Path) -> bool:
     """Returns whether `path` is an exported folder."""
-    return path.is_dir() and any((path / "keyframes").glob("*cameras/*.json"))
+    return has_folder(path) and any((path / "keyframes").glob("*cameras/*.json"))
 
 
 def load(path: Path, options: Options) -> Scene:
@@ -41,7 +42,7 @@ def load(path: Path, options: Options) -> Scene:
 
 def _read_frames(folder: Path) -> LazySequence[Frame]:
     # Corrected and other poses differ by a drift, so that a scene never has both.
-    corrected = all((folder / f"corrected_{kind}").is_dir() for kind in ("images", "cameras"))
+    corrected = all(has_folder(folder / f"corrected_{kind}") for kind in ("images", "cameras"))
     kind = "corrected_" if corrected else ""
     images = sorted((folder / f"{kind}images").glob("*.jpg"), key=lambda file: (len(file.stem), file.stem))
     if not images:
@@ -58,10 +59,10 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
 
 def _read_depth(folder: Path, stem: str) -> Tensor | None:
     file, confidence = folder / "depth" / f"{stem}.png", folder / "confidence" / f"{stem}.png"
-    if not file.is_file():
+    if not has_file(file):
         return None
     depth = read_depth(file)
-    if not confidence.is_file():
+    if not has_file(confidence):
         return depth
     sure = resize_depth(read_label_image(confidence), (depth.shape[0], depth.shape[1]), str(confidence)) > 0
     return torch.where(sure, depth, 0.0)

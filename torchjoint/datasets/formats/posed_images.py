@@ -21,6 +21,7 @@ from torchjoint.datasets.formats.scannet import CLOUD
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.datasets.scannet_cameras import COLOR_SIZE, DEPTH_SIZE, Calibration, Cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, read_point_instances
+from torchjoint.runtime.foreign_files import has_file, has_folder, read_text
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_intrinsics, as_pose
@@ -30,13 +31,13 @@ WHAT = "intrinsic.txt with NNNNN.jpg and NNNNN.txt (posed_images)"
 
 def recognizes(path: Path) -> bool:
     """Returns whether the folder has images, poses and intrinsics side by side."""
-    return path.is_dir() and (path / "intrinsic.txt").is_file() and bool(_images(path))
+    return has_folder(path) and has_file(path / "intrinsic.txt") and bool(_images(path))
 
 
 def load(path: Path, options: Options) -> Scene:
     """Loads a scan; see :func:`torchjoint.load_scene`."""
     scan, beside = path.name, path.absolute().parent.parent / "scans" / path.name
-    folder = path if (path / f"{scan}{CLOUD}").is_file() else beside
+    folder = path if has_file(path / f"{scan}{CLOUD}") else beside
     cloud = folder / f"{scan}{CLOUD}"
     scene = scene_of_frames(path, _read_frames(path), options, [cloud])
     if find_cloud(path, options, [cloud]) != cloud or not has_point_instances(folder, scan):
@@ -48,14 +49,14 @@ def _read_frames(path: Path) -> LazySequence[Frame]:
     images = _images(path)
     color = _calibration(path / "intrinsic.txt")
     of_depth = path / "depth_intrinsic.txt"
-    cameras = Cameras(color, _calibration(of_depth) if of_depth.is_file() else color)
+    cameras = Cameras(color, _calibration(of_depth) if has_file(of_depth) else color)
     poses = [read_matrix(file.with_suffix(".txt"), (4, 4)) for file in images]
     kept = [index for index, pose in enumerate(poses) if torch.isfinite(pose).all()]
     extrinsics = {i: invert_pose(as_pose(poses[i], str(images[i].with_suffix(".txt")))) for i in kept}
 
     def read(place: int) -> Frame:
         file = images[kept[place]]
-        depth = read_depth(file.with_suffix(".png")) if file.with_suffix(".png").is_file() else None
+        depth = read_depth(file.with_suffix(".png")) if has_file(file.with_suffix(".png")) else None
         return make_frame(file.stem, read_image(file), depth, cameras, extrinsics[kept[place]])
 
     return LazySequence(len(kept), read, [images[i].stem for i in kept])
@@ -67,7 +68,7 @@ def _images(path: Path) -> list[Path]:
 
 
 def _calibration(file: Path) -> Calibration:
-    text = file.read_text(encoding="utf-8", errors="replace")
+    text = read_text(file, "a description", errors="replace")
     side = 3 if len(text.replace(",", " ").split()) == 9 else 4
     matrix: Tensor = read_matrix(file, (side, side))[:3, :3]
     return Calibration(as_intrinsics(matrix, str(file)), (COLOR_SIZE, DEPTH_SIZE), is_certain=False)

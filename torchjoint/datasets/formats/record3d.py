@@ -24,11 +24,14 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import FLIP_YZ, Camera, pinhole_matrix, rotations_from_quaternions
 from torchjoint.datasets.files.exr import read_exr
-from torchjoint.datasets.files.json_record import MAX_BYTES, Record, parse_record
+from torchjoint.datasets.files.json_record import Record, parse_record
 from torchjoint.datasets.files.lzfse import decompress
 from torchjoint.datasets.files.members import Members
-from torchjoint.datasets.files.readers import MAX_PIXELS, decode_image, rgb_of
+from torchjoint.datasets.files.rasters import decode_image
+from torchjoint.datasets.files.readers import rgb_of
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.runtime import bounds
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene
 
@@ -40,26 +43,26 @@ MAX_DEPTH = 640 * 480
 
 def recognizes(path: Path) -> bool:
     """Returns whether `path` is an .r3d file, its unpacked folder, or an export."""
-    if path.is_file():
+    if has_file(path):
         return path.suffix.lower() == ".r3d"
-    unpacked = (path / "metadata").is_file() and (path / "rgbd").is_dir()
+    unpacked = has_file(path / "metadata") and has_folder(path / "rgbd")
     folder = _folder(path)
-    return unpacked or ((folder / "metadata.json").is_file() and any((folder / "depth").glob("*.exr")))
+    return unpacked or (has_file(folder / "metadata.json") and any((folder / "depth").glob("*.exr")))
 
 
 def load(path: Path, options: Options) -> Scene:
     """Loads the recording; see :func:`torchjoint.load_scene`."""
     scene = scene_of_frames(path, _read_frames(Members(_folder(path))), options)
-    return replace(scene, name=path.stem if path.is_file() else path.name)
+    return replace(scene, name=path.stem if has_file(path) else path.name)
 
 
 def _folder(path: Path) -> Path:
-    return path / EXPORT if (path / EXPORT).is_dir() else path
+    return path / EXPORT if has_folder(path / EXPORT) else path
 
 
 def _read_frames(files: Members) -> LazySequence[Frame]:
     metadata, folder = ("metadata", "rgbd") if "metadata" in files.names else ("metadata.json", "rgb")
-    values = parse_record(files.read(metadata, MAX_BYTES), f"{files.path}: {metadata}")
+    values = parse_record(files.read(metadata, bounds.JSON_BYTES), f"{files.path}: {metadata}")
     found = (re.fullmatch(rf"{folder}/([0-9]{{1,9}})\.jpg", file) for file in files.names)
     images = sorted((int(match[1]), match[0]) for match in found if match)
     poses = _read_poses(values)
@@ -71,7 +74,7 @@ def _read_frames(files: Members) -> LazySequence[Frame]:
     def read(index: int) -> Frame:
         number, file = images[index]
         name = f"{files.path}: {file}"
-        image = rgb_of(decode_image(files.read(file, 4 * MAX_PIXELS), name), name)
+        image = rgb_of(decode_image(files.read(file, bounds.IMAGE_BYTES), name), name)
         depth = _read_depth(files, number, values)
         return cameras[number].frame(image, poses[number], depth, str(number))
 
@@ -82,7 +85,7 @@ def _read_depth(files: Members, number: int, values: Record) -> Tensor | None:
     exr, packed, confidence = f"depth/{number}.exr", f"rgbd/{number}.depth", f"rgbd/{number}.conf"
     if exr not in files.names and packed not in files.names:
         return None
-    depth = read_exr(files.path / exr, "R", MAX_PIXELS) if exr in files.names else _unpack(files, packed, values, "<f4")
+    depth = read_exr(files.path / exr, "R") if exr in files.names else _unpack(files, packed, values, "<f4")
     known = torch.isfinite(depth) & (depth > 0)
     if confidence in files.names:
         known &= _unpack(files, confidence, values, "u1") > 0

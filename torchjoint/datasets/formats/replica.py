@@ -19,6 +19,7 @@ from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.text import parse_numbers, read_lines
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
 from torchjoint.datasets.shots import Shot, read_shots
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import as_pose
 
@@ -28,12 +29,12 @@ CAMERA = "cam_params.json"
 
 def recognizes(path: Path) -> bool:
     """Returns whether `path` is a room's folder."""
-    return path.is_dir() and (path / "traj.txt").is_file() and any((path / "results").glob("frame*.jpg"))
+    return has_folder(path) and has_file(path / "traj.txt") and any((path / "results").glob("frame*.jpg"))
 
 
 def load(path: Path, options: Options) -> Scene:
     """Loads the folder; see :func:`torchjoint.load_scene`."""
-    file = next((one for one in (path / CAMERA, path.parent / CAMERA) if one.is_file()), path / CAMERA)
+    file = next((one for one in (path / CAMERA, path.parent / CAMERA) if has_file(one)), path / CAMERA)
     values = read_record(file, "the camera of Replica").record("camera")
     scale = values.number("scale")
     if not scale > 0:

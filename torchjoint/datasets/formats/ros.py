@@ -39,6 +39,7 @@ from torchjoint.datasets.files.ros_messages import (
 from torchjoint.datasets.formats.tum import associate
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.datasets.ros_poses import ODOMETRY, Poses
+from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.thinning import voxel_subsample
@@ -69,11 +70,9 @@ class _Topics(NamedTuple):
 
 def recognizes(path: Path) -> bool:
     """Returns whether `path` is a recording of ROS."""
-    if path.is_file():
+    if has_file(path):
         return path.suffix.lower() in SUFFIXES
-    return (path / "metadata.yaml").is_file() and any(
-        ".mcap" in one.name or ".db3" in one.name for one in path.iterdir()
-    )
+    return has_file(path / "metadata.yaml") and any(".mcap" in one.name or ".db3" in one.name for one in path.iterdir())
 
 
 def load(path: Path, options: Options) -> Scene:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import torch
 
 from torchjoint.datasets.recording import Options
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, has_folder, read_file
 from torchjoint.scene import Scene, Truth
 
 WHAT = "Annotations/ with CLASS_N.txt, such as chair_1.txt (a room of S3DIS)"
@@ -26,7 +26,7 @@ WHAT = "Annotations/ with CLASS_N.txt, such as chair_1.txt (a room of S3DIS)"
 
 def recognizes(path: Path) -> bool:
     """Returns whether `path` is a room's folder."""
-    return path.is_dir() and bool(_things(path))
+    return has_folder(path) and bool(_things(path))
 
 
 def load(path: Path, options: Options) -> Scene:
@@ -39,7 +39,7 @@ def load(path: Path, options: Options) -> Scene:
 
 def scenes(path: Path) -> dict[str, Path]:
     """Returns the rooms of an area, or of all areas."""
-    if not path.is_dir():
+    if not has_folder(path):
         return {}
     rooms = [one.parent for one in sorted(path.glob("*/Annotations")) if recognizes(one.parent)]
     if rooms:
@@ -55,7 +55,7 @@ def _things(path: Path) -> list[Path]:
 
 def _read_points(file: Path) -> npt.NDArray[np.float64]:
     # A separator of Area_5/hallway_6/Annotations/ceiling_1.txt is byte 16 instead of a space.
-    text = file.read_bytes().replace(b"\x10", b" ")
+    text = read_file(file, "a point cloud").replace(b"\x10", b" ")
     with damage_is(f"{file}: expected lines of x y z r g b"):
         rows = np.loadtxt(io.BytesIO(text), comments=None, ndmin=2) if text.strip() else np.empty((0, 0))
     if rows.shape[1] != 6 or not np.isfinite(rows).all() or rows[:, 3:].min() < 0 or rows[:, 3:].max() > 255:

@@ -29,6 +29,7 @@ from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scen
 from torchjoint.datasets.scannet_cameras import Calibration, Cameras, find_cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
 from torchjoint.datasets.shots import read_shots
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_pose
@@ -39,16 +40,16 @@ CLOUD = "_vh_clean_2.ply"
 
 def recognizes(path: Path) -> bool:
     """Returns whether `path` is a scan's folder, or a .sens file."""
-    if path.is_file():
+    if has_file(path):
         return path.suffix == ".sens"
-    own = any((path / f"{path.name}{suffix}").is_file() for suffix in (".sens", CLOUD))
-    exported = (path / "intrinsic").is_dir() or (path / f"{path.name}.txt").is_file()
+    own = any(has_file(path / f"{path.name}{suffix}") for suffix in (".sens", CLOUD))
+    exported = has_folder(path / "intrinsic") or has_file(path / f"{path.name}.txt")
     return own or (exported and has_frames(path))
 
 
 def load(path: Path, options: Options) -> Scene:
     """Loads a scan; see :func:`torchjoint.load_scene`."""
-    folder, scan = (path.parent, path.stem) if path.is_file() else (path, path.name)
+    folder, scan = (path.parent, path.stem) if has_file(path) else (path, path.name)
     frames = _read_frames(folder, scan)
     cloud = folder / f"{scan}{CLOUD}"
     scene = scene_of_frames(folder, frames, options, [cloud])
@@ -60,12 +61,12 @@ def load(path: Path, options: Options) -> Scene:
 
 def scenes(path: Path) -> dict[str, Path]:
     """Returns the scans of the data set's own folder, which holds them in `scans/` and `scans_test/`."""
-    folders = [one for name in ("scans", "scans_test") if (path / name).is_dir() for one in (path / name).iterdir()]
-    return {one.name: one for one in sorted(folders) if one.is_dir() and recognizes(one)}
+    folders = [one for name in ("scans", "scans_test") if has_folder(path / name) for one in (path / name).iterdir()]
+    return {one.name: one for one in sorted(folders) if has_folder(one) and recognizes(one)}
 
 
 def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
-    if (folder / f"{scan}.sens").is_file():
+    if has_file(folder / f"{scan}.sens"):
         return _stream_frames(SensFile(folder / f"{scan}.sens"))
     if not has_frames(folder):
         return read_shots(())

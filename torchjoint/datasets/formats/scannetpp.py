@@ -28,6 +28,7 @@ from torchjoint.datasets.formats.nerfstudio import read_camera
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.datasets.scannet_truth import point_instances
 from torchjoint.datasets.shots import Shot, read_shots
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_pose
@@ -45,7 +46,7 @@ IMAGES = ("resized_undistorted_images", "undistorted_images", "resized_images", 
 def recognizes(path: Path) -> bool:
     """Returns whether `path` is a scene's folder, or that of one of its cameras."""
     scene, camera = _places(path)
-    return path.is_dir() and ((scene / "scans" / MESH).is_file() or _images(scene / camera) is not None)
+    return has_folder(path) and (has_file(scene / "scans" / MESH) or _images(scene / camera) is not None)
 
 
 def load(path: Path, options: Options) -> Scene:
@@ -54,7 +55,7 @@ def load(path: Path, options: Options) -> Scene:
     mesh = folder / "scans" / MESH
     segments, objects = truth_files(path)
     scene = replace(scene_of_frames(path, _read_frames(folder / camera), options, [mesh]), name=folder.name)
-    if find_cloud(path, options, [mesh]) != mesh or not objects.is_file():
+    if find_cloud(path, options, [mesh]) != mesh or not has_file(objects):
         return scene
     return replace(scene, truth=Truth(point_instances(segments, objects, len(scene.points), smallest=True)))
 
@@ -67,7 +68,7 @@ def truth_files(path: Path) -> tuple[Path, Path]:
 
 def scenes(path: Path) -> dict[str, Path]:
     """Returns the scenes of the data set's own folder, which holds them in `data/`."""
-    folders = sorted((path / "data").iterdir()) if (path / "data").is_dir() else []
+    folders = sorted((path / "data").iterdir()) if has_folder(path / "data") else []
     return {one.name: one for one in folders if recognizes(one)}
 
 
@@ -80,8 +81,8 @@ def _places(path: Path) -> tuple[Path, str]:
 
 
 def _images(folder: Path) -> Path | None:
-    has_poses = has_model(folder / "colmap") or (folder / POSES).is_file()
-    return next((folder / name for name in IMAGES if has_poses and (folder / name).is_dir()), None)
+    has_poses = has_model(folder / "colmap") or has_file(folder / POSES)
+    return next((folder / name for name in IMAGES if has_poses and has_folder(folder / name)), None)
 
 
 def _read_frames(folder: Path) -> LazySequence[Frame]:
@@ -91,7 +92,7 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
     shots = read_images(folder / "colmap") if has_model(folder / "colmap") else _read_shots(folder / POSES)
     # A name may begin with a folder that is not there: it does not matter, nor can it lead out of the folder.
     files = [(images / Path(shot.name).name, shot) for shot in shots]
-    kept = [(file, shot) for file, shot in files if file.is_file()]
+    kept = [(file, shot) for file, shot in files if has_file(file)]
     if not kept:
         raise FileNotFoundError(f"{images}: expected images that have poses, such as {files[0][0].name}, got none")
     undistorted = None

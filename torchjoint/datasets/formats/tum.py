@@ -34,7 +34,7 @@ from torchjoint.datasets.paths import frame_names, path_inside
 from torchjoint.datasets.pose_interpolation import interpolate_poses
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
 from torchjoint.datasets.shots import Shot, read_shots
-from torchjoint.runtime.foreign_files import present
+from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
 WHAT = "rgb.txt and groundtruth.txt, as of the TUM RGB-D benchmark"
@@ -59,7 +59,7 @@ class _File(NamedTuple):
 
 def recognizes(path: Path) -> bool:
     """Returns whether the folder is a recording of this format."""
-    return path.is_dir() and (path / "rgb.txt").is_file() and (path / "groundtruth.txt").is_file()
+    return has_folder(path) and has_file(path / "rgb.txt") and has_file(path / "groundtruth.txt")
 
 
 def load(path: Path, options: Options) -> Scene:
@@ -75,7 +75,7 @@ def read_frames(path: Path) -> Sequence[Frame]:
         ValueError: an invalid line, or no image with a pose.
     """
     colors = _read_files(path / "rgb.txt")
-    depths = _read_files(path / "depth.txt") if (path / "depth.txt").is_file() else []
+    depths = _read_files(path / "depth.txt") if has_file(path / "depth.txt") else []
     depth_of = dict(associate([file.time for file in colors], [file.time for file in depths]))
     poses = _read_poses(path / "groundtruth.txt", [file.time for file in colors])
     kept = [(index, pose) for index, pose in enumerate(poses) if pose is not None]
@@ -149,7 +149,7 @@ def _read_poses(path: Path, wanted: Sequence[float]) -> list[Tensor | None]:
 
 def _camera(path: Path) -> Camera:
     file = path / "camera-intrinsics.txt"
-    if file.is_file():
+    if has_file(file):
         return Camera(read_matrix(file, (3, 3)), name=str(file))
     known = re.search(r"(?<![a-z0-9])(?:freiburg|fr)([123])(?![0-9])", path.absolute().name)
     if known is None:

@@ -22,6 +22,7 @@ from torchjoint.datasets.files.mat_files import read_matrices
 from torchjoint.datasets.files.readers import read_label_image
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
 from torchjoint.datasets.shots import Shot, read_shots
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_pose
@@ -33,14 +34,14 @@ MAX_ELEMENTS = 4_000_000
 
 def recognizes(path: Path) -> bool:
     """Returns whether the folder is a sequence."""
-    return path.is_dir() and any(_beside(file, "meta.mat").is_file() for file in _colors(path))
+    return has_folder(path) and any(has_file(_beside(file, "meta.mat")) for file in _colors(path))
 
 
 def load(path: Path, options: Options) -> Scene:
     """Loads a sequence; see :func:`torchjoint.load_scene`."""
     colors = _colors(path)
     labels = [_beside(file, "label.png") for file in colors]
-    missing = [file for file in labels if not file.is_file()]
+    missing = [file for file in labels if not has_file(file)]
     if missing and len(missing) < len(labels):
         raise FileNotFoundError(f"{missing[0]}: missing; {len(labels) - len(missing)} other frames have their labels")
     images = () if missing else LazySequence(len(labels), lambda i: read_label_image(labels[i]) - 1)

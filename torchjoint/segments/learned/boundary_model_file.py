@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.foreign_files import has_file
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES
 from torchjoint.segments.learned.boundary_model import DTYPES, BoostedTrees, BoundaryModel, MemberModel
 
@@ -69,7 +70,7 @@ def load_boundary_model(path: str | Path | None = None) -> BoundaryModel:
     if path is None:
         return _packaged_model()
     path = Path(path)
-    if not path.is_file():
+    if not has_file(path):
         raise FileNotFoundError(f"{path}: missing; expected a model of `torchjoint-lab train-boundary-model`, NAME.npz")
     try:
         return _model(_read_arrays(path))

@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files.mat_files import read_matrices
-from torchjoint.datasets.files.readers import MAX_PIXELS, read_array
+from torchjoint.datasets.files.readers import read_array
+from torchjoint.runtime.bounds import PIXELS
 
 SUFFIXES = (".mat", ".npy")
 
@@ -55,7 +56,7 @@ def find_region_map(folder: Path, name: str) -> Path:
 
 
 def _read_mat(path: Path) -> npt.NDArray[Any]:
-    matrices = read_matrices(path, MAX_PIXELS)
+    matrices = read_matrices(path, PIXELS)
     if len(matrices) != 1:
         raise ValueError(f"{path}: expected one matrix of numbers, got {', '.join(matrices) or 'none'}")
     return matrices.popitem()[1]

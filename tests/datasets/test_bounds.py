@@ -1,0 +1,218 @@
+"""Files of a few bytes that would fill the memory, take a minute or run a program: quick errors, each from a bound."""
+
+import json
+import os
+import re
+import sys
+import tracemalloc
+from contextlib import suppress
+
+import bombs
+import numpy as np
+import pytest
+import samples
+import torch
+import traps
+
+import torchjoint as tj
+from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.ply import read_ply
+from torchjoint.datasets.files.rasters import decode_image
+from torchjoint.masks.polygon import polygon_pixels
+from torchjoint.runtime import bounds
+
+#: What a program would be started with.
+PROGRAMS = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.startfile", "os.fork", "os.forkpty")
+STARTED: list[str] = []
+WATCHED = False
+
+
+def watch(event, _):
+    if WATCHED and event in PROGRAMS:
+        STARTED.append(event)
+        raise AssertionError(f"a program is started: {event}")
+
+
+@pytest.fixture
+def no_program(monkeypatch):
+    """Any program that is started is an error."""
+    if not hasattr(sys, "_torchjoint_watch"):
+        sys.addaudithook(watch)
+        sys._torchjoint_watch = True
+    STARTED.clear()
+    monkeypatch.setattr(sys.modules[__name__], "WATCHED", True)
+    yield
+    assert STARTED == []
+
+
+@pytest.mark.parametrize("name", bombs.BOMBS)
+def test_the_error_comes_from_a_bound(name, tmp_path, no_program):
+    bomb = bombs.BOMBS[name]
+    path = tmp_path / f"file{bomb.suffix}"
+    path.write_bytes(bomb.content)
+    tracemalloc.start()
+    try:
+        with traps.ends(), pytest.raises((ValueError, TypeError), match=bomb.message) as caught:
+            bomb.read(path)
+        assert tracemalloc.get_traced_memory()[1] < 700_000_000 + 8 * len(bomb.content)
+    finally:
+        tracemalloc.stop()
+    assert path.name in str(caught.value)
+
+
+def test_the_table_has_every_kind():
+    assert {bomb.kind for bomb in bombs.BOMBS.values()} == {"count", "size", "depth", "sum", "program"}
+
+
+def test_the_watch_sees_a_program(no_program):
+    with pytest.raises(AssertionError, match="a program is started"):
+        os.posix_spawn("/bin/true", ["/bin/true"], {})
+    assert STARTED.pop() == "os.posix_spawn"
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", samples.FORMATS)
+def test_eps_in_the_place_of_any_file(name, tmp_path, monkeypatch, no_program):
+    monkeypatch.setenv("TORCHJOINT_CACHE", "")
+    path = samples.write(name, tmp_path / "sample")
+    before = traps.content_of(path)
+    for file in sorted(file for file in (tmp_path / "sample").rglob("*") if file.is_file()):
+        whole = file.read_bytes()
+        file.write_bytes(bombs.EPS)
+        with traps.ends(), suppress(ValueError, FileNotFoundError, TypeError):
+            assert traps.same(traps.content_of(path), before), file
+        file.write_bytes(whole)
+
+
+def test_the_texture_of_a_mesh(tmp_path, no_program):
+    (tmp_path / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n")
+    for texture in ("a.png", "a.mtl"):
+        (tmp_path / "a.mtl").write_bytes(bombs.EPS + b"\nnewmtl m\nmap_Kd " + texture.encode() + b"\n")
+        (tmp_path / "a.png").write_bytes(bombs.EPS)
+        with traps.ends(), pytest.raises(ValueError, match=r"a\.obj: not a whole \.obj mesh"):
+            read_cloud_file(tmp_path / "a.obj")
+    assert STARTED == []
+
+
+@pytest.mark.parametrize("trap", traps.TRAPS)
+def test_parts_of_a_mesh(trap, tmp_path):
+    (tmp_path / "a.bin").write_bytes(np.eye(3, dtype=np.float32).tobytes())
+    tree = json.loads(bombs.gltf(3, 1, bytes(36)))
+    tree["buffers"][0]["uri"] = "a.bin"
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    assert len(read_cloud_file(tmp_path / "a.gltf").points) == 3
+    with traps.trapped(tmp_path / "a.bin", trap), traps.ends(), pytest.raises(ValueError, match="cannot be read"):
+        read_cloud_file(tmp_path / "a.gltf")
+
+
+class TestLittleMemory:
+    def test_lists_of_unequal_length(self, tmp_path):
+        count = 50_000
+        body = np.zeros((3, 3), "<f4").tobytes() + b"\x00\x01\x00" * (count // 2)
+        lines = (*bombs.VERTEX, "element face " + str(count), "property list uchar uchar vertex_indices")
+        lines = ("element vertex 3", *lines[1:])
+        (tmp_path / "a.ply").write_bytes(bombs.ply(*lines, body=body))
+        tracemalloc.start()
+        try:
+            assert read_ply(tmp_path / "a.ply").faces is None
+            assert tracemalloc.get_traced_memory()[1] < 100 * len(body)
+        finally:
+            tracemalloc.stop()
+
+    @pytest.mark.parametrize("encoding", ["ascii", "binary_big_endian"])
+    def test_polygons_of_several_lengths(self, tmp_path, encoding):
+        lines = ("element vertex 5", *bombs.VERTEX[1:], "element face 3", "property list uchar int vertex_indices")
+        order = ">" if "big" in encoding else "<"
+        points = np.arange(15).reshape(5, 3)
+        faces = [[0, 1, 2], [1, 2, 3, 4], [0, 2]]
+        if encoding == "ascii":
+            rows = [*points.tolist(), *([len(face), *face] for face in faces)]
+            body = "".join(" ".join(map(str, row)) + "\n" for row in rows).encode()
+        else:
+            body = points.astype(f"{order}f4").tobytes()
+            body += b"".join(bytes([len(face)]) + np.array(face, f"{order}i4").tobytes() for face in faces)
+        (tmp_path / "a.ply").write_bytes(bombs.ply(*lines, body=body, encoding=encoding))
+        assert read_ply(tmp_path / "a.ply").faces.tolist() == [[0, 1, 2], [1, 2, 3], [1, 3, 4]]
+
+    def test_masks_of_a_large_image(self, tmp_path):
+        """60 small masks of 64 megapixels: a stack would take 4 GB."""
+        side = bombs.SIDE
+        counts = [[10 * index, 7, side * side - 10 * index - 7] for index in range(60)]
+        records = [{"segmentation": {"size": [side, side], "counts": one}} for one in counts]
+        (tmp_path / "a.json").write_text(json.dumps(records))
+        masks = tj.masks.read_masks(tmp_path / "a.json")
+        assert masks.areas().tolist() == [7] * 60
+
+    def test_a_million_characters_of_run_lengths(self):
+        text = "1" * 1_000_000  # differences of 1 to the count two places before
+        with traps.ends(), pytest.raises(ValueError, match=r"expected at most \d+ pixels in all masks"):
+            tj.masks.from_sam([{"segmentation": {"size": [9, 9], "counts": text}}])
+
+    def test_a_polygon_of_many_corners(self):
+        angle = np.linspace(0, 2 * np.pi, 100_000, endpoint=False)
+        corners = np.stack([50 + 40 * np.cos(angle), 50 + 40 * np.sin(angle)], axis=1)
+        with traps.ends():
+            assert abs(len(polygon_pixels(corners, (100, 100))) - np.pi * 1600) < 50
+
+    def test_masks_that_nest(self, monkeypatch):
+        monkeypatch.setattr(bounds, "PAIRS", 1000)
+        stack = torch.ones(60, 60, dtype=torch.bool).tril()[:, None]
+        with pytest.raises(ValueError, match="expected at most 1000 parts of masks that lie in several masks"):
+            tj.masks.from_stack(stack)
+
+    def test_exif(self):
+        data = bombs.Image.new("RGB", (4, 4))
+        stream = bombs.io.BytesIO()
+        data.save(stream, "PNG", exif=b"Exif\0\0MM\0*\0\0\0\x08\0\0" + bytes(1 << 17))
+        with pytest.raises(ValueError, match="bytes of EXIF"):
+            decode_image(stream.getvalue(), "a.png")
+
+
+class TestPackedPoints:
+    def test_points_in_few_bytes(self, tmp_path, monkeypatch):
+        path = samples.write("cloud_alone_laz", tmp_path / "sample")
+        monkeypatch.setattr(bounds, "POINTS_PER_BYTE", 0)
+        monkeypatch.setattr(bounds, "FREE_POINTS", 5)
+        with pytest.raises(ValueError, match=r"expected at most 5 points in \d+ bytes, got"):
+            tj.load_scene(path)
+
+    def test_e57(self, tmp_path, monkeypatch):
+        path = samples.write("cloud_alone_e57", tmp_path / "sample")
+        monkeypatch.setattr(bounds, "POINTS_PER_BYTE", 0)
+        monkeypatch.setattr(bounds, "FREE_POINTS", 5)
+        with pytest.raises(ValueError, match=r"expected at most 5 points in \d+ bytes, got"):
+            tj.load_scene(path)
+
+
+def test_channels_of_exr_that_nobody_wants(tmp_path, monkeypatch):
+    OpenEXR = pytest.importorskip("OpenEXR")
+    from torchjoint.datasets.files.exr import read_exr
+
+    channels = {f"c{index:02}": np.zeros((10, 10), np.float16) for index in range(24)}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(tmp_path / "a.exr"))
+    monkeypatch.setattr(bounds, "PIXELS", 2399)
+    with pytest.raises(ValueError, match="expected at most 2399 numbers in all channels, got 2400"):
+        read_exr(tmp_path / "a.exr", "c00")
+
+
+def test_all_readers_open_paths_in_one_way():
+    """Only foreign_files.py opens a path that data may name; what is here opens what torchjoint itself wrote."""
+    from pathlib import Path
+
+    root = Path(tj.__file__).parent
+    own = re.compile(r"\.(read_bytes|read_text)\(|(?<!\w)(np\.load|np\.memmap|torch\.load|json\.load)\(|Image\.open\(")
+    found = {
+        file.relative_to(root).as_posix()
+        for folder in ("datasets", "masks", "evaluation", "live", "results", "config", "viewer")
+        for file in (root / folder).rglob("*.py")
+        if own.search(file.read_text())
+    }
+    allowed = {
+        "config/presets.py",  # the package's own presets
+        "datasets/files/rasters.py",  # with the formats that it may have
+        "results/output_folder.py",  # markers of a run
+        "results/page.py",  # the package's own script
+        "viewer/selection.py",  # a file that it has just written
+    }
+    assert found <= allowed
