@@ -20,7 +20,8 @@ from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.mask_merging import MaskLinkage
 from torchjoint.segments.learned.occluded_surfaces import Occlusions, continued_surfaces
 from torchjoint.segments.learned.piece_graph import PieceGraph
-from torchjoint.segments.learned.small_regions import merges_of_small_regions
+from torchjoint.segments.learned.small_regions import MIN_SIZE, merges_by_contact
+from torchjoint.segments.learned.summaries import sum_by
 
 #: Thresholds of the rounds after the model's own. At 1 all regions that touch have merged. There are several rounds,
 #: because the model judges larger regions again. They cost little, because few regions are left.
@@ -172,6 +173,19 @@ def _join_small_regions(
     joined = merges_of_small_regions(pieces, of_piece, linkage.confirmed(of_piece))
     merges.add(of_piece, joined, torch.full((joined.shape[1],), threshold, dtype=torch.float64), threshold)
     return ops.connected_components(joined, int(of_piece.max()) + 1)[region]
+
+
+def merges_of_small_regions(pieces: PieceGraph, of_piece: Tensor, stays: Tensor | None = None) -> Tensor:
+    """The merges of the small regions of pieces, as :func:`merges_by_contact` gives them.
+
+    Args:
+        pieces: a graph with all its edges.
+        of_piece: [P] int64, region of each piece, 0 ... R - 1.
+        stays: as there.
+    """
+    ends = of_piece[pieces.pairs].index_select(1, pieces.edges.pair)
+    size = sum_by(of_piece, pieces.statistics.size.long(), int(of_piece.max()) + 1)
+    return merges_by_contact(ends[:, ends[0] != ends[1]], size, MIN_SIZE, stays)
 
 
 def _with_far_pairs(

@@ -28,13 +28,13 @@ from torchjoint.segments.learned.agglomeration import (
     crossing_edges,
     default_height,
     merge_pieces,
+    merges_of_small_regions,
     merging_steps,
 )
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.mask_counts import counted
 from torchjoint.segments.learned.piece_graph import PieceGraph, disjoint_union
-from torchjoint.segments.learned.small_regions import merges_of_small_regions
 from torchjoint.segments.learned.summaries import sum_by
 
 #: Standard deviation of the noise of a disturbed judge, in log odds.

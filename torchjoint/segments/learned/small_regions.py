@@ -11,24 +11,10 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.runtime.first_places import first_places
-from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.summaries import sum_by
 
 #: A region of fewer points is small. Networks do not detect smaller objects reliably, and leave such remains.
 MIN_SIZE = 50
-
-
-def merges_of_small_regions(pieces: PieceGraph, of_piece: Tensor, stays: Tensor | None = None) -> Tensor:
-    """The merges of the small regions of pieces, as :func:`merges_by_contact` gives them.
-
-    Args:
-        pieces: a graph with all its edges.
-        of_piece: [P] int64, region of each piece, 0 ... R - 1.
-        stays: as there.
-    """
-    ends = of_piece[pieces.pairs].index_select(1, pieces.edges.pair)
-    size = sum_by(of_piece, pieces.statistics.size.long(), int(of_piece.max()) + 1)
-    return merges_by_contact(ends[:, ends[0] != ends[1]], size, MIN_SIZE, stays)
 
 
 def merges_by_contact(ends: Tensor, size: Tensor, min_size: int, stays: Tensor | None = None) -> Tensor:
