@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import NAN, PIXELS, VALUES, changed
-from torchjoint.ops.boosted_trees import boosted_trees
+from torchjoint.ops.internal import boosted_trees
 
 EXAMPLE: dict[str, Any] = {
     "values": torch.tensor([[0.5, 2.0], [0.6, NAN], [NAN, 1.0]]),
@@ -22,33 +22,33 @@ EXAMPLE: dict[str, Any] = {
     "leaf_value": torch.tensor([[0.0, -1.0, 2.0], [0.0, 0.25, 0.5]], dtype=torch.float64),
 }  # fmt: skip
 ERRORS = [
-    ({"values": EXAMPLE["values"].double()}, TypeError, "values: expected dtype torch.float32, got"),
-    ({"values": VALUES}, ValueError, "values: expected shape [B, F], got [3]"),
+    ({"values": EXAMPLE["values"].double()}, ValueError, "values: expected another dtype"),
+    ({"values": VALUES}, ValueError, "values: expected 2 dimensions"),
     ({"values": EXAMPLE["values"][:, :1]}, ValueError, "numbers in [0, 1), got 1 at node 0 of tree 1"),
-    ({"feature": EXAMPLE["left"].long()}, TypeError, "feature: expected dtype torch.int32, got"),
-    ({"feature": EXAMPLE["left"][0]}, ValueError, "feature: expected shape [T, M], got [3]"),
+    ({"feature": EXAMPLE["left"].long()}, ValueError, "feature: expected another dtype"),
+    ({"feature": EXAMPLE["left"][0]}, ValueError, "feature: expected 2 dimensions"),
     ({"feature": EXAMPLE["left"]}, ValueError, "feature: expected numbers in [0, 2), got -1 at node"),
-    ({"threshold": VALUES.double()}, ValueError, "threshold: expected shape [T, M] = [2, 3], got [3]"),
+    ({"threshold": VALUES.double()}, ValueError, "threshold: expected 2 dimensions"),
     (
         {"threshold": changed(EXAMPLE["threshold"], torch.inf, 1, 0)},
         ValueError,
         "threshold: expected finite numbers, got inf at node 0 of tree 1",
     ),
-    ({"missing_left": EXAMPLE["left"]}, TypeError, "missing_left: expected dtype torch.bool, got"),
+    ({"missing_left": EXAMPLE["left"]}, ValueError, "missing_left: expected another dtype"),
     (
         {"left": changed(EXAMPLE["left"], 0, 0, 0)},
         ValueError,
         "left: expected -1 or places after the node's, below 3, got 0 at node 0 of tree 0",
     ),
     ({"left": changed(EXAMPLE["left"], 3, 1, 0)}, ValueError, "below 3, got 3 at node 0 of tree 1"),
-    ({"left": EXAMPLE["left"][:1]}, ValueError, "left: expected shape [T, M] = [2, 3], got [1, 3]"),
+    ({"left": EXAMPLE["left"][:1]}, ValueError, "left: expected length 2 in dimension 0, got 1"),
     ({"right": changed(EXAMPLE["right"], -2, 0, 1)}, ValueError, "right: expected -1 or places"),
     (
         {"right": changed(EXAMPLE["right"], -1, 0, 0)},
         ValueError,
         "right: expected -1 exactly where left is -1, got -1 at node 0 of tree 0",
     ),
-    ({"leaf_value": VALUES}, TypeError, "leaf_value: expected dtype torch.float64, got torch.float32"),
+    ({"leaf_value": VALUES}, ValueError, "leaf_value: expected another dtype"),
     ({"leaf_value": EXAMPLE["leaf_value"] * NAN}, ValueError, "leaf_value: expected finite numbers"),
 ]
 REFUSED = [
@@ -69,7 +69,7 @@ def boosted_trees_reference(
     right: Tensor,
     leaf_value: Tensor,
 ) -> Tensor:
-    """What :func:`torchjoint.ops.boosted_trees` computes; the arguments are not checked."""
+    """What :func:`torchjoint.ops.internal.boosted_trees` computes; the arguments are not checked."""
     sums = []
     for row in values.tolist():
         total = 0.0

@@ -38,3 +38,8 @@ def _translated(message: str, names: list[str]) -> ValueError | MemoryError | No
         return MemoryError("a compiled operator: not enough memory")
     first = re.match(r"\w+", message)
     return ValueError(message) if first is not None and first.group() in names else None
+
+
+def dynamic_size() -> torch.SymInt:
+    """A length that depends on values, for the result of a fake kernel."""
+    return torch.library.get_ctx().new_dynamic_size()

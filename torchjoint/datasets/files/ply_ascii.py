@@ -11,7 +11,7 @@ import torch
 
 from torchjoint.datasets.files.ply_columns import Columns
 from torchjoint.datasets.files.ply_header import Element, PlyHeader, list_arrays
-from torchjoint.ops.parse_numbers import parse_numbers
+from torchjoint.ops.internal import parse_numbers
 
 Array = npt.NDArray[Any]
 Bytes = npt.NDArray[np.uint8]
