@@ -22,10 +22,10 @@ EXAMPLE: dict[str, Any] = {
     "leaf_value": torch.tensor([[0.0, -1.0, 2.0], [0.0, 0.25, 0.5]], dtype=torch.float64),
 }  # fmt: skip
 ERRORS = [
-    ({"values": EXAMPLE["values"].double()}, ValueError, "values: expected another dtype"),
+    ({"values": EXAMPLE["values"].double()}, TypeError, "values: expected dtype torch.float32, got"),
     ({"values": VALUES}, ValueError, "values: expected 2 dimensions"),
     ({"values": EXAMPLE["values"][:, :1]}, ValueError, "numbers in [0, 1), got 1 at node 0 of tree 1"),
-    ({"feature": EXAMPLE["left"].long()}, ValueError, "feature: expected another dtype"),
+    ({"feature": EXAMPLE["left"].long()}, TypeError, "feature: expected dtype torch.int32, got"),
     ({"feature": EXAMPLE["left"][0]}, ValueError, "feature: expected 2 dimensions"),
     ({"feature": EXAMPLE["left"]}, ValueError, "feature: expected numbers in [0, 2), got -1 at node"),
     ({"threshold": VALUES.double()}, ValueError, "threshold: expected 2 dimensions"),
@@ -34,7 +34,7 @@ ERRORS = [
         ValueError,
         "threshold: expected finite numbers, got inf at node 0 of tree 1",
     ),
-    ({"missing_left": EXAMPLE["left"]}, ValueError, "missing_left: expected another dtype"),
+    ({"missing_left": EXAMPLE["left"]}, TypeError, "missing_left: expected dtype torch.bool, got"),
     (
         {"left": changed(EXAMPLE["left"], 0, 0, 0)},
         ValueError,
@@ -48,7 +48,7 @@ ERRORS = [
         ValueError,
         "right: expected -1 exactly where left is -1, got -1 at node 0 of tree 0",
     ),
-    ({"leaf_value": VALUES}, ValueError, "leaf_value: expected another dtype"),
+    ({"leaf_value": VALUES}, TypeError, "leaf_value: expected dtype torch.float64, got torch.float32"),
     ({"leaf_value": EXAMPLE["leaf_value"] * NAN}, ValueError, "leaf_value: expected finite numbers"),
 ]
 REFUSED = [

@@ -7,7 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from torchjoint.ops._call import call, dynamic_size
+from torchjoint.ops._call import call, dynamic_size, register_fakes
 from torchjoint.ops._checks import check_array, check_edge_index, check_num_nodes, check_number, check_vector
 
 
@@ -33,11 +33,6 @@ def connected_components(edge_index: Tensor, num_nodes: int) -> Tensor:
     check_edge_index(edge_index)
     check_num_nodes(num_nodes)
     return cast(Tensor, call(torch.ops.torchjoint.connected_components.default, edge_index, num_nodes))
-
-
-@torch.library.register_fake("torchjoint::connected_components")
-def _connected_components(edge_index: Tensor, num_nodes: int) -> Tensor:
-    return edge_index.new_empty(num_nodes)
 
 
 def felzenszwalb(edge_index: Tensor, weight: Tensor, num_nodes: int, scale: float, min_size: int = 0) -> Tensor:
@@ -81,11 +76,6 @@ def felzenszwalb(edge_index: Tensor, weight: Tensor, num_nodes: int, scale: floa
     return cast(Tensor, labels)
 
 
-@torch.library.register_fake("torchjoint::felzenszwalb")
-def _felzenszwalb(edge_index: Tensor, weight: Tensor, num_nodes: int, scale: float, min_size: int = 0) -> Tensor:
-    return edge_index.new_empty(num_nodes)
-
-
 def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int = 0) -> Tensor:
     """Repeatedly merge the two neighbouring regions with the lowest mean boundary cost, up to a threshold.
 
@@ -124,15 +114,8 @@ def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: flo
     check_array("size", size, torch.int64, (None,), "[R]")
     check_number("threshold", threshold, (int, float))
     check_number("min_size", min_size, (int,))
-    return cast(
-        Tensor,
-        call(torch.ops.torchjoint.merge_regions.default, edge_index, cost, size, float(threshold), min_size),
-    )
-
-
-@torch.library.register_fake("torchjoint::merge_regions")
-def _merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int) -> Tensor:
-    return size.new_empty(size.shape)
+    labels = call(torch.ops.torchjoint.merge_regions.default, edge_index, cost, size, float(threshold), min_size)
+    return cast(Tensor, labels)
 
 
 def region_dendrogram(edge_index: Tensor, cost: Tensor, num_regions: int, threshold: float) -> tuple[Tensor, Tensor]:
@@ -168,16 +151,8 @@ def region_dendrogram(edge_index: Tensor, cost: Tensor, num_regions: int, thresh
     check_array("cost", cost, torch.float32, (edge_index.shape[1],), f"[E] = [{edge_index.shape[1]}]")
     check_number("num_regions", num_regions, (int,))
     check_number("threshold", threshold, (int, float))
-    return cast(
-        tuple[Tensor, Tensor],
-        call(torch.ops.torchjoint.region_dendrogram.default, edge_index, cost, num_regions, float(threshold)),
-    )
-
-
-@torch.library.register_fake("torchjoint::region_dendrogram")
-def _region_dendrogram(edge_index: Tensor, cost: Tensor, num_regions: int, threshold: float) -> tuple[Tensor, Tensor]:
-    num_merges = dynamic_size()
-    return edge_index.new_empty((2, num_merges)), cost.new_empty((num_merges,), dtype=torch.float64)
+    result = call(torch.ops.torchjoint.region_dendrogram.default, edge_index, cost, num_regions, float(threshold))
+    return cast(tuple[Tensor, Tensor], result)
 
 
 def min_cut(
@@ -226,19 +201,22 @@ def min_cut(
     check_vector("capacity", capacity, edge_index.shape[1], "E")
     check_vector("source_capacity", source_capacity, None, "N")
     check_vector("sink_capacity", sink_capacity, source_capacity.shape[0], "N")
-    result = call(
-        torch.ops.torchjoint.min_cut.default,
-        edge_index,
-        capacity,
-        source_capacity,
-        sink_capacity,
-    )
+    result = call(torch.ops.torchjoint.min_cut.default, edge_index, capacity, source_capacity, sink_capacity)
     return cast(tuple[Tensor, Tensor], result)
 
 
-@torch.library.register_fake("torchjoint::min_cut")
-def _min_cut(
-    edge_index: Tensor, capacity: Tensor, source_capacity: Tensor, sink_capacity: Tensor
-) -> tuple[Tensor, Tensor]:
-    side = source_capacity.new_empty(source_capacity.shape, dtype=torch.bool)
-    return side, source_capacity.new_empty((), dtype=torch.float64)
+def _merges(edge_index: Tensor) -> tuple[Tensor, Tensor]:
+    num_merges = dynamic_size()
+    return edge_index.new_empty((2, num_merges)), edge_index.new_empty(num_merges, dtype=torch.float64)
+
+
+register_fakes(
+    connected_components=lambda edge_index, num_nodes: edge_index.new_empty(num_nodes),
+    felzenszwalb=lambda edge_index, _weight, num_nodes, *_: edge_index.new_empty(num_nodes),
+    merge_regions=lambda _edge_index, _cost, size, *_: torch.empty_like(size),
+    region_dendrogram=lambda edge_index, *_: _merges(edge_index),
+    min_cut=lambda _edge_index, _capacity, source_capacity, _sink_capacity: (
+        source_capacity.new_empty(source_capacity.shape, dtype=torch.bool),
+        source_capacity.new_empty((), dtype=torch.float64),
+    ),
+)

@@ -7,7 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from torchjoint.ops._call import call
+from torchjoint.ops._call import call, register_fakes
 from torchjoint.ops._checks import check_array, check_number, check_tensor
 
 
@@ -64,22 +64,8 @@ def felzenszwalb_image(
     check_number("min_size", min_size, (int,))
     check_number("color_weight", color_weight, (int, float))
     check_number("boundary_weight", boundary_weight, (int, float))
-    labels = call(
-        torch.ops.torchjoint.felzenszwalb_image.default,
-        images,
-        boundaries,
-        float(scale),
-        min_size,
-        float(color_weight),
-        float(boundary_weight),
-    )
-    return cast(Tensor, labels)
-
-
-@torch.library.register_fake("torchjoint::felzenszwalb_image")
-def _felzenszwalb_image(images: Tensor, *_: object) -> Tensor:
-    batch, _channels, height, width = images.shape
-    return images.new_empty((batch, height, width), dtype=torch.int64)
+    numbers = (float(scale), min_size, float(color_weight), float(boundary_weight))
+    return cast(Tensor, call(torch.ops.torchjoint.felzenszwalb_image.default, images, boundaries, *numbers))
 
 
 def ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
@@ -122,11 +108,6 @@ def ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
     check_array("boundary", boundary, torch.float32, (None, None), "[H, W]")
     check_array("relief", relief, torch.float32, tuple(boundary.shape), f"[H, W] = {list(boundary.shape)}")
     return cast(Tensor, call(torch.ops.torchjoint.ultrametric_contours.default, boundary, relief))
-
-
-@torch.library.register_fake("torchjoint::ultrametric_contours")
-def _ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
-    return boundary.new_empty(boundary.shape)
 
 
 def propagate_labels(
@@ -191,11 +172,6 @@ def propagate_labels(
     return cast(Tensor, call(torch.ops.torchjoint.propagate_labels.default, *arguments))
 
 
-@torch.library.register_fake("torchjoint::propagate_labels")
-def _propagate_labels(markers: Tensor, *_: object) -> Tensor:
-    return markers.new_empty(markers.shape)
-
-
 def match_pixels(pred: Tensor, target: Tensor, radius: float) -> tuple[Tensor, Tensor]:
     """Match the set pixels of two maps one to one, within a radius; the number of pairs is the largest possible.
 
@@ -231,6 +207,9 @@ def match_pixels(pred: Tensor, target: Tensor, radius: float) -> tuple[Tensor, T
     return cast(tuple[Tensor, Tensor], result)
 
 
-@torch.library.register_fake("torchjoint::match_pixels")
-def _match_pixels(pred: Tensor, target: Tensor, radius: float) -> tuple[Tensor, Tensor]:
-    return pred.new_empty(pred.shape), pred.new_empty(pred.shape)
+register_fakes(
+    felzenszwalb_image=lambda images, *_: images.new_empty((len(images), *images.shape[2:]), dtype=torch.int64),
+    ultrametric_contours=lambda boundary, _relief: boundary.new_empty(boundary.shape),
+    propagate_labels=lambda markers, *_: markers.new_empty(markers.shape),
+    match_pixels=lambda pred, target, _radius: (pred.new_empty(pred.shape), pred.new_empty(pred.shape)),
+)

@@ -6,15 +6,13 @@ error names the argument. ``tests/reference/`` has a slow and simple Python vers
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor
-from torch.library import register_fake
 
-from torchjoint.ops._call import call, dynamic_size
-from torchjoint.ops._checks import check_number
+from torchjoint.ops._call import call, dynamic_size, register_fakes
+from torchjoint.ops._checks import check_number, check_tensor
 
 #: Voxels along a side of a block of :func:`integrate_depth`.
 SIDE = 8
@@ -61,8 +59,8 @@ def integrate_depth(
     Args:
         sums: ``[B, 512, 5]`` int32, contiguous: sums of distances, weights, red, green, blue of the voxels of each
             block, which are numbered as an array ``[8, 8, 8]``. Changed in place.
-        row: ``[K]`` int64, ascending: the row in ``sums`` of each block to change.
-        block: ``[K, 3]`` int64, position of these blocks in units of 8 voxels.
+        row, block: ``[K]`` int64, ascending: the row in ``sums`` of each block to change; ``[K, 3]`` int64, its
+            position in units of 8 voxels.
         depth: ``[H, W]`` float32 metres; pixels that are not in (0, ``far``], such as 0 and NaN, measured nothing.
         color: ``[H, W, 3]`` uint8 RGB.
         intrinsics, world_to_camera: ``[3, 3]`` float64 pixels; ``[4, 4]`` float64, a rigid transform.
@@ -84,23 +82,19 @@ def structured_forest(
 
     Sites are `stride` pixels apart. At each site, some of the trees vote: the patch around the site, 32 pixels wide,
     reaches a leaf of the tree, and each boundary pixel of the leaf gets a vote. Sums of votes are smoothed. On images
-    with even sides, the result equals that of OpenCV's ``detectEdges`` up to rounding: if a feature almost equals a
-    threshold, a patch may go to the other child. An odd side is extended by one mirrored pixel (OpenCV resamples the
-    image instead). The trees are those of :class:`torchjoint.images.forest.Forest`.
+    with even sides, the result equals that of OpenCV's ``detectEdges``, but for patches whose feature almost equals a
+    threshold. An odd side is extended by one mirrored pixel. See :class:`torchjoint.images.forest.Forest`.
 
     Args:
         images: ``[B, 3, H, W]`` float32 RGB in [0, 1], at most 2^14 pixels a side.
         children: ``[T, N]`` int32, 0 at a leaf, else 1 + the index of the left child in the tree; the right child is
             the next node. Children come after their parents.
-        features: ``[T, N]`` int32, the feature that an inner node tests, in [0, 7228). The first 13 x 16 x 16 are
-            values (channel, column, row; the row varies fastest), the others differences of a channel between two cells
-            of a 5 x 5 grid.
+        features: ``[T, N]`` int32, the feature that a node tests, in [0, 7228): 13 x 16 x 16 values (channel, column,
+            row; the row varies fastest), then differences of a channel between two cells of a 5 x 5 grid.
         thresholds: ``[T, N]`` float32, finite; a patch whose feature is less than the threshold goes left.
-        boundary_counts: ``[T, N]`` int32, the number of `boundary_pixels` that belong to a leaf.
-        boundary_pixels: ``[P]`` uint8, column * 16 + row of each boundary pixel in a leaf's patch; leaves are in the
-            order of trees, then nodes.
-        trees_per_site: number of trees that vote at one site, 1 to T; neighbouring sites use different trees.
-        stride: 2 or 4 pixels; 4 is faster and less accurate.
+        boundary_counts: ``[T, N]`` int32, the number of `boundary_pixels` of a leaf.
+        boundary_pixels: ``[P]`` uint8, column * 16 + row of boundary pixels in a leaf's patch, by trees, then nodes.
+        trees_per_site, stride: 1 to T trees that vote at one site; 2 or 4 pixels, 4 is faster and less accurate.
 
     Returns:
         ``[B, H, W]`` float32, >= 0.
@@ -116,18 +110,13 @@ def window_overlaps(
     """Compare the labels around the two ends of an edge, for all edges with two visible ends.
 
     The overlap of two windows is their histogram intersection divided by the size of the smaller window (eq. 5 of the
-    paper). Windows are clipped at the image border, and pixels without a label do not count. ``order``, ``other_end``
-    and ``start`` are the CSR adjacency of the graph (:class:`torchjoint.cloud.adjacency.CsrAdjacency`); the running
-    time depends on the edges of the visible points, not on the size of the graph.
+    paper). Windows are clipped at the image border, and pixels without a label do not count.
 
     Args:
-        order: ``[E]`` int32, edge numbers, sorted by the edges' first nodes; each undirected edge once.
-        other_end: ``[E]`` int32, the second node of each edge, in the same order.
-        start: ``[N + 1]`` int32, the place in ``order`` where the edges of each of the N nodes start.
-        point: ``[M]`` int64, the nodes that the image sees, each once.
-        row, column: ``[M]`` int64, the pixels that contain these nodes.
-        labels: ``[H, W]`` int32, negative = none.
-        window: side of the windows, pixels, odd.
+        order, other_end, start: ``[E]``, ``[E]``, ``[N + 1]`` int32, the CSR adjacency of the graph, each undirected
+            edge once (:class:`torchjoint.cloud.adjacency.CsrAdjacency`).
+        point, row, column: ``[M]`` int64, the nodes that the image sees, each once, and the pixels that contain them.
+        labels, window: ``[H, W]`` int32, negative = none; side of the windows, pixels, odd.
 
     Returns:
         ``edge`` ``[S]`` int64, the edges with two visible ends and a labelled pixel in both windows; ``overlap``
@@ -168,16 +157,13 @@ def ascending_order(values: Tensor) -> Tensor:
 def group_summaries(values: Tensor, order: Tensor, group: Tensor, num_groups: int, quantiles: Tensor) -> Tensor:
     """Compute the mean and quantiles of the finite values in each group.
 
-    The caller sorts the values once for many groupings. Then the running time of each grouping is linear. The quantile
-    q of n values is the value at index (n - 1) q in ascending order; the index is computed in float32 and rounded to
-    the nearest integer, ties to even.
+    The values are sorted once for many groupings, each of which takes linear time. The quantile q of n values is the
+    one at index (n - 1) q in ascending order; the index is computed in float32 and rounded, ties to even.
 
     Args:
-        values: ``[C]`` float32.
-        order: ``[C]`` int32, a permutation: the indices of the values, those of each group in ascending order; indices
-            of values that are not finite may be anywhere. See :func:`ascending_order`.
-        group: ``[C]`` int64, the group of each value, 0 ... G - 1, or -1 = none.
-        num_groups: G.
+        values, order: ``[C]`` float32; ``[C]`` int32, a permutation that sorts the finite ones of each group, such as
+            that of :func:`ascending_order`.
+        group, num_groups: ``[C]`` int64, the group of each value, 0 ... G - 1, or -1 = none; G.
         quantiles: ``[Q]`` float32 in [0, 1].
 
     Returns:
@@ -200,10 +186,8 @@ def boosted_trees(
 
     Args:
         values: ``[B, F]`` float32, the features of each row; NaN = missing.
-        feature: ``[T, M]`` int32, the feature that an inner node tests, in [0, F); any number >= 0 at a leaf. T trees
-            are padded to M >= 1 nodes.
-        threshold: ``[T, M]`` float64, finite.
-        missing_left: ``[T, M]`` bool, whether rows without the feature go left.
+        feature: ``[T, M]`` int32, the feature that a node tests, in [0, F). T trees are padded to M >= 1 nodes.
+        threshold, missing_left: ``[T, M]`` float64, finite; ``[T, M]`` bool, whether rows without the feature go left.
         left, right: ``[T, M]`` int32, numbers of the children in the tree, above the node's own; both -1 at a leaf.
         leaf_value: ``[T, M]`` float64, finite; only those of leaves count.
 
@@ -211,6 +195,10 @@ def boosted_trees(
         ``[B]`` float64.
     """
     trees = (feature, threshold, missing_left, left, right, leaf_value)
+    names = ("values", "feature", "threshold", "missing_left", "left", "right", "leaf_value")
+    dtypes = (torch.float32, torch.int32, torch.float64, torch.bool, torch.int32, torch.int32, torch.float64)
+    for name, value, dtype in zip(names, (values, *trees), dtypes, strict=True):
+        check_tensor(name, value, (dtype,))  # trees come from users' files: the error says what is in there
     return cast(Tensor, call(torch.ops.torchjoint.boosted_trees.default, values, *trees))
 
 
@@ -226,12 +214,9 @@ def agreement_sums(
     whole numbers, so the order of the rows does not change the result.
 
     Args:
-        piece, segment: ``[I]`` int32, of each row; image segments 0 ... L - 1.
-        num_points: ``[I]`` int32 >= 0, visible points of the piece in the segment.
-        segment_size: ``[L]`` int64, visible points in the segment; at most 2^31 - 1 in a frame.
-        frame_of_segment: ``[L]`` int64, ascending.
-        of_piece: ``[P]`` int64, region of each piece, 0 ... R - 1.
-        num_regions: R.
+        piece, segment, num_points: ``[I]`` int32, of each row; visible points of the piece in the image segment.
+        segment_size, frame_of_segment: ``[L]`` int64: visible points, at most 2^31 - 1 in a frame; ascending.
+        of_piece, num_regions: ``[P]`` int64, region of each piece, 0 ... R - 1; R.
         pairs: ``[2, B]`` int64, pairs of regions.
         min_points: > 0.
         resolution: agreements are rounded to multiples of this before they are added; in [2^-31, 1].
@@ -282,25 +267,19 @@ def mask_merges(
 
         (w D / (n n') + k p) / ((A + w D) / (n n') + k)
 
-    So k is a number of views: the prior has the weight of k frames that see both regions completely. A merged region
-    has the points of both. Of equal costs, the boundary that comes first in ``edge_index`` is merged. All sums are
-    exact, so the order of the columns of ``in_mask`` and ``in_frame`` does not change the result.
+    So k is a number of views: the prior has the weight of k frames that see both regions completely. Of equal costs,
+    the boundary that comes first in ``edge_index`` is merged. All sums are exact, whatever the order of columns.
 
     Args:
-        edge_index: ``[2, E]`` int64, region numbers of the two ends. Edges inside a region are ignored. Parallel edges
-            all count.
+        edge_index: ``[2, E]`` int64, region numbers. Edges inside a region are ignored. Parallel edges all count.
         cost: ``[E]`` float32 in [0, 1], prior of each edge; rounded to multiples of 2^-20.
         size: ``[R]`` int64 > 0, points of each region.
-        in_mask: ``[3, I]`` int64: region, mask, and the number of the region's points in the mask.
-        in_frame: ``[3, J]`` int64: region, frame, and the number of the region's points that the frame sees.
-        weight: ``[M]`` int64 in [0, WEIGHT_UNIT], weight of each mask.
-        frame_of_mask: ``[M]`` int64.
+        in_mask, in_frame: ``[3, I]``, ``[3, J]`` int64: region, mask or frame, the number of the region's points in it.
+        weight, frame_of_mask: ``[M]`` int64; the weight s is in [0, WEIGHT_UNIT].
         apart_weight: w >= 0. Masks of parts are more common than masks of several objects, so w < 1.
-        prior_weight: k > 0, frames.
-        threshold: largest cost of two regions that merge, >= 0.
-        stays: optional ``[R]`` bool, regions that are never small.
-        min_size: if it is not 0, two groups of regions merge only if one of them is small: it has fewer points than
-            this, and contains no region of ``stays``.
+        prior_weight, threshold: k > 0, frames; largest cost of two regions that merge, >= 0.
+        stays, min_size: if ``min_size`` is not 0, two groups of regions merge only if one of them is small: it has
+            fewer points, and contains no region of ``stays`` (optional ``[R]`` bool).
 
     Returns:
         ``[2, M']`` int64, for each merge the lowest regions a < b of the two groups that merge; ``[M']`` float64, the
@@ -374,8 +353,7 @@ def ground_heights(
         azimuth, elevation: ``[N]`` float64 radians in [-pi, pi] and [-pi/2, pi/2].
         distance, height: ``[N]`` float64 metres, finite: horizontal, and above the sensor.
         used: ``[N]`` bool, the points that may be ground, at least one.
-        num_columns: number of columns of the whole turn.
-        row_height: of the cells, radians.
+        num_columns, row_height: number of columns of the whole turn; height of the cells, radians.
         slope, step, bump: metres per metre; metres; metres.
         near: metres; if no point is so near, it is the distance of the nearest.
         blind, sides: share; number of columns.
@@ -463,17 +441,15 @@ def segment_graphs(
 def outvoted_markers(markers: Tensor, colors: Tensor, color_weight: float, num_voters: int, near: float) -> Tensor:
     """Find the markers of an image whose neighbours, by position and colour, mostly have other labels.
 
-    The distance of two markers is the Euclidean distance of their vectors (row, column, `color_weight` x red, green,
-    blue). The nearest `num_voters` other markers vote. Markers that tie at the last place vote only if all of them fit.
-    A marker is outvoted if the voters with its label are fewer than half of its voters, and also fewer than half of all
-    other markers with its label, so that small objects keep their markers. Only markers near other labels are tested:
-    in square cells of the image, another label must be in the marker's cell or in one of its eight neighbours.
+    The distance of two markers is that of their vectors (row, column, `color_weight` x red, green, blue). The nearest
+    `num_voters` other markers vote. Markers that tie at the last place vote only if all of them fit. A marker is
+    outvoted if the voters with its label are fewer than half of its voters, and also fewer than half of all other
+    markers with its label, so that small objects keep their markers. Only markers near other labels are tested: in
+    square cells of the image, another label must be in the marker's cell or in one of its eight neighbours.
 
     Args:
-        markers: ``[H, W]`` int32, labels; negative where there is no marker.
-        colors: ``[3, H, W]`` float32 RGB in [0, 1].
-        color_weight: pixels per RGB distance, 0 to 1000.
-        num_voters: at least 1.
+        markers, colors: ``[H, W]`` int32, labels; negative = no marker. ``[3, H, W]`` float32 RGB in [0, 1].
+        color_weight, num_voters: pixels per RGB distance, 0 to 1000; at least 1.
         near: side of a cell, in mean distances of markers (square root of pixels per marker); rounded up to pixels.
 
     Returns:
@@ -514,30 +490,28 @@ def _segment_graphs(labels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Ten
     return whole.new_empty(num_nodes), node_ptr, whole.new_empty(2, num_edges), edge_ptr, weight
 
 
-_FAKES: dict[str, Callable[..., Any]] = {
-    "parse_numbers": lambda text, num_rows, num_columns: (
+register_fakes(
+    parse_numbers=lambda text, num_rows, num_columns: (
         text.new_empty(num_columns, num_rows, dtype=torch.float64),
         text.new_empty(1, dtype=torch.int64),
     ),
-    "integrate_depth": lambda *_: None,
-    "structured_forest": lambda images, *_: images.new_empty(images[:, 0].shape),
-    "window_overlaps": lambda order, *_: _edges_in_image(order, torch.float64),
-    "line_maxima": lambda order, *_: _edges_in_image(order, torch.uint8),
-    "ascending_order": lambda values: values.new_empty(values.shape, dtype=torch.int32),
-    "group_summaries": lambda values, _order, _group, num_groups, quantiles: values.new_empty(
+    integrate_depth=lambda *_: None,
+    structured_forest=lambda images, *_: images.new_empty(images[:, 0].shape),
+    window_overlaps=lambda order, *_: _edges_in_image(order, torch.float64),
+    line_maxima=lambda order, *_: _edges_in_image(order, torch.uint8),
+    ascending_order=lambda values: values.new_empty(values.shape, dtype=torch.int32),
+    group_summaries=lambda values, _order, _group, num_groups, quantiles: values.new_empty(
         num_groups, 1 + len(quantiles), dtype=torch.float64
     ),
-    "boosted_trees": lambda values, *_: values.new_empty(len(values), dtype=torch.float64),
-    "agreement_sums": lambda *seen: _agreement_sums(seen[6], seen[7]),
-    "region_planes": lambda points, *_: (points.new_empty(points.shape), points.new_empty(points.shape)),
-    "mask_merges": lambda edge_index, *_: _mask_merges(edge_index),
-    "local_spacing": lambda _points, reach, *_: torch.empty_like(reach),
-    "gap_components": lambda points, *_: points.new_empty(len(points), dtype=torch.int64),
-    "ground_heights": lambda azimuth, *_: torch.empty_like(azimuth),
-    "something_rises": lambda *grid: grid[4].new_empty(grid[4].shape, dtype=torch.bool),
-    "pair_counts": lambda _u, _v, pixel, *_: _pair_counts(pixel),
-    "segment_graphs": lambda labels, *_: _segment_graphs(labels),
-    "outvoted_markers": lambda markers, *_: markers.new_empty(markers.shape, dtype=torch.bool),
-}
-for _name, _fake in _FAKES.items():
-    register_fake(f"torchjoint::{_name}", _fake)
+    boosted_trees=lambda values, *_: values.new_empty(len(values), dtype=torch.float64),
+    agreement_sums=lambda *seen: _agreement_sums(seen[6], seen[7]),
+    region_planes=lambda points, *_: (points.new_empty(points.shape), points.new_empty(points.shape)),
+    mask_merges=lambda edge_index, *_: _mask_merges(edge_index),
+    local_spacing=lambda _points, reach, *_: torch.empty_like(reach),
+    gap_components=lambda points, *_: points.new_empty(len(points), dtype=torch.int64),
+    ground_heights=lambda azimuth, *_: torch.empty_like(azimuth),
+    something_rises=lambda *grid: grid[4].new_empty(grid[4].shape, dtype=torch.bool),
+    pair_counts=lambda _u, _v, pixel, *_: _pair_counts(pixel),
+    segment_graphs=lambda labels, *_: _segment_graphs(labels),
+    outvoted_markers=lambda markers, *_: markers.new_empty(markers.shape, dtype=torch.bool),
+)

@@ -7,7 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from torchjoint.ops._call import call, dynamic_size
+from torchjoint.ops._call import call, dynamic_size, register_fakes
 from torchjoint.ops._checks import FLOATING, check_array, check_neighbors, check_number, check_order, check_tensor
 
 
@@ -56,14 +56,6 @@ def nearest_neighbors(
     return cast(tuple[Tensor, Tensor], found)
 
 
-@torch.library.register_fake("torchjoint::nearest_neighbors")
-def _nearest_neighbors(points: Tensor, count: int, num_distances: int, limits: Tensor | None) -> tuple[Tensor, Tensor]:
-    num_points = points.shape[0]
-    count = min(count, max(num_points - 1, 0))
-    indices = points.new_empty((num_points, count), dtype=torch.int32)
-    return indices, points.new_empty((num_points, min(num_distances, count)))
-
-
 def neighbor_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
     """Make the edges of a table of neighbours: i < j have one edge if i is in the row of j, or j in the row of i.
 
@@ -92,12 +84,6 @@ def neighbor_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
     check_neighbors(neighbors, None)
     check_order(order, neighbors.shape[0])
     return cast(Tensor, call(torch.ops.torchjoint.neighbor_edges.default, neighbors, order))
-
-
-@torch.library.register_fake("torchjoint::neighbor_edges")
-def _neighbor_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
-    num_edges = dynamic_size()
-    return neighbors.new_empty((2, num_edges), dtype=torch.int64)
 
 
 def fit_normals(points: Tensor, neighbors: Tensor, order: Tensor | None = None) -> Tensor:
@@ -137,11 +123,6 @@ def fit_normals(points: Tensor, neighbors: Tensor, order: Tensor | None = None) 
     check_neighbors(neighbors, points.shape[0])
     check_order(order, points.shape[0])
     return cast(Tensor, call(torch.ops.torchjoint.fit_normals.default, points, neighbors, order))
-
-
-@torch.library.register_fake("torchjoint::fit_normals")
-def _fit_normals(points: Tensor, neighbors: Tensor, order: Tensor | None = None) -> Tensor:
-    return points.new_empty((points.shape[0], 3), dtype=torch.float32)
 
 
 def project(
@@ -189,25 +170,9 @@ def project(
         check_number(name, value, (int, float))
     check_number("height", height, (int,))
     check_number("width", width, (int,))
-    result = call(
-        torch.ops.torchjoint.project.default,
-        points,
-        camera_from_world,
-        intrinsics,
-        float(near),
-        float(far),
-        height,
-        width,
-        float(margin),
-    )
+    camera = (camera_from_world, intrinsics, float(near), float(far), height, width, float(margin))
+    result = call(torch.ops.torchjoint.project.default, points, *camera)
     return cast(tuple[Tensor, Tensor, Tensor, Tensor], result)
-
-
-@torch.library.register_fake("torchjoint::project")
-def _project(points: Tensor, *_: object) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    count = dynamic_size()
-    u, v, z = (points.new_empty(count) for _ in range(3))
-    return points.new_empty(count, dtype=torch.int64), u, v, z
 
 
 def splat_depth(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, height: int, width: int) -> Tensor:
@@ -248,6 +213,22 @@ def splat_depth(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, heigh
     return cast(Tensor, result)
 
 
-@torch.library.register_fake("torchjoint::splat_depth")
-def _splat_depth(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, height: int, width: int) -> Tensor:
-    return depth.new_empty(height, width)
+def _nearest_neighbors(points: Tensor, count: int, num_distances: int, *_: object) -> tuple[Tensor, Tensor]:
+    count = min(count, max(len(points) - 1, 0))
+    indices = points.new_empty((len(points), count), dtype=torch.int32)
+    return indices, points.new_empty((len(points), min(num_distances, count)))
+
+
+def _project(points: Tensor, *_: object) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    count = dynamic_size()
+    u, v, z = (points.new_empty(count) for _ in range(3))
+    return points.new_empty(count, dtype=torch.int64), u, v, z
+
+
+register_fakes(
+    nearest_neighbors=_nearest_neighbors,
+    neighbor_edges=lambda neighbors, *_: neighbors.new_empty((2, dynamic_size()), dtype=torch.int64),
+    fit_normals=lambda points, *_: points.new_empty((len(points), 3), dtype=torch.float32),
+    project=_project,
+    splat_depth=lambda _row, _column, depth, _reach, height, width: depth.new_empty(height, width),
+)
