@@ -23,12 +23,12 @@ EXAMPLE: dict[str, Any] = {
 }  # fmt: skip
 ERRORS = [
     ({"values": EXAMPLE["values"].double()}, TypeError, "values: expected dtype torch.float32, got"),
-    ({"values": VALUES}, ValueError, "values: expected 2 dimensions"),
+    ({"values": VALUES}, ValueError, "values: expected shape [B, F], got [3]"),
     ({"values": EXAMPLE["values"][:, :1]}, ValueError, "numbers in [0, 1), got 1 at node 0 of tree 1"),
     ({"feature": EXAMPLE["left"].long()}, TypeError, "feature: expected dtype torch.int32, got"),
-    ({"feature": EXAMPLE["left"][0]}, ValueError, "feature: expected 2 dimensions"),
+    ({"feature": EXAMPLE["left"][0]}, ValueError, "feature: expected shape [T, M], got [3]"),
     ({"feature": EXAMPLE["left"]}, ValueError, "feature: expected numbers in [0, 2), got -1 at node"),
-    ({"threshold": VALUES.double()}, ValueError, "threshold: expected 2 dimensions"),
+    ({"threshold": VALUES.double()}, ValueError, "threshold: expected shape [T, M] = [2, 3], got [3]"),
     (
         {"threshold": changed(EXAMPLE["threshold"], torch.inf, 1, 0)},
         ValueError,
@@ -41,7 +41,7 @@ ERRORS = [
         "left: expected -1 or places after the node's, below 3, got 0 at node 0 of tree 0",
     ),
     ({"left": changed(EXAMPLE["left"], 3, 1, 0)}, ValueError, "below 3, got 3 at node 0 of tree 1"),
-    ({"left": EXAMPLE["left"][:1]}, ValueError, "left: expected length 2 in dimension 0, got 1"),
+    ({"left": EXAMPLE["left"][:1]}, ValueError, "left: expected shape [T, M] = [2, 3], got [1, 3]"),
     ({"right": changed(EXAMPLE["right"], -2, 0, 1)}, ValueError, "right: expected -1 or places"),
     (
         {"right": changed(EXAMPLE["right"], -1, 0, 0)},

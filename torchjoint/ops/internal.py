@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops._call import call, dynamic_size, register_fakes
-from torchjoint.ops._checks import check_number, check_tensor
+from torchjoint.ops._checks import check_array, check_number
 
 #: Voxels along a side of a block of :func:`integrate_depth`.
 SIDE = 8
@@ -195,10 +195,12 @@ def boosted_trees(
         ``[B]`` float64.
     """
     trees = (feature, threshold, missing_left, left, right, leaf_value)
-    names = ("values", "feature", "threshold", "missing_left", "left", "right", "leaf_value")
-    dtypes = (torch.float32, torch.int32, torch.float64, torch.bool, torch.int32, torch.int32, torch.float64)
-    for name, value, dtype in zip(names, (values, *trees), dtypes, strict=True):
-        check_tensor(name, value, (dtype,))  # trees come from users' files: the error says what is in there
+    check_array("values", values, torch.float32, (None, None), "[B, F]")
+    check_array("feature", feature, torch.int32, (None, None), "[T, M]")
+    names = ("threshold", "missing_left", "left", "right", "leaf_value")
+    dtypes = (torch.float64, torch.bool, torch.int32, torch.int32, torch.float64)
+    for name, value, dtype in zip(names, trees[1:], dtypes, strict=True):  # trees come from users' files
+        check_array(name, value, dtype, tuple(feature.shape), f"[T, M] = {list(feature.shape)}")
     return cast(Tensor, call(torch.ops.torchjoint.boosted_trees.default, values, *trees))
 
 
