@@ -18,7 +18,7 @@ from instances import photograph
 
 from torchjoint.images.forest import read_forest
 from torchjoint.images.non_maximum_suppression import suppress_non_maxima
-from torchjoint.ops.structured_forest import structured_forest
+from torchjoint.ops.internal import structured_forest
 
 #: OpenCV resamples odd sides, ours are mirrored: compare the answers on even ones.
 SIZES = {"320x320": (320, 320), "640x480": (480, 640)}

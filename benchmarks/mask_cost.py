@@ -21,7 +21,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from torchjoint import ops
-from torchjoint.ops.mask_merges import WEIGHT_UNIT
+from torchjoint.ops.internal import WEIGHT_UNIT
 from torchjoint.segments.learned.mask_counts import MaskCounts
 from torchjoint.segments.learned.mask_merging import MaskLinkage
 

@@ -7,7 +7,7 @@ from effort import few_and_many
 from hypothesis import strategies as st
 from reference.agreement_sums import agreement_sums_reference
 
-from torchjoint.ops.agreement_sums import agreement_sums
+from torchjoint.ops.internal import agreement_sums
 
 
 @few_and_many(

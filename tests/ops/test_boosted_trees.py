@@ -11,7 +11,7 @@ from reference.boosted_trees import EXAMPLE as BOOSTED_TREES
 from reference.boosted_trees import boosted_trees_reference
 from torch import Tensor
 
-from torchjoint.ops.boosted_trees import boosted_trees
+from torchjoint.ops.internal import boosted_trees
 
 
 def random_trees(seed: int, trees: int, nodes: int, features: int) -> dict[str, Tensor]:

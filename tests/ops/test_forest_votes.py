@@ -18,7 +18,7 @@ from torchjoint_lab.datasets.bsds import bsds_images
 from torchjoint_lab.training.forest_file import write_forest
 
 from torchjoint.images.forest import Forest, read_forest
-from torchjoint.ops.structured_forest import structured_forest
+from torchjoint.ops.internal import structured_forest
 
 MODEL = Path(str(files("torchjoint.models"))) / "bsds500.yml.gz"
 NUM_FEATURES = 7228

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference.gap_components import gap_components_reference
 
-from torchjoint.ops.gap_components import gap_components
-from torchjoint.ops.nearest_neighbors import nearest_neighbors
+from torchjoint.ops import nearest_neighbors
+from torchjoint.ops.internal import gap_components
 
 
 def cloud(seed: int, count: int, side: int = 6) -> tuple[torch.Tensor, ...]:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference.ground_heights import ground_heights_reference
 
-from torchjoint.ops.ground_heights import ground_heights
+from torchjoint.ops.internal import ground_heights
 from torchjoint.segments.scan.directions import directions
 
 

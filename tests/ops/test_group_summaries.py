@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 from reference.ascending_order import ascending_order_reference
 from reference.group_summaries import group_summaries_reference
 
-from torchjoint.ops.ascending_order import ascending_order
-from torchjoint.ops.group_summaries import group_summaries
+from torchjoint.ops.internal import ascending_order, group_summaries
 
 QUANTILES = torch.tensor([0.1, 0.5, 0.9, 0.0, 1.0])
 NUMBERS = st.one_of(st.sampled_from([float("nan"), float("inf"), -float("inf"), 0.0, 0.25]), st.floats(width=32))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference.integrate_depth import EXAMPLE, integrate_depth_reference
 
-from torchjoint.ops.integrate_depth import MAX_WEIGHT, UNIT, integrate_depth
+from torchjoint.ops.internal import MAX_WEIGHT, UNIT, integrate_depth
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference.local_spacing import local_spacing_reference
 
-from torchjoint.ops.local_spacing import local_spacing
+from torchjoint.ops.internal import local_spacing
 
 
 def cloud(seed: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:

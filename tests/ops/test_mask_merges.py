@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from reference.mask_merges import mask_merges_reference
 from torch import Tensor
 
-from torchjoint.ops.mask_merges import WEIGHT_UNIT, mask_merges
+from torchjoint.ops.internal import WEIGHT_UNIT, mask_merges
 
 
 def random_views(seed: int, num_regions: int, num_edges: int, num_frames: int) -> dict[str, Any]:

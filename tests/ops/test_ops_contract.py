@@ -233,7 +233,7 @@ def calls(times):
             op.function(**op.example | large.get(op.name, {}))
             try:
                 op.function(**op.example | {next(iter(op.example)): None})
-            except TypeError:
+            except (TypeError, RuntimeError):
                 pass
     gc.collect()
     return resident_memory()

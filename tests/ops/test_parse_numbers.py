@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from reference.parse_numbers import parse_numbers_reference
 from torch import Tensor
 
-from torchjoint.ops.parse_numbers import parse_numbers
+from torchjoint.ops.internal import parse_numbers
 
 DIGITS = st.text("0123456789", max_size=25)
 #: Numbers of all lengths and sizes, and words that nearly are numbers.

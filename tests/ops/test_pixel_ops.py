@@ -23,11 +23,7 @@ from torchjoint.cloud.adjacency import CsrAdjacency
 from torchjoint.config import ImageGraphConfig
 from torchjoint.images.pixel_graph import grid_edges, pixel_weights
 from torchjoint.images.smoothing import smooth
-from torchjoint.ops.line_maxima import line_maxima
-from torchjoint.ops.outvoted_markers import outvoted_markers
-from torchjoint.ops.pair_counts import pair_counts
-from torchjoint.ops.segment_graphs import segment_graphs
-from torchjoint.ops.window_overlaps import window_overlaps
+from torchjoint.ops.internal import line_maxima, outvoted_markers, pair_counts, segment_graphs, window_overlaps
 
 SEEDS = st.integers(0, 2**32 - 1)
 

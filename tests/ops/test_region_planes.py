@@ -10,7 +10,7 @@ from reference.region_planes import region_planes_reference
 from torch import Tensor
 
 from torchjoint.ops import fit_normals
-from torchjoint.ops.region_planes import region_planes
+from torchjoint.ops.internal import region_planes
 
 UP = torch.tensor([0.0, 0.0, 1.0])
 

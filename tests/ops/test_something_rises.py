@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference.something_rises import EXAMPLE, something_rises_reference
 
-from torchjoint.ops.something_rises import something_rises
+from torchjoint.ops.internal import something_rises
 
 
 def grid(seed: int, count: int, num_columns: int, num_rows: int) -> tuple[torch.Tensor, ...]:

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 
-import torchjoint
+from torchjoint import ops
+from torchjoint.ops import internal
 
 Arguments = dict[str, Any]
 
@@ -41,16 +41,16 @@ class Operator(NamedTuple):
 
 
 def operators() -> list[Operator]:
-    """All operators: those that the package has a file of."""
-    folder = Path(torchjoint.__file__).parent / "ops"
-    return [_operator(path.stem) for path in sorted(folder.glob("[!_]*.py"))]
+    """All operators: the public ones, and those that only the package calls."""
+    defined = (name for name, value in vars(internal).items() if getattr(value, "__module__", "") == internal.__name__)
+    return [_operator(name) for name in sorted([*ops.__all__, *(name for name in defined if name[0] != "_")])]
 
 
 def _operator(name: str) -> Operator:
     known = import_module(f"reference.{name}")
     return Operator(
         name,
-        getattr(import_module(f"torchjoint.ops.{name}"), name),
+        getattr(ops if name in ops.__all__ else internal, name),
         known.EXAMPLE,
         known.ERRORS,
         known.REFUSED,

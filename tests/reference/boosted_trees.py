@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import NAN, PIXELS, VALUES, changed
-from torchjoint.ops.boosted_trees import boosted_trees
+from torchjoint.ops.internal import boosted_trees
 
 EXAMPLE: dict[str, Any] = {
     "values": torch.tensor([[0.5, 2.0], [0.6, NAN], [NAN, 1.0]]),
@@ -69,7 +69,7 @@ def boosted_trees_reference(
     right: Tensor,
     leaf_value: Tensor,
 ) -> Tensor:
-    """What :func:`torchjoint.ops.boosted_trees` computes; the arguments are not checked."""
+    """What :func:`torchjoint.ops.internal.boosted_trees` computes; the arguments are not checked."""
     sums = []
     for row in values.tolist():
         total = 0.0

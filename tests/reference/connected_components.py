@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import EDGES, changed, large_graph
-from torchjoint.ops.connected_components import connected_components
+from torchjoint.ops import connected_components
 
 EXAMPLE: dict[str, Any] = {"edge_index": EDGES, "num_nodes": 4}
 ERRORS = [

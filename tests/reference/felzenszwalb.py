@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import EDGES, NAN, VALUES, changed, large_graph
-from torchjoint.ops.felzenszwalb import felzenszwalb
+from torchjoint.ops import felzenszwalb
 
 EXAMPLE: dict[str, Any] = {"edge_index": EDGES, "weight": VALUES, "num_nodes": 4, "scale": 1.0, "min_size": 0}
 ERRORS = [

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from reference.arguments import IMAGES, NAN, changed
-from torchjoint.ops.felzenszwalb_image import felzenszwalb_image
+from torchjoint.ops import felzenszwalb_image
 
 EXAMPLE: dict[str, Any] = {"images": IMAGES, "boundaries": IMAGES[:, 0], "scale": 1.0}
 ERRORS = [

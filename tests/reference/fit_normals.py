@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import NEIGHBORS, POINTS, ROWS, changed
-from torchjoint.ops.fit_normals import fit_normals
+from torchjoint.ops import fit_normals
 
 EXAMPLE: dict[str, Any] = {"points": POINTS, "neighbors": NEIGHBORS, "order": ROWS}
 ERRORS = [

@@ -19,21 +19,21 @@ EXAMPLE: dict[str, Any] = {
     "bump": 0.2, "near": 10.0, "blind": 0.75, "sides": 1,
 }  # fmt: skip
 ERRORS = [
-    ({"azimuth": AZIMUTH.float()}, TypeError, "azimuth: expected dtype torch.float64, got torch.float32"),
-    ({"azimuth": AZIMUTH[None]}, ValueError, "azimuth: expected shape [N], got [1, 4]"),
+    ({"azimuth": AZIMUTH.float()}, ValueError, "azimuth: expected another dtype"),
+    ({"azimuth": AZIMUTH[None]}, ValueError, "azimuth: expected 1 dimensions"),
     ({"azimuth": changed(AZIMUTH, 4, 1)}, ValueError, "azimuth: expected numbers in [-pi, pi], got 4 at 1"),
     ({"elevation": changed(HEIGHT, 2, 0)}, ValueError, "elevation: expected numbers in [-pi/2, pi/2], got 2 at 0"),
-    ({"elevation": HEIGHT[:2]}, ValueError, "elevation: expected shape [N] = [4], got [2]"),
+    ({"elevation": HEIGHT[:2]}, ValueError, "elevation: expected length 4 in dimension 0, got 2"),
     ({"distance": changed(DISTANCE, -1, 2)}, ValueError, "distance: expected finite numbers >= 0, got -1 at 2"),
     ({"height": changed(HEIGHT, NAN, 3)}, ValueError, "height: expected finite numbers, got nan at 3"),
-    ({"used": torch.zeros(4)}, TypeError, "used: expected dtype torch.bool, got torch.float32"),
+    ({"used": torch.zeros(4)}, ValueError, "used: expected another dtype"),
     ({"used": torch.zeros(4, dtype=torch.bool)}, ValueError, "used: expected at least one point"),
     ({"num_columns": 0}, ValueError, "num_columns: expected a number > 0, got 0"),
     ({"row_height": 0.0}, ValueError, "row_height: expected a finite number >= 1e-6, got 0"),
     ({"num_columns": 10**6, "row_height": 1e-6}, ValueError, "row_height: expected fewer rows of cells"),
-    ({"slope": "steep"}, TypeError, "slope: expected int or float, got str"),
-    ({"bump": NAN}, ValueError, "bump: expected a number >= 0, got nan"),
-    ({"near": -1.0}, ValueError, "near: expected a number >= 0, got -1.0"),
+    ({"slope": "steep"}, RuntimeError, "Expected a value of type 'float' for argument 'slope'"),
+    ({"bump": NAN}, ValueError, "bump: expected a finite number >= 0, got nan"),
+    ({"near": -1.0}, ValueError, "near: expected a number >= 0, got -1"),
     ({"sides": 7}, ValueError, "sides: expected a number in [0, 6], got 7"),
 ]
 REFUSED = [
@@ -64,7 +64,7 @@ def ground_heights_reference(
     blind: float,
     sides: int,
 ) -> Tensor:
-    """What :func:`torchjoint.ops.ground_heights.ground_heights` does; the arguments are not checked."""
+    """What :func:`torchjoint.ops.internal.ground_heights` does; the arguments are not checked."""
     d, z, e = distance.tolist(), height.tolist(), elevation.tolist()
     place = [(a + math.pi) / (2 * math.pi) * num_columns for a in azimuth.tolist()]
     column = [min(int(p), num_columns - 1) for p in place]

@@ -9,17 +9,16 @@ import torch
 from torch import Tensor
 
 from reference.arguments import EDGES, EYE, NAN, PIXELS, POSITIONS
-from torchjoint.ops.ascending_order import ascending_order
-from torchjoint.ops.group_summaries import group_summaries
+from torchjoint.ops.internal import ascending_order, group_summaries
 
 EXAMPLE: dict[str, Any] = {
     "values": POSITIONS, "order": PIXELS.int(), "group": torch.tensor([0, -1, 1]), "num_groups": 2,
     "quantiles": torch.tensor([0.5, 1.0]),
 }  # fmt: skip
 ERRORS = [
-    ({"values": POSITIONS.double()}, TypeError, "values: expected dtype torch.float32, got"),
-    ({"order": PIXELS[:2].int()}, ValueError, "order: expected shape [C] = [3], got [2]"),
-    ({"order": PIXELS}, TypeError, "order: expected dtype torch.int32, got torch.int64"),
+    ({"values": POSITIONS.double()}, ValueError, "values: expected another dtype"),
+    ({"order": PIXELS[:2].int()}, ValueError, "order: expected length 3 in dimension 0, got 2"),
+    ({"order": PIXELS}, ValueError, "order: expected another dtype"),
     ({"order": PIXELS.int() + 1}, ValueError, "order: expected numbers in [0, 3), got 3 at 2"),
     ({"order": PIXELS.int() * 0}, ValueError, "order: expected a permutation, got 0 again at 1"),
     (
@@ -29,7 +28,7 @@ ERRORS = [
     ),
     ({"group": PIXELS - 2}, ValueError, "group: expected numbers in [0, 2), got -2 at 0"),
     ({"group": PIXELS + 1}, ValueError, "group: expected numbers in [0, 2), got 2 at 1"),
-    ({"num_groups": -1}, ValueError, "num_groups: expected a number >= 0, got -1"),
+    ({"num_groups": -1}, ValueError, "num_groups: expected 0 to 2^31 - 1, got -1"),
     ({"quantiles": POSITIONS}, ValueError, "quantiles: expected numbers in [0, 1], got 2 at 2"),
     ({"quantiles": POSITIONS * NAN}, ValueError, "quantiles: expected numbers in [0, 1], got nan"),
 ]
@@ -44,7 +43,7 @@ REFUSED = [
 def group_summaries_reference(
     values: Tensor, order: Tensor, group: Tensor, num_groups: int, quantiles: Tensor
 ) -> Tensor:
-    """What :func:`torchjoint.ops.group_summaries` computes, by sorting each group; the arguments are not checked."""
+    """What :func:`internal.group_summaries` computes, by sorting each group; the arguments are not checked."""
     result = torch.full((num_groups, 1 + len(quantiles)), torch.nan, dtype=torch.float64)
     for number in range(num_groups):
         inside = values[(group == number) & values.isfinite()]

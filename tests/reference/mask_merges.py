@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import EDGES, NAN, PIXELS, VALUES, changed, large_graph
-from torchjoint.ops.mask_merges import mask_merges
+from torchjoint.ops.internal import mask_merges
 
 EXAMPLE: dict[str, Any] = {
     "edge_index": EDGES, "cost": VALUES.clamp(max=1), "size": torch.tensor([9, 1, 2, 3]),
@@ -18,7 +18,7 @@ EXAMPLE: dict[str, Any] = {
     "prior_weight": 0.1, "threshold": 0.5, "stays": torch.tensor([True, False, False, False]), "min_size": 2,
 }  # fmt: skip
 ERRORS = [
-    ({"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
+    ({"edge_index": EDGES.int()}, ValueError, "edge_index: expected dtype torch.int64"),
     ({"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
     ({"cost": VALUES}, ValueError, "cost: expected numbers in [0, 1], got 5 at edge 1"),
     ({"cost": changed(VALUES / 9, NAN, 1)}, ValueError, "cost: expected numbers in [0, 1], got nan at edge"),
@@ -28,21 +28,21 @@ ERRORS = [
     ({"in_mask": torch.tensor([[0], [0], [-1]])}, ValueError, "in_mask[2]: expected numbers >= 0, got -1"),
     ({"in_mask": torch.tensor([[2], [0], [1]])}, ValueError, "region 2 has points in mask 0, but in_frame"),
     ({"in_mask": torch.tensor([[0], [0], [6]])}, ValueError, "region 0 has more points in mask 0 than in"),
-    ({"in_mask": PIXELS}, ValueError, "in_mask: expected shape [3, I], got [3]"),
+    ({"in_mask": PIXELS}, ValueError, "in_mask: expected 2 dimensions"),
     ({"in_frame": torch.tensor([[-1], [0], [1]])}, ValueError, "in_frame[0]: expected numbers in [0, 4)"),
     ({"in_frame": torch.tensor([[0], [0], [-1]])}, ValueError, "in_frame[2]: expected numbers >= 0, got"),
     ({"weight": torch.tensor([257, 0])}, ValueError, "weight: expected numbers in [0, 256], got 257 at 0"),
-    ({"weight": VALUES[:2]}, TypeError, "weight: expected dtype torch.int64, got torch.float32"),
-    ({"frame_of_mask": PIXELS}, ValueError, "frame_of_mask: expected shape [M] = [2], got [3]"),
-    ({"apart_weight": -1}, ValueError, "apart_weight: expected a number >= 0, got -1"),
+    ({"weight": VALUES[:2]}, ValueError, "weight: expected another dtype"),
+    ({"frame_of_mask": PIXELS}, ValueError, "frame_of_mask: expected length 2 in dimension 0, got 3"),
+    ({"apart_weight": -1}, ValueError, "apart_weight: expected a finite number >= 0, got -1"),
     ({"prior_weight": 0}, ValueError, "prior_weight: expected a finite number > 0, got 0"),
     ({"prior_weight": torch.inf}, ValueError, "prior_weight: expected a finite number > 0, got inf"),
     ({"apart_weight": torch.inf}, ValueError, "apart_weight: expected a finite number >= 0, got inf"),
-    ({"prior_weight": NAN}, ValueError, "prior_weight: expected a number >= 0, got nan"),
-    ({"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
-    ({"stays": PIXELS}, TypeError, "stays: expected dtype torch.bool, got torch.int64"),
-    ({"stays": PIXELS > 0}, ValueError, "stays: expected shape [R] = [4], got [3]"),
-    ({"min_size": 2.0}, TypeError, "min_size: expected int, got float"),
+    ({"prior_weight": NAN}, ValueError, "prior_weight: expected a finite number > 0, got nan"),
+    ({"threshold": "1"}, RuntimeError, "Expected a value of type 'float' for argument 'threshold'"),
+    ({"stays": PIXELS}, ValueError, "stays: expected another dtype"),
+    ({"stays": PIXELS > 0}, ValueError, "stays: expected length 4 in dimension 0, got 3"),
+    ({"min_size": 2.0}, RuntimeError, "Expected a value of type 'int' for argument 'min_size'"),
 ]
 REFUSED = [
     {"in_mask": EDGES},
@@ -67,7 +67,7 @@ def mask_merges_reference(
     stays: Tensor | None = None,
     min_size: int = 0,
 ) -> tuple[Tensor, Tensor]:
-    """What :func:`torchjoint.ops.mask_merges` computes; the arguments are not checked.
+    """What :func:`torchjoint.ops.internal.mask_merges` computes; the arguments are not checked.
 
     Example:
         >>> edge_index, in_frame = torch.tensor([[0], [1]]), torch.tensor([[0, 1], [0, 0], [2, 3]])

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import EDGES, NAN, PIXELS, VALUES, changed, large_graph
-from torchjoint.ops.merge_regions import merge_regions
+from torchjoint.ops import merge_regions
 
 EXAMPLE: dict[str, Any] = {
     "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import EDGES, NAN, SINK, SOURCE, VALUES, changed, large_graph
-from torchjoint.ops.min_cut import min_cut
+from torchjoint.ops import min_cut
 
 EXAMPLE: dict[str, Any] = {"edge_index": EDGES, "capacity": VALUES, "source_capacity": SOURCE, "sink_capacity": SINK}
 ERRORS = [

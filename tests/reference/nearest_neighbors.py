@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import NAN, POINTS, changed
-from torchjoint.ops.nearest_neighbors import nearest_neighbors
+from torchjoint.ops import nearest_neighbors
 
 LIMITS = torch.tensor([0.0, 1.0, 2.0, torch.inf], dtype=torch.float64)
 EXAMPLE: dict[str, Any] = {"points": POINTS, "count": 2, "num_distances": 1, "limits": LIMITS}

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import NEIGHBORS, ROWS, changed
-from torchjoint.ops.neighbor_edges import neighbor_edges
+from torchjoint.ops import neighbor_edges
 
 EXAMPLE: dict[str, Any] = {"neighbors": NEIGHBORS, "order": ROWS}
 ERRORS = [

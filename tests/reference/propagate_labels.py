@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import LABELS, NAN
-from torchjoint.ops.propagate_labels import propagate_labels
+from torchjoint.ops import propagate_labels
 
 EXAMPLE: dict[str, Any] = {
     "markers": LABELS, "colors": torch.rand(3, 3, 4), "boundary": torch.rand(3, 4), "color_weight": 9.0,

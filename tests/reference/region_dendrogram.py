@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import EDGES, NAN, VALUES, changed, large_graph
-from torchjoint.ops.region_dendrogram import region_dendrogram
+from torchjoint.ops import region_dendrogram
 
 EXAMPLE: dict[str, Any] = {"edge_index": EDGES, "cost": VALUES, "num_regions": 4, "threshold": 0.5}
 ERRORS = [

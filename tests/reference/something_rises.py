@@ -16,12 +16,12 @@ EXAMPLE: dict[str, Any] = {
     "which": torch.tensor([0, 2]), "num_columns": 6, "num_rows": 3, "least": 0.25, "most": 2.5,
 }  # fmt: skip
 ERRORS = [
-    ({"column": COLUMN.int()}, TypeError, "column: expected dtype torch.int64, got torch.int32"),
+    ({"column": COLUMN.int()}, ValueError, "column: expected another dtype"),
     ({"column": changed(COLUMN, 6, 1)}, ValueError, "column: expected numbers in [0, 6), got 6 at 1"),
     ({"row": COLUMN}, ValueError, "row: expected numbers in [0, 3), got 5 at 1"),
-    ({"row": COLUMN[:2]}, ValueError, "row: expected shape [N] = [4], got [2]"),
+    ({"row": COLUMN[:2]}, ValueError, "row: expected length 4 in dimension 0, got 2"),
     ({"height": changed(HEIGHT, NAN, 2)}, ValueError, "height: expected finite numbers, got nan at 2"),
-    ({"used": COLUMN}, TypeError, "used: expected dtype torch.bool, got torch.int64"),
+    ({"used": COLUMN}, ValueError, "used: expected another dtype"),
     ({"which": torch.tensor([4])}, ValueError, "which: expected numbers in [0, 4), got 4 at 0"),
     ({"num_columns": 0}, ValueError, "num_columns: expected a number > 0, got 0"),
     ({"num_rows": 2**31}, ValueError, "num_rows: expected less than 2^31 cells"),
@@ -41,7 +41,7 @@ def something_rises_reference(
     least: float,
     most: float,
 ) -> Tensor:
-    """What :func:`torchjoint.ops.something_rises.something_rises` does; the arguments are not checked."""
+    """What :func:`torchjoint.ops.internal.something_rises` does; the arguments are not checked."""
     found = []
     for i in which.tolist():
         aside = (column - column[i]) % num_columns

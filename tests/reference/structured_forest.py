@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from reference.arguments import IMAGES, LABELS, NAN, changed
-from torchjoint.ops.structured_forest import structured_forest
+from torchjoint.ops.internal import structured_forest
 
 EXAMPLE: dict[str, Any] = {
     "images": IMAGES, "children": torch.tensor([[2, 0, 0], [0, 0, 0]], dtype=torch.int32),
@@ -92,7 +92,7 @@ def structured_forest_reference(
     trees_per_site: int,
     stride: int = 2,
 ) -> Tensor:
-    """What :func:`torchjoint.ops.structured_forest` computes; the arguments are not checked."""
+    """What :func:`torchjoint.ops.internal.structured_forest` computes; the arguments are not checked."""
     ends = boundary_counts.flatten().long().cumsum(0)
     num_trees, length = children.shape
     result = torch.zeros(len(images), *images.shape[2:])

@@ -16,8 +16,8 @@ EXAMPLE: dict[str, Any] = {
     "column": PIXELS, "labels": LABELS, "window": 3,
 }  # fmt: skip
 ERRORS = [
-    ({"order": PIXELS}, TypeError, "order: expected dtype torch.int32, got torch.int64"),
-    ({"other_end": PIXELS[:2].int()}, ValueError, "other_end: expected shape [E] = [3], got [2]"),
+    ({"order": PIXELS}, ValueError, "order: expected another dtype"),
+    ({"other_end": PIXELS[:2].int()}, ValueError, "other_end: expected length 3 in dimension 0, got 2"),
     ({"other_end": PIXELS.int() - 1}, ValueError, "other_end: expected numbers in [0, 4), got -1 at 0"),
     ({"start": PIXELS[:0].int()}, ValueError, "start: expected shape [N + 1], got [0]"),
     ({"start": torch.tensor([0, 9, 9, 9, 9]).int()}, ValueError, "start: expected ascending numbers in [0, E]"),
@@ -25,7 +25,7 @@ ERRORS = [
     ({"point": torch.tensor([0, 1, 0])}, ValueError, "point: expected every point once, got 0 again"),
     ({"row": PIXELS + 1}, ValueError, "row: expected numbers in [0, 3), got 3 at 2"),
     ({"column": PIXELS - 1}, ValueError, "column: expected numbers in [0, 4), got -1 at 0"),
-    ({"labels": LABELS.long()}, TypeError, "labels: expected dtype torch.int32, got torch.int64"),
+    ({"labels": LABELS.long()}, ValueError, "labels: expected another dtype"),
     ({"window": 2}, ValueError, "window: expected an odd number below 32768, got 2"),
 ]
 REFUSED = [
@@ -46,7 +46,7 @@ def window_overlaps_reference(
     labels: Tensor,
     window: int,
 ) -> tuple[Tensor, Tensor]:
-    """What :func:`torchjoint.ops.window_overlaps` computes; the arguments are not checked."""
+    """What :func:`torchjoint.ops.internal.window_overlaps` computes; the arguments are not checked."""
     reach = window // 2
 
     def around(r: int, c: int) -> Counter[int]:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.ops.ascending_order import ascending_order
+from torchjoint.ops.internal import ascending_order
 from torchjoint.runtime.threads import all_threads, num_threads
 
 Array = npt.NDArray[Any]

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchjoint.cloud._vectors import dot
 from torchjoint.cloud.neighbors import nearest_neighbors
-from torchjoint.ops.region_planes import region_planes
+from torchjoint.ops.internal import region_planes
 from torchjoint.runtime.threads import all_threads, parallel_map
 
 #: Number of neighbours to which the plane of a point is fitted, and around which the noise is measured.

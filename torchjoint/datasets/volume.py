@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.ops.integrate_depth import CHANNELS, SIDE, UNIT, integrate_depth
+from torchjoint.ops.internal import CHANNELS, SIDE, UNIT, integrate_depth
 from torchjoint.runtime.sorted_groups import find
 from torchjoint.runtime.spill import SpillFile
 from torchjoint.runtime.threads import all_threads, parallel_map

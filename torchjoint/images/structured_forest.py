@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from torchjoint.images.forest import read_forest
 from torchjoint.images.non_maximum_suppression import suppress_non_maxima
-from torchjoint.ops.structured_forest import structured_forest
+from torchjoint.ops.internal import structured_forest
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.threads import all_threads, parallel_map
 

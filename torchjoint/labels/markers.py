@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchjoint.ops.outvoted_markers import outvoted_markers
+from torchjoint.ops.internal import outvoted_markers
 from torchjoint.views.nearest_points import nearest_in_cells
 from torchjoint.views.visibility import Visible
 
@@ -44,7 +44,7 @@ def without_outvoted(markers: Tensor, colors: Tensor, color_weight: float) -> Te
     few centimetres behind a surface count as visible, such as points of a table behind a plate. Their pixels have the
     colour of the plate, and there the plate has more markers.
 
-    The nearest markers, by place and colour, vote (:func:`torchjoint.ops.outvoted_markers.outvoted_markers`). A marker
+    The nearest markers, by place and colour, vote (:func:`torchjoint.ops.internal.outvoted_markers`). A marker
     stays if at least half of its voters have its label. It also stays if these are at least half of all other markers
     of its label, so that small objects stay, or if no other label is near.
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torchjoint.ops.pair_counts import pair_counts
+from torchjoint.ops.internal import pair_counts
 from torchjoint.views.visibility import Visible
 
 #: R, pixels: about the spacing of projected points in an image of 640 x 480. With a larger R it takes longer.

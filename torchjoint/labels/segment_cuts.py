@@ -10,7 +10,7 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.config import ImageGraphConfig, PaperConfig
 from torchjoint.labels.pixel_pairs import RADIUS, PixelPairs, pixel_pairs
-from torchjoint.ops.segment_graphs import segment_graphs
+from torchjoint.ops.internal import segment_graphs
 from torchjoint.runtime.sorted_groups import starts_group
 from torchjoint.views.visibility import Visible
 

@@ -1,8 +1,9 @@
-"""Calls a compiled kernel without gradient; its errors have the same types with every version of torch."""
+"""Calls compiled kernels, with errors of the same types in every version of torch; registers their fake kernels."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -49,3 +50,14 @@ def _translated(error: RuntimeError, names: list[str]) -> ValueError | MemoryErr
         return MemoryError("a compiled operator: not enough memory")
     first = re.match(r"\w+", message)
     return ValueError(message) if first is not None and first.group() in names else None
+
+
+def dynamic_size() -> torch.SymInt:
+    """A length that depends on values, for the result of a fake kernel."""
+    return torch.library.get_ctx().new_dynamic_size()
+
+
+def register_fakes(**fakes: Callable[..., Any]) -> None:
+    """Registers for each operator what makes empty results of the right shapes and dtypes, as torch.compile needs."""
+    for name, fake in fakes.items():
+        torch.library.register_fake(f"torchjoint::{name}", fake)

@@ -83,15 +83,3 @@ def check_order(order: Tensor | None, length: int) -> None:
     """Raise unless ``order`` is an int32 CPU tensor ``[length]``, or None."""
     if order is not None:
         check_array("order", order, torch.int32, (length,), f"[N] = [{length}]")
-
-
-def check_visible_edges(
-    order: Tensor, other_end: Tensor, start: Tensor, point: Tensor, row: Tensor, column: Tensor
-) -> None:
-    """Checks the CSR adjacency of a graph, and the pixels of the nodes that an image sees: dtypes and shapes."""
-    check_array("order", order, torch.int32, (None,), "[E]")
-    check_array("other_end", other_end, torch.int32, (order.shape[0],), f"[E] = [{order.shape[0]}]")
-    check_array("start", start, torch.int32, (None,), "[N + 1]")
-    check_array("point", point, torch.int64, (None,), "[M]")
-    for name, value in (("row", row), ("column", column)):
-        check_array(name, value, torch.int64, (point.shape[0],), f"[M] = [{point.shape[0]}]")

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.cloud.edge_weights import EdgeWeights, geometric_weights, segmentator_turn
 from torchjoint.cloud.graph import PointGraph
-from torchjoint.ops.region_planes import region_planes
+from torchjoint.ops.internal import region_planes
 from torchjoint.runtime.threads import all_threads
 
 #: Smallest number of points to which a plane is fitted.

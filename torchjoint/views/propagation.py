@@ -9,8 +9,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from torchjoint.cloud.adjacency import CsrAdjacency
-from torchjoint.ops.line_maxima import line_maxima
-from torchjoint.ops.window_overlaps import window_overlaps
+from torchjoint.ops.internal import line_maxima, window_overlaps
 from torchjoint.views.visibility import Visible
 
 #: Overlaps are rounded to multiples of this before they are summed. Sums of up to 2^29 overlaps are then exact in

@@ -13,7 +13,7 @@ import torch
 
 from torchjoint.datasets.files.ply_columns import Columns, Lists
 from torchjoint.datasets.files.ply_header import Element, PlyHeader
-from torchjoint.ops.parse_numbers import parse_numbers
+from torchjoint.ops.internal import parse_numbers
 from torchjoint.runtime import bounds
 
 Array = npt.NDArray[Any]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchjoint.ops.boosted_trees import boosted_trees
+from torchjoint.ops.internal import boosted_trees
 from torchjoint.runtime.threads import all_threads
 
 _MOST_ROUNDS = _MOST_MEMBERS = 100
@@ -29,7 +29,7 @@ DTYPES = {
 
 @dataclass(frozen=True, eq=False)
 class BoostedTrees:
-    """T decision trees, all padded to M nodes; the arguments of :func:`torchjoint.ops.boosted_trees`.
+    """T decision trees, all padded to M nodes; the arguments of :func:`torchjoint.ops.internal.boosted_trees`.
 
     Attributes:
         feature: [T, M] int32, the feature that an inner node tests.

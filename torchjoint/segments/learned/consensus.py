@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.ops.mask_merges import WEIGHT_UNIT, mask_merges
+from torchjoint.ops.internal import WEIGHT_UNIT, mask_merges
 from torchjoint.runtime.first_places import numbers_by_first_place
 from torchjoint.runtime.most_frequent import most_frequent
 from torchjoint.runtime.sorted_groups import members_of_groups

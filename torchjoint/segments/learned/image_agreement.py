@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchjoint.ops.agreement_sums import agreement_sums
+from torchjoint.ops.internal import agreement_sums
 from torchjoint.runtime.threads import all_threads
 from torchjoint.segments.learned.image_counts import ImageCounts
 from torchjoint.views.propagation import OVERLAP_RESOLUTION

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.ops.mask_merges import WEIGHT_UNIT
+from torchjoint.ops.internal import WEIGHT_UNIT
 from torchjoint.runtime.sorted_groups import members_of_groups
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene.masks import Masks

@@ -2,7 +2,7 @@
 
 Each pair of points that a frame sees is a vote: for one object if both lie in one mask, against it if a mask has only
 one of them. Votes are summed over all frames and over all pairs of points of two regions. So a mask that splits an
-object, joins two objects or misses one only shifts a mean (:func:`torchjoint.ops.mask_merges`).
+object, joins two objects or misses one only shifts a mean (:func:`torchjoint.ops.internal.mask_merges`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchjoint.ops.mask_merges import mask_merges
+from torchjoint.ops.internal import mask_merges
 from torchjoint.runtime.sorted_groups import find, members_of_groups
 from torchjoint.segments.learned.mask_counts import MaskCounts
 from torchjoint.segments.learned.small_regions import MIN_SIZE

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.ops.mask_merges import mask_merges
+from torchjoint.ops.internal import mask_merges
 from torchjoint.runtime.first_places import first_places
 from torchjoint.segments.learned.mask_counts import MaskCounts, masks_of_pieces
 from torchjoint.segments.learned.mask_merging import APART_WEIGHT, shares_against
@@ -34,8 +34,9 @@ MAX_FRAMES = 32
 def cut_by_masks(piece: Tensor, edge_index: Tensor, observations: Sequence[Observation]) -> Tensor:
     """Cuts the pieces whose points lie in different masks.
 
-    The points of such a piece merge again from single points, as regions do (:func:`torchjoint.ops.mask_merges`). So a
-    piece is cut only where the masks of most frames agree; single wrong outlines do not cut.
+    The points of such a piece merge again from single points, as regions do
+    (:func:`torchjoint.ops.internal.mask_merges`). So a piece is cut only where the masks of most frames agree; single
+    wrong outlines do not cut.
 
     Args:
         piece: [N] int64, 0 ... P - 1.

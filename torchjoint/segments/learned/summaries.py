@@ -9,8 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.ops.ascending_order import ascending_order
-from torchjoint.ops.group_summaries import group_summaries
+from torchjoint.ops.internal import ascending_order, group_summaries
 
 #: The quantiles of a summary; they follow the mean.
 QUANTILES = (0.1, 0.5, 0.9)

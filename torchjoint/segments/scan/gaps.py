@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.ops.gap_components import gap_components
-from torchjoint.ops.nearest_neighbors import nearest_neighbors
+from torchjoint.ops import nearest_neighbors
+from torchjoint.ops.internal import gap_components
 from torchjoint.runtime.threads import all_threads
 
 #: Neighbours of a point. Where points are dense, few neighbours connect them over less than the allowed gap. This keeps

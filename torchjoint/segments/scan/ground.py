@@ -12,7 +12,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchjoint.ops.ground_heights import ground_heights
+from torchjoint.ops.internal import ground_heights
 from torchjoint.runtime.threads import all_threads, one_thread_per_operation
 from torchjoint.scene.checks import as_points
 from torchjoint.segments.scan.directions import Directions, directions

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint.config import ScanConfig
-from torchjoint.ops.something_rises import something_rises
+from torchjoint.ops.internal import something_rises
 from torchjoint.runtime.threads import all_threads, num_threads
 from torchjoint.segments.scan.directions import Directions
 from torchjoint.segments.scan.gaps import Gaps

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchjoint.cloud.neighbors import SPACING_NEIGHBORS
 from torchjoint.config import ScanConfig
-from torchjoint.ops.local_spacing import local_spacing
+from torchjoint.ops.internal import local_spacing
 from torchjoint.runtime.first_places import numbers_by_first_place
 from torchjoint.runtime.threads import all_threads, one_thread_per_operation, parallel_map
 from torchjoint.scene.checks import as_points

@@ -1,0 +1,215 @@
+"""Operators on images: segmentation, contours, labels of pixels (steps 1, 2, 7, 8), matching of boundary maps."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from torchjoint.ops._call import call, register_fakes
+from torchjoint.ops._checks import check_array, check_number, check_tensor
+
+
+def felzenszwalb_image(
+    images: Tensor,
+    boundaries: Tensor | None = None,
+    *,
+    scale: float,
+    min_size: int = 0,
+    color_weight: float = 1.0,
+    boundary_weight: float = 1.0,
+) -> Tensor:
+    """Segment images by :func:`felzenszwalb` on their 8-connected pixel grids; edges are computed, not stored.
+
+    The edges are those of :func:`torchjoint.images.pixel_graph.grid_edges`, the weights those of
+    :func:`torchjoint.images.pixel_graph.pixel_weights`,
+    ``w = color_weight |c_i - c_j| + boundary_weight min(b_i, b_j)`` (M. Abello et al., ICRA 2021, eq. 1-2). So the
+    labels are bit for bit the same as with an explicit list of edges. The images of a batch are distributed over
+    torch's threads; the labels do not depend on the number of threads. In addition to the result, less than 40
+    bytes per pixel are used.
+
+    Args:
+        images: ``[B, C, H, W]`` float32, any number of channels; the default weights suit RGB in [0, 1].
+        boundaries: ``[B, H, W]`` float32, boundary strength of each pixel; None: no boundaries.
+        scale: k, in units of weight times pixels: larger values give larger segments.
+        min_size: segments of fewer pixels than this are joined to a neighbour.
+        color_weight: w_c >= 0.
+        boundary_weight: w_b >= 0.
+
+    Returns:
+        ``[B, H, W]`` int64 labels, in each image 0, 1, 2, ... in the order of their first pixel, row by row.
+
+    Raises:
+        TypeError: an argument of the wrong type or dtype.
+        ValueError: a wrong shape or device, a value that is not finite (or above 1e18), a negative number.
+
+    Example:
+        >>> import torch
+        >>> image = torch.zeros(1, 3, 2, 4)
+        >>> image[..., 2:] = 1.0
+        >>> felzenszwalb_image(image, scale=1.0)
+        tensor([[[0, 0, 1, 1],
+                 [0, 0, 1, 1]]])
+    """
+    check_tensor("images", images, (torch.float32,))
+    if images.dim() != 4:
+        raise ValueError(f"images: expected shape [B, C, H, W], got {list(images.shape)}")
+    if boundaries is not None:
+        check_tensor("boundaries", boundaries, (torch.float32,))
+        expected = [images.shape[0], images.shape[2], images.shape[3]]
+        if list(boundaries.shape) != expected:
+            raise ValueError(f"boundaries: expected shape [B, H, W] = {expected}, got {list(boundaries.shape)}")
+    check_number("scale", scale, (int, float))
+    check_number("min_size", min_size, (int,))
+    check_number("color_weight", color_weight, (int, float))
+    check_number("boundary_weight", boundary_weight, (int, float))
+    numbers = (float(scale), min_size, float(color_weight), float(boundary_weight))
+    return cast(Tensor, call(torch.ops.torchjoint.felzenszwalb_image.default, images, boundaries, *numbers))
+
+
+def ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
+    """Close the contours of a boundary map: compute its ultrametric contour map.
+
+    First a watershed divides the image into the basins of ``relief``: steepest descent over the eight neighbours leads
+    from each pixel to a lowest pixel (of equally low pixels, to the one that comes first row by row). The region
+    boundary of two basins consists of the pairs of neighbouring pixels with one pixel in each basin. The strength of a
+    pair is the larger value of ``boundary`` at its two pixels; the strength of a region boundary is the mean over its
+    pairs. The two regions with the weakest region boundary are merged, and their boundaries with the same third region
+    are joined, until one region is left. The height of a region boundary is the strength at which its two sides become
+    one region. Thresholding at a height gives regions with closed contours; a lower threshold subdivides these regions
+    (P. Arbeláez et al., "Contour Detection and Hierarchical Image Segmentation", PAMI 2011, with another watershed and
+    without orientations).
+
+    Strengths are rounded to 16 bits, so that sums are exact. Of equally weak region boundaries, the one with the
+    lowest number is merged. They are numbered by their first pair: pairs to the right come first, then down, down-right
+    and up-right. Joined region boundaries keep the lower number.
+
+    Args:
+        boundary: ``[H, W]`` float32, strength in [0, 1].
+        relief: ``[H, W]`` float32, not NaN; usually the smoothed boundary map, which has fewer basins.
+
+    Returns:
+        ``[H, W]`` float32 in [0, 1]: the largest height of the region boundaries at a pixel, 0 if all its neighbours
+        are in the same region. Lines are two pixels wide, one pixel on each side; diagonal lines are up to four pixels
+        wide. No gradient flows through it.
+
+    Raises:
+        TypeError: an argument of the wrong type or dtype.
+        ValueError: a wrong shape or device, a strength out of range, a NaN.
+
+    Example:
+        >>> import torch
+        >>> boundary = torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.5, 0.0, 0.0]])
+        >>> ultrametric_contours(boundary, boundary)
+        tensor([[0.0000, 0.0000, 0.7500, 0.7500, 0.0000],
+                [0.0000, 0.0000, 0.7500, 0.7500, 0.0000]])
+    """
+    check_array("boundary", boundary, torch.float32, (None, None), "[H, W]")
+    check_array("relief", relief, torch.float32, tuple(boundary.shape), f"[H, W] = {list(boundary.shape)}")
+    return cast(Tensor, call(torch.ops.torchjoint.ultrametric_contours.default, boundary, relief))
+
+
+def propagate_labels(
+    markers: Tensor,
+    colors: Tensor,
+    boundary: Tensor,
+    color_weight: float,
+    boundary_weight: float,
+    min_markers: int = 1,
+    groups: Tensor | None = None,
+) -> Tensor:
+    """Geodesic label propagation: give each pixel the label of the marker with the cheapest path to the pixel.
+
+    A path goes from pixel to pixel in the 8-neighbourhood. A step costs its length (1, or the square root of 2)
+    + color_weight x RGB distance + boundary_weight x the smaller boundary strength of the two pixels, rounded to an
+    eighth; the unit is the width of a pixel. If both weights are 0, labels meet half way, as in a Voronoi diagram. With
+    larger weights they meet more often at image edges. Of equally cheap paths, the one from the lower label wins (image
+    foresting transform with additive costs: A. Falcão, J. Stolfi, R. Lotufo, PAMI 2004).
+
+    Then each connected part of one label (8-neighbourhood) with fewer than `min_markers` markers loses its label. Its
+    pixels are labelled again, with all pixels of the other parts as markers. Nothing changes if no part has enough
+    markers.
+
+    Args:
+        markers: ``[H, W]`` int32, labels; negative where there is no marker. Markers keep their labels, except in
+            parts with too few of them.
+        colors: ``[3, H, W]`` float32 RGB in [0, 1].
+        boundary: ``[H, W]`` float32 in [0, 1], boundary strength.
+        color_weight: cost of an RGB distance of 1, pixels; 0 to 1000.
+        boundary_weight: cost of a boundary strength of 1, pixels; 0 to 1000.
+        min_markers: smallest number of markers in a connected part of one label; 0 and 1 allow any.
+        groups: optional ``[L]`` int32 >= 0, the group of each label 0 ... L - 1; a connected part is then of one group
+            instead of one label. If groups ascend, the groups of the result are the labels that the groups of the
+            markers would give.
+
+    Returns:
+        ``[H, W]`` int32; a copy of ``markers`` if there are no markers at all. No gradient flows through it.
+
+    Raises:
+        TypeError: an argument of the wrong type or dtype.
+        ValueError: a wrong shape or device, a weight or value out of range, a side of 2^16 pixels or more.
+
+    Example:
+        >>> import torch
+        >>> markers = torch.tensor([[3, -1, -1, -1, -1, 5]], dtype=torch.int32)
+        >>> image = torch.tensor([0.0, 0.9, 0.9, 0.9, 0.9, 0.9]).expand(3, 1, 6)
+        >>> propagate_labels(markers, image, torch.zeros(1, 6), 0.0, 0.0)
+        tensor([[3, 3, 3, 5, 5, 5]], dtype=torch.int32)
+        >>> propagate_labels(markers, image, torch.zeros(1, 6), 10.0, 0.0)
+        tensor([[3, 5, 5, 5, 5, 5]], dtype=torch.int32)
+    """
+    check_array("markers", markers, torch.int32, (None, None), "[H, W]")
+    height, width = markers.shape
+    check_array("colors", colors, torch.float32, (3, height, width), f"[3, H, W] = [3, {height}, {width}]")
+    check_array("boundary", boundary, torch.float32, (height, width), f"[H, W] = [{height}, {width}]")
+    check_number("color_weight", color_weight, (int, float))
+    check_number("boundary_weight", boundary_weight, (int, float))
+    check_number("min_markers", min_markers, (int,))
+    if groups is not None:
+        check_array("groups", groups, torch.int32, (None,), "[L]")
+    arguments = (markers, colors, boundary, float(color_weight), float(boundary_weight), min_markers, groups)
+    return cast(Tensor, call(torch.ops.torchjoint.propagate_labels.default, *arguments))
+
+
+def match_pixels(pred: Tensor, target: Tensor, radius: float) -> tuple[Tensor, Tensor]:
+    """Match the set pixels of two maps one to one, within a radius; the number of pairs is the largest possible.
+
+    First a greedy pass pairs the nearest pixels. It takes the offsets within the radius in the order of length, row,
+    column, and pairs all pixels with this offset that are both still free. Then each free pixel of ``pred``, row by
+    row, gets a partner along a shortest alternating path, if one exists (breadth first, offsets in the same order). The
+    result is a maximum matching (C. Berge, "Two theorems in graph theory", PNAS 1957). It takes milliseconds for maps
+    of thin lines, and seconds if both maps are dense and random.
+
+    Args:
+        pred: ``[H, W]`` bool.
+        target: ``[H, W]`` bool.
+        radius: largest Euclidean distance of a pair, pixels; finite, >= 0.
+
+    Returns:
+        ``pred_matched``, ``target_matched``, both ``[H, W]`` bool: the set pixels that have a partner; both maps have
+        the same number of them.
+
+    Raises:
+        TypeError: an argument of the wrong type or dtype.
+        ValueError: a wrong shape or device, a radius that is negative or not finite.
+
+    Example:
+        >>> import torch
+        >>> pred, target = torch.tensor([[True, True, False, False]]), torch.tensor([[False, False, True, False]])
+        >>> match_pixels(pred, target, radius=2)  # two are near enough, one is nearer
+        (tensor([[False,  True, False, False]]), tensor([[False, False,  True, False]]))
+    """
+    check_array("pred", pred, torch.bool, (None, None), "[H, W]")
+    check_array("target", target, torch.bool, tuple(pred.shape), f"[H, W] = {list(pred.shape)}")
+    check_number("radius", radius, (int, float))
+    result = call(torch.ops.torchjoint.match_pixels.default, pred, target, radius)
+    return cast(tuple[Tensor, Tensor], result)
+
+
+register_fakes(
+    felzenszwalb_image=lambda images, *_: images.new_empty((len(images), *images.shape[2:]), dtype=torch.int64),
+    ultrametric_contours=lambda boundary, _relief: boundary.new_empty(boundary.shape),
+    propagate_labels=lambda markers, *_: markers.new_empty(markers.shape),
+    match_pixels=lambda pred, target, _radius: (pred.new_empty(pred.shape), pred.new_empty(pred.shape)),
+)
