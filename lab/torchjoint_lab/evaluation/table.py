@@ -10,8 +10,8 @@ from pathlib import Path
 from statistics import fmean, stdev
 from typing import NamedTuple
 
-from torchjoint.evaluation.scores import COLUMNS, Scores, mean_scores
 from torchjoint.runtime.files import atomic_write, write_text
+from torchjoint_lab.evaluation.scores import COLUMNS, Scores, mean_scores
 
 
 class Row(NamedTuple):
