@@ -159,7 +159,7 @@ def make_meshes(folder: Path) -> list[Sample]:
 
 def make_instances(folder: Path) -> list[Sample]:
     """Predicted instances as in ScanNet's benchmark, in both layouts."""
-    from torchjoint.evaluation.instances import read_instances
+    from torchjoint_lab.evaluation.instances import read_instances
 
     labels = torch.arange(60) // 20
     scene = tj.Scene(torch.rand(60, 3, generator=torch.Generator().manual_seed(0)), name="scene0000_00")

@@ -128,7 +128,7 @@ def place(world, one_engine, scene_of, monkeypatch):
 @pytest.mark.parametrize("page", [page for page in PAGES if commands(page)], ids=lambda page: page.stem)
 def test_the_commands_of_a_page_run(page, place, run, request):
     for words in commands(page):
-        wants_result = words[0] in ("show", "evaluate", "export") and {"out", "out/"} & set(words)
+        wants_result = words[0] in ("show", "export") and {"out", "out/"} & set(words)
         if wants_result and not Path("out").exists():
             shutil.copytree(request.getfixturevalue("finished"), "out")
         if "-o" in words:

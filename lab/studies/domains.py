@@ -33,6 +33,7 @@ from torchjoint_lab.benchmark.disturbances import moved
 from torchjoint_lab.benchmark.methods import METHODS
 from torchjoint_lab.benchmark.robustness import NOISE
 from torchjoint_lab.benchmark.search import Budget, run_scores, search
+from torchjoint_lab.evaluation.scores import score, score_images
 from torchjoint_lab.synthetic import make_domain_scene
 from torchjoint_lab.training import save_boundary_model
 from torchjoint_lab.training.boundary_examples import (
@@ -45,7 +46,6 @@ from torchjoint_lab.training.boundary_model import fit_boundary_model
 from torchjoint_lab.training.piece_graph_files import load_evidence, save_evidence
 
 import torchjoint as tj
-from torchjoint.evaluation.scores import score, score_images
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene

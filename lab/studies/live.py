@@ -26,10 +26,10 @@ import torch
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from torch import Generator, Tensor
+from torchjoint_lab.evaluation.scores import score
 from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
-from torchjoint.evaluation.scores import score
 from torchjoint.runtime.files import write_text
 from torchjoint.scene.camera import camera_center
 

@@ -18,11 +18,11 @@ from statistics import fmean
 
 import report
 import torch
+from torchjoint_lab.evaluation.scores import score
+from torchjoint_lab.evaluation.table import standard_error
 from torchjoint_lab.synthetic import make_domain_scene, with_network_masks
 
 import torchjoint as tj
-from torchjoint.evaluation.scores import score
-from torchjoint.evaluation.table import standard_error
 from torchjoint.runtime.files import write_text
 from torchjoint.scene import Scene
 from torchjoint.segments.learned import agglomeration, mask_merging, mask_pieces

@@ -22,13 +22,13 @@ from matplotlib.figure import Figure
 from normals import of_mesh
 from torch import Tensor
 from torch.nn.functional import normalize
+from torchjoint_lab.evaluation.predictions import read_prediction
 from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
 from torchjoint.cloud.local import LocalFrame
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
-from torchjoint.evaluation.predictions import read_prediction
 from torchjoint.metrics.scannet import scannet_average_precision
 from torchjoint.results.boxes import boxes_of
 from torchjoint.results.exports import FORMATS

@@ -16,10 +16,10 @@ from statistics import fmean
 import report
 import torch
 from torch import Tensor
+from torchjoint_lab.evaluation.table import standard_error
 from torchjoint_lab.synthetic import known_things, make_domain_scene, with_network_masks
 
 import torchjoint as tj
-from torchjoint.evaluation.table import standard_error
 from torchjoint.runtime.files import write_text
 from torchjoint.scene import Scene
 

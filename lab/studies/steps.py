@@ -24,9 +24,9 @@ from domain_tables import difference
 from torchjoint_lab.benchmark.disturbances import moved
 from torchjoint_lab.benchmark.robustness import BATCH, NOISE
 from torchjoint_lab.benchmark.robustness_scenes import GENERATED, KINDS, NamedScene, find_scenes
+from torchjoint_lab.evaluation.scores import score
 
 import torchjoint as tj
-from torchjoint.evaluation.scores import score
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Hierarchy

@@ -13,10 +13,10 @@ import pytest
 import torch
 from torchjoint_lab.benchmark.disturbances import moved
 from torchjoint_lab.benchmark.robustness_scenes import NamedScene
+from torchjoint_lab.evaluation.scores import score
 from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
-from torchjoint.evaluation.scores import score
 
 STUDIES = Path(__file__).parents[1] / "studies"
 HELPERS = ("domain_tables", "report", "streets")

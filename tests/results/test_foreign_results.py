@@ -162,9 +162,10 @@ class TestStates:
 
 
 def test_names_with_escapes_and_formulas(tmp_path, capsys):
-    from torchjoint.evaluation.levels import write_levels
-    from torchjoint.evaluation.scores import Scores
-    from torchjoint.evaluation.table import Row, write_csv
+    from torchjoint_lab.evaluation.levels import write_levels
+    from torchjoint_lab.evaluation.scores import Scores
+    from torchjoint_lab.evaluation.table import Row, write_csv
+
     from torchjoint.runtime.messages import in_one_line, say
 
     scores = Scores(*[0.5] * len(Scores._fields))

@@ -10,7 +10,6 @@ COMMANDS = {
     "batch": Command("torchjoint.cli.batch:batch", "segments any number of recordings over many workers"),
     "live": Command("torchjoint.cli.live:live", "plays a recording with depth, and segments what was seen so far"),
     "superpoints": Command("torchjoint.cli.superpoints:superpoints", "cuts a cloud of any size into superpoints"),
-    "evaluate": Command("torchjoint.cli.evaluate:evaluate", "scores results against ground truth"),
     "show": Command("torchjoint.cli.show:show", "shows a result in the browser"),
     "export": Command("torchjoint.cli.export:export", "writes a result in the format of another tool"),
     "edits": Command("torchjoint.cli.edits:edits", "brings corrections of another program back into a result"),

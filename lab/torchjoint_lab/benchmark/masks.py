@@ -20,8 +20,6 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchjoint.config import Config
-from torchjoint.evaluation.scores import score, score_images
-from torchjoint.evaluation.table import markdown, standard_error
 from torchjoint.joint import JointSegmenter
 from torchjoint.oversegmentation import superpoints
 from torchjoint.runtime.files import write_text
@@ -34,6 +32,8 @@ from torchjoint_lab.benchmark.mask_merging.sai3d import sai3d
 from torchjoint_lab.benchmark.mask_merging.sam3d import sam3d
 from torchjoint_lab.benchmark.robustness import NOISE
 from torchjoint_lab.benchmark.vote import vote
+from torchjoint_lab.evaluation.scores import score, score_images
+from torchjoint_lab.evaluation.table import markdown, standard_error
 from torchjoint_lab.synthetic import MASK_LEVELS, make_domain_scene, with_network_masks
 
 #: Images of the scenes of each domain.

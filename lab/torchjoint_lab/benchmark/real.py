@@ -21,7 +21,6 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchjoint.config import Config
-from torchjoint.evaluation.table import markdown
 from torchjoint.joint import JointSegmenter
 from torchjoint.metrics import scannet_average_precision, segmentation_covering
 from torchjoint.runtime.files import atomic_write, write_text
@@ -34,6 +33,7 @@ from torchjoint_lab.benchmark.real_scenes import LIDAR, LabelledScene, RealScene
 from torchjoint_lab.benchmark.robustness import BATCH, NOISE
 from torchjoint_lab.benchmark.space import Setting, draw
 from torchjoint_lab.evaluation.partial_truth import judge
+from torchjoint_lab.evaluation.table import markdown
 
 #: Metres along each axis that move the points of a LiDAR scan, about the noise of a sensor.
 SCAN_NOISE = 0.01

@@ -20,8 +20,6 @@ import torch
 from torch import Generator, Tensor
 from tqdm import tqdm
 
-from torchjoint.evaluation.scores import score
-from torchjoint.evaluation.table import markdown
 from torchjoint.joint import JointSegmenter
 from torchjoint.metrics import segmentation_covering
 from torchjoint.runtime.files import atomic_write, write_text
@@ -29,6 +27,8 @@ from torchjoint.scene import Scene
 from torchjoint.scene.pose_warning import PoseWarning
 from torchjoint_lab.benchmark.disturbances import CLEAN, DISTURBANCES, Disturbed, moved
 from torchjoint_lab.benchmark.robustness_scenes import NamedScene
+from torchjoint_lab.evaluation.scores import score
+from torchjoint_lab.evaluation.table import markdown
 
 #: Metres along each axis, far below the noise of any sensor: what moves the points of every run.
 NOISE = 1e-4

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from torchjoint.evaluation.table import Row
 from torchjoint.scene import Scene
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.method import Method, Result
@@ -16,6 +15,7 @@ from torchjoint_lab.benchmark.search import Budget, Trial, score_result, search
 from torchjoint_lab.benchmark.space import Setting
 from torchjoint_lab.benchmark.suites import Suite, load_all
 from torchjoint_lab.evaluation.kinds import best_iou_by_kind
+from torchjoint_lab.evaluation.table import Row
 
 #: Evenly spread frames of a scene on which image-only methods are tuned, and the largest number of tuning scenes
 #: (all scenes are held in memory).

@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from torchjoint.evaluation.scores import Scores, score, score_images
 from torchjoint.runtime.files import write_text
 from torchjoint.scene import Scene, Truth
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.method import Method, Result
 from torchjoint_lab.benchmark.space import Setting, draw, near
+from torchjoint_lab.evaluation.scores import Scores, score, score_images
 
 
 class Trial(NamedTuple):

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from statistics import fmean
 from typing import NamedTuple
 
-from torchjoint.evaluation.scores import COLUMNS
-from torchjoint.evaluation.table import Row, markdown, standard_error, summarize
+from torchjoint_lab.evaluation.scores import COLUMNS
+from torchjoint_lab.evaluation.table import Row, markdown, standard_error, summarize
 
 
 class Difference(NamedTuple):

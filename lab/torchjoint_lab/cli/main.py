@@ -5,6 +5,7 @@ from __future__ import annotations
 from torchjoint.cli.commands import Command, run
 
 COMMANDS = {
+    "evaluate": Command("torchjoint_lab.cli.evaluate:evaluate", "scores results against ground truth"),
     "benchmark": Command("torchjoint_lab.cli.benchmark:benchmark", "compares methods on labelled scenes"),
     "robustness": Command(
         "torchjoint_lab.cli.robustness:robustness", "measures how much results change with noise, light and poses"

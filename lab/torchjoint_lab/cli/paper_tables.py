@@ -14,7 +14,6 @@ from torch import Tensor
 
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out, check_output
 from torchjoint.datasets.resampling import resize_nearest
-from torchjoint.evaluation.predictions import Prediction, read_prediction
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.folder import read_config
@@ -41,6 +40,7 @@ from torchjoint_lab.evaluation.paper_tables import (
     score_images,
     score_points,
 )
+from torchjoint_lab.evaluation.predictions import Prediction, read_prediction
 
 TABLES, MEANS, SCENES = "tables.md", "tables.csv", "scenes.csv"
 

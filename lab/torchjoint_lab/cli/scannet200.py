@@ -16,13 +16,13 @@ from tqdm import tqdm
 from torchjoint.config import Config
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.engine import open_engine
-from torchjoint.evaluation.predictions import read_prediction
-from torchjoint.evaluation.protocols import Name, counted, find_table
 from torchjoint.masks.folder import frame_names
 from torchjoint.metrics import ScannetAveragePrecisionMetric
 from torchjoint.recordings import RecordingOptions, segment_recording
 from torchjoint.runtime.files import write_text
 from torchjoint_lab.datasets.published_masks import masks_of
+from torchjoint_lab.evaluation.predictions import read_prediction
+from torchjoint_lab.evaluation.protocols import Name, counted, find_table
 
 TABLE, ARGUMENTS = "table.md", "arguments.txt"
 

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from torchjoint.evaluation.table import markdown
 from torchjoint.metrics.covering import covering_of
 from torchjoint.metrics.objects_and_parts import (
     average_precision_objects_of,
@@ -19,6 +18,7 @@ from torchjoint.metrics.objects_and_parts import (
     objects_and_parts_of,
 )
 from torchjoint.metrics.overlaps import overlap_tables
+from torchjoint_lab.evaluation.table import markdown
 
 #: From the index of a frame and the size (H, W) of its ground truth to a label image of this size.
 LabelImages = Callable[[int, tuple[int, int]], Tensor]

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 from lidar_scans import HEIGHT, scan
+from torchjoint_lab.evaluation.scores import mean_scores, score
 
 from torchjoint.config import ScanConfig
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.datasets.files.clouds import read_scan
-from torchjoint.evaluation.scores import mean_scores, score
 from torchjoint.metrics import mean_best_iou
 from torchjoint.segments.scan import gaps, scan_segments
 from torchjoint.segments.scan.directions import directions

@@ -1,4 +1,4 @@
-"""Instances as ScanNet's benchmark and its evaluators read them: see :mod:`torchjoint.evaluation.instances`."""
+"""Instances as ScanNet's benchmark and its evaluators read them (`torchjoint-lab evaluate` does)."""
 
 from __future__ import annotations
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 from folder_files import write_folder, write_truth
+from torchjoint_lab.evaluation.levels import GRANULARITIES, best_levels, level_table, score_levels
+from torchjoint_lab.evaluation.scores import score
 
 import torchjoint as tj
-from torchjoint.evaluation.levels import GRANULARITIES, best_levels, level_table, score_levels
-from torchjoint.evaluation.scores import score
 from torchjoint.results.folder import read_result
 from torchjoint.scene import Hierarchy
 
@@ -120,8 +120,8 @@ class TestCommands:
         with pytest.raises(SystemExit, match="--granularity: expected a number from 0"):
             run("show", out, "--granularity", 2)
 
-    def test_evaluate_scores_all_levels(self, out, recording, scene_of, run, tmp_path, capsys):
-        run("evaluate", out, recording, "-o", tmp_path / "scores")
+    def test_evaluate_scores_all_levels(self, out, recording, scene_of, run_lab, tmp_path, capsys):
+        run_lab("evaluate", out, recording, "-o", tmp_path / "scores")
         printed = capsys.readouterr().out
         levels = score_levels(read_result(out).hierarchy, scene_of(4).point_labels)
         assert f"| best IoU       |   {levels[10].best_iou:.3f} |" in printed
@@ -130,18 +130,18 @@ class TestCommands:
         assert [float(row["granularity"]) for row in rows] == pytest.approx(GRANULARITIES)
         assert [float(row["f"]) for row in rows] == pytest.approx([scores.f for scores in levels], abs=1e-6)
 
-    def test_evaluate_of_a_data_set(self, out, recording, scene_of, run, tmp_path, capsys):
+    def test_evaluate_of_a_data_set(self, out, recording, scene_of, run_lab, tmp_path, capsys):
         data, results = tmp_path / "data", tmp_path / "results"
         for folder, link in ((data, recording), (results, out)):
             folder.mkdir()
             for name in ("first", "second"):
                 (folder / name).symlink_to(link)
-        run("evaluate", results, data)
+        run_lab("evaluate", results, data)
         assert "best level of each scene" in capsys.readouterr().out
         (results / "second").unlink()
         (results / "second").mkdir()
         (results / "second" / "points.npz").symlink_to(out / "points.npz")
-        run("evaluate", results, data)
+        run_lab("evaluate", results, data)
         printed = capsys.readouterr().out
         assert "best level" not in printed
         assert "only 1 of 2 results have levels: no scores of all levels" in printed

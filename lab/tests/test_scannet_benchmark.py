@@ -7,10 +7,10 @@ import pytest
 import samples
 import torch
 from scannet_files import write_mesh, write_point_truth
+from torchjoint_lab.evaluation.instances import Instances, painted, read_instances
+from torchjoint_lab.evaluation.protocols import PROTOCOLS, counted, find_table
 
 import torchjoint as tj
-from torchjoint.evaluation.instances import Instances, painted, read_instances
-from torchjoint.evaluation.protocols import PROTOCOLS, counted, find_table
 from torchjoint.results.exports.scannet import export_masks, export_scannet
 
 SCAN = "scene0011_00"
@@ -56,7 +56,7 @@ def write_listing(folder, scan, masks, scores):
 
 
 @pytest.mark.parametrize("protocol", [None, "scannetv2", "scannet200"])
-def test_a_data_set(scans, scene_of, run, tmp_path, capsys, protocol):
+def test_a_data_set(scans, scene_of, run_lab, tmp_path, capsys, protocol):
     labels, predictions = scene_of(2).point_labels, tmp_path / "predictions"
     predictions.mkdir()
     metric = tj.metrics.ScannetAveragePrecisionMetric()
@@ -71,7 +71,7 @@ def test_a_data_set(scans, scene_of, run, tmp_path, capsys, protocol):
         else:
             write_listing(predictions, scan, masks, scores)
         metric.update(masks, truth, scores)
-    run("evaluate", predictions, scans, *([] if protocol is None else ["--protocol", protocol, "--class-agnostic"]))
+    run_lab("evaluate", predictions, scans, *([] if protocol is None else ["--protocol", protocol, "--class-agnostic"]))
     ap, ap50, ap25 = metric.compute()
     assert 0 < ap < 1
     assert f"AP {ap:.3f}, AP50 {ap50:.3f}, AP25 {ap25:.3f}" in capsys.readouterr().out
@@ -142,7 +142,7 @@ def test_damaged_archives(tmp_path, arrays, message):
         read_instances(tmp_path / "a.npz", 4)
 
 
-def test_a_protocol_needs_its_table_and_its_truth(scans, run, tmp_path, scene_of):
+def test_a_protocol_needs_its_table_and_its_truth(scans, run_lab, tmp_path, scene_of):
     predictions = tmp_path / "predictions"
     predictions.mkdir()
     scan = scans / "scans" / SCAN
@@ -150,15 +150,15 @@ def test_a_protocol_needs_its_table_and_its_truth(scans, run, tmp_path, scene_of
     table = scans / "scannetv2-labels.combined.tsv"
     table.rename(tmp_path / "labels.tsv")
     with pytest.raises(SystemExit, match=r"labels\.combined\.tsv: missing, also in the two folders above"):
-        run("evaluate", tmp_path / "a.npy", scan, "--protocol", "scannet200")
-    run("evaluate", tmp_path / "a.npy", scan, "--protocol", "scannet200", "--label-table", tmp_path / "labels.tsv")
+        run_lab("evaluate", tmp_path / "a.npy", scan, "--protocol", "scannet200")
+    run_lab("evaluate", tmp_path / "a.npy", scan, "--protocol", "scannet200", "--label-table", tmp_path / "labels.tsv")
     with pytest.raises(SystemExit, match="expected --class-agnostic; classes of predictions are not read"):
-        run("evaluate", tmp_path / "a.npy", scan, "--no-class-agnostic")
+        run_lab("evaluate", tmp_path / "a.npy", scan, "--no-class-agnostic")
     with pytest.raises(SystemExit, match="--label-table: expected a --protocol"):
-        run("evaluate", tmp_path / "a.npy", scan, "--label-table", tmp_path / "labels.tsv")
+        run_lab("evaluate", tmp_path / "a.npy", scan, "--label-table", tmp_path / "labels.tsv")
     table.write_text("id\traw_category\n1\twall\n")
     with pytest.raises(SystemExit, match="expected columns raw_category and nyu40id; missing: nyu40id"):
-        run("evaluate", tmp_path / "a.npy", scan, "--protocol", "scannetv2")
+        run_lab("evaluate", tmp_path / "a.npy", scan, "--protocol", "scannetv2")
     table.write_text("id\traw_category\tnyu40id\n1\twall\tone\n")
     with pytest.raises(ValueError, match="nyu40id: expected whole numbers"):
         counted(scene_of(2).point_labels, scan, "scannetv2", table)
@@ -195,21 +195,21 @@ def test_scannetpp_counts_what_its_toolkit_counts(scannetpp):
     assert counted(truth, scannetpp, "scannetpp", table).tolist() == [-1] * 20 + [3] * 10 + [-1] * 10
 
 
-def test_scannetpp_needs_its_lists(scannetpp, run, tmp_path, capsys):
+def test_scannetpp_needs_its_lists(scannetpp, run_lab, tmp_path, capsys):
     np.save(tmp_path / "a.npy", np.repeat([0, 1], 20))
     arguments = ("evaluate", tmp_path / "a.npy", scannetpp, "--protocol", "scannetpp")
     row = "| 1ada7a0617 |    3D |    1.000 |     1.000 |  1.000 | 1.000 |    1.000 |"
-    run(*arguments[:3])
+    run_lab(*arguments[:3])
     assert row not in capsys.readouterr().out
-    run(*arguments)
+    run_lab(*arguments)
     assert row in capsys.readouterr().out
     table = find_table(scannetpp, "scannetpp")
     table.with_name("top100.txt").unlink()
     with pytest.raises(SystemExit, match=r"top100\.txt: missing; expected the benchmark's classes"):
-        run(*arguments)
+        run_lab(*arguments)
     table.write_text("class\nwall\n")
     with pytest.raises(SystemExit, match="expected columns class and semantic_map_to; missing: semantic_map_to"):
-        run(*arguments)
+        run_lab(*arguments)
     table.unlink()
     with pytest.raises(SystemExit, match=r"map_benchmark\.csv: missing, also in the two folders above"):
-        run(*arguments)
+        run_lab(*arguments)

@@ -9,13 +9,13 @@ import torch
 from folder_files import write_folder, write_truth
 from PIL import Image
 from torchjoint_lab.benchmark.tables import method_table, paired_difference, summary_table
+from torchjoint_lab.evaluation.evaluate import evaluate
 from torchjoint_lab.evaluation.kinds import best_iou_by_kind
+from torchjoint_lab.evaluation.predictions import Prediction, read_prediction
+from torchjoint_lab.evaluation.scores import Scores, mean_scores, score, score_images
+from torchjoint_lab.evaluation.table import Row, markdown, standard_error, summarize, write_csv, write_plot
 
 import torchjoint as tj
-from torchjoint.evaluation.evaluate import evaluate
-from torchjoint.evaluation.predictions import Prediction, read_prediction
-from torchjoint.evaluation.scores import Scores, mean_scores, score, score_images
-from torchjoint.evaluation.table import Row, markdown, standard_error, summarize, write_csv, write_plot
 from torchjoint.scene import Truth
 
 
@@ -235,9 +235,9 @@ class TestPredictions:
 
 
 class TestCommand:
-    def test_a_result(self, recording, synthetic, run, tmp_path, capsys):
+    def test_a_result(self, recording, synthetic, run, run_lab, tmp_path, capsys):
         run("segment", recording, "-o", tmp_path / "result", "--set", "paper.min_size=20")
-        run("evaluate", tmp_path / "result", recording, "-o", tmp_path / "scores")
+        run_lab("evaluate", tmp_path / "result", recording, "-o", tmp_path / "scores")
         printed = capsys.readouterr().out
         with (tmp_path / "scores" / "scores.csv").open() as file:
             in_3d, in_2d = csv.DictReader(file)
@@ -251,37 +251,37 @@ class TestCommand:
         assert (tmp_path / "scores" / "scores.png").is_file()
 
     @pytest.mark.slow
-    def test_a_fused_cloud_is_found_in_the_result(self, synthetic, run, tmp_path, capsys):
+    def test_a_fused_cloud_is_found_in_the_result(self, synthetic, run, run_lab, tmp_path, capsys):
         recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
         for index, labels in enumerate(synthetic.image_labels):
             Image.fromarray((labels.numpy() + 1).astype(np.uint16)).save(recording / f"frame-{index * 5:06d}.truth.png")
         small = ["--set", "paper.min_size=20"]
         run("segment", recording, "-o", tmp_path / "result", "--voxel-size", 0.05, *small)
-        run("evaluate", tmp_path / "result", recording, "--voxel-size", 0.05)
+        run_lab("evaluate", tmp_path / "result", recording, "--voxel-size", 0.05)
         assert "2D" in capsys.readouterr().out
 
-    def test_a_data_set(self, recording, synthetic, run, tmp_path, capsys):
+    def test_a_data_set(self, recording, synthetic, run_lab, tmp_path, capsys):
         data, results = tmp_path / "data", tmp_path / "results"
         data.mkdir()
         results.mkdir()
         for name in ("first", "second"):
             (data / name).symlink_to(recording)
             np.save(results / f"{name}.npy", synthetic.point_labels.numpy())
-        run("evaluate", results, data)
+        run_lab("evaluate", results, data)
         lines = capsys.readouterr().out.splitlines()
         assert [line.split("|")[1].strip() for line in lines[2:5]] == ["first", "second", "mean"]
         (results / "second.npy").unlink()
         with pytest.raises(SystemExit, match=r"second: missing; expected a result"):
-            run("evaluate", results, data)
+            run_lab("evaluate", results, data)
 
-    def test_what_is_left_out_is_told(self, recording, synthetic, run, tmp_path, capsys):
+    def test_what_is_left_out_is_told(self, recording, synthetic, run_lab, tmp_path, capsys):
         keep = synthetic.scene.points[:, 0] > synthetic.scene.points[:, 0].median()
         points, labels = synthetic.scene.points[keep], synthetic.point_labels[keep]
         np.savez(tmp_path / "points.npz", points=points.numpy(), labels=labels.numpy())
-        run("evaluate", tmp_path, recording)
+        run_lab("evaluate", tmp_path, recording)
         assert f"recording: the result has only {len(points)} of 6000 points" in capsys.readouterr().out
 
-    def test_scenes_before_a_bad_one_are_not_lost(self, recording, synthetic, run, tmp_path, capsys):
+    def test_scenes_before_a_bad_one_are_not_lost(self, recording, synthetic, run_lab, tmp_path, capsys):
         data, results = tmp_path / "data", tmp_path / "results"
         data.mkdir()
         results.mkdir()
@@ -290,14 +290,14 @@ class TestCommand:
             np.save(results / f"{name}.npy", synthetic.point_labels.numpy())
         (data / "without").unlink()
         write_folder(data / "without", synthetic)
-        run("evaluate", results, data, "-o", tmp_path / "scores")
+        run_lab("evaluate", results, data, "-o", tmp_path / "scores")
         printed = capsys.readouterr().out
         assert "without: has no ground truth and is left out" in printed
         np.save(results / "second.npy", np.zeros(3, int))
         with pytest.raises(SystemExit, match="exists already"):
-            run("evaluate", results, data, "-o", tmp_path / "scores")
+            run_lab("evaluate", results, data, "-o", tmp_path / "scores")
         with pytest.raises(SystemExit, match=r"second\.npy: expected shape \[6000\]"):
-            run("evaluate", results, data, "-o", tmp_path / "scores", "--overwrite")
+            run_lab("evaluate", results, data, "-o", tmp_path / "scores", "--overwrite")
         assert "| first" in capsys.readouterr().out
         assert len((tmp_path / "scores" / "scores.csv").read_text().splitlines()) == 2
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from torchjoint.evaluation.levels import score_levels
-from torchjoint.evaluation.predictions import Prediction
-from torchjoint.evaluation.scores import Scores, score, score_images
-from torchjoint.evaluation.table import Row
 from torchjoint.scene import Scene
+from torchjoint_lab.evaluation.levels import score_levels
+from torchjoint_lab.evaluation.predictions import Prediction
+from torchjoint_lab.evaluation.scores import Scores, score, score_images
+from torchjoint_lab.evaluation.table import Row
 
 
 def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") -> list[Row]:
@@ -37,7 +37,7 @@ def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") 
 
 
 def evaluate_levels(prediction: Prediction, scene: Scene) -> list[Scores]:
-    """Returns the 3D scores at :data:`~torchjoint.evaluation.levels.GRANULARITIES`.
+    """Returns the 3D scores at :data:`~torchjoint_lab.evaluation.levels.GRANULARITIES`.
 
     The list is empty if the prediction has no hierarchy, or the scene has no ground truth for its points.
     """

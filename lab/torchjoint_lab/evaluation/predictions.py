@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_array, read_label_image
-from torchjoint.evaluation.instances import Instances, is_listing, painted, read_instances
 from torchjoint.results.folder import read_points
 from torchjoint.results.hierarchy_files import FILE, read_hierarchy
 from torchjoint.runtime.files import frame_files
@@ -20,6 +19,7 @@ from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy, Scene, Segmentation
 from torchjoint.scene.checks import as_labels
+from torchjoint_lab.evaluation.instances import Instances, is_listing, painted, read_instances
 
 #: Largest distance between a result's point and its scene point, metres.
 NEAR = 1e-3
@@ -48,7 +48,7 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
     Args:
         path: a folder that `torchjoint segment` wrote; or the labels of all points, as a .npy of integers [N] or a .txt
             with one number per line; or instances as in ScanNet's benchmark, see
-            :mod:`torchjoint.evaluation.instances`; or a folder with an image `images/NAME.png` for each frame NAME,
+            :mod:`torchjoint_lab.evaluation.instances`; or a folder with an image `images/NAME.png` for each frame NAME,
             which holds label + 1 in 8 or 16 bits.
         scene: the segmented scene.
 

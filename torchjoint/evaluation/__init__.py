@@ -1,1 +1,0 @@
-"""Evaluation against ground truth: reads predictions, computes scores, makes tables of scores."""
