@@ -13,19 +13,9 @@ from tqdm import tqdm
 
 from torchjoint.cli.arguments import check_output
 from torchjoint.datasets import list_scenes, load_scene
-<<<<<<< HEAD:torchjoint/cli/evaluate.py
-from torchjoint_lab.evaluation.evaluate import evaluate as evaluate_prediction
-from torchjoint_lab.evaluation.evaluate import evaluate_levels, left_out
-from torchjoint_lab.evaluation.levels import level_table, write_levels
-from torchjoint_lab.evaluation.predictions import Prediction, is_result, read_prediction
-from torchjoint_lab.evaluation.protocols import Name, counted, find_table
-from torchjoint_lab.evaluation.scores import Scores
-from torchjoint_lab.evaluation.table import Row, scene_table, write_csv, write_plot
 from torchjoint.runtime.foreign_files import has_file, is_there
 from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import Output
-=======
->>>>>>> hF/hF:lab/torchjoint_lab/cli/evaluate.py
 from torchjoint.scene import Scene, Truth
 from torchjoint_lab.evaluation.evaluate import evaluate as evaluate_prediction
 from torchjoint_lab.evaluation.evaluate import evaluate_levels, left_out

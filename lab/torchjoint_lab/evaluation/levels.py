@@ -14,12 +14,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-<<<<<<< HEAD:torchjoint/evaluation/levels.py
-from torchjoint_lab.evaluation.scores import COLUMNS, Scores, score
-from torchjoint_lab.evaluation.table import markdown
 from torchjoint.runtime.csv_tables import csv_text
-=======
->>>>>>> hF/hF:lab/torchjoint_lab/evaluation/levels.py
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy

@@ -8,11 +8,7 @@ from pathlib import Path
 from statistics import fmean, stdev
 from typing import NamedTuple
 
-<<<<<<< HEAD:torchjoint/evaluation/table.py
-from torchjoint_lab.evaluation.scores import COLUMNS, Scores, mean_scores
 from torchjoint.runtime.csv_tables import csv_text
-=======
->>>>>>> hF/hF:lab/torchjoint_lab/evaluation/table.py
 from torchjoint.runtime.files import atomic_write, write_text
 from torchjoint_lab.evaluation.scores import COLUMNS, Scores, mean_scores
 
