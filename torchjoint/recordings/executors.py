@@ -157,7 +157,7 @@ def open_engine(engine: str | Executor | Engine = "loky", threads: int = 1) -> I
     if found is None:
         raise ValueError(f"engine: {EXPECTED}, got {engine!r}")
     local, count, remote, address = found.groups()
-    workers = _workers(count and int(count), threads) if local else max(1, cores // _checked(threads))
+    workers = _workers(int(count) if count else None, threads) if local else max(1, cores // _checked(threads))
     with ExitStack() as stack:
         yield {"loky": _loky, "dask": _dask, "ray": _ray}[local or remote](stack, engine, workers, threads, address)
 
