@@ -83,7 +83,7 @@ def test_splats_of_a_room_are_segmented_and_scored(splats, run, tmp_path):
     labels = torch.from_numpy(read_vertex_property(tmp_path / "out.ply", "label"))
     target = truth.where(truth > -2, -1)  # faint splats are void
     assert tj.metrics.mean_best_iou(labels, target) > 0.27
-    assert tj.metrics.objects_and_parts(labels, target).f > 0.6
+    assert tj.metrics.objects_and_parts(labels, target).f > 0.5
 
 
 #: Two squares of two triangles beside each other, 10 cm apart.
