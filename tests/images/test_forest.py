@@ -39,6 +39,7 @@ from torchjoint_lab.training.tree import grow_tree
 from torchjoint.images import forest as forest_file
 from torchjoint.images.forest import NUM_FEATURES, Forest, read_forest
 from torchjoint.images.structured_forest import padded
+from torchjoint.runtime.work_folder import work_folder
 
 SMALL = TrainingOptions(
     trees=3, trees_per_site=2, samples=3000, feature_share=0.05, tree=TreeOptions(features_tried=20, node_samples=500)
@@ -330,8 +331,7 @@ class TestTraining:
     @pytest.mark.slow
     def test_another_seed_makes_another_forest(self, data, trained, tmp_path, monkeypatch):
         monkeypatch.setattr(train, "ProcessPoolExecutor", Threads)
-        (tmp_path / "other.yml.gz.trees").mkdir()
-        (tmp_path / "other.yml.gz.trees" / "key").write_text("of an earlier training")
+        work_folder(tmp_path / "other.yml.gz.trees", "of an earlier training")
         (tmp_path / "other.yml.gz.trees" / "tree-00.npz").write_text("which is not this one")
         train_boundaries(data, tmp_path / "other.yml.gz", dataclasses.replace(SMALL, trees=2, seed=1), workers=1)
         assert not np.array_equal(read_forest(tmp_path / "other.yml.gz").features[0], read_forest(trained).features[0])
@@ -342,7 +342,8 @@ class TestTraining:
         with pytest.raises(ValueError, match=r"out: expected a name that ends in \.yml\.gz"):
             train_boundaries(data, tmp_path / "a.npz")
         (tmp_path / "b.yml.gz.trees").mkdir()
-        with pytest.raises(FileExistsError, match=r"b\.yml\.gz\.trees: is in the way"):
+        (tmp_path / "b.yml.gz.trees" / "mine.txt").write_text("precious")
+        with pytest.raises(FileExistsError, match=r"b\.yml\.gz\.trees: expected the folder of an earlier run"):
             train_boundaries(data, tmp_path / "b.yml.gz")
         for options in ({"trees": 0}, {"trees_per_site": 9}, {"samples": 1.5}, {"feature_share": 0}, {"seed": -1}):
             with pytest.raises(ValueError, match=f"{next(iter(options))}: expected"):

@@ -40,7 +40,7 @@ def result(scene_of):
 
 
 def test_pieces_lie_inside_the_segments_of_the_images(result):
-    of_piece = result.hierarchy.segments_of_pieces(0.5)
+    of_piece = result.hierarchy.segments_of_pieces(result.hierarchy.default)
     for labels, pieces in zip(result.images, result.piece_images, strict=True):
         own = (labels >= 0) & (labels < result.num_point_segments)
         assert torch.equal(pieces >= 0, own)
