@@ -70,7 +70,7 @@ def test_a_file_that_was_moved_away_has_undone_nothing(out):
     assert save_edits(out, replace(saved, steps=(A, B)), saved, parts).steps == (A, B)
 
 
-def test_corrections_that_are_not_possible_together_change_nothing(out):
+def test_corrections_that_exclude_each_other(out):
     parts, before = opened(out)
     save_edits(out, replace(before, steps=(A,)), before, parts)
     with pytest.raises(ValueError, match=r"edits\.json: expected corrections that go with those that others have"):
