@@ -25,7 +25,7 @@ def rle_pixels(rle: Mapping[str, Any], name: str = "segmentation") -> tuple[tupl
         ValueError, TypeError: naming the entry; also if the sum of the counts is not H x W.
 
     >>> rle_pixels({"size": [2, 3], "counts": [1, 2, 3]})
-    ((2, 3), array([3, 1]))
+    ((2, 3), array([1, 3]))
     """
     if not isinstance(rle, Mapping) or not {"size", "counts"} <= set(rle):
         raise ValueError(f"{name}: expected run lengths with size and counts, got {_described(rle)}")
