@@ -21,6 +21,8 @@ include_patterns = [
     "benchmarks/README.md",
     "lab/README.md",
     "lab/studies/README.md",
+    "lab/studies/before.md",
+    "lab/studies/lidar.md",
     "CHANGELOG.md",
     "torchjoint/models/MODEL_CARD.md",
 ]
