@@ -21,8 +21,8 @@ import report
 import torch
 
 import torchjoint as tj
+from torchjoint.engine import open_engine
 from torchjoint.recordings import RecordingOptions, segment_recording
-from torchjoint.recordings.executors import open_engine
 from torchjoint.recordings.one_scene import Job, run_scene
 from torchjoint.runtime.peak_memory import peak_memory, reset_peak_memory
 

@@ -19,7 +19,7 @@ from PIL import Image
 from scannet_files import shots_of, write_mesh, write_point_truth, write_sens
 
 import torchjoint as tj
-from torchjoint.recordings.executors import open_engine
+from torchjoint.engine import open_engine
 from torchjoint.results.embeddings import Embeddings
 
 ROOT = Path(__file__).parents[1]

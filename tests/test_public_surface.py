@@ -28,7 +28,8 @@ PUBLIC = {
         VisibilityConfig evidence_config evidence_differences marked_parameters marked_table parameter_table presets
         read_assignment read_preset read_yaml superpoint_presets superpoint_table
     """,
-    "torchjoint.recordings": "BatchReport RecordingOptions batch find_recordings open_engine segment_recording",
+    "torchjoint.engine": "Engine Outcome WorkerDied open_engine tasks_on_machine",
+    "torchjoint.recordings": "BatchReport RecordingOptions batch find_recordings segment_recording",
     "torchjoint.scene": "Cloud Frame Hierarchy LabelImages Masks Scene Segmentation Truth",
     "torchjoint.masks": """
         Masks from_coco from_instances from_labels from_module from_panoptic from_sam from_stack read_folder read_masks

@@ -4,7 +4,7 @@ import csv
 import importlib
 import shutil
 import sys
-from concurrent.futures import BrokenExecutor, Executor, Future
+from concurrent.futures import Future
 
 import joblib
 import pytest
@@ -13,37 +13,50 @@ from folder_files import write_scans
 
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.engine import Engine, tasks_on_machine
+from torchjoint.engine.worker import Shared
 from torchjoint.recordings import find_recordings, segment_recording
-from torchjoint.recordings.executors import Engine
-from torchjoint.recordings.tasks import tasks_on_machine
 from torchjoint.runtime.csv_tables import csv_text
 from torchjoint.runtime.locks import lock
 from torchjoint.scene.thinning import voxel_subsample
 
 
-class HereEngine(Executor):
+class Given(Shared):
+    def __init__(self, value):
+        self.key, self.value = str(id(value)), value
+
+    def load(self):
+        return self.value
+
+    def close(self):
+        pass
+
+
+class HereEngine(Engine):
     """Runs its tasks at once, in this process."""
 
-    def __init__(self):
+    def __init__(self, on_machine=1):
+        super().__init__("here", 1, on_machine)
         self.started = 0
 
-    def submit(self, call, /, *arguments):
+    def slots(self):
+        return 1
+
+    def _share(self, value):
+        return Given(value)
+
+    def _submit(self, call, *arguments):
         self.started += 1
-        future = Future()
+        future, threads = Future(), torch.get_num_threads()
         future.set_result(call(*arguments))
+        torch.set_num_threads(threads)
         return future
 
+    def _death(self, error):
+        return None
 
-class BrokenPool(HereEngine):
-    """Its first task kills its worker; it takes no other."""
-
-    def submit(self, call, /, *arguments):
-        self.started += 1
-        if self.started > 1:
-            raise BrokenExecutor("it is broken")
-        future = Future()
-        future.set_exception(BrokenExecutor("a worker died"))
-        return future
+    def close(self):
+        pass
 
 
 @pytest.fixture(scope="module")
@@ -94,26 +107,10 @@ def test_the_workers_of_a_machine_share_its_memory(scans, tmp_path, monkeypatch)
 
     monkeypatch.setattr(tj.recordings.one_scene, "segment_recording", segment)
     monkeypatch.setattr("torchjoint.recordings.one_scene.as_bytes", lambda memory: 12_000 if memory is None else memory)
-    for on_machine in (1, 4):
-        tj.batch(scans / "a", tmp_path, engine=Engine("here", HereEngine(), lambda: 1, 1, on_machine))
-    tj.batch(scans / "a", tmp_path, engine=HereEngine())  # it may run a task on each core
+    for on_machine in (1, 4, None):  # None: a cluster; its machines may run a task on each core
+        tj.batch(scans / "a", tmp_path, engine=HereEngine(on_machine))
     assert budgets == [12_000, 3_000, 12_000 // joblib.cpu_count()]
     assert tasks_on_machine() == 1  # again, after the tasks
-
-
-def test_an_executor_that_breaks(scans, tmp_path):
-    """It is the caller's: all that is left fails with the reason, and the same batch goes on later."""
-    options = tj.RecordingOptions(max_frames=1, thin=0.2)
-    report = tj.batch(scans, tmp_path / "out", engine=BrokenPool(), config=QUICK, options=options)
-    assert list(report.failures) == ["a", "b", "c"]
-    assert report.failures["a"] == "its worker died: BrokenExecutor (killed, out of memory, or a crash)"
-    again = tj.batch(scans, tmp_path / "out", engine=HereEngine(), config=QUICK, options=options)
-    assert sorted(again.reports) == ["a", "c"]
-
-
-def test_no_engine(scans, tmp_path):
-    with pytest.raises(TypeError, match=r"engine: expected loky, dask .* or a concurrent.futures.Executor, got int"):
-        tj.batch(scans, tmp_path / "out", engine=3)
 
 
 def test_what_is_done_is_skipped(done, scans):

@@ -1,5 +1,6 @@
 """Workers, heads, connections, memory and disks fail; each time the files end up those of an undisturbed run."""
 
+import gc
 import logging
 import os
 import signal
@@ -162,8 +163,22 @@ def batch_with_a_cut(engine, target, scans, deaths, out):
         )
     finally:
         wire.close()
+    for one in gc.get_objects():  # an attempt to connect that dask's client has cancelled leaves its socket open
+        with suppress(OSError):  # it listens only
+            if type(one) is socket.socket and one.getpeername() == ("127.0.0.1", wire.port):
+                one.close()
     assert cuts
     return report
+
+
+def test_the_connection_to_a_scheduler_of_dask_is_cut(scans, deaths, expected, tmp_path):
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
+        host, port = cluster.scheduler_address.removeprefix("tcp://").split(":")
+        report = batch_with_a_cut("dask", (host, int(port)), scans, deaths, tmp_path / "out")
+    assert report.failures == {}
+    assert_complete(tmp_path / "out", expected)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from folder_files import write_scans
 from las_town import town, write_las
 
 import torchjoint as tj
-from torchjoint.recordings.executors import open_engine
+from torchjoint.engine import open_engine
 from torchjoint.recordings.frame_chunks import segment_over
 from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.run import HERE

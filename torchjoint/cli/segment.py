@@ -14,8 +14,8 @@ from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
 from torchjoint.cli.reading import AS_IT_IS, FlatReading
 from torchjoint.cli.show import live_view, show_result
+from torchjoint.engine import open_engine
 from torchjoint.recordings import segment_recording
-from torchjoint.recordings.executors import open_engine
 from torchjoint.runtime.messages import say
 
 

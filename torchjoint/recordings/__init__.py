@@ -1,9 +1,8 @@
 """Segments recordings on disk into result folders: one recording, or any number of them on many workers."""
 
 from torchjoint.recordings.batch import BatchReport, batch
-from torchjoint.recordings.executors import open_engine
 from torchjoint.recordings.options import RecordingOptions
 from torchjoint.recordings.scene_list import find_recordings
 from torchjoint.recordings.segment import segment_recording
 
-__all__ = ["BatchReport", "RecordingOptions", "batch", "find_recordings", "open_engine", "segment_recording"]
+__all__ = ["BatchReport", "RecordingOptions", "batch", "find_recordings", "segment_recording"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -13,12 +12,11 @@ import yaml
 from tqdm import tqdm
 
 from torchjoint.config import Config
-from torchjoint.recordings.executors import Engine, open_engine
+from torchjoint.engine import Engine, Outcome, WorkerDied, open_engine
 from torchjoint.recordings.one_scene import Job, SceneReport, check_origin, is_done, report_of, run_scene
 from torchjoint.recordings.options import RecordingOptions
 from torchjoint.recordings.scene_list import FAILURES, RECORD, SUMMARY, find_recordings
 from torchjoint.recordings.summary import Tables
-from torchjoint.recordings.tasks import Outcome, WorkerDied
 from torchjoint.results.folder import read_origin
 from torchjoint.runtime.files import remove_partial_files, write_text
 from torchjoint.runtime.locks import lock
@@ -48,7 +46,7 @@ def batch(
     scenes: str | Path | Iterable[str | Path],
     out: str | Path,
     *,
-    engine: str | Executor | Engine = "loky",
+    engine: str | Engine = "loky",
     threads: int = 1,
     config: Config | None = None,
     options: RecordingOptions | None = None,
@@ -66,8 +64,8 @@ def batch(
         scenes: recordings, folders of data sets, patterns, and files that list them; see
             :func:`torchjoint.recordings.find_recordings`.
         out: folder for the results; workers on other machines must see it and the recordings at the same paths.
-        engine: the workers, or an executor of your own; see :func:`torchjoint.recordings.open_engine`. A script that
-            uses dask on this machine must call this function below ``if __name__ == "__main__":``.
+        engine: the workers; see :func:`torchjoint.engine.open_engine`. A script that uses dask on this machine must
+            call this function below ``if __name__ == "__main__":``.
         threads: threads of one recording. Workers on this machine never have more threads than there are cores.
         config: parameters of the method; default ``Config()``.
         options: how recordings are read; default ``RecordingOptions()``.
@@ -103,9 +101,7 @@ def batch(
     return BatchReport(job.out, tables.reports, skipped, tables.failures)
 
 
-def _run(
-    job: Job, todo: dict[str, Path], tables: Tables, engine: str | Executor | Engine, threads: int, progress: bool
-) -> None:
+def _run(job: Job, todo: dict[str, Path], tables: Tables, engine: str | Engine, threads: int, progress: bool) -> None:
     """Segments the recordings `todo`. The bar counts all recordings, and estimates the time of the remaining ones."""
     if not todo:
         return

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+from torchjoint.engine import Engine
 from torchjoint.joint import JointSegmenter, Watch
-from torchjoint.recordings.executors import Engine
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.views.state import JointState
@@ -29,7 +29,7 @@ def segment_over(
 ) -> Segmentation:
     """Segments a scene as ``segmenter(scene)`` does, with the same labels; workers do steps 1, 2, 4 and 5.
 
-    The cloud and its graph are sent with each chunk of frames. The workers read those frames that are on disk.
+    The cloud and its graph are sent once to each worker. The workers read those frames that are on disk.
 
     Args:
         engine: the workers.
@@ -40,7 +40,7 @@ def segment_over(
         on_frames: is called when evidence was added, see :meth:`torchjoint.JointSegmenter.forward`.
 
     Raises:
-        WorkerDied: the worker of a chunk died, and died again.
+        WorkerDied: two workers died with the same chunk.
         ConnectionError: the engine cannot be reached any more.
         ValueError, TypeError, OSError: as from the segmenter, or from reading frames.
     """

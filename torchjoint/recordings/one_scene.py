@@ -10,9 +10,9 @@ from pathlib import Path
 
 from torchjoint.config import Config
 from torchjoint.datasets.files.readers import fingerprint
+from torchjoint.engine import tasks_on_machine
 from torchjoint.recordings.options import RecordingOptions
 from torchjoint.recordings.segment import segment_recording
-from torchjoint.recordings.tasks import tasks_on_machine
 from torchjoint.results.folder import Origin, read_origin, read_record
 from torchjoint.results.output_folder import own_files
 from torchjoint.runtime.foreign_files import has_file, is_there

@@ -11,10 +11,10 @@ from typing import Literal, NamedTuple
 from torchjoint.config import Config
 from torchjoint.datasets import load_scene
 from torchjoint.datasets.files.readers import fingerprint
+from torchjoint.engine import Engine
 from torchjoint.joint import JointSegmenter, Watch
 from torchjoint.masks import read_folder
 from torchjoint.masks.folder import check_files
-from torchjoint.recordings.executors import Engine
 from torchjoint.recordings.frame_chunks import segment_over
 from torchjoint.recordings.options import RecordingOptions
 from torchjoint.results.checkpoint import Checkpoint, run_key

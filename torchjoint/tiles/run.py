@@ -11,7 +11,6 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +22,7 @@ from tqdm import tqdm
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.readers import fingerprint
-from torchjoint.recordings.executors import Engine, open_engine
+from torchjoint.engine import Engine, open_engine
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.locks import lock
@@ -71,7 +70,7 @@ def superpoints_of_files(
     tile: float | None = None,
     buffer: float | None = None,
     preset: str | SuperpointsConfig = "default",
-    engine: str | Executor | Engine = "loky",
+    engine: str | Engine = "loky",
     overwrite: bool = False,
     progress: bool | None = None,
 ) -> TiledCloud:
@@ -91,8 +90,8 @@ def superpoints_of_files(
         buffer: width of the rim that a tile shares with its neighbours, metres; default: 60 x the typical distance of
             neighbouring points.
         preset: as in :func:`torchjoint.superpoints`.
-        engine: where the tiles are segmented, see :func:`torchjoint.recordings.open_engine`. The workers must be able
-            to access the folder of `out`. "loky:1" is this process.
+        engine: where the tiles are segmented, see :func:`torchjoint.engine.open_engine`. The workers must be able to
+            access the folder of `out`. "loky:1" is this process.
         overwrite: replace an earlier result.
         progress: show progress bars; None: if there is a terminal.
 
@@ -222,9 +221,7 @@ def _check_disk(work: Path, num_points: int, colored: bool) -> None:
         raise ValueError(f"out: expected about {needed / 1e9:.1f} GB free in {work.parent}, got {free / 1e9:.1f} GB")
 
 
-def _segment(
-    cut: _Cut, work: Path, config: SuperpointsConfig, engine: str | Executor | Engine, progress: bool | None
-) -> None:
+def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: str | Engine, progress: bool | None) -> None:
     """Segments the tiles without labels, several at a time; a single tile is segmented in this process."""
     (work / "labels").mkdir(exist_ok=True)
     tasks = [
@@ -240,14 +237,10 @@ def _segment(
                 bar.update()
             return
         with open_engine(engine) as opened:
-            for outcome in opened.run(_segment_tile, tasks, (cut.white, config)):
+            for outcome in opened.run(lambda shared, task: segment_tile(*shared, task), tasks, (cut.white, config)):
                 if outcome.error is not None:
                     raise outcome.error
                 bar.update()
-
-
-def _segment_tile(shared: tuple[int | None, SuperpointsConfig], task: TileTask) -> None:
-    segment_tile(*shared, task)
 
 
 def _stitch(cut: _Cut, work: Path) -> tuple[int, npt.NDArray[np.unsignedinteger]]:

@@ -15,10 +15,10 @@ from tqdm import tqdm
 
 from torchjoint.config import Config
 from torchjoint.datasets import list_scenes, load_scene
+from torchjoint.engine import open_engine
 from torchjoint.masks.folder import frame_names
 from torchjoint.metrics import ScannetAveragePrecisionMetric
 from torchjoint.recordings import RecordingOptions, segment_recording
-from torchjoint.recordings.executors import open_engine
 from torchjoint.runtime.files import write_text
 from torchjoint_lab.datasets.published_masks import masks_of
 from torchjoint_lab.evaluation.predictions import read_prediction

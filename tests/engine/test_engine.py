@@ -12,8 +12,7 @@ import psutil
 import pytest
 import torch
 
-from torchjoint.recordings.executors import open_engine
-from torchjoint.recordings.tasks import WorkerDied
+from torchjoint.engine import WorkerDied, open_engine
 
 # Two workers each, whatever the number of cores: a warning is all.
 ENGINES = ["loky:2", "dask:2", "ray:2"]
@@ -105,7 +104,7 @@ def test_every_task_has_one_outcome(ran):
         assert isinstance(outcomes[number].error, ValueError)
         assert str(outcomes[number].error) == f"task {number}"
     assert isinstance(outcomes[5].error, WorkerDied)
-    assert "its worker died" in str(outcomes[5].error)
+    assert "died 2 times" in str(outcomes[5].error)
 
 
 @QUIET
@@ -126,6 +125,21 @@ def test_no_other_machine_reaches_the_workers(ran):
         assert ran.authentication == "token"
 
 
+class Counted:
+    """Leaves a mark each time that it is unpickled."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def __reduce__(self):
+        return _unpickled, (self.folder,)
+
+
+def _unpickled(folder):
+    (Path(folder) / str(time.monotonic_ns())).touch()
+    return folder
+
+
 class OddError(Exception):
     """Cannot be unpickled."""
 
@@ -134,8 +148,8 @@ class OddError(Exception):
 
 
 @pytest.mark.slow
-def test_what_travels():
-    """What cannot travel is told, and stops nothing."""
+def test_what_travels(tmp_path):
+    """Shared values travel once; what cannot travel is told, and stops nothing."""
 
     def local(shared, number):
         if number == 1:
@@ -143,10 +157,11 @@ def test_what_travels():
         return (part for part in "ab") if number == 2 else number
 
     with open_engine("loky:1") as engine:
-        outcomes = list(engine.run(local, range(5), None))
+        outcomes = list(engine.run(local, range(5), Counted(str(tmp_path))))
     assert [outcome.value for outcome in outcomes] == [0, None, None, 3, 4]
     assert str(outcomes[1].error) == "OddError: this"
     assert "pickle" in str(outcomes[2].error)
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 @pytest.mark.parametrize(
@@ -167,7 +182,7 @@ def test_bad_engines(name, threads, message):
 def test_never_more_threads_than_cores(caplog):
     cores = joblib.cpu_count()
     with open_engine("loky:999") as engine:
-        assert engine.slots() == cores
+        assert engine.slots() == engine.on_machine == cores
     assert "too many" in caplog.text
     with open_engine("loky", threads=cores) as engine:
         assert engine.slots() == 1
@@ -193,7 +208,7 @@ def test_a_worker_that_grows_is_replaced_without_a_warning(recwarn):
 @QUIET
 @pytest.mark.slow
 def test_dask_without_a_scheduler(monkeypatch):
-    from torchjoint.recordings.executors import dask
+    from torchjoint.engine import dask
 
     monkeypatch.setattr(dask, "PATIENCE", 1.0)
     message = "engine dask://127.0.0.1:1: no scheduler answers at tcp://127.0.0.1:1"
