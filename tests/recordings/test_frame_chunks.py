@@ -5,7 +5,6 @@ import torch
 from test_batch import HereEngine
 
 import torchjoint as tj
-from torchjoint.recordings.executors import Engine, open_engine
 from torchjoint.recordings.frame_chunks import segment_over
 from torchjoint.results.checkpoint import Checkpoint
 
@@ -19,11 +18,11 @@ def assert_same(one, other):
         assert torch.equal(labels, others)
 
 
-class BackwardEngine(Engine):
+class BackwardEngine(HereEngine):
     """Its tasks end in the reverse order; with a limit, it breaks after some."""
 
     def __init__(self, limit=None):
-        super().__init__("here", HereEngine(), slots=lambda: 1, threads=1, on_machine=1)
+        super().__init__()
         self.limit = limit
 
     def run(self, function, tasks, shared):
@@ -59,5 +58,5 @@ def test_an_error_of_a_frame_is_raised(scene_of):
 
     segmenter = tj.JointSegmenter(QUICK)
     segmenter.begin(scene)
-    with open_engine(HereEngine()) as engine, pytest.raises(OSError, match=r"frame.png: damaged"):
-        list(tj.recordings.frame_chunks._in_order(engine, segmenter, Damaged(scene.frames), 0))
+    with pytest.raises(OSError, match=r"frame.png: damaged"):
+        list(tj.recordings.frame_chunks._in_order(HereEngine(), segmenter, Damaged(scene.frames), 0))
