@@ -30,16 +30,15 @@ def call(kernel: Any, *arguments: Any) -> Any:
     if torch.compiler.is_compiling():
         return kernel(*arguments)
     names = [argument.name for argument in kernel._schema.arguments]
-    for name, value in zip(names, arguments, strict=False):
+    for name, argument, value in zip(names, kernel._schema.arguments, arguments, strict=False):
+        if value is None and str(argument.type) == "Tensor":
+            raise TypeError(f"{name}: expected a tensor, got None")
         if isinstance(value, int) and not -LIMIT <= value < LIMIT:
             raise ValueError(f"{name}: expected an integer of at most 64 bits, got {str(value)[:60]}")
     try:
         return kernel(*arguments)
     except RuntimeError as error:
-        translated = _translated(error, names)
-        if translated is None:
-            raise
-        raise translated from None
+        raise (_translated(error, names) or error) from None
 
 
 def _translated(error: RuntimeError, names: list[str]) -> ValueError | MemoryError | None:
