@@ -441,7 +441,11 @@ class TestSuites:
         found = yaml.safe_load((out / "settings.yaml").read_text())
         assert set(found) == {name for name in methods if METHODS[name].space_in("scannet")}
         before = (out / "scores.csv").read_text()
-        run_lab("benchmark", "scannet", *common, *chosen, "--settings", out / "settings.yaml", "--overwrite")
+        again = ("benchmark", "scannet", *common, *chosen, "--overwrite", "--settings")
+        with pytest.raises(SystemExit, match="expected another path than the input's"):
+            run_lab(*again, out / "settings.yaml")
+        kept = (out / "settings.yaml").rename(tmp_path / "kept.yaml")
+        run_lab(*again, kept)
         assert (out / "scores.csv").read_text() == before
         with pytest.raises(SystemExit, match="exists already; choose another folder with -o, or --overwrite"):
             run_lab("benchmark", "scannet", *common)
