@@ -447,7 +447,7 @@ class TestSuites:
         kept = (out / "settings.yaml").rename(tmp_path / "kept.yaml")
         run_lab(*again, kept)
         assert (out / "scores.csv").read_text() == before
-        with pytest.raises(SystemExit, match="exists already; choose another folder with -o, or --overwrite"):
+        with pytest.raises(SystemExit, match="exists already; choose another name with -o, or --overwrite"):
             run_lab("benchmark", "scannet", *common)
 
     def test_mistakes_on_the_command_line(self, run_lab, tmp_path):
