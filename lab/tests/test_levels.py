@@ -162,7 +162,7 @@ class TestCommands:
         assert list(tmp_path.iterdir()) == []
 
     def test_show_of_a_result_with_one_level(self, run, tmp_path):
-        out = shutil.copytree(Path(__file__).parents[1] / "samples" / "result-0.1.0", tmp_path / "out")
+        out = shutil.copytree(Path(__file__).parents[2] / "tests" / "samples" / "result-0.1.0", tmp_path / "out")
         (out / "hierarchy.npz").unlink()
         with pytest.raises(SystemExit, match=r"--granularity: expected a result with levels"):
             run("show", out, "--granularity", 0.2)
