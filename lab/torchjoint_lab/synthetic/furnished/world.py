@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part, rotation_z
+from torchjoint_lab.synthetic.furnished.arrays import Array
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import Part, rotation_z
 
 #: Why an instance is hard to segment: "flat" items lie flush on the surface below or hang flush on a wall; "concave"
 #: items are hollow.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from torchjoint.runtime.extras import needed_for
-from torchjoint.synthetic.arrays import Array
+from torchjoint_lab.synthetic.furnished.arrays import Array
 
 
 class RayCaster:
@@ -19,7 +19,7 @@ class RayCaster:
     """
 
     def __init__(self, triangles: Array) -> None:
-        with needed_for("tj.synthetic", "embreex", "embreex"):
+        with needed_for("torchjoint_lab.synthetic", "embreex", "embreex"):
             from embreex.mesh_construction import TriangleMesh
             from embreex.rtcore_scene import EmbreeScene
 

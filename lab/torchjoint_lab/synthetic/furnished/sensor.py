@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.render import View
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.render import View
 
 #: Nearest and farthest depth of a Kinect, metres.
 DEPTH_RANGE = (0.4, 5.0)

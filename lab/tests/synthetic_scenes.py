@@ -1,4 +1,4 @@
-"""Options of synthetic scenes, and their surface to measure distances to."""
+"""Options of furnished rooms, and their surface to measure distances to."""
 
 from __future__ import annotations
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from torchjoint.synthetic import clutter
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Rng
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.world import Item, Pose, Surface, WorldBuilder
+from torchjoint_lab.synthetic.furnished import clutter
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.arrays import Rng
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.world import Item, Pose, Surface, WorldBuilder
 
 
 @dataclass

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
 
 #: Side of the cells in which observations are averaged, metres.
 _CELL = 0.006

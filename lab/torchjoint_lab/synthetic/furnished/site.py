@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchjoint.synthetic.layout import Footprints
-from torchjoint.synthetic.world import Pose, WorldBuilder
+from torchjoint_lab.synthetic.furnished.layout import Footprints
+from torchjoint_lab.synthetic.furnished.world import Pose, WorldBuilder
 
 #: Yaw at which an item's back (+y) is against the wall: north (+y), east (+x), south, west.
 _WALL_YAW = (0.0, -np.pi / 2, np.pi, np.pi / 2)

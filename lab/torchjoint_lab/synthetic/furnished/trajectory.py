@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.world import World
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.world import World
 
 #: Horizontal field of view of a Kinect-like camera, degrees.
 FIELD_OF_VIEW = 57.0

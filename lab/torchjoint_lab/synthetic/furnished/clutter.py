@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Rng
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part, ball, box, cup, lathe, tube
-from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.arrays import Rng
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import Part, ball, box, cup, lathe, tube
+from torchjoint_lab.synthetic.furnished.world import Item
 
 
 def mug(rng: Rng) -> Item:

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 from synthetic_scenes import CLEAN, TINY, surface_of
-
-from torchjoint.synthetic import make_scene
-from torchjoint.synthetic.sensor import rippled
-from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic.furnished import make_scene
+from torchjoint_lab.synthetic.furnished.sensor import rippled
+from torchjoint_lab.synthetic.furnished.world import Item
 
 o3d = pytest.importorskip("open3d", reason="Open3D measures distances to a surface")
 

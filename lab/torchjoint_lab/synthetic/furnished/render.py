@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array
-from torchjoint.synthetic.rays import RayCaster
-from torchjoint.synthetic.world import Light, World
+from torchjoint_lab.synthetic.furnished.arrays import Array
+from torchjoint_lab.synthetic.furnished.rays import RayCaster
+from torchjoint_lab.synthetic.furnished.world import Light, World
 
 #: Offset of shadow rays from the surface, metres: less than the thinnest sheet (1 mm), more than float32 noise (1 um).
 _OFFSET = 2e-4

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Color, Rng
+from torchjoint_lab.synthetic.furnished.arrays import Array, Color, Rng
 
 WOODS: tuple[Color, ...] = (
     (0.72, 0.53, 0.33),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array
+from torchjoint_lab.synthetic.furnished.arrays import Array
 
 #: Corners of a face of the unit cube, (0,0) (1,0) (1,1) (0,1) in the two axes of the face.
 _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
