@@ -108,7 +108,7 @@ def draw() -> None:
     with tempfile.TemporaryDirectory() as work:
         subprocess.run([sys.executable, "-m", "torchjoint", "demo", "-o", f"{work}/demo"], check=True)
         picture = Image.open(f"{work}/demo/overview.png").convert("RGB")
-    picture.thumbnail((1200, 1200))
+    picture.thumbnail((1536, 1536), Image.Resampling.LANCZOS)
     picture.save(ROOT / "docs" / "overview.jpg", quality=85)
 
 
