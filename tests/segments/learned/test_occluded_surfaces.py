@@ -44,7 +44,7 @@ def lines_by_hand(depths, noise):
     cells = [(number, float(torch.tensor(depths[i]))) for number, i in enumerate(place)]
 
     def threshold(z):
-        return max(occluded_surfaces.DEPTH_STEP * z, occluded_surfaces.STEP_IN_NOISE * noise)
+        return max(occluders.DEPTH_STEP * z, occluders.STEP_IN_NOISE * noise)
 
     def step(i):  # -1 falls, 1 rises, 0 neither, from cell i to the next one
         one, other = cells[i][1], cells[i + 1][1]
