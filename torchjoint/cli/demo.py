@@ -39,7 +39,7 @@ def demo(
             RecordingOptions(),
             overwrite=overwrite,
             progress=sys.stderr.isatty(),
-            on_frames=view,
+            watch=view,
             allow_import=True,
         )
     if segmented is None:
