@@ -116,9 +116,10 @@ def tiff() -> bytes:
     return stream.getvalue()
 
 
-def coco(height: int, width: int, segmentation: Any) -> bytes:
+def coco(height: int, width: int, segmentation: Any, count: int = 1) -> bytes:
     image = {"id": 1, "file_name": "a.jpg", "height": height, "width": width}
-    return json.dumps({"images": [image], "annotations": [{"image_id": 1, "segmentation": segmentation}]}).encode()
+    annotations = [{"image_id": 1, "segmentation": segmentation}] * count
+    return json.dumps({"images": [image], "annotations": annotations}).encode()
 
 
 def read_coco(path: Path) -> Any:
@@ -196,6 +197,12 @@ BOMBS: dict[str, Bomb] = {
     ),
     "edges over many rows": Bomb(
         "sum", ".json", coco(SIDE, 9, [[0, 0, 8, SIDE] * 5000]), read_coco, "rows of all edges"
+    ),
+    "masks around much": Bomb(
+        "sum", ".json", coco(SIDE, SIDE, [[0, 0, SIDE, SIDE, 0, 0]], 40), read_coco, "pixels around polygons"
+    ),
+    "edges in several masks": Bomb(
+        "sum", ".json", coco(SIDE, SIDE, [[0, 0, 8, SIDE] * 500], 20), read_coco, "rows of all edges"
     ),
     "far corners": Bomb("size", ".json", coco(9, 9, [[0, 0, 1e300, 0, 9, -1e300]]), read_coco, "finite corners"),
     "deep JSON": Bomb("depth", ".json", b"[" * 100_000 + b"]" * 100_000, MASKS, "not a whole JSON file"),
