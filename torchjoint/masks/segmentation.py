@@ -78,7 +78,7 @@ def check_declared(segmentations: Iterable[Any], size: Size | None, name: str) -
     """Checks how much work all run lengths and polygons of an image declare, before any of them is unpacked.
 
     Raises:
-        ValueError, TypeError: too much, or of :func:`pixels_of`.
+        ValueError, TypeError: too much, or as :func:`pixels_of`.
     """
     inside = around = rows = 0
     for index, one in enumerate(segmentations):
