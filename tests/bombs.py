@@ -6,6 +6,7 @@ reads them, too.
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import struct
@@ -71,8 +72,6 @@ def gltf(count: int, places: int = 0, data: bytes | None = None, **more: Any) ->
     accessor: dict[str, Any] = {"componentType": 5126, "count": count, "type": "VEC3"}
     tree: dict[str, Any] = {"asset": {"version": "2.0"}, "accessors": [accessor], "bufferViews": []}
     if data is not None:
-        import base64
-
         accessor["bufferView"] = 0
         uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
         tree |= {"buffers": [{"byteLength": len(data), "uri": uri}]}
@@ -98,6 +97,13 @@ def mat(count: int) -> bytes:
         packed += packer.compress(bytes(1 << 20))
     packed += packer.flush()
     return b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + (struct.pack("<2I", 15, len(packed)) + packed) * count
+
+
+def picture() -> str:
+    """An image of 64 megapixels in a link."""
+    stream = io.BytesIO()
+    Image.new("1", (SIDE, SIDE)).save(stream, "PNG")
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
 
 
 def png(width: int, height: int) -> bytes:
@@ -134,6 +140,7 @@ def read_yaml(path: Path) -> Any:
 
 VERTEX = ("element vertex 1", "property float x", "property float y", "property float z")
 MASKS = tj.masks.read_masks
+PICTURE = picture()
 NESTED = [[0] * index + [1] * (3000 - index) for index in range(3000)]
 
 BOMBS: dict[str, Bomb] = {
@@ -225,6 +232,16 @@ BOMBS: dict[str, Bomb] = {
         gltf(3, 1, bytes(36), images=[{"uri": "data:image/png;base64,JSFQUw=="}]),
         read_cloud_file,
         "expected one of PNG, JPEG",
+    ),
+    "textures of a mesh": Bomb(
+        "sum", ".gltf", gltf(3, 1, bytes(36), images=[{"uri": PICTURE}] * 20), read_cloud_file, "pixels in all textures"
+    ),
+    "materials": Bomb(
+        "sum",
+        ".obj",
+        b"\nv 0 0 0" * 200_000 + b"".join(b"\nusemtl m%d\nf 1 2 3" % i for i in range(20_000)),
+        read_cloud_file,
+        "vertices times materials",
     ),
     "elements": Bomb(
         "count", ".ply", ply(*VERTEX, *(f"element e{i} 0" for i in range(40_000))), read_cloud_file, "at most 256 elem"
