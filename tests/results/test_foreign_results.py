@@ -18,7 +18,7 @@ from torchjoint.results.boxes import read_boxes
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.checked_files import read_values, write_checked, write_values
 from torchjoint.runtime.packing import Packed, pack
-from torchjoint.views.state import JointState
+from torchjoint.views.evidence import Evidence
 
 CANNOT = "cannot be read"
 
@@ -88,7 +88,7 @@ def test_other_files(trap, tmp_path):
 @pytest.mark.parametrize("trap", traps.TRAPS)
 def test_a_checkpoint(trap, tmp_path):
     checkpoint = Checkpoint(tmp_path / "state", "key")
-    checkpoint.save(JointState.empty(3, 4), now=True)
+    checkpoint.save(Evidence.zeros(3, 4), now=True)
     with (
         traps.trapped(tmp_path / "state" / "sums.pt", trap),
         traps.ends(),

@@ -37,7 +37,10 @@ def demo(
             synthetic = demo_scene()
         with printed_log(), clock("segment"):
             segmenter = JointSegmenter(config, allow_import=True)
-            result = segmenter(synthetic.scene, progress=sys.stderr.isatty(), on_frames=view)
+            for _ in segmenter.steps(synthetic.scene, progress=sys.stderr.isatty()):
+                if view is not None:
+                    view(segmenter, synthetic.scene)
+            result = segmenter.compute(progress=sys.stderr.isatty())
         write_result(partial, synthetic.scene, result, config, SOURCE, seconds=clock.seconds)
     summarize(result, out)
     in_3d = metrics.objects_and_parts(result.points, synthetic.point_labels)
