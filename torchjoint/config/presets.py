@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import yaml
 
 from torchjoint.runtime import bounds
-from torchjoint.runtime.foreign_files import read_text
+from torchjoint.runtime.foreign_files import DAMAGE, read_text
 
 T = TypeVar("T")
 
@@ -75,14 +75,14 @@ def read_assignment(assignment: str, form: str = "parameter") -> tuple[str, Any]
         raise ValueError(f"--set: expected {form}=value, got {assignment!r}")
     try:
         return name, yaml.load(text, _Loader)
-    except (yaml.YAMLError, RecursionError):
+    except (yaml.YAMLError, *DAMAGE):
         raise ValueError(f"{name}: expected a value, got {text!r}") from None
 
 
 def _parse(text: str, source: str, make: Callable[[Mapping[str, Any]], T], form: str) -> T:
     try:
         values = yaml.load(text, _Loader)
-    except (yaml.YAMLError, RecursionError) as error:
+    except (yaml.YAMLError, *DAMAGE) as error:  # such as a date or a number that cannot be
         raise ValueError(f"{source}: not valid YAML: {error}") from error
     if values is not None and not isinstance(values, dict):
         raise ValueError(f"{source}: expected {form}, got a {type(values).__name__}")

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from torchjoint.datasets.files.gltf import Parts, bound_textures, check_gltf
+from torchjoint.datasets.files.gltf import Parts, bound_textures, check_gltf, check_obj
 from torchjoint.datasets.files.ply import Ply
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.foreign_files import read_file
@@ -43,6 +43,8 @@ def read_mesh_file(path: Path) -> Ply:
     try:
         if suffix in (".gltf", ".glb"):
             check_gltf(data, parts, str(path))
+        if suffix == ".obj":
+            check_obj(data, str(path))
         mesh = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=parts, process=False).to_mesh()  # type: ignore[arg-type]  # it only gets
         if parts.error is not None:
             raise parts.error
