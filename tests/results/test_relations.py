@@ -208,7 +208,7 @@ def test_apart_nothing_is_related():
 
 def test_a_generated_room(scene_of):
     """All that stands on a table or a cabinet is above it; most of what a person would name is found."""
-    made = scene_of(0, num_points=15_000)
+    made = scene_of(3, num_points=15_000)
     ids, labels = made.point_labels.unique(return_inverse=True)
     graph = tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(made.scene.points)).graph(UP)
     names = [made.instance_names[int(one)] for one in ids]
