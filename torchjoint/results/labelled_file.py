@@ -14,8 +14,15 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files import meshes
-from torchjoint.datasets.files.ply import Ply, read_ply, write_cloud
-from torchjoint.datasets.files.ply_records import PlyRecords, parse_records, read_records, write_bytes
+from torchjoint.datasets.files.ply import (
+    Ply,
+    PlyRecords,
+    parse_records,
+    read_ply,
+    read_records,
+    write_bytes,
+    write_cloud,
+)
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.result import Result
 from torchjoint.runtime.extras import needed_for
