@@ -186,6 +186,7 @@ def test_faces_of_vertices_that_are_not_there(tmp_path):
         read_ply(written(tmp_path / "a.ply", header("ascii", *lines) + b"1 2 3\n4 5 6\n3 0 1 2\n"))
 
 
+@pytest.mark.filterwarnings("ignore:.*no position, normal or colour")
 def test_damage_is_an_error_or_leaves_the_size(tmp_path):
     """A flipped bit of a coordinate cannot be told; a wrong number of points can."""
     write_cloud(tmp_path / "a.ply", POINTS, COLORS, torch.arange(50))

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files import meshes
+from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.ply import (
-    Ply,
     PlyRecords,
     parse_records,
     read_ply,
@@ -124,7 +124,7 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
             file.write_bytes(parts.some_vertices(which.numpy(), triangles))
 
 
-def _read(source: Path) -> Ply:
+def _read(source: Path) -> CloudFile:
     suffix = source.suffix.lower()
     if suffix not in (".ply", *meshes.SUFFIXES):
         raise ValueError(f"{source}: expected a file that ends in {', '.join(('.ply', *meshes.SUFFIXES))}")
@@ -136,20 +136,20 @@ def _stem(segment: int, result: Result) -> str:
     return f"{segment:06d}" if name is None else file_name(f"{segment:06d}-{name}")
 
 
-def _write_mesh(out: Path, mesh: Ply, of_vertex: Tensor, of_face: Tensor | None, name: str) -> None:
+def _write_mesh(out: Path, mesh: CloudFile, of_vertex: Tensor, of_face: Tensor | None, name: str) -> None:
     every = np.ones(len(mesh.points), dtype=np.bool_)
     whole = _vertices(mesh).some_vertices(every, None if mesh.faces is None else mesh.faces.numpy())
     labels = {"vertex": of_vertex.numpy()} | ({} if of_face is None else {"face": of_face.numpy()})
     write_bytes(out, parse_records(whole).with_labels(name, labels))
 
 
-def _vertices(mesh: Ply) -> PlyRecords:
+def _vertices(mesh: CloudFile) -> PlyRecords:
     with tempfile.TemporaryDirectory() as temporary:
         write_cloud(Path(temporary) / "mesh.ply", mesh.points, mesh.colors)
         return read_records(Path(temporary) / "mesh.ply")
 
 
-def _write_glb(out: Path, mesh: Ply, of_face: Tensor | None, result: Result) -> None:
+def _write_glb(out: Path, mesh: CloudFile, of_face: Tensor | None, result: Result) -> None:
     if mesh.faces is None or of_face is None:
         raise ValueError("expected a mesh with faces, for a .glb, got vertices only")
     with needed_for(".glb files", "trimesh", "torchjoint[mesh]"):

@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.gltf import Parts, bound_textures, check_gltf
-from torchjoint.datasets.files.ply import Ply
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.foreign_files import read_file
 
@@ -26,7 +26,7 @@ MUCH, SAMPLES = 0.1, 200_000
 AGREED = 0.9
 
 
-def read_mesh_file(path: Path) -> Ply:
+def read_mesh_file(path: Path) -> CloudFile:
     """Reads all meshes of a file as one, in the file's world frame.
 
     Colours are those of vertices, faces or textures, if there are any. Normals are not read: in many files they are
@@ -63,7 +63,7 @@ def read_mesh_file(path: Path) -> Ply:
     rgb = None
     if colors is not None and len(colors) == len(points):
         rgb = torch.from_numpy(np.asarray(colors)[:, :3].astype(np.float32) / 255)
-    return Ply(torch.from_numpy(points), rgb, None, torch.from_numpy(faces) if len(faces) else None)
+    return CloudFile(torch.from_numpy(points), rgb, None, torch.from_numpy(faces) if len(faces) else None)
 
 
 def has_large_triangles(points: Tensor, faces: Tensor) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.files.columns import CloudFile, cloud_of
 from torchjoint.datasets.files.text import parse_integer
 from torchjoint.runtime import bounds
 from torchjoint.runtime.files import atomic_write
@@ -29,27 +30,12 @@ MAX_HEADER = 1 << 20
 
 #: Names of the list of a face's vertices.
 _FACE_LISTS = ("vertex_indices", "vertex_index")
-_COLORS, _NORMALS = ("red", "green", "blue"), ("nx", "ny", "nz")
-#: Gaussian splats (Kerbl et al. 2023): the constant term of the colour's spherical harmonics, and this basis function.
-#: Their opacity is stored before a sigmoid.
-_HARMONICS, _CONSTANT, _OPACITY = ("f_dc_0", "f_dc_1", "f_dc_2"), 0.5 / np.pi**0.5, "opacity"
-
 _WORDS = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
           "f8": "double"}  # fmt: skip
 _KINDS = {word: kind for kind, word in _WORDS.items()} | {
     f"{name}{8 * int(kind[1])}": kind for kind in _WORDS for name in [{"i": "int", "u": "uint", "f": "float"}[kind[0]]]
 }
 _ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
-
-
-class Ply(NamedTuple):
-    """A cloud, or a mesh."""
-
-    points: Tensor  #: [N, 3] metres, float32 or float64 as in the file
-    colors: Tensor | None  #: [N, 3] float32 RGB in [0, 1]
-    normals: Tensor | None  #: [N, 3] float32
-    faces: Tensor | None  #: [F, 3] int64; polygons are cut into triangles from their first vertex
-    opacities: Tensor | None = None  #: [N] float32 in [0, 1], of Gaussian splats
 
 
 class Property(NamedTuple):
@@ -104,7 +90,7 @@ class Lists(NamedTuple):
 Columns = Mapping[str, "Array | Lists"]
 
 
-def read_ply(path: Path) -> Ply:
+def read_ply(path: Path) -> CloudFile:
     """Reads the vertices and faces of a PLY file; of other elements only the size is checked.
 
     Raises:
@@ -113,7 +99,7 @@ def read_ply(path: Path) -> Ply:
     """
     elements = _read_elements(path)
     with damage_is(str(path)):
-        return _assembled(elements)
+        return _assembled(elements, str(path))
 
 
 def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
@@ -143,7 +129,7 @@ def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels
     kind = torch.float64 if points.dtype == torch.float64 else torch.float32
     columns = dict(zip("xyz", points.to(kind).T, strict=True))
     if colors is not None:
-        columns |= zip(_COLORS, (colors.clamp(0, 1) * 255).round().to(torch.uint8).T, strict=True)
+        columns |= zip(("red", "green", "blue"), (colors.clamp(0, 1) * 255).round().to(torch.uint8).T, strict=True)
     if labels is not None:
         columns["label"] = labels.to(torch.int32)
     rows = np.empty(len(points), [(name, column.numpy().dtype.newbyteorder("<")) for name, column in columns.items()])
@@ -160,63 +146,50 @@ def write_bytes(path: Path, content: bytes) -> None:
         partial.write_bytes(content)
 
 
-def _assembled(elements: Mapping[str, Columns]) -> Ply:
+def _assembled(elements: Mapping[str, Columns], name: str) -> CloudFile:
     vertex = {name: column for name, column in elements.get("vertex", {}).items() if not isinstance(column, Lists)}
-    missing = [name for name in "xyz" if name not in vertex]
-    if missing:
-        raise ValueError(f"expected an element vertex with properties x, y and z; {', '.join(missing)} missing")
-    if not len(vertex["x"]):
+    if any(column.startswith("packed_") for column in vertex):
+        raise ValueError(
+            "these are splats as SuperSplat packs them (.compressed.ply); expected splats with x, y and z: save them "
+            "as .ply (`splat-transform a.compressed.ply a.ply`, or SuperSplat's export)"
+        )
+    cloud = cloud_of(vertex, name)
+    if not len(cloud.points):
         raise ValueError("no points")
-
-    def stacked(names: Iterable[str], kind: npt.DTypeLike = np.float32, divisor: float = 1) -> Tensor | None:
-        if not all(name in vertex for name in names):
-            return None
-        columns = [vertex[name] if divisor == 1 else vertex[name].astype(float) / divisor for name in names]
-        made = np.empty((len(columns[0]), len(columns)), kind)
-        for place, column in enumerate(columns):
-            made[:, place] = column
-        return torch.from_numpy(made)
-
-    narrow = all(vertex[name].dtype.str[1:] == "f4" for name in "xyz")
-    points = stacked("xyz", np.float32 if narrow else np.float64)
-    assert points is not None
-    opacities = None
-    if all(name in vertex for name in _COLORS):
-        colors = stacked(_COLORS, np.float32, _white([vertex[name].dtype for name in _COLORS]))
-    elif (colors := stacked(_HARMONICS)) is not None:
-        colors = (0.5 + _CONSTANT * colors).clamp(0, 1)
-        opacities = stacked([_OPACITY])
-    normals = stacked(_NORMALS)
-    if normals is not None and not normals.any():
-        normals = None  # some programs, such as those for splats, write zeros where they have no normals
-    return Ply(
-        points, colors, normals, _faces(elements, len(points)), None if opacities is None else opacities[:, 0].sigmoid()
-    )
-
-
-def _white(kinds: Sequence[np.dtype[Any]]) -> float:
-    """The number of full brightness."""
-    kind = kinds[0] if len({(one.kind, one.itemsize) for one in kinds}) == 1 else np.dtype(np.uint8)
-    return 1 if kind.kind == "f" else int(np.iinfo(kind).max)
+    return cloud._replace(faces=_faces(elements, len(cloud.points)))
 
 
 def _faces(elements: Mapping[str, Columns], num_points: int) -> Tensor | None:
-    """The triangles [F, 3] int64 of polygons, from the first corner of each."""
-    face = elements.get("face", {})
-    lists = next((face[name] for name in _FACE_LISTS if name in face), None)
-    if not isinstance(lists, Lists):
-        return None
+    """The triangles [F, 3] int64 of polygons, from the first corner of each; and those of strips."""
+    found = []
+    for element, triangles_of in (("face", _fans), ("tristrips", _strips)):
+        columns = elements.get(element, {})
+        lists = next((columns[name] for name in _FACE_LISTS if name in columns), None)
+        if isinstance(lists, Lists) and len(triangles := triangles_of(lists)):
+            low, high = triangles.min(), triangles.max()
+            if not 0 <= low <= high < num_points:
+                raise ValueError(f"element {element}: expected vertices in [0, {num_points}), got {low} to {high}")
+            found.append(triangles)
+    return torch.from_numpy(np.concatenate(found)) if found else None
+
+
+def _fans(lists: Lists) -> Array:
     count = np.maximum(lists.lengths - 2, 0)
     start = np.repeat(np.cumsum(lists.lengths) - lists.lengths, count)
     second = start + 1 + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    triangles = np.stack([lists.values[corner] for corner in (start, second, second + 1)], axis=1).astype(np.int64)
-    if not len(triangles):
-        return None
-    if not 0 <= triangles.min() <= triangles.max() < num_points:
-        raise ValueError(
-            f"element face: expected vertices in [0, {num_points}), got {triangles.min()} to {triangles.max()}"
-        )
-    return torch.from_numpy(triangles)
+    return np.stack([lists.values[corner] for corner in (start, second, second + 1)], axis=1).astype(np.int64)
+
+
+def _strips(lists: Lists) -> Array:
+    """Each corner makes a triangle with the two before it, turned every other time; -1 begins a new strip."""
+    corners = np.insert(lists.values.astype(np.int64), np.cumsum(lists.lengths), -1)
+    is_end = corners == -1
+    place = np.arange(len(corners)) - np.maximum.accumulate(np.where(is_end, np.arange(len(corners)) + 1, 0))
+    triangles = np.lib.stride_tricks.sliding_window_view(corners, 3) if len(corners) > 2 else np.empty((0, 3), np.int64)
+    turned = place[: len(triangles)] % 2 == 1
+    triangles = np.where(turned[:, None], triangles[:, [1, 0, 2]], triangles)
+    a, b, c = triangles.T
+    return triangles[(triangles != -1).all(1) & (a != b) & (b != c) & (a != c)]
 
 
 def _read_elements(path: Path) -> dict[str, Columns]:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.files.columns import POINTS, cloud_of, plain
 from torchjoint.datasets.files.rasters import decode_image
 from torchjoint.datasets.files.readers import rgb_of
 
@@ -107,7 +108,7 @@ def camera(message: Any, rectified: bool, name: str) -> Camera:
 
 
 def cloud_points(message: Any, name: str) -> tuple[Tensor, Tensor | None]:
-    """The finite points [N, 3] float64 of a PointCloud2, in the message's frame, and their colours [N, 3] or None.
+    """The finite points [N, 3] of a PointCloud2, in the message's frame, and their colours [N, 3] or None.
 
     Raises:
         ValueError: there are no fields x, y, z, or sizes do not fit.
@@ -116,8 +117,8 @@ def cloud_points(message: Any, name: str) -> tuple[Tensor, Tensor | None]:
     count, step = int(message.width) * int(message.height), int(message.point_step)
     row_step = int(message.row_step) or step * int(message.width)
     size = row_step * int(message.height)
-    wrong = [axis for axis in "xyz" if axis not in fields or fields[axis].datatype not in (7, 8)]
-    if wrong or row_step < step * int(message.width) or len(message.data) < size:
+    floats = {plain(field.name) for field in message.fields if field.datatype in (7, 8)}
+    if not floats.issuperset(POINTS[0]) or row_step < step * int(message.width) or len(message.data) < size:
         raise ValueError(
             f"{name}: expected fields x, y, z and {count} points of {step} bytes, got fields {', '.join(fields)} and "
             f"{len(message.data)} bytes"
@@ -125,18 +126,14 @@ def cloud_points(message: Any, name: str) -> tuple[Tensor, Tensor | None]:
     rows = message.data[:size].reshape(int(message.height), row_step)[:, : step * int(message.width)]
     rows = np.ascontiguousarray(rows).reshape(count, step)
     order = ">" if message.is_bigendian else "<"
-
-    def column(field: Any, kind: str) -> npt.NDArray[Any]:
-        end = field.offset + np.dtype(kind).itemsize
+    columns = {}
+    for field in message.fields:
+        kind, number = np.dtype(f"{order}{_FIELDS.get(field.datatype, 'u1')}"), max(int(field.count), 1)
+        end = field.offset + kind.itemsize * number
         if end > step:
             raise ValueError(f"{name}: field {field.name} ends at byte {end} of {step}")
-        return np.ascontiguousarray(rows[:, field.offset : end]).view(f"{order}{kind}")[:, 0]
-
-    xyz = np.stack([column(fields[axis], _FIELDS[fields[axis].datatype]).astype(np.float64) for axis in "xyz"], axis=1)
-    kept = np.isfinite(xyz).all(1)
-    packed = next((fields[key] for key in ("rgb", "rgba") if key in fields), None)
-    if packed is None:
-        return torch.from_numpy(xyz[kept]), None
-    value = column(packed, "u4")[kept]
-    rgb = np.stack([(value >> shift) & 255 for shift in (16, 8, 0)], axis=1).astype(np.float32) / 255
-    return torch.from_numpy(xyz[kept]), torch.from_numpy(rgb)
+        values = np.ascontiguousarray(rows[:, field.offset : end]).view(kind)
+        columns[field.name] = values[:, 0] if number == 1 else values
+    cloud = cloud_of(columns, name)
+    kept = cloud.points.isfinite().all(1)
+    return cloud.points[kept].double(), None if cloud.colors is None else cloud.colors[kept]

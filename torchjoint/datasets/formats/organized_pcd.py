@@ -50,13 +50,13 @@ def scenes(path: Path) -> dict[str, Path]:
 def load(path: Path, options: Options) -> Scene:
     """Loads the view; see :func:`torchjoint.load_scene`."""
     cloud = read_pcd(path)
-    points, colors = cloud.points(), cloud.colors()
+    points, colors = cloud.cloud(str(path))[:2]
     if colors is None:
         raise ValueError(f"{path}: expected a field rgb or rgba of 4 bytes")
     known = torch.isfinite(points).all(dim=1) & (points[:, 2] > 0)
     size = (cloud.height, cloud.width)
     frame = Frame(
-        colors.view(*size, 3).permute(2, 0, 1).contiguous(),
+        (colors.view(*size, 3).permute(2, 0, 1) * 255).round().byte().contiguous(),
         _intrinsics(path, points, known, cloud.width),
         torch.eye(4, dtype=torch.float64),
         depth=torch.where(known, points[:, 2], 0).float().view(size),
