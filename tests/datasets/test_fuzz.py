@@ -46,7 +46,6 @@ def test_the_format_is_detected(name, tmp_path):
     )
 
 
-@pytest.mark.filterwarnings("ignore:.*(not read|left out|taken from the nearest)")
 @pytest.mark.parametrize("name", samples.FORMATS)
 def test_damaged_files_give_clear_errors(name, tmp_path):
     path = samples.write(name, tmp_path / "sample")
