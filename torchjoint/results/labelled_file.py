@@ -29,6 +29,7 @@ from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import file_name
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.threads import on_cpu
+from torchjoint.scene.checks import without_return
 
 #: If half of the vertices are farther from the result than this share of its diagonal, the file is of another place.
 FAR = 0.25
@@ -42,12 +43,14 @@ def nearest_labels(result: Result, points: Tensor) -> Tensor:
         points: [M, 3] metres, in the frame of the result's cloud.
 
     Returns:
-        [M] int64; -1 where a point is not finite.
+        [M] int64; -1 where a point is not finite, or a beam without return.
 
     Raises:
         ValueError: half of the points are far from the result.
     """
     own, finite = result.scene.points, points.isfinite().all(1)
+    if not bool(without_return(own).any()):
+        finite &= ~without_return(points)
     if points.shape == own.shape and torch.equal(points.double(), own.double()):
         return result.points.clone()
     from scipy.spatial import cKDTree

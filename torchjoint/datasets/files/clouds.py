@@ -19,7 +19,7 @@ from torchjoint.datasets.files.readers import read_array
 from torchjoint.datasets.files.text_clouds import cloud_of_letters, cloud_of_rows, read_text_cloud
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.foreign_files import damage_is, present
-from torchjoint.scene.checks import Invalid, kept_points
+from torchjoint.scene.checks import Beams, Invalid, kept_points
 
 #: Row lengths that are tried for a LiDAR scan; rows that are examined, and the fewest rows that allow a decision.
 COLUMNS, ROWS, LEAST_ROWS = (3, 4, 5, 6, 7), 1 << 16, 100
@@ -58,14 +58,16 @@ def read_cloud_file(
         path: of the file.
         columns: numbers in a row of a .bin file, if other than above. Or a letter for each number in a row of a .bin,
             .npy, .xyz or .txt file: x y z, r g b, nnn (a normal); others are left out: "xyzrgbl".
-        invalid: what becomes of points that are NaN or infinite; a mesh with such points loses its triangles.
+        invalid: what becomes of points that are NaN or infinite; a mesh with such points loses its triangles. "keep"
+            keeps beams without return, too: many points at (0, 0, 0), which are left out otherwise, with a warning.
         least_opacity: fainter Gaussian splats are left out, with a warning.
 
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
     read = _read(path, columns)
-    valid = kept_points(read.points, str(path), invalid)
+    beams: Beams = "keep" if invalid == "keep" or read.faces is not None else "drop many"
+    valid = kept_points(read.points, str(path), invalid, beams)
     read = repaired(read.chosen(valid), str(path))
     return read if read.opacities is None else read.chosen(_opaque(read.opacities, least_opacity, path))
 
@@ -155,7 +157,7 @@ def read_scan(path: Path, columns: int, invalid: Invalid = "refuse") -> Tensor:
     if size == 0 or size % (4 * columns):
         raise ValueError(f"{path}: expected rows of {columns} float32, {4 * columns} bytes each, got {size} bytes")
     rows = torch.from_numpy(np.fromfile(path, dtype="<f4").reshape(-1, columns))
-    return rows[kept_points(rows[:, :3], str(path), invalid)]
+    return rows[kept_points(rows[:, :3], str(path), invalid, "keep" if invalid == "keep" else "drop any")]
 
 
 def _from_archive(path: Path) -> CloudFile:

@@ -42,7 +42,7 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
         FileNotFoundError, ValueError: the message names the file, the line and what to do.
     """
     data = _as_utf8(read_file(path, "a point cloud as text"))
-    start, number, names, count = _preamble(data, str(path))
+    start, number, names, count = _preamble(data, f"{path}: not a whole {path.suffix} cloud")
     rows = _numbers(data[start:], number, path)
     if count is not None and count != len(rows):
         raise ValueError(f"{path}: line {number - 1}: {count} points are counted, got {len(rows)}: is it truncated?")
