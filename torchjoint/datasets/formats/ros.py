@@ -41,6 +41,7 @@ from torchjoint.datasets.files.ros_messages import (
 from torchjoint.datasets.formats.tum import associate
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.datasets.ros_poses import ODOMETRY, Poses
+from torchjoint.datasets.shots import tell_left_out
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene
@@ -185,12 +186,7 @@ def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[F
     ]
     if not shots:
         raise ValueError(f"{bag.path}: none of {len(colors)} images has a pose within {limit} s (tf or odometry)")
-    if len(shots) < len(colors):
-        warnings.warn(
-            f"{bag.path}: {len(colors) - len(shots)} of {len(colors)} images have no pose within {limit} s, and are "
-            "left out",
-            stacklevel=2,
-        )
+    tell_left_out(str(bag.path), len(colors) - len(shots), len(colors), f"have no pose within {limit} s,")
     rectified = re.search(r"(?:^|[/_])rect", topics.color) is not None
     info, size = bag.first(topics.info), []
     if has_region(info):
