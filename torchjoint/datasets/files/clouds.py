@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files import las, meshes, text_clouds
-from torchjoint.datasets.files.columns import CloudFile, repaired, unit_colors
+from torchjoint.datasets.files.columns import CloudFile, repaired, tell_not_read, unit_colors
 from torchjoint.datasets.files.e57 import read_e57
 from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.ply import read_ply
@@ -168,6 +168,7 @@ def _from_archive(path: Path) -> CloudFile:
     for name in ("points", "colors", "normals"):
         if name in values and values[name].shape != (count, 3):
             raise ValueError(f"{name}: expected a row of three numbers for each point, got {[*values[name].shape]}")
+    tell_not_read(set(values) - {"points", "colors", "normals", "faces"}, str(path))
     made = {name: torch.from_numpy(values[name]) for name in ("points", "normals", "faces") if name in values}
     normals = made["normals"].float() if "normals" in made else None
     colors = unit_colors(values["colors"]) if "colors" in values else None

@@ -100,16 +100,21 @@ def cloud_of(columns: Mapping[str, Array], name: str) -> CloudFile:
     if colors is None and harmonics is not None:
         colors = (0.5 + CONSTANT * _stacked(harmonics, np.float32)).clamp(0, 1)
         opacities = None if faint is None else _stacked(faint, np.float32)[:, 0].sigmoid()
-    left = [column for column in columns if column not in used and not NOT_READ.fullmatch(plain(column))]
-    if left:
-        some = ", ".join(left[:8]) + (", ..." if len(left) > 8 else "")
-        warnings.warn(
-            f"{name}: {some}: no position, normal or colour by these names; not read (docs/your_data.md)", stacklevel=4
-        )
+    tell_not_read([column for column in columns if column not in used], name)
     has_normals = normals is not None and any(column.any() for column in normals)  # splats have zeros, for example
     return CloudFile(
         points, colors, _stacked(normals, np.float32) if normals and has_normals else None, None, opacities
     )
+
+
+def tell_not_read(columns: Iterable[str], name: str) -> None:
+    """Warns of columns that are not read, but for those of which no one expects it."""
+    left = [column for column in columns if not NOT_READ.fullmatch(plain(column))]
+    if left:
+        some = ", ".join(left[:8]) + (", ..." if len(left) > 8 else "")
+        warnings.warn(
+            f"{name}: {some}: no position, normal or colour by these names; not read (docs/your_data.md)", stacklevel=5
+        )
 
 
 def plain(column: str) -> str:

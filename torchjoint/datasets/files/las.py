@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from torchjoint.datasets.files.columns import CloudFile, unit_colors
+from torchjoint.datasets.files.columns import CloudFile, tell_not_read, unit_colors
 from torchjoint.datasets.files.las_header import check_header
 from torchjoint.runtime.extras import needed_for
 
@@ -41,6 +41,7 @@ def read_las(path: Path) -> CloudFile:
         ModuleNotFoundError: laspy or lazrs is not installed.
     """
     with open_las(path) as reader:
+        tell_not_read(reader.header.point_format.extra_dimension_names, str(path))
         parts = list(las_points(reader, path))
     xyz = torch.from_numpy(np.concatenate([part.xyz for part in parts]))
     rgb = np.concatenate([part.rgb for part in parts if part.rgb is not None]) if parts[0].rgb is not None else None

@@ -98,7 +98,7 @@ def _parse_header(path: Path, start: bytes) -> PcdHeader:
     size = 0
     for line in start.splitlines(keepends=True):
         size += len(line)
-        words = line.decode("ascii", errors="replace").split()
+        words = line.removeprefix(b"\xef\xbb\xbf").decode("ascii", errors="replace").split()
         if words and not words[0].startswith("#"):
             entries.setdefault(words[0], words[1:])
         if "DATA" in entries:

@@ -206,7 +206,7 @@ def parse_header(data: bytes) -> Header:
         ValueError: a wrong line; the message quotes the first one.
     """
     end = re.search(rb"\nend_header[ \t]*\r?\n", data[:MAX_HEADER])
-    if not re.match(rb"ply[ \t]*\r?\n", data) or end is None:
+    if not re.match(rb"(?:\xef\xbb\xbf)?ply[ \t]*\r?\n", data) or end is None:
         raise ValueError("not a PLY file, or its header is truncated")
     lines = data[: end.start()].decode("ascii", errors="replace").splitlines()[1:]
     encoding = ""

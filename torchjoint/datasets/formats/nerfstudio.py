@@ -58,6 +58,11 @@ def recognizes(path: Path) -> bool:
     return has_file(path) if is_file else has_file(path / "transforms.json")
 
 
+def scenes(path: Path) -> dict[str, Path]:
+    """Returns the files of a folder without transforms.json, such as transforms_train.json of Blender's sets."""
+    return {file.stem.removeprefix("transforms_"): file for file in sorted(path.glob("transforms_*.json"))}
+
+
 def load(path: Path, options: Options) -> Scene:
     """Loads the scene; see :func:`torchjoint.load_scene`."""
     file = path / "transforms.json" if has_folder(path) else path
