@@ -1,5 +1,7 @@
 """Labels in the files of others: clouds, meshes, Gaussian splats."""
 
+import re
+
 import laspy
 import numpy as np
 import pytest
@@ -131,6 +133,24 @@ def test_a_mesh_has_labels_of_vertices_and_triangles(tmp_path, encoding):
     with pytest.raises(ValueError, match="element vertex has a property thing already"):
         label_file(tmp_path / "b.ply", tmp_path / "c.ply", of_squares(), name="thing")
     assert not (tmp_path / "c.ply").exists()
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
+def test_line_ends_and_comments_stay(tmp_path, encoding):
+    """As Windows writes them: without the label, the file is the one before."""
+    path = squares(tmp_path / "a.ply", encoding)
+    head, end, body = path.read_bytes().partition(b"end_header\n")
+    body = body.replace(b"\n", b" \r\n") + b"\r\n" if encoding == "ascii" else body
+    path.write_bytes(head.replace(b"\n", b" \r\n") + end.replace(b"\n", b"\r\n") + body)
+    label_file(path, tmp_path / "b.ply", of_squares(), name="thing")
+    head, end, after = (tmp_path / "b.ply").read_bytes().partition(b"end_header\r\n")
+    assert head.count(b"property int thing\r\n") == 2
+    if encoding == "ascii":
+        after = re.sub(rb" [01]\r\n", b"\r\n", after)
+    else:
+        vertices = np.frombuffer(after, np.uint8, 8 * 17).reshape(8, 17)[:, :13].tobytes()
+        after = vertices + np.frombuffer(after, np.uint8, 4 * 17, 8 * 17).reshape(4, 17)[:, :13].tobytes()
+    assert head.replace(b"property int thing\r\n", b"") + end + after == path.read_bytes()
 
 
 @pytest.mark.parametrize("encoding", ["binary_little_endian", "binary_big_endian"])

@@ -27,6 +27,7 @@ def load_scene(
     drop_invalid: bool = False,
     least_opacity: float = 0.1,
     fuse: bool = True,
+    format: str | None = None,
 ) -> Scene:
     """Loads a scene; detects its format. Frames are read from disk on access.
 
@@ -45,6 +46,8 @@ def load_scene(
             error.
         least_opacity: Gaussian splats whose opacity is smaller are no part of the cloud, in [0, 1].
         fuse: False: a recording without a cloud gets a single point in its place, for those who need the frames alone.
+        format: a name of `FORMATS`, if the format that is detected is not the right one: "cloud_alone" reads a file as
+            points without images.
 
     Returns:
         The scene; `scene.truth` holds the ground-truth instances, if the data set has any.
@@ -69,9 +72,13 @@ def load_scene(
         least_opacity,
         fuse,
     )
-    for module in FORMATS.values():
+    if format is not None and format not in FORMATS:
+        raise ValueError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
+    for module in FORMATS.values() if format is None else [FORMATS[format]]:
         if module.recognizes(path):
             return module.load(path, options)
+    if format is not None:
+        raise ValueError(f"scene: {path} is not of format {format}, which needs {FORMATS[format].WHAT}")
     some = ", ".join(str(one) for one in list(list_scenes(path).values())[:3])
     raise ValueError(f"scene: {path} is a data set; choose one of its scenes, such as {some}")
 

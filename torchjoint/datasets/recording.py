@@ -9,8 +9,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.datasets.files.readers import read_cloud
 from torchjoint.datasets.fused_clouds import fuse_or_recall
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.outputs import Output
@@ -44,8 +44,8 @@ def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, cloud
     """
     file = find_cloud(path, options, clouds)
     if file is not None:
-        points, colors, normals = read_cloud(file, options.invalid, options.least_opacity)
-        return Scene(points, frames, colors, normals, name=path.name)
+        cloud = read_cloud_file(file, invalid=options.invalid, least_opacity=options.least_opacity)
+        return Scene(cloud.points, frames, cloud.colors, cloud.normals, name=path.name)
     if not options.fuse:
         return Scene(torch.zeros(1, 3), frames, name=path.name)
     made = None if options.cloud is None else Output(options.cloud, overwrite=False, option="cloud")

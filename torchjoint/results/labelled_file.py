@@ -14,8 +14,15 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files import las, meshes
-from torchjoint.datasets.files.ply import Ply, read_ply, write_cloud
-from torchjoint.datasets.files.ply_records import PlyRecords, parse_records, read_records, write_bytes
+from torchjoint.datasets.files.columns import CloudFile
+from torchjoint.datasets.files.ply import (
+    PlyRecords,
+    parse_records,
+    read_ply,
+    read_records,
+    write_bytes,
+    write_cloud,
+)
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.labelled_las import check_dimension, write_labelled
 from torchjoint.results.result import Result
@@ -23,6 +30,7 @@ from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import file_name
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.threads import on_cpu
+from torchjoint.scene.checks import without_return
 
 #: If half of the vertices are farther from the result than this share of its diagonal, the file is of another place.
 FAR = 0.25
@@ -44,12 +52,14 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
         points: [M, 3] metres, in the frame of the result's cloud.
 
     Returns:
-        [M] int64, their numbers; -1 where a point is not finite.
+        [M] int64, their numbers; -1 where a point is not finite, or a beam without return.
 
     Raises:
         ValueError: half of the points are far from the result.
     """
     own, finite = result.scene.points, points.isfinite().all(1)
+    if not bool(without_return(own).any()):
+        finite &= ~without_return(points)
     if points.shape == own.shape and torch.equal(points.double(), own.double()):
         return torch.arange(len(own))
     from scipy.spatial import cKDTree
@@ -68,7 +78,7 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
 
 def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
     check_dimension(source, name)
-    points, _ = las.read_las(source)
+    points = las.read_las(source).points
     with damage_is(str(source)):
         nearest = nearest_points(result, points)
     columns = {name: torch.cat([result.points, result.points.new_full((1,), -1)])[nearest].int().numpy()}
@@ -147,7 +157,7 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
             file.write_bytes(parts.some_vertices(which.numpy(), triangles))
 
 
-def _read(source: Path) -> Ply:
+def _read(source: Path) -> CloudFile:
     suffix = source.suffix.lower()
     if suffix not in (".ply", *meshes.SUFFIXES):
         raise ValueError(f"{source}: expected a file that ends in {', '.join(('.ply', *meshes.SUFFIXES))}")
@@ -159,20 +169,20 @@ def _stem(segment: int, result: Result) -> str:
     return f"{segment:06d}" if name is None else file_name(f"{segment:06d}-{name}")
 
 
-def _write_mesh(out: Path, mesh: Ply, of_vertex: Tensor, of_face: Tensor | None, name: str) -> None:
+def _write_mesh(out: Path, mesh: CloudFile, of_vertex: Tensor, of_face: Tensor | None, name: str) -> None:
     every = np.ones(len(mesh.points), dtype=np.bool_)
     whole = _vertices(mesh).some_vertices(every, None if mesh.faces is None else mesh.faces.numpy())
     labels = {"vertex": of_vertex.numpy()} | ({} if of_face is None else {"face": of_face.numpy()})
     write_bytes(out, parse_records(whole).with_labels(name, labels))
 
 
-def _vertices(mesh: Ply) -> PlyRecords:
+def _vertices(mesh: CloudFile) -> PlyRecords:
     with tempfile.TemporaryDirectory() as temporary:
         write_cloud(Path(temporary) / "mesh.ply", mesh.points, mesh.colors)
         return read_records(Path(temporary) / "mesh.ply")
 
 
-def _write_glb(out: Path, mesh: Ply, of_face: Tensor | None, result: Result) -> None:
+def _write_glb(out: Path, mesh: CloudFile, of_face: Tensor | None, result: Result) -> None:
     if mesh.faces is None or of_face is None:
         raise ValueError("expected a mesh with faces, for a .glb, got vertices only")
     with needed_for(".glb files", "trimesh", "torchjoint[mesh]"):

@@ -105,7 +105,7 @@ def read_text(path: Path, expected: str, most: int = bounds.TEXT_BYTES, *, error
     """Reads a text file (UTF-8) with any line ends; errors as of :func:`read_file`, also if it is no text."""
     data = read_file(path, expected, most)
     with damage_is(f"{path}: expected {expected} as text"):
-        text = data.decode("utf-8", errors)
+        text = data.decode("utf-8-sig", errors)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

@@ -199,13 +199,13 @@ def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | 
         if tile is not None and buffer is None:
             width = min(width, tile / NARROWEST)
         plan = plan_tiles(found, tile, width, MOST_POINTS)
-        _check_disk(work, found.num_points, found.white is not None)
+        _check_disk(work, found.num_points, found.whites is not None)
         with tqdm(total=found.num_points, desc="cut", unit="points", unit_scale=True, disable=_hidden(progress)) as bar:
             spill_points(files, found, plan, folder, bar.update)
         with atomic_write(marker) as partial:
             np.savez(
                 partial,
-                sizes=np.array([found.num_points, len(plan.tiles), found.white or 0]),
+                sizes=np.array([found.num_points, len(plan.tiles), 65535 if found.whites else 0]),
                 neighbors=np.array(plan.neighbors(found), np.int64).reshape(-1, 2),
                 metres=np.array([np.subtract(one.end, one.first) for one in plan.tiles]) * found.side,
                 buffer=np.array(plan.buffer),
