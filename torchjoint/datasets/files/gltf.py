@@ -32,6 +32,7 @@ class Parts:
         #: The first file that is there and cannot be read: trimesh goes on without colours.
         self.error: ValueError | None = None
         self._pixels = 0
+        self._names: set[str] = set()
 
     def get(self, name: str) -> bytes:
         """The bytes of a file.
@@ -42,8 +43,10 @@ class Parts:
         """
         try:
             data = self._read(name)
-            is_texture = self._path.suffix.lower() == ".obj" and not name.strip().lower().endswith(".mtl")
-            if is_texture:
+            # A library of materials is read once; the second time it is named as a texture.
+            is_library = name.strip().lower().endswith(".mtl") and name not in self._names
+            self._names.add(name)
+            if self._path.suffix.lower() == ".obj" and not is_library:
                 self.check_texture(data, str(self._path.parent / name))
         except ValueError as error:
             self.error = self.error or error
