@@ -12,6 +12,7 @@ import torchjoint as tj
 from torchjoint.cli.export import export
 from torchjoint.results.folder import write_result
 from torchjoint.results.relations import Relation, Relations
+from torchjoint.runtime.locks import BusyError, lock
 
 UP = torch.tensor([0.0, 0, 1])
 
@@ -173,6 +174,13 @@ def test_segments_of_another_result_are_an_error(saved, change):
     for read in (Relations.load, tj.load_result(saved).graph().save):
         with pytest.raises(ValueError, match=r"segments\.json: not .*: expected the 3 segments of points\.npz"):
             read(saved)
+
+
+def test_only_one_adds_to_segments_json_at_a_time(saved):
+    before = (saved / "segments.json").read_bytes()
+    with lock(saved / ".segments.json.lock", "busy"), pytest.raises(BusyError, match="writing it; save again"):
+        tj.load_result(saved).graph().save(saved)
+    assert (saved / "segments.json").read_bytes() == before
 
 
 def test_a_link_is_not_read(saved):
