@@ -21,8 +21,7 @@ from pathlib import Path
 
 from torchjoint.datasets.files.colmap_model import has_model, read_images, read_points
 from torchjoint.datasets.paths import frame_names, path_inside
-from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames
-from torchjoint.datasets.shots import Shot, read_shots, tell_unlisted
+from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
