@@ -13,7 +13,7 @@ from torchjoint.datasets.cameras import (
     undistort,
     undistort_fisheye,
 )
-from torchjoint.datasets.paths import frame_names, path_inside
+from torchjoint.datasets.files.text import frame_names, path_inside
 
 HALF = 0.5**0.5
 

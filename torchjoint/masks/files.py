@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchjoint.datasets.files.rasters import read_raster
-from torchjoint.datasets.files.readers import read_label_image
+from torchjoint.datasets.files.readers import read_label_image, read_raster
 from torchjoint.masks.arrays import as_binary, as_scores
 from torchjoint.masks.labels import from_labels
 from torchjoint.masks.sam import from_sam

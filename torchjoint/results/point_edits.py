@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.datasets.files.json_record import read_record
+from torchjoint.datasets.files.text import read_record
 from torchjoint.results.edits import Edit, Edits
 from torchjoint.results.parts import Parts
 from torchjoint.runtime.messages import printable

@@ -21,8 +21,8 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from torchjoint.datasets.files.columns import CloudFile, unit_colors
-from torchjoint.datasets.files.rasters import RASTERS, decode_image
-from torchjoint.datasets.paths import path_inside
+from torchjoint.datasets.files.readers import RASTERS, decode_image
+from torchjoint.datasets.files.text import path_inside
 from torchjoint.runtime import bounds
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.foreign_files import has_file, parse_json, read_file
@@ -253,6 +253,7 @@ class Parts:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._is_first = True  #: an .obj names its materials first, and then its textures
         #: The first file that is there and cannot be read: trimesh goes on without colours.
         self.error: ValueError | None = None
 
@@ -265,9 +266,12 @@ class Parts:
         """
         try:
             data = self._read(name)
-            is_texture = self._path.suffix.lower() == ".obj" and not name.strip().lower().endswith(".mtl")
+            is_texture, self._is_first = self._path.suffix.lower() == ".obj" and not self._is_first, False
             if is_texture:
                 decode_image(data, str(self._path.parent / name), formats=TEXTURES)
+        except FileNotFoundError:
+            warnings.warn(f"{self._path}: {name}: missing in its folder; colours of it are not read", stacklevel=2)
+            raise
         except ValueError as error:
             self.error = self.error or error
             raise

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from torchjoint.datasets.files.colmap_model import has_model, read_images, read_points
-from torchjoint.datasets.paths import frame_names, path_inside
+from torchjoint.datasets.files.text import frame_names, path_inside
 from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene

@@ -28,9 +28,8 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import FLIP_YZ, Camera, pinhole_matrix
-from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_image_size
-from torchjoint.datasets.paths import frame_names, path_inside
+from torchjoint.datasets.files.text import Record, frame_names, path_inside, read_record
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.colmap_model import ColmapImage, has_model, read_images
-from torchjoint.datasets.files.json_record import read_record
+from torchjoint.datasets.files.text import read_record
 from torchjoint.datasets.formats.nerfstudio import read_camera
 from torchjoint.datasets.recording import (
     Options,

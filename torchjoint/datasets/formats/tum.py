@@ -29,8 +29,7 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, interpolate_poses, pinhole_matrix
 from torchjoint.datasets.files.readers import read_matrix
-from torchjoint.datasets.files.text import parse_numbers, read_lines
-from torchjoint.datasets.paths import frame_names, path_inside
+from torchjoint.datasets.files.text import frame_names, parse_numbers, path_inside, read_lines
 from torchjoint.datasets.recording import Options, Shot, invert_pose, read_shots, scene_of_frames, tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
