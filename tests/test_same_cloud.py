@@ -83,7 +83,7 @@ class TestCopies:
         both = torch.cat([scene.points, scene.points + jitter])
         twice = tj.Scene(both, scene.frames, colors=scene.colors.repeat(2, 1))
         result = segmenter(twice)
-        assert segmenter.cloud.graph.num_points < 1.02 * count
+        assert segmenter.graph.num_points < 1.02 * count
         assert (result.points[:count] == result.points[count:]).float().mean() > 0.99
         assert result.points[0] == 0
         assert int((result.points[1:] - torch.cummax(result.points, 0).values[:-1]).max()) <= 1
@@ -228,7 +228,7 @@ class TestOrigin:
     def test_a_scan_keeps_its_origin(self, scene):
         segmenter = tj.JointSegmenter(tj.Config().set(["point_segments.method=scan"]))
         segmenter.reset(scene.points)
-        assert torch.equal(segmenter.cloud.graph.points[segmenter.cloud.of_point], scene.points)
+        assert torch.equal(segmenter.graph.points[segmenter.graph.of_given], scene.points)
 
     def test_projection_is_as_exact_as_the_points(self, scene):
         offset = torch.tensor([500_000.0, 5_400_000.0, 0.0], dtype=torch.float64)

@@ -1,7 +1,14 @@
 """The joint segmentation of a point cloud and its images: Algorithm 1 of the paper.
 
 M. Abello, J. Mangelson, M. Kaess, "A Graph-Based Method for Joint Instance Segmentation of Point Clouds and Image
-Sequences", ICRA 2021. Its steps: ``reset`` (3), ``add`` (1, 2, 4, 5) and ``compute`` (6-8); the rest serves them.
+Sequences", ICRA 2021. A run is a fold over the frames, because evidence is a sum::
+
+    graph, method = prepare(cloud, config)                               # step 3
+    evidence = Evidence.empty(graph)
+    for batch in batches_of_frames:
+        evidence += observe(batch, graph, config, images, stopwatch)     # steps 1, 2, 4, 5
+    tree = method.segment(graph, evidence, config)                       # step 6
+    result = label(tree, graph, evidence, config, stopwatch)             # steps 7, 8
 """
 
 from __future__ import annotations
@@ -10,7 +17,7 @@ import logging
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from copy import copy
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,32 +26,73 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from torchjoint.cloud.graph import PointGraph
 from torchjoint.cloud.local import warn_of_rounding, without_copies
-from torchjoint.cloud.prepared import PreparedCloud
 from torchjoint.config import Config, evidence_differences
-from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
-from torchjoint.labels.image_labels import label_images
-from torchjoint.labels.piece_images import PieceImages
-from torchjoint.results.checkpoint import Checkpoint
+from torchjoint.images.exposure import brightened
+from torchjoint.images.segmenter import ImageSegmenter
+from torchjoint.labels.label import label
 from torchjoint.runtime.ahead import ahead
-from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Scene, Segmentation
-from torchjoint.scene.level_images import LevelImages
-from torchjoint.segments.choice import choose_method, describe
-from torchjoint.segments.method import Method
-from torchjoint.segments.point_labels import label_points
-from torchjoint.views.frame_evidence import add_evidence
+from torchjoint.segments.method import Method, choose_method, describe
+from torchjoint.views.evidence import Evidence, FrameEvidence
 from torchjoint.views.observations import Observations
+from torchjoint.views.observe import observe_frame
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
-from torchjoint.views.state import JointState
 
 logger = logging.getLogger(__name__)
 
-#: A function (segmenter, scene) that observes a run while its frames are added. It must not change its arguments.
-Watch = Callable[["JointSegmenter", Scene], None]
+
+def prepare(
+    cloud: Cloud, config: Config, merge_within: float = 0.0, method: Method | None = None
+) -> tuple[PointGraph, Method]:
+    """Step 3: the graph of a cloud, and the method of step 6 that made it.
+
+    Its points are the distinct ones, perhaps thinned, in an order of their own; `of_given` [G] has the point of each of
+    the G given ones. Nothing after it renumbers points, until :func:`~torchjoint.labels.label.label` goes back.
+
+    Args:
+        cloud: G points.
+        config: all parameters.
+        merge_within: metres; the points in one cube with this side are merged to their mean; 0: only copies.
+        method: default: the one that the config names.
+    """
+    distinct, of_given = without_copies(cloud)
+    method = method or choose_method(config, distinct.points)
+    graph = method.prepare(distinct, config, merge_within)
+    return graph if of_given is None else graph.of(graph.local, graph.of_given[of_given]), method
+
+
+def developed(frame: Frame, graph: PointGraph | None = None) -> Frame:
+    """The frame as all steps see it: brightened if it is dark, for method learned, whose graphs have scales."""
+    if graph is not None and graph.scales is None:
+        return frame
+    image = brightened(frame.image)
+    return frame if image is frame.image else replace(frame, image=image)
+
+
+@torch.no_grad()
+@one_thread_per_operation()
+def observe(
+    frames: Sequence[Frame], graph: PointGraph, config: Config, images: ImageSegmenter, stopwatch: Stopwatch
+) -> list[FrameEvidence]:
+    """Steps 1, 2, 4 and 5: the evidence of frames, which :class:`Evidence` adds up.
+
+    Args:
+        frames: those that follow each other and have one size are a batch for the image modules.
+        graph: of the cloud.
+        config: all parameters.
+        images: steps 1 and 2.
+        stopwatch: records the seconds of the steps.
+    """
+    frames = parallel_map(lambda frame: developed(frame, graph), frames)
+    batches = [list(batch) for _, batch in groupby(frames, key=lambda frame: frame.size)]
+    segments = [of_frame for batch in batches for of_frame in images(batch, stopwatch)]
+    pairs = list(zip(frames, segments, strict=True))
+    return parallel_map(lambda pair: observe_frame(*pair, graph, config, stopwatch), pairs)
 
 
 class JointSegmenter(nn.Module):
@@ -57,8 +105,8 @@ class JointSegmenter(nn.Module):
 
     Args:
         config: parameters; default ``Config()``.
-        method: function (config, points) that makes the method of step 6; default: the method that the config names
-            (:func:`~torchjoint.segments.choice.choose_method`).
+        method: the method of step 6; default: the one that the config names
+            (:func:`~torchjoint.segments.method.choose_method`).
         boundary: a boundary detector, [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1]; it replaces the detector
             that the config names (step 1).
         image_segmenter: any module [B, 3, H, W] -> [B, H, W] integer labels, -1 = none, or -> B
@@ -86,7 +134,7 @@ class JointSegmenter(nn.Module):
         self,
         config: Config | None = None,
         *,
-        method: Callable[[Config, Tensor], Method] = choose_method,
+        method: Method | None = None,
         boundary: nn.Module | None = None,
         image_segmenter: nn.Module | None = None,
         merge_within: float = 0.0,
@@ -107,12 +155,12 @@ class JointSegmenter(nn.Module):
         self.config = config or Config()
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter, allow_import)
         self.stopwatch = Stopwatch()
-        self._make_method = method
-        self._given: Tensor | None = None  # [M, 3], the given points without copies
+        self._own_method = method
+        self._given: Tensor | None = None
         self._method: Method | None = None
-        self._cloud: PreparedCloud | None = None
+        self._graph: PointGraph | None = None
         self._check: PoseCheck | None = None  # of frames that come one by one
-        self._state: JointState | None = None
+        self._state: Evidence | None = None
 
     @classmethod
     def from_preset(cls, name: str) -> JointSegmenter:
@@ -125,24 +173,13 @@ class JointSegmenter(nn.Module):
 
     @torch.no_grad()
     @on_cpu()
-    def forward(
-        self,
-        scene: Scene,
-        *,
-        progress: bool = False,
-        batch_size: int = 8,
-        checkpoint: Checkpoint | None = None,
-        on_frames: Watch | None = None,
-    ) -> Segmentation:
+    def forward(self, scene: Scene, *, progress: bool = False, batch_size: int = 8) -> Segmentation:
         """Segments a whole scene (steps 1-8).
 
         Args:
             scene: the cloud and its frames; without frames this is plain 3D segmentation.
             progress: show progress bars.
             batch_size: number of frames that are processed at a time; meanwhile the next batch is loaded.
-            checkpoint: saves the state at intervals; an interrupted run resumes from it.
-            on_frames: called with the segmenter and the scene before the first frame and after each batch, for example
-                to show the labels so far; it must not change them.
 
         Returns:
             labels of the points [N] and of the frames [H, W]; see :class:`~torchjoint.scene.Segmentation`.
@@ -154,27 +191,51 @@ class JointSegmenter(nn.Module):
         Warns:
             PoseWarning: the poses or intrinsics look wrong.
         """
-        checked = self.begin(scene, checkpoint)
-        steps = self._add_batches(scene.frames, batch_size, checked)
-        return self.finish(scene, steps, progress=progress, checkpoint=checkpoint, on_frames=on_frames)
+        for _ in self.steps(scene, progress=progress, batch_size=batch_size):
+            pass
+        return self.compute(progress=progress)
 
     if TYPE_CHECKING:  # the one of nn.Module is untyped
         __call__ = forward
 
     @torch.no_grad()
-    @on_cpu()
-    def begin(self, scene: Scene, checkpoint: Checkpoint | None = None) -> dict[int, Frame]:
-        """Prepares a scene: calls :meth:`reset`, checks the poses, and loads the state of a checkpoint.
+    def steps(
+        self,
+        scene: Scene,
+        *,
+        progress: bool = False,
+        batch_size: int = 8,
+        resume: Callable[[Observations], Evidence | None] | None = None,
+        workers: Callable[[JointSegmenter, Scene], Iterable[Evidence]] | None = None,
+    ) -> Iterator[int]:
+        """Steps 1 to 5 of a whole scene, batch by batch; :meth:`compute` then gives its labels.
 
-        Returns:
-            the frames that the check of poses has read, by index.
+        Args:
+            scene, progress, batch_size: as for :meth:`forward`, which is this and :meth:`compute`.
+            resume: gives the evidence of an interrupted run, if there is any; it uses the empty store that it gets.
+            workers: give the evidence of all frames that the state of the segmenter lacks, in the frames' order;
+                default: this process.
 
-        Raises:
-            TypeError: `scene` is not a Scene.
-
-        Warns:
-            PoseWarning: the poses or intrinsics look wrong.
+        Yields:
+            the number of frames in the state, before the first batch and after each one.
         """
+        checked = self._start(scene)
+        if resume is not None:
+            self.state = resume(self._store()) or self.state
+        done = len(self.state.observations)
+        rest = range(done, len(scene.frames))
+        batches = workers(self, scene) if workers else self._batches(scene.frames, rest, checked, batch_size)
+        with tqdm(total=len(scene.frames), initial=done, desc="frames", unit="frame", disable=not progress) as bar:
+            yield done
+            for seen in batches:
+                self.state += seen
+                bar.update(len(self.state.observations) - done)
+                done = len(self.state.observations)
+                yield done
+
+    @on_cpu()
+    def _start(self, scene: Scene) -> dict[int, Frame]:
+        """Resets to a scene's cloud, and checks its poses; gives the frames that the check has read, by index."""
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; make one: Scene(points, frames)")
         self._reset(scene.cloud)
@@ -183,54 +244,19 @@ class JointSegmenter(nn.Module):
             check = self._new_check(scene.name)
             check.look_at(checked.values())
             check.warn()
-        if checkpoint is not None:
-            self.state = checkpoint.load(Observations(budget=self._memory, folder=self._spill)) or self.state
         return checked
 
-    @torch.no_grad()
-    @on_cpu()
-    def finish(
-        self,
-        scene: Scene,
-        steps: Iterable[int],
-        *,
-        progress: bool = False,
-        checkpoint: Checkpoint | None = None,
-        on_frames: Watch | None = None,
-    ) -> Segmentation:
-        """Adds the evidence of all frames after :meth:`begin`, and computes the labels.
-
-        Args:
-            scene: as for :meth:`begin`.
-            steps: an iterable; each step adds the evidence of some frames to this segmenter and gives their number.
-            progress, checkpoint, on_frames: as for :meth:`forward`.
-        """
-        if on_frames is not None:
-            on_frames(self, scene)
-        count, done = len(scene.frames), len(self.state.observations)
-        with tqdm(total=count, initial=done, desc="frames", unit="frame", disable=not progress) as bar:
-            for number in steps:
-                bar.update(number)
-                if checkpoint is not None:
-                    checkpoint.save(self.state)
-                if on_frames is not None:
-                    on_frames(self, scene)
-        if checkpoint is not None:
-            checkpoint.save(self.state, now=True)
-        return self.compute(progress=progress)
-
-    def _add_batches(self, frames: Sequence[Frame], batch_size: int, checked: dict[int, Frame]) -> Iterator[int]:
-        """Adds the frames that are not in the state yet. Frames in `checked` are taken from it and not read again."""
+    def _batches(
+        self, frames: Sequence[Frame], rest: range, known: dict[int, Frame], size: int
+    ) -> Iterator[list[FrameEvidence]]:
+        """The evidence of the frames in `rest`. Frames in `known` are taken from it and not read again."""
 
         def load(indices: range) -> list[Frame]:
             with self.stopwatch("load frames"):
-                return parallel_map(lambda index: checked.pop(index, None) or frames[index], indices)
+                return parallel_map(lambda index: known.pop(index, None) or frames[index], indices)
 
-        count = len(frames)
-        starts = range(len(self.state.observations), count, batch_size)
-        for batch in ahead(load, [range(count)[start : start + batch_size] for start in starts]):
-            self.add(batch)
-            yield len(batch)
+        for batch in ahead(load, [rest[start : start + size] for start in range(0, len(rest), size)]):
+            yield self._observed(batch)
 
     @torch.no_grad()
     @on_cpu()
@@ -253,16 +279,17 @@ class JointSegmenter(nn.Module):
     def _reset(self, given: Cloud) -> None:
         self.stopwatch = Stopwatch()
         with one_thread_per_operation(), self.stopwatch("point graph"):
-            distinct, of_point = without_copies(given)
-            self._given = distinct.points
-            self._method = self._make_method(self.config, distinct.points)
-            self._cloud = self._method.prepare(distinct, self.merge_within).of_given(of_point)
-            if self._cloud.graph.known_spacing is not None:
-                warn_of_rounding(given.points, self._cloud.graph.known_spacing)
+            self._given = given.points
+            self._graph, self._method = prepare(given, self.config, self.merge_within, self._own_method)
+            if self._graph.known_spacing is not None:
+                warn_of_rounding(given.points, self._graph.known_spacing)
             if logger.isEnabledFor(logging.INFO):
-                logger.info(describe(given, self._cloud.graph, self._method))
-        self._state = self._no_evidence(Observations(budget=self._memory, folder=self._spill))
+                logger.info(describe(given, self._graph, self._method))
+        self._state = Evidence.empty(self._graph, self._store())
         self._check = None
+
+    def _store(self) -> Observations:
+        return Observations(budget=self._memory, folder=self._spill)
 
     @torch.no_grad()
     @on_cpu()
@@ -274,8 +301,7 @@ class JointSegmenter(nn.Module):
         Raises:
             RuntimeError: :meth:`reset` was not called before.
             ValueError: a boundary detector or an image segmenter returns a wrong shape or bad values.
-            OSError: the temporary file (see `spill`) cannot be written. Consecutive frames of one size are added
-                together or not at all; the frames before them stay added.
+            OSError: the temporary file (see `spill`) cannot be written. All of the frames are added, or none.
 
         Warns:
             PoseWarning: the poses or intrinsics look wrong. It comes after some frames, or in :meth:`compute`.
@@ -283,50 +309,22 @@ class JointSegmenter(nn.Module):
         frames = [frames] if isinstance(frames, Frame) else list(frames)
         self._check = self._check or self._new_check()
         self._check.look_as_they_come(frames)
-        self.add(frames)
+        self.state += self._observed(frames)
 
-    @torch.no_grad()
-    @on_cpu()
-    def add(self, frames: Sequence[Frame]) -> None:
-        """As :meth:`update`, but without a check of poses, for example because :meth:`begin` has checked them."""
+    def _observed(self, frames: Sequence[Frame]) -> list[FrameEvidence]:
         if not self.state.observations and frames:
-            self._tell_unused(frames[0])
-        with one_thread_per_operation():
-            for _, same_size in groupby(frames, key=lambda frame: frame.size):
-                batch = parallel_map(self.method.developed, list(same_size))
-                self.observe(batch, self.image_segmenter(batch, self.stopwatch))
-
-    def observe(self, developed: Sequence[Frame], segments: Sequence[ImageSegments]) -> None:
-        """Steps 4 and 5 of :meth:`add`, for frames that the method has developed, and their segments."""
-        cloud, method = self.cloud, self.method
-        with one_thread_per_operation():
-            seen = parallel_map(
-                lambda item: method.observe(*item, cloud, self.stopwatch), zip(developed, segments, strict=True)
-            )
-            add_evidence(self.state, seen)
-
-    def _tell_unused(self, frame: Frame) -> None:
-        """Logs that images do not affect the segments of the points; warns if frames have masks or labels for this."""
-        if self.method.uses_images:
-            return
-        name = self.method.name
-        logger.info(f"frames: method {name} segments the points without images; images only get the points' labels")
-        given = "masks" if frame.masks is not None else "labels" if frame.labels is not None else ""
-        if given:
-            warnings.warn(
-                f"{given} of frames: method {name} segments the points without images, so these {given} have no effect "
-                "on the points; point_segments.method=learned uses them",
-                stacklevel=3,
-            )
+            _tell_unused(frames[0], self.method)
+        return observe(frames, self.graph, self.config, self.image_segmenter, self.stopwatch)
 
     @torch.no_grad()
     @on_cpu()
-    def compute(self, *, images: bool = True, progress: bool = False) -> Segmentation:
+    def compute(self, *, images: bool = True, progress: bool = False, config: Config | None = None) -> Segmentation:
         """Computes the segmentation from all frames seen so far (steps 6-8); more frames may follow.
 
         Args:
             images: False: skip steps 7-8, which take most of the time; the result then has no label images.
             progress: show a progress bar.
+            config: other parameters to try, as far as the evidence does not depend on them.
 
         Returns:
             labels of the points [N] and of the frames [H, W], frames in the order in which they were added. Method
@@ -334,49 +332,47 @@ class JointSegmenter(nn.Module):
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
-            ValueError: there are frames, but none of them sees a point.
+            ValueError: there are frames, but none of them sees a point; or the evidence depends on a parameter that
+                differs in `config`, which the message names.
 
         Warns:
             PoseWarning: the poses or intrinsics look wrong.
         """
-        cloud, state = self.cloud, self.state
+        graph, evidence, config, method = self.graph, self.state, config or self.config, self._method_of(config)
         if self._check is not None:
             self._check.warn()
-        seen, count = state.observations[:], len(state.observations)  # results keep them; more frames may follow
-        if count and not seen.see_points:
-            raise ValueError(f"frames: none of the {count} images sees a point; wrong poses, axes or units?")
+        evidence.check_seen()
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
-                found = label_points(self.method, cloud, state)
-            if not images:
-                return Segmentation(found.given, (), seconds=dict(self.stopwatch.seconds), hierarchy=found.hierarchy)
-            labels, known = label_images(
-                seen, found.of_graph, self.config, self.stopwatch, found.graph_hierarchy, progress=progress
-            )
-        pieces: Sequence[Tensor] = ()
-        if found.graph_hierarchy is not None and found.piece_number is not None:
-            pieces = PieceImages(labels, seen, found.graph_hierarchy, self.config, known)
-            pieces = LevelImages(pieces, len(found.piece_number), found.piece_number, len(found.piece_number))
-        return Segmentation(
-            points=found.given,
-            images=LevelImages(labels, len(found.number), found.number, len(found.number)),
-            initial_images=LazySequence(count, lambda index: seen[index].initial_labels().long()),
-            names=tuple(seen.names),
-            seconds=dict(self.stopwatch.seconds),
-            hierarchy=found.hierarchy,
-            piece_images=pieces,
-        )
+                tree = method.segment(graph, evidence, config)
+            return label(tree, graph, evidence, config, self.stopwatch, images=images, progress=progress)
+
+    def _method_of(self, config: Config | None) -> Method:
+        """The method of step 6 with another config; raises ValueError if the evidence does not fit to it."""
+        if config is None:
+            return self.method
+        method = self.method
+        if config.point_segments.method != self.config.point_segments.method and self._own_method is None:
+            assert self._given is not None  # there is a method
+            distinct, _ = without_copies(Cloud(self._given))
+            method = choose_method(config, distinct.points)
+        different = [name for name in evidence_differences(self.config, config) if name != "point_segments.method"]
+        if method.name != self.method.name:
+            different.append("point_segments.method")
+        if different:
+            raise ValueError(f"config: stored evidence depends on {', '.join(different)}; add the frames again")
+        return method
 
     @property
-    def cloud(self) -> PreparedCloud:
-        """The cloud that :meth:`reset` has prepared for the steps, with its graph.
+    def graph(self) -> PointGraph:
+        """The graph of the cloud that :meth:`reset` has prepared.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
         """
-        if self._cloud is None:
+        if self._graph is None:
             raise RuntimeError("JointSegmenter: call reset(points) first")
-        return self._cloud
+        return self._graph
 
     @property
     def method(self) -> Method:
@@ -390,7 +386,7 @@ class JointSegmenter(nn.Module):
         return self._method
 
     @property
-    def state(self) -> JointState:
+    def state(self) -> Evidence:
         """The evidence collected since :meth:`reset`; set it to resume a run.
 
         Raises:
@@ -402,7 +398,7 @@ class JointSegmenter(nn.Module):
         return self._state
 
     @state.setter
-    def state(self, state: JointState) -> None:
+    def state(self, state: Evidence) -> None:
         self.state.check_cloud(state, "state")
         self._state = state
 
@@ -414,60 +410,28 @@ class JointSegmenter(nn.Module):
         """
         if other.config != self.config:
             raise ValueError("other: expected a segmenter with the same config")
-        if self._cloud is None or other._cloud is None or not self._cloud.is_same(other._cloud):
+        if self._graph is None or other._graph is None or not self._graph.is_same(other._graph):
             raise ValueError("other: expected a segmenter that was reset with the same points")
         both = set(filter(None, self.state.observations.names)) & set(other.state.observations.names)
         if other is self or both:
             raise ValueError(f"other: expected a segmenter that saw other frames, both saw {sorted(both)[:3]}")
         self.state = self.state + other.state
 
-    @on_cpu()
-    def without_evidence(self) -> JointSegmenter:
-        """A segmenter of the same cloud without evidence of frames. It shares the cloud's graph, and can be pickled.
-
-        Raises:
-            RuntimeError: :meth:`reset` was not called before.
-        """
-        other = copy(self)
-        other._state = self._no_evidence(Observations())
-        other._check, other.stopwatch = None, Stopwatch()
-        return other
-
-    @on_cpu()
-    def with_config(self, config: Config) -> JointSegmenter:
-        """A segmenter with the same evidence and another config, to try parameters without processing the frames again.
-
-        Raises:
-            RuntimeError: :meth:`reset` was not called before.
-            ValueError: the stored evidence depends on a parameter that differs; the message names the parameter.
-        """
-        cloud, modules, given = self.cloud, self.image_segmenter, self._given
-        assert given is not None  # there is a cloud
-        method = self._make_method(config, given)
-        different = [name for name in evidence_differences(self.config, config) if name != "point_segments.method"]
-        if method.name != self.method.name:
-            different.append("point_segments.method")
-        if different:
-            raise ValueError(f"config: stored evidence depends on {', '.join(different)}; add the frames again")
-        other = JointSegmenter(
-            config,
-            method=self._make_method,
-            boundary=modules.boundary,
-            image_segmenter=modules.segmenter,
-            merge_within=self.merge_within,
-            memory=self._memory,
-            spill=self._spill,
-        )
-        other._given, other._method, other._cloud = given, method, cloud
-        other._state = self.state + self._no_evidence(Observations())  # a copy
-        return other
-
-    def _no_evidence(self, observations: Observations) -> JointState:
-        graph = self.cloud.graph
-        return JointState.empty(graph.edge_index.shape[1], graph.num_points, observations)
-
     def _new_check(self, name: str = "") -> PoseCheck:
-        graph = self.cloud.graph
-        return PoseCheck(
-            Cloud(graph.points, graph.colors), graph.spacing, self.config.visibility, self.cloud.local, name
+        graph = self.graph
+        return PoseCheck(Cloud(graph.points, graph.colors), graph.spacing, self.config.visibility, graph.local, name)
+
+
+def _tell_unused(frame: Frame, method: Method) -> None:
+    """Logs that images do not affect the segments of the points; warns if frames have masks or labels for this."""
+    if method.uses_images:
+        return
+    name = method.name
+    logger.info(f"frames: method {name} segments the points without images; images only get the points' labels")
+    given = "masks" if frame.masks is not None else "labels" if frame.labels is not None else ""
+    if given:
+        warnings.warn(
+            f"{given} of frames: method {name} segments the points without images, so these {given} have no effect "
+            "on the points; point_segments.method=learned uses them",
+            stacklevel=4,
         )

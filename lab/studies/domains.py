@@ -211,7 +211,7 @@ def prepare(arguments: argparse.Namespace) -> None:
             segmenter = tj.JointSegmenter(learned_config())
             segmenter.reset(scene.points, scene.colors, scene.normals)
             assert scene.truth is not None
-            torch.save((segmenter.cloud.of_point, scene.truth.points), path)
+            torch.save((segmenter.graph.of_given, scene.truth.points), path)
 
 
 def judged_scenes(kind: str, arguments: argparse.Namespace) -> list[Judged]:

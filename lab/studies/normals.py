@@ -15,23 +15,22 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import normalize
+from torchjoint_lab.synthetic import SyntheticScene, make_scene
 
 import torchjoint as tj
 from torchjoint.cloud.adjacency import CsrAdjacency
+from torchjoint.cloud.graph import PointGraph
 from torchjoint.cloud.mesh import face_edges
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
-from torchjoint.cloud.prepared import PreparedCloud
 from torchjoint.datasets.files.meshes import vertex_normals
-from torchjoint.segments.learned.method import Learned
-from torchjoint.synthetic import SyntheticScene, make_scene
+from torchjoint.segments.method import LEARNED
 
 VOXEL, NEAR, OFF, DISCS = 0.02, 0.05, 15.0, 0.8
 #: Which edges of triangles are in the graph: all, or no others.
@@ -89,25 +88,25 @@ def of_splats(made: SyntheticScene, random: torch.Generator) -> Trial:
     return tj.Scene(points, colors=made.scene.colors), made.point_labels, {"none": None, "axes": axes}
 
 
-def with_edges(cloud: PreparedCloud, faces: Tensor, alone: bool) -> PreparedCloud:
-    """The cloud with the edges of triangles in its graph, too, or alone."""
-    count = cloud.graph.num_points
-    edges = cloud.of_point[face_edges(faces)].sort(0).values
+def with_edges(graph: PointGraph, faces: Tensor, alone: bool) -> PointGraph:
+    """The graph with the edges of triangles, too, or alone."""
+    count = graph.num_points
+    edges = graph.of_given[face_edges(faces)].sort(0).values
     edges = edges[:, edges[0] < edges[1]]  # others have both ends in one point of a thinned cloud
-    edges = edges if alone else torch.cat([cloud.graph.edge_index, edges], 1)
+    edges = edges if alone else torch.cat([graph.edge_index, edges], 1)
     code = torch.unique(edges[0] * count + edges[1])
     edges = torch.stack([code // count, code % count])
-    return cloud._replace(graph=replace(cloud.graph, edge_index=edges, adjacency=CsrAdjacency.of(edges, count)))
+    return replace(graph, edge_index=edges, adjacency=CsrAdjacency.of(edges, count))
 
 
 def scores(trial: Trial, random: torch.Generator, faces: Tensor) -> Iterator[tuple[str, float, float]]:
     scene, labels, kinds = trial
     points = (scene.points + 1e-4 * torch.randn(scene.points.shape, generator=random)).float()
-    prepare = Learned.prepare
+    prepare = LEARNED.prepare
     for name, normals in kinds.items():
         way = (lambda *of, name=name: with_edges(prepare(*of), faces, name == "alone")) if name in EDGES else prepare
-        with patch.object(Learned, "prepare", way):
-            got = tj.JointSegmenter()(tj.Scene(points, colors=scene.colors, normals=normals)).points
+        segmenter = tj.JointSegmenter(method=LEARNED._replace(prepare=way))
+        got = segmenter(tj.Scene(points, colors=scene.colors, normals=normals)).points
         yield name, tj.metrics.objects_and_parts(got, labels).f, tj.metrics.mean_best_iou(got, labels)
 
 

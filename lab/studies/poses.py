@@ -54,9 +54,9 @@ def variants(scene: Scene) -> Iterator[tuple[str, Scene]]:
 
 def warned(segmenter: tj.JointSegmenter, scene: Scene) -> bool:
     """Whether the segmenter, which has the scene's cloud, would warn of the poses."""
-    graph = segmenter.cloud.graph
+    graph = segmenter.graph
     cloud = Scene(graph.points, colors=graph.colors)
-    check = PoseCheck(cloud, graph.spacing, segmenter.config.visibility, segmenter.cloud.local)
+    check = PoseCheck(cloud, graph.spacing, segmenter.config.visibility, graph.local)
     check.look_at(frames_to_check(scene).values())
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -32,10 +32,10 @@ from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Hierarchy
 from torchjoint.segments.learned import consensus, method, pieces
 from torchjoint.segments.learned.agglomeration import build_hierarchy
-from torchjoint.segments.learned.method import Learned
+from torchjoint.segments.learned.method import segment
 from torchjoint.segments.learned.piece_graph import PieceGraph
+from torchjoint.views.evidence import Evidence
 from torchjoint.views.observations import Observations
-from torchjoint.views.state import JointState
 
 
 def one_tree(draws: Sequence[PieceGraph], model: Any) -> Hierarchy:
@@ -75,18 +75,16 @@ def scores(named: NamedScene, run: int) -> Scores:
     segmenter.reset(points, scene.colors, scene.normals)
     for start in range(0, len(scene.frames), BATCH):
         segmenter.update([scene.frames[i] for i in range(start, min(start + BATCH, len(scene.frames)))])
-    cloud = segmenter.cloud
     assert scene.truth is not None
-    num_edges, num_points = cloud.graph.edge_index.shape[1], cloud.graph.num_points
-    blind = replace(JointState.empty(num_edges, num_points), facing=segmenter.state.facing)
+    blind = replace(Evidence.empty(segmenter.graph), facing=segmenter.state.facing)
     found: Scores = {}
     for name, replaced in STEPS.items():
-        graph = replace(cloud.graph, colors=None) if name in COLORLESS else cloud.graph
+        graph = replace(segmenter.graph, colors=None) if name in COLORLESS else segmenter.graph
         state = blind if name == CAMERAS else segmenter.state
         with ExitStack() as patches, one_thread_per_operation():
             for module, attribute, value in replaced:
                 patches.enter_context(patch.object(module, attribute, value))
-            labels = Learned(segmenter.config).segment(graph, state).at()[cloud.of_point]
+            labels = segment(graph, state, segmenter.config).at()[graph.of_given]
         judged = score(labels, scene.truth.points)
         found[name] = (judged.f, judged.best_iou)
     return found

@@ -7,14 +7,14 @@ import pytest
 import torch
 from hand_graph import graph_of
 from hand_wall import LEFT, RIGHT, wall_behind_a_strip
-from torchjoint_lab.regions import PRESETS, Regions, RegionsConfig, make_regions, occlusion_bridging, segmenter
+from torchjoint_lab.regions import PRESETS, REGIONS, RegionsConfig, occlusion_bridging, segmenter
 from torchjoint_lab.regions import method as regions_method
 
 import torchjoint as tj
 from torchjoint.cloud.graph import PointGraph
 from torchjoint.segments.planes import SmoothRegions
+from torchjoint.views.evidence import Evidence
 from torchjoint.views.observations import Observations
-from torchjoint.views.state import JointState
 
 
 @pytest.fixture(scope="module")
@@ -22,16 +22,16 @@ def synthetic(scene_of):
     return scene_of(3)
 
 
-def segment_points(graph: PointGraph, state: JointState, config: RegionsConfig) -> torch.Tensor:
-    return Regions(config).segment(graph, state)
+def segment_points(graph: PointGraph, state: Evidence, config: RegionsConfig) -> torch.Tensor:
+    return REGIONS.segment(graph, state, config)
 
 
-def graph_and_state(scene: tj.Scene, config: RegionsConfig) -> tuple[PointGraph, JointState]:
+def graph_and_state(scene: tj.Scene, config: RegionsConfig) -> tuple[PointGraph, Evidence]:
     """The graph, and what all frames say."""
-    joint = tj.JointSegmenter(config, method=make_regions)
+    joint = tj.JointSegmenter(config, method=REGIONS)
     joint.reset(scene.points, scene.colors)
     joint.update(list(scene.frames))
-    return joint.cloud.graph, joint.state
+    return joint.graph, joint.state
 
 
 @pytest.fixture(scope="module", params=PRESETS)
@@ -51,7 +51,7 @@ class TestConfig:
 
     def test_a_config_without_the_parameters(self):
         with pytest.raises(TypeError, match="config: method regions expected a RegionsConfig, got Config"):
-            Regions(tj.Config())
+            tj.JointSegmenter(method=REGIONS).reset(torch.rand(20, 3))
 
     def test_parameters_can_be_tried_after_all_frames(self, synthetic):
         joint = segmenter("regions")
@@ -61,10 +61,10 @@ class TestConfig:
             expected = segmenter(preset)
             expected.reset(synthetic.scene.points)
             expected.update(list(synthetic.scene.frames))
-            again = joint.with_config(RegionsConfig.from_preset(preset))
-            assert torch.equal(again.compute(images=False).points, expected.compute(images=False).points)
+            again = joint.compute(images=False, config=RegionsConfig.from_preset(preset))
+            assert torch.equal(again.points, expected.compute(images=False).points)
         with pytest.raises(ValueError, match=r"stored evidence depends on region_costs\.normal_neighbors; add"):
-            joint.with_config(RegionsConfig().set(["region_costs.normal_neighbors=20"]))
+            joint.compute(config=RegionsConfig().set(["region_costs.normal_neighbors=20"]))
 
 
 def test_labels_leave_no_number_out(case):
@@ -97,7 +97,7 @@ def row_of_points(r, *observations, normals=None):
     facing = torch.zeros(count, dtype=torch.int64)
     contours = torch.zeros(2, count - 1, dtype=torch.int32)
     views = torch.ones(count - 1, dtype=torch.int64)
-    state = JointState(views, overlaps, facing, *contours, Observations(observations))
+    state = Evidence(views, overlaps, facing, *contours, Observations(observations))
     return graph_of(points, edges, normals), state
 
 
@@ -187,7 +187,7 @@ class TestStagesByHand:
         order = part.argsort(stable=True)  # within a part each point is joined to the next one, and to no other part
         edges = [[int(i), int(j)] for i, j in pairwise(order) if part[i] == part[j]]
         graph = graph_of(planes.mean, edges, planes.normal)
-        state = JointState.empty(len(edges), len(part))
+        state = Evidence.zeros(len(edges), len(part))
         state.observations = Observations(observations)
         apart = segment_points(graph, state, BARE)
         monkeypatch.setattr(occlusion_bridging, "CELL", 1)
@@ -203,13 +203,13 @@ class TestWeight0:
         config = config.set(["region_costs.weight=0", "occlusion_bridging.min_votes=1"])
         monkeypatch.setattr(occlusion_bridging, "SHARE", 0)
         monkeypatch.setattr(occlusion_bridging, "FLATNESS", 1)
-        blind = JointState.empty(graph.edge_index.shape[1], graph.num_points)
+        blind = Evidence.empty(graph)
         blind.facing = state.facing
         assert torch.equal(segment_points(graph, state, config), segment_points(graph, blind, config))
 
     def test_otherwise_they_have(self, case):
         config, graph, state = case
-        blind = JointState.empty(graph.edge_index.shape[1], graph.num_points)
+        blind = Evidence.empty(graph)
         blind.facing = state.facing
         assert not torch.equal(segment_points(graph, state, config), segment_points(graph, blind, config))
 
@@ -241,12 +241,12 @@ class TestSameLabels:
 
     def test_from_two_segmenters_merged(self, synthetic, case, labels):
         scene, (config, _, _) = synthetic.scene, case
-        first, second = (tj.JointSegmenter(config, method=make_regions) for _ in range(2))
+        first, second = (tj.JointSegmenter(config, method=REGIONS) for _ in range(2))
         for joint, frames in ((first, scene.frames[1::2]), (second, scene.frames[::2])):
             joint.reset(scene.points, scene.colors)
             joint.update(list(frames))
         first.merge(second)
-        assert torch.equal(segment_points(first.cloud.graph, first.state, config), labels)
+        assert torch.equal(segment_points(first.graph, first.state, config), labels)
 
 
 def things_on_a_table() -> tuple[tj.Scene, torch.Tensor]:

@@ -74,16 +74,16 @@ def test_every_given_point_gets_the_label_of_its_working_point(monkeypatch, scen
     monkeypatch.setattr(module, "LEAST_POINTS", 1000)
     segmenter = tj.JointSegmenter()
     result = segmenter(noisy)
-    of_point = segmenter.cloud.of_point
+    of_point = segmenter.graph.of_given
     assert of_point is not None
-    assert len(result.points) == len(noisy.points) > segmenter.cloud.graph.num_points
-    label = torch.full((segmenter.cloud.graph.num_points,), -1)
+    assert len(result.points) == len(noisy.points) > segmenter.graph.num_points
+    label = torch.full((segmenter.graph.num_points,), -1)
     label[of_point] = result.points
     assert torch.equal(label[of_point], result.points)
     first = torch.unique(result.points, return_inverse=True)[1]
     assert torch.equal(first, result.points)
     assert len(result.at(1.0).points) == len(noisy.points)
-    assert torch.equal(segmenter.with_config(tj.Config()).compute(images=False).points, result.points)
+    assert torch.equal(segmenter.compute(images=False, config=tj.Config()).points, result.points)
 
 
 def test_a_cloud_with_more_cells_than_numbers_is_not_thinned(monkeypatch):

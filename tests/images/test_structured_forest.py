@@ -210,7 +210,7 @@ class TestMakeBoundary:
         write_folder(tmp_path / "scene", scene_of(0))
         for use in (
             lambda: tj.JointSegmenter(config),
-            lambda: tj.JointSegmenter().with_config(config),
+            lambda: tj.JointSegmenter().compute(config=config),
             lambda: segment_recording(tmp_path / "scene", tmp_path / "new", config, tj.RecordingOptions(max_frames=1)),
         ):
             with pytest.raises((ValueError, RuntimeError), match=rf"{message}|call reset"):

@@ -55,7 +55,7 @@ def test_pieces_are_propagated_with_their_labels(scene_of, monkeypatch, least):
     monkeypatch.setattr(geodesic, "MIN_POINTS", least)
     segmenter, scene = tj.JointSegmenter(LEARNED), scene_of(3).scene
     segmenter(scene)
-    hierarchy = segmenter.method.segment(segmenter.cloud.graph, segmenter.state)
+    hierarchy = segmenter.method.segment(segmenter.graph, segmenter.state, segmenter.config)
     of_piece = hierarchy.segments_of_pieces(hierarchy.default)
     of_point, count = of_piece[hierarchy.piece], int(of_piece.max()) + 1
     numbers = PieceNumbers.of(hierarchy)

@@ -1,11 +1,14 @@
 """One recording over many workers: the same labels as in one process."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from test_batch import HereEngine
 
 import torchjoint as tj
-from torchjoint.recordings.frame_chunks import segment_over
+from torchjoint.recordings.frame_chunks import evidence_of_chunks
+from torchjoint.recordings.segment import run
 from torchjoint.results.checkpoint import Checkpoint
 
 QUICK = tj.Config().set(["boundary.detector=gradient"])
@@ -42,10 +45,10 @@ def test_any_order(whole, scene_of, tmp_path):
     scene, segmenter = scene_of(2).scene, tj.JointSegmenter(QUICK)
     checkpoint = Checkpoint(tmp_path / "state", "key")
     with pytest.raises(ConnectionError):
-        segment_over(BackwardEngine(limit=2), segmenter, scene, checkpoint=checkpoint)
+        run(segmenter, scene, checkpoint, engine=BackwardEngine(limit=2))
     again = Checkpoint(tmp_path / "state", "key")
     segmenter = tj.JointSegmenter(QUICK)
-    assert_same(segment_over(BackwardEngine(), segmenter, scene, checkpoint=again), whole)
+    assert_same(run(segmenter, scene, again, engine=BackwardEngine()), whole)
     assert segmenter.stopwatch.seconds["boundaries"] > 0
 
 
@@ -57,6 +60,7 @@ def test_an_error_of_a_frame_is_raised(scene_of):
             raise OSError("frame.png: damaged")
 
     segmenter = tj.JointSegmenter(QUICK)
-    segmenter.begin(scene)
+    segmenter.reset(scene.points)
+    damaged = replace(scene, frames=Damaged(scene.frames))
     with pytest.raises(OSError, match=r"frame.png: damaged"):
-        list(tj.recordings.frame_chunks._in_order(HereEngine(), segmenter, Damaged(scene.frames), 0))
+        list(evidence_of_chunks(HereEngine())(segmenter, damaged))

@@ -11,7 +11,8 @@ from las_town import town, write_las
 
 import torchjoint as tj
 from torchjoint.engine import open_engine
-from torchjoint.recordings.frame_chunks import segment_over
+from torchjoint.recordings.segment import run
+from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.run import HERE
 
@@ -82,9 +83,10 @@ def test_a_full_disk(engine, scans, deaths, expected, tmp_path):
         subprocess.run(["umount", disk], check=True)
 
 
-def test_one_recording_over_many_workers(engine, scene_of):
+def test_one_recording_over_many_workers(engine, scene_of, tmp_path):
     scene, config = scene_of(2).scene, tj.Config().set(["boundary.detector=gradient"])
-    whole, result = tj.JointSegmenter(config)(scene), segment_over(engine, tj.JointSegmenter(config), scene)
+    whole, checkpoint = tj.JointSegmenter(config)(scene), Checkpoint(tmp_path / "state", "key")
+    result = run(tj.JointSegmenter(config), scene, checkpoint, engine=engine)
     assert torch.equal(result.points, whole.points)
     assert result.names == whole.names
     for labels, others in zip(result.images, whole.images, strict=True):

@@ -8,9 +8,9 @@ import torch
 from lidar_scans import HEIGHT, scan
 
 import torchjoint as tj
-from torchjoint.segments.choice import choose_method
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model, save_boundary_model
+from torchjoint.segments.method import choose_method
 from torchjoint.segments.scan.scan_segments import segment_scan
 
 AUTO = tj.Config().set(["point_segments.method=auto", "boundary.detector=gradient"])
@@ -71,11 +71,11 @@ def test_auto_and_what_it_chose_store_the_same(street, room):
     for cloud, chosen, other in ((street, "scan", "learned"), (room.points, "learned", "scan")):
         for first, second in ((AUTO, f"point_segments.method={chosen}"), (AUTO, "point_segments.method=auto")):
             seen = reset(first, cloud)
-            copy = seen.with_config(first.set([second]))
+            copy = seen.compute(config=first.set([second]))
             assert torch.equal(copy.compute().points, seen.compute().points)
-            assert torch.equal(copy.with_config(AUTO).compute().points, seen.compute().points)
+            assert torch.equal(copy.compute(config=AUTO).points, seen.compute().points)
         with pytest.raises(ValueError, match=r"stored evidence depends on point_segments\.method"):
-            reset(AUTO, cloud).with_config(AUTO.set([f"point_segments.method={other}"]))
+            reset(AUTO, cloud).compute(config=AUTO.set([f"point_segments.method={other}"]))
 
 
 def test_a_model_of_ones_own(room, tmp_path):
@@ -87,7 +87,7 @@ def test_a_model_of_ones_own(room, tmp_path):
         one.update(room.frames[:2])
     found = segmenter.compute(images=False)
     assert not torch.equal(found.hierarchy.heights, default.compute(images=False).hierarchy.heights)
-    tried = default.with_config(own).compute(images=False)  # frames are not seen again
+    tried = default.compute(images=False, config=own)  # frames are not seen again
     assert torch.equal(tried.points, found.points)
     assert torch.equal(tried.hierarchy.heights, found.hierarchy.heights)
 
@@ -100,7 +100,7 @@ def test_a_bad_model_is_told_before_all_frames(room, tmp_path):
 
 def test_parameters_of_the_scan_can_be_tried_out(street):
     coarse = AUTO.set(["scan.gap=2"])
-    assert torch.equal(reset(AUTO, street).with_config(coarse).compute().points, segment_scan(street, coarse.scan))
+    assert torch.equal(reset(AUTO, street).compute(config=coarse).points, segment_scan(street, coarse.scan))
 
 
 def test_segmenters_of_parts_can_be_merged(room):

@@ -10,11 +10,11 @@ from torchjoint import ops
 from torchjoint.cloud.edge_weights import EdgeWeights, discounted_angle, geometric_weights
 from torchjoint.cloud.graph import PointGraph
 from torchjoint.cloud.orientation import orient_normals
-from torchjoint.segments.paper import Paper
-from torchjoint.segments.scan.method import Scan
+from torchjoint.segments import paper
+from torchjoint.segments.scan import method as scan
 from torchjoint.segments.scan.scan_segments import segment_scan
+from torchjoint.views.evidence import Evidence
 from torchjoint.views.propagation import disagreement
-from torchjoint.views.state import JointState
 
 CONFIG = tj.Config.from_preset("paper")
 
@@ -24,16 +24,16 @@ def synthetic(scene_of):
     return scene_of(3)
 
 
-def segment_points(graph: PointGraph, state: JointState, config: tj.Config) -> torch.Tensor:
-    return Paper(config).segment(graph, state)
+def segment_points(graph: PointGraph, state: Evidence, config: tj.Config) -> torch.Tensor:
+    return paper.segment(graph, state, config)
 
 
-def graph_and_state(scene: tj.Scene, config: tj.Config) -> tuple[PointGraph, JointState]:
+def graph_and_state(scene: tj.Scene, config: tj.Config) -> tuple[PointGraph, Evidence]:
     """The graph, and what all frames say."""
     segmenter = tj.JointSegmenter(config)
     segmenter.reset(scene.points, scene.colors)
     segmenter.update(list(scene.frames))
-    return segmenter.cloud.graph, segmenter.state
+    return segmenter.graph, segmenter.state
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ class TestMethods:
     def test_a_scan_asks_no_image(self, case):
         config, graph, state = case
         expected = segment_scan(graph.points, config.scan)
-        assert torch.equal(Scan(config).segment(graph, state), expected)
+        assert torch.equal(scan.segment(graph, state, config), expected)
         assert not torch.equal(segment_points(graph, state, config), expected)
 
     def test_labels_leave_no_number_out(self, case):
@@ -74,13 +74,13 @@ class TestWeight0:
         """As with no frames at all, once the normals' signs are known."""
         config, graph, state = case
         config = config.set(["paper.weight=0"])
-        blind = JointState.empty(graph.edge_index.shape[1], graph.num_points)
+        blind = Evidence.empty(graph)
         blind.facing = state.facing
         assert torch.equal(segment_points(graph, state, config), segment_points(graph, blind, config))
 
     def test_otherwise_they_have(self, case):
         config, graph, state = case
-        blind = JointState.empty(graph.edge_index.shape[1], graph.num_points)
+        blind = Evidence.empty(graph)
         blind.facing = state.facing
         assert not torch.equal(segment_points(graph, state, config), segment_points(graph, blind, config))
 
@@ -117,4 +117,4 @@ class TestSameLabels:
             segmenter.reset(scene.points, scene.colors)
             segmenter.update(list(frames))
         first.merge(second)
-        assert torch.equal(segment_points(first.cloud.graph, first.state, config), labels)
+        assert torch.equal(segment_points(first.graph, first.state, config), labels)

@@ -518,7 +518,9 @@ def test_a_run_is_shown_while_its_frames_come(browser, scene_of, tmp_path):
         images.append(page.get_attribute("#tj-image", "src"))
 
     segmenter = tj.JointSegmenter(config)
-    result = segmenter(scene, batch_size=3, on_frames=watch)
+    for _ in segmenter.steps(scene, batch_size=3):
+        watch(segmenter, scene)
+    result = segmenter.compute()
     assert len(notes) == 3
     assert not np.array_equal(colors[0], colors[-1])  # images have changed the labels
     assert images[0] != images[1]  # the first frame has its labels now

@@ -14,10 +14,10 @@ from torchjoint.results.parts import Parts, edited
 from torchjoint.results.shading import Shading
 from torchjoint.results.splits import place_to_split
 from torchjoint.scene import Hierarchy
-from torchjoint.segments.choice import METHODS
 from torchjoint.viewer.cloud import blocks_of
 from torchjoint.viewer.model import Model
 from torchjoint.viewer.painting import painted, point_colors
+from torchjoint.viewer.parameters import PARAMETERS
 from torchjoint.viewer.pick import pick_point
 from torchjoint.viewer.selection import export_selected
 
@@ -531,22 +531,22 @@ def test_a_run_in_memory_is_computed_again(scene_of):
     segmenter = tj.JointSegmenter(tj.Config().set(["point_segments.method=paper", "boundary.detector=gradient"]))
     before = segmenter(scene)
     run = LiveRun(segmenter, scene)
-    assert tuple(run.parameters) == segmenter.method.turned
+    assert tuple(run.parameters) == PARAMETERS["paper"]
     assert torch.equal(run.compute(run.parameters).points, before.points)
     values = run.parameters | {"paper.scale": 2.0, "paper.min_size": 30.0}
     config = segmenter.config.set(["paper.scale=2", "paper.min_size=30"])
     again = run.compute(values)
     assert again.config == config
-    assert torch.equal(again.points, segmenter.with_config(config).compute(images=False).points)
+    assert torch.equal(again.points, segmenter.compute(images=False, config=config).points)
     assert not torch.equal(again.points, before.points)
     with pytest.raises(ValueError, match=r"paper\.min_size: expected"):
         run.compute({"paper.min_size": -5.0})
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", PARAMETERS)
 def test_live_parameters_need_no_frames_again(method):
     config = tj.Config().set([f"point_segments.method={method}"])
-    for name in METHODS[method].turned:
+    for name in PARAMETERS[method]:
         stage, _, parameter = name.partition(".")
         value = getattr(getattr(config, stage), parameter)
         changed = config.replace({stage: {parameter: value + (1 if isinstance(value, int) else 0.01)}})
@@ -558,13 +558,11 @@ def test_labels_so_far_change_nothing_and_keep_their_numbers(scene_of):
     from torchjoint.viewer.live import kept_numbers, labels_so_far
 
     scene, config = scene_of(3).scene, tj.Config().set(["boundary.detector=gradient"])
-    looks = []
-
-    def look(segmenter, scene):
+    segmenter, looks = tj.JointSegmenter(config), []
+    for _ in segmenter.steps(scene, batch_size=3):
         before = looks[-1].points if looks else None
         looks.append(labels_so_far(segmenter, scene, before))
-
-    watched, plain = tj.JointSegmenter(config)(scene, batch_size=3, on_frames=look), tj.JointSegmenter(config)(scene)
+    watched, plain = segmenter.compute(), tj.JointSegmenter(config)(scene)
     assert torch.equal(watched.points, plain.points)
     assert all(torch.equal(one, other) for one, other in zip(watched.images, plain.images, strict=True))
     first, second, last = looks  # before the first frame, after three, after all

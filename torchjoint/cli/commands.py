@@ -18,7 +18,7 @@ from torchjoint.runtime.messages import in_one_line, is_out_of_memory, on_termin
 
 #: Exit status of a program whose output is not read to its end, and of one that is interrupted, as shells give it: 128
 #: + SIGPIPE, 128 + SIGINT.
-PIPE_CLOSED, INTERRUPTED = 141, 130
+PIPE_CLOSED, STOPPED = 141, 130
 
 
 class Command(NamedTuple):
@@ -58,7 +58,7 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         sys.exit(PIPE_CLOSED)
     except KeyboardInterrupt as stop:
         print(f"{program}: interrupted; {interrupted}{f'; {stop}' if str(stop) else ''}", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        sys.exit(STOPPED)
     except (ValueError, TypeError, OSError, ImportError, MemoryError, RecursionError, RuntimeError) as error:
         _tell(program, error)
 

@@ -67,7 +67,7 @@ def segment(
             memory=memory,
             engine=workers,
             progress=sys.stderr.isatty(),
-            on_frames=view,
+            watch=view,
             allow_import=True,
         )
     if segmented is None:

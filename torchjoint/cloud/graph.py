@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import torch
@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.cloud.adjacency import CsrAdjacency
+from torchjoint.cloud.local import LocalFrame
 from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors, neighbor_tables
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.cloud.scales import Scales
@@ -40,6 +41,9 @@ class PointGraph:
     neighbors: Tensor  #: [N, K] int32, nearest first; planes are fitted to them
     scales: Scales | None = None  #: noise and spacing, method learned only
     wide_normals: Tensor | None = None  #: [N, 3] unit length, fitted to `neighbors`, method learned only
+    local: LocalFrame = field(default_factory=LocalFrame.of_world)  #: the coordinates of the points
+    #: [G] int64, the graph's point of each given point; nothing after step 3 renumbers points
+    of_given: Tensor = field(default_factory=lambda: torch.empty(0, dtype=torch.int64))
 
     @cached_property
     def spacing(self) -> Tensor:
@@ -53,9 +57,14 @@ class PointGraph:
         """N."""
         return self.points.shape[0]
 
+    def of(self, local: LocalFrame, of_given: Tensor) -> PointGraph:
+        """The same graph, in a local frame, of G given points; `of_given` [G] int64 has the graph's point of each."""
+        return replace(self, local=local, of_given=of_given)
+
     def is_same(self, other: PointGraph) -> bool:
-        """Whether both graphs have the same points and the same normals."""
-        return torch.equal(self.points, other.points) and torch.equal(self.normals, other.normals)
+        """Whether evidence of frames that was collected with one graph is valid for the other."""
+        same = torch.equal(self.points, other.points) and torch.equal(self.normals, other.normals)
+        return same and self.local.is_same(other.local)
 
 
 def build_point_graph(cloud: Cloud, neighbors: int, normal_neighbors: int | Scales) -> PointGraph:

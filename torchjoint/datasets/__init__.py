@@ -8,7 +8,7 @@ from pathlib import Path
 
 from torchjoint.datasets.formats import FORMATS, Format
 from torchjoint.datasets.recording import Options
-from torchjoint.runtime.foreign_files import has_file, has_folder, is_there
+from torchjoint.runtime.foreign_files import has_file, has_folder, is_there, or_unreadable
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
 
@@ -86,6 +86,8 @@ def load_scene(
 def list_scenes(path: str | Path) -> dict[str, Path]:
     """Returns the scenes of a data set: their paths, for :func:`load_scene`, by name. A path may be a single scene.
 
+    Links inside that lead nowhere are returned, too: a scene may be lost, and loading it raises the error.
+
     Raises:
         FileNotFoundError: there is no such path.
         ValueError: there is no scene; the message says what is there, and what the most similar format needs.
@@ -109,8 +111,12 @@ def _find_scenes(path: Path) -> dict[str, Path]:
         found: dict[str, Path] = getattr(module, "scenes", lambda _: {})(path)
         if found:
             return found
-    folders = sorted(one for one in path.iterdir() if has_folder(one)) if has_folder(path) else []
-    return {one.name: one for one in folders if any(module.recognizes(one) for module in FORMATS.values())}
+    inside = sorted(path.iterdir()) if has_folder(path) else []
+    return {one.name: one for one in inside if or_unreadable(_is_folder_of_scene, one)}
+
+
+def _is_folder_of_scene(path: Path) -> bool:
+    return has_folder(path) and any(module.recognizes(path) for module in FORMATS.values())
 
 
 def _content(path: Path) -> str:

@@ -19,6 +19,7 @@ from torchjoint.datasets.files.readers import read_depth, read_image
 from torchjoint.datasets.fusion import fuse_or_recall
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.camera import camera_center
 from torchjoint.scene.checks import Invalid
@@ -53,9 +54,11 @@ def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, cloud
         return Scene(cloud.points, frames, cloud.colors, cloud.normals, name=path.name)
     if not options.fuse:
         return Scene(torch.zeros(1, 3), frames, name=path.name)
+    made = None if options.cloud is None else Output(options.cloud, overwrite=False, option="cloud")
     points, colors = fuse_or_recall(path, frames, options.voxel_size, options.progress)
-    if options.cloud is not None:
-        write_cloud(options.cloud, points, colors)
+    if made is not None:
+        with made.written() as file:
+            write_cloud(file, points, colors)
     return Scene(points, frames, colors, name=path.name)
 
 

@@ -10,7 +10,7 @@ from torchjoint.images.smoothing import smooth
 from torchjoint.runtime.threads import parallel_map
 
 #: Standard deviation of the blur before the gradient, pixels. It suppresses the noise of a camera but keeps edges.
-SMOOTHING = 1.0
+GRADIENT_SMOOTHING = 1.0
 
 #: Gradient at which the boundary is 1 - 1/e, Lab units per pixel. Clear edges exceed it; shading is far below it.
 CONTRAST = 8.0
@@ -26,7 +26,7 @@ class GradientBoundary(nn.Module):
         contrast: gradient at which b = 1 - 1/e, Lab units per pixel.
     """
 
-    def __init__(self, smoothing: float = SMOOTHING, contrast: float = CONTRAST) -> None:
+    def __init__(self, smoothing: float = GRADIENT_SMOOTHING, contrast: float = CONTRAST) -> None:
         super().__init__()
         self.smoothing = smoothing
         self.contrast = contrast

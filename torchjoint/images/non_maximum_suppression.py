@@ -9,7 +9,7 @@ from torch import Tensor
 from torchjoint.runtime.threads import one_thread_per_operation
 
 #: Standard deviation of the Gaussian before the derivatives, pixels: larger than the noise of a boundary.
-SMOOTHING = 2.0
+RIDGE_SMOOTHING = 2.0
 
 
 @one_thread_per_operation()
@@ -56,9 +56,9 @@ def suppress_non_maxima(boundary: Tensor) -> Tensor:
 
 def _normals(boundary: Tensor) -> tuple[Tensor, Tensor]:
     """Unit vectors (right, down), each [H, W], along which the second derivative is largest in magnitude."""
-    size = 2 * round(3 * SMOOTHING) + 1
+    size = 2 * round(3 * RIDGE_SMOOTHING) + 1
     smooth = kornia.filters.gaussian_blur2d(
-        boundary[None, None], (size, size), (SMOOTHING, SMOOTHING), border_type="replicate"
+        boundary[None, None], (size, size), (RIDGE_SMOOTHING, RIDGE_SMOOTHING), border_type="replicate"
     )[0, 0]
     around = _shifted(smooth)
     xx = around[0, 1] + around[0, -1] - 2 * smooth

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import overload
 
 import torch
 from torch import Tensor
@@ -13,6 +12,7 @@ from torchjoint.config import Config
 from torchjoint.labels.geodesic import path_costs
 from torchjoint.labels.markers import nearest_labels, without_outvoted
 from torchjoint.runtime.first_places import first_places
+from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.packing import Packed, pack
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Hierarchy
@@ -20,52 +20,31 @@ from torchjoint.views.observation import Observation
 from torchjoint.views.observations import Observations
 
 
-class PieceImages(Sequence[Tensor]):
-    """The pieces of a hierarchy in images: a sequence of [H, W] int64, computed when first used, then kept packed.
+def piece_images(
+    images: Sequence[Tensor],
+    observations: Observations,
+    hierarchy: Hierarchy,
+    config: Config,
+    known: Mapping[int, Packed],
+) -> LazySequence[Tensor]:
+    """The pieces of a hierarchy in images: [H, W] int64 per frame, computed when first used, then kept packed.
 
     Args:
         images: final labels [H, W] int64 per frame, of the default level.
-        observations: the frames.
+        observations: the frames; no more may be added.
         hierarchy: all levels of the graph's points.
         config: the refinement, and the smoothing of the image graph.
         known: pieces of images that are known already, by index.
     """
+    kept, of_piece = dict(known), hierarchy.segments_of_pieces(hierarchy.default)
 
-    def __init__(
-        self,
-        images: Sequence[Tensor],
-        observations: Observations,
-        hierarchy: Hierarchy,
-        config: Config,
-        known: Mapping[int, Packed] | None = None,
-    ) -> None:
-        self._images = images
-        self._observations = observations[:]  # more may be added
-        self._piece = hierarchy.piece
-        self._of_piece = hierarchy.segments_of_pieces(hierarchy.default)
-        self._config = config
-        self._known: dict[int, Packed] = dict(known or {})
-
-    def __len__(self) -> int:
-        return len(self._images)
-
-    @overload
-    def __getitem__(self, index: int) -> Tensor: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Tensor]: ...
-    def __getitem__(self, index: int | slice) -> Tensor | list[Tensor]:
-        if isinstance(index, slice):
-            return [self._pieces(i) for i in range(len(self))[index]]
-        return self._pieces(range(len(self))[index])
-
-    def _pieces(self, index: int) -> Tensor:
-        if index not in self._known:
-            seen, labels = self._observations[index], self._images[index]
+    def pieces(index: int) -> Tensor:
+        if index not in kept:
             with torch.no_grad(), one_thread_per_operation():
-                pieces = piece_image(seen, labels, self._piece, self._of_piece, self._config)
-            self._known[index] = pack(pieces)
-            return pieces
-        return self._known[index].unpack()
+                kept[index] = pack(piece_image(observations[index], images[index], hierarchy.piece, of_piece, config))
+        return kept[index].unpack()
+
+    return LazySequence(len(images), pieces)
 
 
 def piece_image(seen: Observation, labels: Tensor, piece: Tensor, of_piece: Tensor, config: Config) -> Tensor:

@@ -21,7 +21,8 @@ from torchjoint.datasets.depth_agreement import warn_of_poses
 from torchjoint.datasets.fusion import FAR, add_frame, check_unit, surface_cloud, volume_origin
 from torchjoint.datasets.volume import Volume
 from torchjoint.images.segmenter import ImageSegmenter
-from torchjoint.joint import JointSegmenter
+from torchjoint.joint import developed, prepare
+from torchjoint.labels.label import label
 from torchjoint.labels.lasting_ids import Changes, LastingIds
 from torchjoint.live.keyframe import Keyframe
 from torchjoint.runtime.checked_files import read_values, write_values
@@ -35,7 +36,10 @@ from torchjoint.scene import Cloud, Frame, Segmentation
 from torchjoint.scene.camera import camera_center
 from torchjoint.scene.checks import as_float, as_pose, check_shape
 from torchjoint.scene.hierarchy import check_granularity
-from torchjoint.segments.learned.method import Learned
+from torchjoint.segments.method import LEARNED
+from torchjoint.views.evidence import Evidence
+from torchjoint.views.observations import Observations
+from torchjoint.views.observe import observe_frame
 
 #: The depth of this many keyframes is checked, and compared at their poses. One image without depth is no error.
 COMPARED = 12
@@ -122,7 +126,6 @@ class LiveSegmenter(nn.Module):
         self.keep_depth, self.memory = keep_depth, as_bytes(memory)
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
-        self._method = Learned(self.config)
         self._volume = Volume(voxel_size, FAR, self.memory)
         self._origin: Tensor | None = None
         self._pose: Tensor | None = None  # of the last keyframe
@@ -165,9 +168,9 @@ class LiveSegmenter(nn.Module):
                 self._views.update(seen)
                 self._pose = frame.world_to_camera
                 self._compare(frame)
-                developed = self._method.developed(frame)
-                (segments,) = self.image_segmenter([developed], self.stopwatch)
-                self._keep(Keyframe.packed(frame, developed, segments, FAR if self.keep_depth else None))
+                bright = developed(frame)
+                (segments,) = self.image_segmenter([bright], self.stopwatch)
+                self._keep(Keyframe.packed(frame, bright, segments, FAR if self.keep_depth else None))
 
     @torch.no_grad()
     @one_thread_per_operation()
@@ -189,12 +192,14 @@ class LiveSegmenter(nn.Module):
         if not len(points):
             check_unit(self._to_compare or [])
             raise ValueError("depth: the frames so far give no surface; expected depth in metres, and right poses")
-        segmenter = JointSegmenter(self.config, method=lambda config, _: Learned(config), memory=self.memory)
-        segmenter.reset(points, colors)
+        graph, method = prepare(Cloud.checked(points, colors), self.config, method=LEARNED)
+        evidence = Evidence.empty(graph, Observations(budget=self.memory))
         for first in range(0, len(keyframes), BATCH):
             opened = parallel_map(Keyframe.opened, keyframes[first : first + BATCH])
-            segmenter.observe(*zip(*opened, strict=True))
-        found = segmenter.compute(images=images)
+            evidence += parallel_map(lambda one: observe_frame(*one, graph, self.config, self.stopwatch), opened)
+        evidence.check_seen()
+        tree = method.segment(graph, evidence, self.config)
+        found = label(tree, graph, evidence, self.config, self.stopwatch, images=images)
         if self.granularity != 0.5:
             found = found.at(self.granularity)
         side = CUBE * self._volume.voxel_size

@@ -20,13 +20,13 @@ classes compute this mean: ``FooMetric`` for ``foo``, on torchmetrics, which is 
 
 from typing import TYPE_CHECKING
 
-from torchjoint.metrics.covering import SegmentationCovering, mean_best_iou, segmentation_covering
 from torchjoint.metrics.objects_and_parts import (
     ObjectsAndParts,
     average_precision_objects,
     average_precision_parts,
     objects_and_parts,
 )
+from torchjoint.metrics.overlaps import SegmentationCovering, mean_best_iou, segmentation_covering
 from torchjoint.metrics.scannet import AveragePrecision, scannet_average_precision
 from torchjoint.metrics.superpoints import (
     achievable_segmentation_accuracy,

@@ -8,8 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.metrics.labels import INTEGERS, checked_labels
-from torchjoint.metrics.overlaps import count_keys, places, renumber_by_value
+from torchjoint.metrics.overlaps import INTEGERS, checked_labels, count_keys, places, renumber_by_value
 
 
 class Intersections(NamedTuple):

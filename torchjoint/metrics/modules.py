@@ -1,10 +1,4 @@
-"""The metrics as torchmetrics classes, which accumulate over the scenes or images of a data set.
-
-``update`` takes one sample, with the function's arguments; the constructor takes the function's options. ``compute``
-returns the mean of the samples' values, also for F. It has the function's type, but a tensor instead of a number.
-Only ScanNet's average precision is computed from the predictions of all scenes together. States are summed over
-processes.
-"""
+"""Metrics that add up over scenes, as modules of torchmetrics."""
 
 from __future__ import annotations
 
@@ -14,8 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 from torchmetrics import Metric
+from torchmetrics.utilities import dim_zero_cat
 
-from torchjoint.metrics.covering import SegmentationCovering, mean_best_iou, segmentation_covering
 from torchjoint.metrics.objects_and_parts import (
     ObjectsAndParts,
     average_precision_objects,
@@ -23,8 +17,8 @@ from torchjoint.metrics.objects_and_parts import (
     check_thresholds,
     objects_and_parts,
 )
-from torchjoint.metrics.scannet_module import ScannetAveragePrecisionMetric
-from torchjoint.metrics.states import add_options_state
+from torchjoint.metrics.overlaps import SegmentationCovering, mean_best_iou, segmentation_covering
+from torchjoint.metrics.scannet import AveragePrecision, Matches, areas, check_min_size, match_instances
 from torchjoint.metrics.superpoints import (
     achievable_segmentation_accuracy,
     boundary_recall,
@@ -32,17 +26,69 @@ from torchjoint.metrics.superpoints import (
     undersegmentation_error,
 )
 
-__all__ = [
-    "AchievableSegmentationAccuracyMetric",
-    "AveragePrecisionObjectsMetric",
-    "AveragePrecisionPartsMetric",
-    "BoundaryRecallMetric",
-    "MeanBestIoUMetric",
-    "ObjectsAndPartsMetric",
-    "ScannetAveragePrecisionMetric",
-    "SegmentationCoveringMetric",
-    "UndersegmentationErrorMetric",
-]
+
+def add_options_state(metric: Metric, *options: float) -> None:
+    """Adds a state that is equal only for metrics of the same class and options.
+
+    A :class:`torchmetrics.MetricCollection` groups metrics whose states have equal names and values after the first
+    update, and then updates only one metric per group. Without this state a perfect sample would group other metrics.
+    """
+    metric.add_state(
+        f"options_of_{type(metric).__name__}", torch.tensor([0.0, *options], dtype=torch.float64), dist_reduce_fx="max"
+    )
+
+
+class ScannetAveragePrecisionMetric(Metric):
+    """:func:`torchjoint.metrics.scannet_average_precision` of a data set; all scenes make one curve.
+
+    Args:
+        min_size: as for the function.
+        kwargs: as for :class:`torchmetrics.Metric`.
+
+    >>> import torch
+    >>> target = torch.tensor([0, 0, 1, 1])
+    >>> metric = ScannetAveragePrecisionMetric(min_size=1)
+    >>> metric.update(torch.tensor([0, 0, 1, 1]), target, scores=torch.tensor([0.9, 0.8]))
+    >>> metric.update(torch.tensor([0, 1, 2, 3]), target, scores=torch.tensor([0.4, 0.3, 0.2, 0.1]))
+    >>> metric.compute()  # half of the instances are found before anything is wrong
+    AveragePrecision(ap=0.5, ap50=0.5, ap25=0.94375)
+    """
+
+    is_differentiable = False
+    higher_is_better = True
+    full_state_update = False
+    threshold: list[Tensor]
+    score: list[Tensor]
+    hit: list[Tensor]
+    num_scenes: Tensor
+    num_instances: Tensor
+
+    def __init__(self, min_size: int = 100, **kwargs: Any) -> None:
+        check_min_size(min_size)
+        super().__init__(**kwargs)
+        add_options_state(self, min_size)
+        self.min_size = min_size
+        for name in Matches._fields:
+            self.add_state(name, [], dist_reduce_fx="cat")
+        self.add_state("num_scenes", torch.tensor(0), dist_reduce_fx="sum")
+        self.add_state("num_instances", torch.tensor(0), dist_reduce_fx="sum")
+        self.set_dtype(torch.float64)  # the empty list state of a process without scenes needs the same dtype
+
+    def update(
+        self, pred: Tensor | Sequence[Tensor], target: Tensor | Sequence[Tensor], scores: Tensor | None = None
+    ) -> None:
+        """Adds one scene: labels, masks or points of the predicted instances; the true labels; scores."""
+        matches, num_instances = match_instances(pred, target, scores, self.min_size)
+        for name, values in zip(Matches._fields, matches, strict=True):
+            getattr(self, name).append(values.to(self.device))
+        self.num_instances += num_instances
+        self.num_scenes += 1
+
+    def compute(self) -> AveragePrecision:
+        """Returns the AP of all scenes so far. ValueError without a scene; nan if no instance is large enough."""
+        if int(self.num_scenes) == 0:
+            raise ValueError(f"{type(self).__name__}: expected an update before compute, got none")
+        return areas(Matches(*(dim_zero_cat(getattr(self, name)) for name in Matches._fields)), int(self.num_instances))
 
 
 class _SampleMean(Metric):

@@ -25,8 +25,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.metrics.labels import checked_targets
 from torchjoint.metrics.masks import Intersections, intersect
+from torchjoint.metrics.overlaps import checked_targets
 from torchjoint.runtime.threads import on_cpu
 
 #: IoU thresholds: the one of AP25, then those averaged for AP, of which the first is the one of AP50.

@@ -8,8 +8,7 @@ from statistics import fmean
 import torch
 from torch import Tensor
 
-from torchjoint.metrics.labels import INTEGERS, checked_pair
-from torchjoint.metrics.overlaps import largest, overlap_tables, places, renumber_by_value
+from torchjoint.metrics.overlaps import INTEGERS, checked_pair, largest, overlap_tables, places, renumber_by_value
 from torchjoint.runtime.threads import on_cpu
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -12,10 +12,10 @@ from torchjoint.config import Config
 from torchjoint.datasets import load_scene
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.engine import Engine
-from torchjoint.joint import JointSegmenter, Watch
+from torchjoint.joint import JointSegmenter
 from torchjoint.masks import read_folder
 from torchjoint.masks.folder import check_files
-from torchjoint.recordings.frame_chunks import segment_over
+from torchjoint.recordings.frame_chunks import evidence_of_chunks
 from torchjoint.recordings.options import RecordingOptions
 from torchjoint.results.checkpoint import Checkpoint, run_key
 from torchjoint.results.folder import write_result
@@ -28,6 +28,9 @@ from torchjoint.runtime.stopwatch import Stopwatch
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
 from torchjoint.scene.pose_warning import PoseDoubt, PoseWarning
+
+#: A function (segmenter, scene) that observes a run while its frames are added.
+Watch = Callable[[JointSegmenter, Scene], None]
 
 
 class Segmented(NamedTuple):
@@ -51,7 +54,7 @@ def segment_recording(
     memory: int | str | None = None,
     engine: Engine | None = None,
     progress: bool = False,
-    on_frames: Watch | None = None,
+    watch: Watch | None = None,
     allow_import: bool = False,
 ) -> Segmented | None:
     """Segments a recording and writes its result folder, completely or not at all.
@@ -68,7 +71,7 @@ def segment_recording(
             `out`.
         engine: workers for the frames; None: this process. The labels are the same.
         progress: show progress bars.
-        on_frames: is called when frames were added, see :meth:`torchjoint.JointSegmenter.forward`.
+        watch: is called before the first frame and after each batch; it must not change its arguments.
         allow_import: import the code that the config names, see :class:`torchjoint.JointSegmenter`.
 
     Returns:
@@ -111,17 +114,33 @@ def segment_recording(
             allow_import=allow_import,
         )
         with clock("segment"), nullcontext() if options.ignore_poses else _poses_must_fit():
-            if engine is None:
-                result = segmenter(scene, progress=progress, checkpoint=checkpoint, on_frames=on_frames)
-            else:
-                result = segment_over(
-                    engine, segmenter, scene, progress=progress, checkpoint=checkpoint, on_frames=on_frames
-                )
+            result = run(segmenter, scene, checkpoint, engine=engine, watch=watch, progress=progress)
         if level is not None:
             result = result.at(level)
         level = 0.5 if level is None else level
         write_result(partial, scene, result, config, str(path), level, fingerprint=files, seconds=clock.seconds)
     return Segmented(result, segmenter, scene)
+
+
+def run(
+    segmenter: JointSegmenter,
+    scene: Scene,
+    checkpoint: Checkpoint,
+    *,
+    engine: Engine | None = None,
+    watch: Watch | None = None,
+    progress: bool = False,
+    batch_size: int = 8,
+) -> Segmentation:
+    """``segmenter(scene)`` that saves its state from time to time, and goes on from a saved one; arguments as above."""
+    workers = None if engine is None else evidence_of_chunks(engine)
+    steps = segmenter.steps(scene, progress=progress, batch_size=batch_size, resume=checkpoint.load, workers=workers)
+    for _ in steps:
+        checkpoint.save(segmenter.state)
+        if watch is not None:
+            watch(segmenter, scene)
+    checkpoint.save(segmenter.state, now=True)
+    return segmenter.compute(progress=progress)
 
 
 @contextmanager

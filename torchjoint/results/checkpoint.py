@@ -16,9 +16,9 @@ from torchjoint.runtime import bounds
 from torchjoint.runtime.checked_files import read_values, write_values
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import has_file, read_text
+from torchjoint.views.evidence import Evidence
 from torchjoint.views.observation import PackedObservation
 from torchjoint.views.observations import Observations
-from torchjoint.views.state import JointState
 
 #: Longest time between two saves, seconds.
 INTERVAL = 20.0
@@ -31,7 +31,7 @@ FORMAT = 5
 
 
 class Checkpoint:
-    """Saves a :class:`JointState` from time to time: one file per observation, then the sums over these observations.
+    """Saves a :class:`Evidence` from time to time: one file per observation, then the sums over these observations.
 
     Every file has a checksum and is first written under another name. So after a kill, or on a full disk, the state is
     that of the last save.
@@ -51,11 +51,11 @@ class Checkpoint:
         self._saved = 0
         self._next_save = 0.0
 
-    def load(self, observations: Observations | None = None) -> JointState | None:
+    def load(self, observations: Observations | None = None) -> Evidence | None:
         """Loads the last saved state; None if there is none, or, with a warning, if its files are damaged.
 
         Args:
-            observations: an empty object, which the state will use; default: one that keeps all in memory.
+            observations: an empty store, which the state will use; default: one that keeps all in memory.
         """
         try:
             if not has_file(self.directory / "sums.pt"):
@@ -65,7 +65,7 @@ class Checkpoint:
             observations = Observations() if observations is None else observations
             for i in range(count):
                 observations.extend([PackedObservation.from_dict(read_values(self._file(i)))])
-            state = JointState(**values, observations=observations)
+            state = Evidence(**values, observations=observations)
             state.check_types()
         except Exception as error:  # a damaged file can raise anything
             warnings.warn(f"{self.directory}: damaged, starting again ({error})", stacklevel=2)
@@ -73,7 +73,7 @@ class Checkpoint:
         self._saved = count
         return state
 
-    def save(self, state: JointState, *, now: bool = False) -> None:
+    def save(self, state: Evidence, *, now: bool = False) -> None:
         """Saves the state if `now` is True, or if it is time: after INTERVAL seconds, or sooner if saving is quick.
 
         Raises:

@@ -23,7 +23,7 @@ from torchjoint.config import Config, read_yaml
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import read_label_image
 from torchjoint.results.figures import overview
-from torchjoint.results.hierarchy_files import FILE, FOLDER, read_hierarchy, read_piece_image, write_hierarchy
+from torchjoint.results.hierarchy_files import HIERARCHY, PIECES, read_hierarchy, read_piece_image, write_hierarchy
 from torchjoint.results.inputs import CAMERAS, read_inputs, read_names, write_inputs
 from torchjoint.results.label_colors import label_colors
 from torchjoint.results.manifest import FILE as MANIFEST
@@ -123,9 +123,18 @@ def write_result(
 
 def _remove_earlier(folder: Path) -> None:
     """Deletes the files of an interrupted run: with other parameters it may have written other files."""
-    for name in ("points.ply", "points.npz", FILE, CAMERAS, "overview.png", "run.yaml", MANIFEST, "embeddings.npz"):
+    for name in (
+        "points.ply",
+        "points.npz",
+        HIERARCHY,
+        CAMERAS,
+        "overview.png",
+        "run.yaml",
+        MANIFEST,
+        "embeddings.npz",
+    ):
         (folder / name).unlink(missing_ok=True)
-    for name in ("images", FOLDER):
+    for name in ("images", PIECES):
         shutil.rmtree(folder / name, ignore_errors=True)
 
 
@@ -162,16 +171,16 @@ def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
     images = LazySequence(len(files), lambda index: read_label_image(check(files[index])) - 1)
     true = {file: name for name, file in read_names(folder).items()}
     names = tuple(true.get(file.stem, file.stem) for file in files)
-    if not has_file(folder / FILE):
+    if not has_file(folder / HIERARCHY):
         return Segmentation(labels, images, names=names)
     hierarchy = read_hierarchy(folder, len(labels))
     of_piece = torch.zeros(hierarchy.num_pieces, dtype=torch.int64)
     of_piece[hierarchy.piece] = labels
     if not torch.equal(of_piece[hierarchy.piece], labels):
-        raise ValueError(f"{folder / FILE}: expected pieces that lie inside one segment of points.npz, got others")
+        raise ValueError(f"{folder / HIERARCHY}: expected pieces that lie inside one segment of points.npz, got others")
 
     def pieces(index: int) -> Tensor:
-        return read_piece_image(check(folder / FOLDER / files[index].name), hierarchy.num_pieces)
+        return read_piece_image(check(folder / PIECES / files[index].name), hierarchy.num_pieces)
 
     piece_images = LazySequence(len(files), pieces)
     return Segmentation(labels, images, names=names, hierarchy=hierarchy, piece_images=piece_images)

@@ -18,7 +18,7 @@ from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
 from torchjoint.scene.votes import Votes
 
-FILE, FOLDER = "hierarchy.npz", "pieces"
+HIERARCHY, PIECES = "hierarchy.npz", "pieces"
 #: Largest number of a piece in an image of pieces, which stores piece + 1 in three bytes; 0 = none.
 MAX_PIECE = 2**24 - 2
 #: Names of the arrays of the votes. Results without judges have none.
@@ -43,21 +43,21 @@ def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], pi
     if hierarchy.votes is not None:
         arrays |= dict(zip(_VOTES, hierarchy.votes, strict=True))
     np.savez_compressed(
-        folder / FILE,
+        folder / HIERARCHY,
         heights=hierarchy.heights.numpy(),
         default=np.float64(hierarchy.default),
         **{name: array.numpy().astype(np.int32) for name, array in arrays.items()},  # type: ignore[arg-type]
     )
-    shutil.rmtree(folder / FOLDER, ignore_errors=True)
+    shutil.rmtree(folder / PIECES, ignore_errors=True)
     if not len(piece_images):
         return
-    (folder / FOLDER).mkdir()
+    (folder / PIECES).mkdir()
 
     def write(index: int) -> None:
         stored = (piece_images[index] + 1).numpy()
         channels = np.stack([stored >> 16, stored >> 8 & 255, stored & 255], axis=-1).astype(np.uint8)
         # Compression level 3 takes half the time of level 6, and makes the files a fifth larger.
-        Image.fromarray(channels).save(folder / FOLDER / f"{names[index]}.png", compress_level=3)
+        Image.fromarray(channels).save(folder / PIECES / f"{names[index]}.png", compress_level=3)
 
     parallel_map(write, range(len(names)))
 
@@ -69,7 +69,7 @@ def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
         FileNotFoundError: there is no such file.
         ValueError: the file is damaged or of other points; the message names it.
     """
-    file = folder / FILE
+    file = folder / HIERARCHY
     if not has_file(file):
         raise FileNotFoundError(
             f"{file}: missing; expected a result of point_segments.method learned: only this method makes all levels"

@@ -16,7 +16,7 @@ from torchjoint.results.result import Result
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
 from torchjoint.scene import Masks
-from torchjoint.scene.level_images import LevelImages
+from torchjoint.scene.level_images import level_images
 
 FILE = "masks.json"
 #: A mask became a segment if their IoU in the frame is at least this.
@@ -122,7 +122,7 @@ def select_masked(folder: Path, result: Result) -> Result:
     if not kept:
         raise ValueError(f"{folder / FILE}: no segment lies in masks with half of its pixels")
     count = result.num_point_segments
-    images = LevelImages(result.images, count, table, count)
+    images = level_images(result.images, count, table, count)
     return replace(result, points=table[result.points], images=images, hierarchy=None, piece_images=())
 
 

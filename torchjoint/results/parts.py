@@ -10,7 +10,7 @@ import torch
 
 from torchjoint.results.edits import Edits, Table, first_pieces
 from torchjoint.results.result import Result
-from torchjoint.scene.level_images import LevelImages
+from torchjoint.scene.level_images import level_images
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,6 @@ def edited(result: Result, edits: Edits) -> Result:
     names = {int(np.searchsorted(firsts, first)): name for first, name in parts.names(edits).items()}
     segments = torch.from_numpy(of_piece.astype(np.int64))
     pieces = None if result.hierarchy is None else result.piece_images
-    images = LevelImages(result.images, result.num_point_segments, segments, len(firsts), pieces)
+    images = level_images(result.images, result.num_point_segments, segments, len(firsts), pieces)
     points = segments[torch.from_numpy(parts.of_point)]
     return replace(result, points=points, images=images if len(result.images) else (), segment_names=names)

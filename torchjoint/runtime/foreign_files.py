@@ -12,7 +12,7 @@ import stat
 import struct
 import tokenize
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
@@ -57,6 +57,14 @@ def has_folder(path: Path) -> bool:
     """
     mode = _mode(path)
     return mode is not None and stat.S_ISDIR(mode)
+
+
+def or_unreadable(is_one: Callable[[Path], bool], path: Path) -> bool:
+    """Whether a path is one of a list, or this cannot be known: who reads it gets the error, the others are read."""
+    try:
+        return is_one(path)
+    except ValueError:
+        return True
 
 
 def present(path: Path, expected: str) -> Path:

@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self, overload
+from typing import Self
 
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.packing import Packed, pack
-from torchjoint.runtime.threads import on_cpu, one_thread_per_operation
+from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene.hierarchy import Hierarchy
-from torchjoint.scene.level_images import LevelImages
+from torchjoint.scene.level_images import level_images
 from torchjoint.scene.votes import Confidence
 
 
-class LabelImages(Sequence[Tensor]):
+class LabelImages(LazySequence[Tensor]):
     """Label images of one segmentation: a sequence of [H, W] int64. They are packed; each access unpacks one.
 
     Args:
@@ -30,23 +31,13 @@ class LabelImages(Sequence[Tensor]):
         self, images: Sequence[Tensor | Packed], first_private: int = 0, offsets: Sequence[int] | None = None
     ) -> None:
         self._images = [pack(image.to(torch.int64)) if isinstance(image, Tensor) else image for image in images]
-        self._first_private = first_private
-        self._offsets = [0] * len(self._images) if offsets is None else list(offsets)
+        self._first_private, self._offsets = first_private, offsets
+        super().__init__(len(self._images), self._unpacked)
 
-    def __len__(self) -> int:
-        return len(self._images)
-
-    @overload
-    def __getitem__(self, index: int) -> Tensor: ...
-    @overload
-    def __getitem__(self, index: slice) -> LabelImages: ...
-    def __getitem__(self, index: int | slice) -> Tensor | LabelImages:
-        if isinstance(index, slice):
-            return LabelImages(self._images[index], self._first_private, self._offsets[index])
-        with on_cpu():
-            labels = self._images[index].unpack().to(torch.int64)
-        if offset := self._offsets[index]:
-            labels[labels >= self._first_private] += offset
+    def _unpacked(self, index: int) -> Tensor:
+        labels = self._images[index].unpack().to(torch.int64)
+        if self._offsets is not None:
+            labels[labels >= self._first_private] += self._offsets[index]
         return labels
 
 
@@ -146,15 +137,15 @@ class Segmentation:
             images = self._images_at(of_piece, points)
         return replace(self, points=points, images=images)
 
-    def _images_at(self, of_piece: Tensor, points: Tensor) -> LevelImages:
+    def _images_at(self, of_piece: Tensor, points: Tensor) -> Sequence[Tensor]:
         num_before, num_after = self.num_point_segments, int(of_piece.max()) + 1
         of_segment = torch.zeros(num_before, dtype=torch.int64)
         of_segment[self.points] = points
         if torch.equal(of_segment[self.points], points):  # not finer: each segment lies inside one new segment
-            return LevelImages(self.images, num_before, of_segment, num_after)
+            return level_images(self.images, num_before, of_segment, num_after)
         if len(self.piece_images) != len(self.images):
             raise ValueError(
                 f"piece_images: expected one for each of {len(self.images)} images (finer levels need them), got "
                 f"{len(self.piece_images)}"
             )
-        return LevelImages(self.images, num_before, of_piece, num_after, self.piece_images)
+        return level_images(self.images, num_before, of_piece, num_after, self.piece_images)

@@ -1,90 +1,82 @@
-"""Step 6: the base class of the methods. A method builds the graph, observes frames, and segments the points."""
+"""Step 6: what a method is, which ones there are, and which one segments a cloud."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import ClassVar
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 from torch import Tensor
 
 from torchjoint.cloud.graph import PointGraph
-from torchjoint.cloud.local import LocalFrame
-from torchjoint.cloud.prepared import PreparedCloud, local_cloud
 from torchjoint.config import Config
-from torchjoint.images.segmenter import ImageSegments
-from torchjoint.runtime.stopwatch import Stopwatch
-from torchjoint.scene import Cloud, Frame, Hierarchy
-from torchjoint.views.frame_evidence import FrameEvidence, observe
-from torchjoint.views.state import JointState
+from torchjoint.scene import Cloud, Hierarchy
+from torchjoint.segments import paper
+from torchjoint.segments.learned import method as learned
+from torchjoint.segments.scan import method as scan
+from torchjoint.segments.scan.one_view import ScanSigns, look_for_scan
+from torchjoint.views.evidence import Evidence
 
 
-class Method(ABC):
-    """A method of step 6. A subclass builds the graph and segments it; it may override the other steps.
+class Method(NamedTuple):
+    """A method of step 6: two functions of a module, and what the log says."""
+
+    name: str  #: as in ``point_segments.method``
+    #: step 3: (N distinct points; all parameters; metres: points in one cube with this side are merged, 0: only copies)
+    #: -> the graph, with its `of_given` [N]
+    prepare: Callable[[Cloud, Config, float], PointGraph]
+    #: step 6: (what `prepare` returned; the evidence of all frames; all parameters) -> labels [num_points] int64
+    #: 0, 1, ...; or all levels, if the method has more than one
+    segment: Callable[[PointGraph, Evidence, Config], Tensor | Hierarchy]
+    #: what was measured of a cloud: a text that continues "points: 1000"
+    measured: Callable[[PointGraph], str] = lambda _: ""
+    uses_images: bool = True  #: whether frames affect the segments of the points
+
+
+LEARNED = Method("learned", learned.prepare, learned.segment, learned.measured)
+PAPER = Method("paper", paper.prepare, paper.segment)
+
+
+def scan_method(signs: ScanSigns | None = None) -> Method:
+    """Method scan; `signs`: what was found in the cloud, None: it is looked for when it is needed."""
+    if signs is None:
+        return Method("scan", scan.prepare, scan.segment, scan.measured, uses_images=False)
+    segment = partial(scan.segment, rings=signs.rings)
+    return Method("scan", scan.prepare, segment, partial(_known, signs), uses_images=False)
+
+
+def _known(signs: ScanSigns, _: PointGraph) -> str:
+    return str(signs)
+
+
+def choose_method(config: Config, points: Tensor) -> Method:
+    """The method that the config names. "auto" is scan for a scan of a LiDAR, else learned.
+
+    A model's file is method learned with this model.
 
     Args:
         config: all parameters.
+        points: [N, 3] metres; for method scan: z up, the sensor at the origin.
     """
+    name = config.point_segments.method
+    if name == "auto":
+        signs = look_for_scan(points.float())
+        return scan_method(signs) if signs.is_scan else LEARNED
+    return {"scan": scan_method(), "paper": PAPER}.get(name, LEARNED)
 
-    name: ClassVar[str]  #: as in ``point_segments.method``
-    uses_images: ClassVar[bool] = True  #: whether frames affect the segments of the points
-    #: names (stage.parameter) of the few parameters that a user changes while looking at the result
-    turned: ClassVar[tuple[str, ...]] = ("refinement.color_weight",)
 
-    def __init__(self, config: Config) -> None:
-        self.config = config
+def describe(given: Cloud, graph: PointGraph, method: Method) -> str:
+    """One line that says what was measured of a cloud, and which method segments it.
 
-    @abstractmethod
-    def build_graph(self, cloud: Cloud) -> tuple[PointGraph, Tensor | None]:
-        """Step 3: the graph of a cloud.
-
-        Args:
-            cloud: N distinct points, in the coordinates in which the method works.
-
-        Returns:
-            the graph; and [N] int64, the graph's point for each point of the cloud. None: both have the same points.
-        """
-
-    def prepare(self, cloud: Cloud, merge_within: float) -> PreparedCloud:
-        """Step 3: centres a cloud and builds its graph.
-
-        Args:
-            cloud: N distinct points, in the coordinates in which they were given.
-            merge_within: metres; points in one cube with this side are merged; 0: only copies are merged.
-        """
-        frame = LocalFrame.of(cloud.points)
-        local, of_point = local_cloud(cloud, frame, merge_within)
-        graph, of_local = self.build_graph(local)
-        return PreparedCloud(graph, frame, of_point if of_local is None else of_local[of_point])
-
-    def developed(self, frame: Frame) -> Frame:
-        """The frame as steps 1 to 8 see it. By default it is the given frame."""
-        return frame
-
-    def observe(
-        self, frame: Frame, segments: ImageSegments, cloud: PreparedCloud, stopwatch: Stopwatch
-    ) -> FrameEvidence:
-        """Steps 4 and 5: the evidence of one frame.
-
-        Args:
-            frame: image and camera.
-            segments: the result of steps 1 and 2 for the frame.
-            cloud: what :meth:`prepare` returned.
-            stopwatch: records the seconds of both steps.
-        """
-        return observe(frame, segments, cloud, self.config, stopwatch)
-
-    @abstractmethod
-    def segment(self, graph: PointGraph, state: JointState) -> Tensor | Hierarchy:
-        """Step 6: the segments of the graph's points.
-
-        Args:
-            graph: what :meth:`build_graph` returned.
-            state: the evidence of all frames.
-
-        Returns:
-            [N] int64 labels 0, 1, ...; or all levels, if the method has more than one.
-        """
-
-    def measured(self, graph: PointGraph) -> str:
-        """What the method measured of a cloud: a text for the log that continues "points: 1000". It may be empty."""
-        return ""
+    Args:
+        given: the cloud as it was given.
+        graph: the graph of the cloud.
+        method: the method of step 6.
+    """
+    what = f"points: {len(given.points)}"
+    if graph.num_points < len(given.points):
+        what += f", much denser than their noise: thinned to {graph.num_points}"
+    what += method.measured(graph)
+    if method.name == "learned" and graph.colors is None:
+        what += f", {'no colours' if given.colors is None else 'all of one colour'} (those of images are used, if any)"
+    return f"{what}; step 6 by method {method.name}"

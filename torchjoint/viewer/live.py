@@ -13,13 +13,13 @@ from torch import Tensor
 
 from torchjoint.joint import JointSegmenter
 from torchjoint.labels.image_labels import label_image
+from torchjoint.labels.label import label_points
 from torchjoint.masks.folder import frame_names
 from torchjoint.results.loading import load_result
 from torchjoint.results.result import Result
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene, Segmentation
-from torchjoint.segments.point_labels import label_points
 from torchjoint.viewer.app import Viewer
 from torchjoint.viewer.parameters import LiveRun
 from torchjoint.viewer.server import import_viser
@@ -30,7 +30,7 @@ SHARE = 0.1
 
 
 class LiveView:
-    """Shows a run in the browser, from before its first frame: ``segmenter(scene, on_frames=LiveView())``.
+    """Shows a run in the browser, from before its first frame: call it after each of the segmenter's steps.
 
     It does not change the segmenter, so the result and the checkpoint are the same as without it.
 
@@ -110,7 +110,8 @@ def labels_so_far(
         a result with one level. Pixels of image segments without points are -1. Labels may have gaps.
     """
     with torch.no_grad(), one_thread_per_operation():
-        labels = label_points(segmenter.method, segmenter.cloud, segmenter.state)
+        tree = segmenter.method.segment(segmenter.graph, segmenter.state, segmenter.config)
+        labels = label_points(tree, segmenter.graph)
         number = torch.arange(int(labels.given.max()) + 1)
         if before is not None:
             number = kept_numbers(labels.given, before)

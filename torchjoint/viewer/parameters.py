@@ -9,6 +9,13 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.results.result import Result
 from torchjoint.scene import Scene
 
+#: Names (stage.parameter) of the few parameters of each method that a user changes while looking at the result.
+PARAMETERS = {
+    "learned": ("refinement.color_weight",),
+    "scan": ("scan.gap", "scan.object_height", "scan.min_size", "refinement.color_weight"),
+    "paper": ("paper.scale", "paper.min_size", "paper.weight"),
+}
+
 
 class LiveRun:
     """A run in memory: computes its result again with other parameters.
@@ -24,7 +31,7 @@ class LiveRun:
     @property
     def parameters(self) -> dict[str, float]:
         """Names (stage.parameter) and values of the parameters that can be changed."""
-        names = self._segmenter.method.turned
+        names = PARAMETERS.get(self._segmenter.method.name, PARAMETERS["learned"])
         config = self._segmenter.config
         return {name: float(getattr(getattr(config, name.split(".")[0]), name.split(".")[1])) for name in names}
 
@@ -38,7 +45,7 @@ class LiveRun:
         for name, value in values.items():
             stage, _, parameter = name.partition(".")
             config = config.replace({stage: {parameter: _of_its_kind(stage, parameter, value)}})
-        return Result.of(self._segmenter.with_config(config).compute(), self._scene, config)
+        return Result.of(self._segmenter.compute(config=config), self._scene, config)
 
 
 def _of_its_kind(stage: str, parameter: str, value: float) -> float | int:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 #: Shifts in twelve directions, as shares of the image's longer side.
-SHIFTS = [
+COLOR_SHIFTS = [
     (radius * math.sin(math.pi * step / 6), radius * math.cos(math.pi * step / 6))
     for step, radius in enumerate((0.05, 0.07, 0.09, 0.11) * 3)
 ]
@@ -48,17 +48,20 @@ def color_agreement(colors: Tensor, image: Tensor, row: Tensor, column: Tensor) 
     height, width = image.shape[1:]
     seen = image[:, row, column].T
     shifted = []
-    for down, right in SHIFTS:
+    for down, right in COLOR_SHIFTS:
         there = row + round(down * max(height, width)), column + round(right * max(height, width))
         inside = (there[0] >= 0) & (there[0] < height) & (there[1] >= 0) & (there[1] < width)
         if int(inside.sum()) >= LEAST_POINTS:
             pixels = image[:, there[0][inside], there[1][inside]].T
             shifted.append(float((colors[inside] - pixels).abs().mean()))
     by_chance = sum(shifted) / len(shifted) if shifted else math.nan
-    return ColorAgreement(float((colors - seen).abs().mean()), by_chance, _correlation(colors.double(), seen.double()))
+    return ColorAgreement(
+        float((colors - seen).abs().mean()), by_chance, float(correlation(colors.double(), seen.double()))
+    )
 
 
-def _correlation(first: Tensor, second: Tensor) -> float:
+def correlation(first: Tensor, second: Tensor) -> Tensor:
+    """The correlation of two tensors of one shape, each without the mean of its columns; 0 if one is constant."""
     first, second = first - first.mean(0), second - second.mean(0)
     size = (first.square().sum() * second.square().sum()).sqrt()
-    return float((first * second).sum() / size) if float(size) > torch.finfo(torch.float32).tiny else 0.0
+    return (first * second).sum() / size if float(size) > torch.finfo(torch.float32).tiny else size.new_zeros(())

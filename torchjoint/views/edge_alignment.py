@@ -23,6 +23,7 @@ from torchjoint.config import VisibilityConfig
 from torchjoint.images.gradient_boundary import GradientBoundary
 from torchjoint.images.smoothing import smooth
 from torchjoint.scene import Cloud, Frame
+from torchjoint.views.color_agreement import correlation
 from torchjoint.views.projection import Projection, project
 from torchjoint.views.visibility import visible_points
 
@@ -48,7 +49,7 @@ MIN_CONTRAST = 0.01
 MIN_VISIBLE = 0.95
 
 #: Shifts (down, right) of the image for comparison: in all directions, and so far that shifted edges do not overlap.
-SHIFTS = [
+EDGE_SHIFTS = [
     (round(radius * math.sin(angle)), round(radius * math.cos(angle)))
     for ring, radius in enumerate((30, 45, 60, 75))
     for angle in (math.pi / 6 * (step + ring / 4) for step in range(12))
@@ -86,7 +87,7 @@ def edge_correlations(cloud: Cloud, frame: Frame, spacing: Tensor, config: Visib
         config: parameters of the visibility.
 
     Returns:
-        [1 + number of SHIFTS] float64, the first without shift. None if no verdict is possible: the cloud is not a
+        [1 + number of EDGE_SHIFTS] float64, the first without shift. None if no verdict is possible: the cloud is not a
         scan, too few depth jumps are in view, or the image is blank.
     """
     projection = project(cloud.points, frame.intrinsics, frame.world_to_camera, frame.size)
@@ -97,12 +98,12 @@ def edge_correlations(cloud: Cloud, frame: Frame, spacing: Tensor, config: Visib
         return None
     row, column, jump = _depth_jumps(projection, scale)
     rows = []
-    for down, right in [(0, 0), *SHIFTS]:
+    for down, right in [(0, 0), *EDGE_SHIFTS]:
         there = (row + down, column + right)
         inside = (there[0] >= 0) & (there[0] < edges.shape[0]) & (there[1] >= 0) & (there[1] < edges.shape[1])
         if float(jump[inside].sum()) < MIN_JUMPS:
             return None
-        rows.append(_correlation(edges[there[0][inside], there[1][inside]], jump[inside]))
+        rows.append(correlation(edges[there[0][inside], there[1][inside]], jump[inside]))
     return torch.stack(rows)
 
 
@@ -137,8 +138,3 @@ def _depth_jumps(projection: Projection, scale: float) -> tuple[Tensor, Tensor, 
     jump = np.clip((np.abs(depth[first] - depth[second]) - SMALLEST_JUMP) / JUMP_RANGE, 0, 1)
     row, column = np.floor((place[first] + place[second]) / 2 + 0.5).astype(np.int64).T
     return torch.from_numpy(row), torch.from_numpy(column), torch.from_numpy(jump)
-
-
-def _correlation(first: Tensor, second: Tensor) -> Tensor:
-    first, second = first - first.mean(), second - second.mean()
-    return (first * second).sum() / ((first * first).sum() * (second * second).sum()).sqrt().clamp(min=1e-12)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from torchjoint.config import Config, SuperpointsConfig, evidence_config
 from torchjoint.joint import JointSegmenter
+from torchjoint.labels.label import label_points
 from torchjoint.oversegmentation import superpoints
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.stopwatch import Stopwatch
-from torchjoint.segments.choice import choose_method
+from torchjoint.segments.method import PAPER
 from torchjoint.segments.method import Method as StepSix
-from torchjoint.segments.paper import Paper
-from torchjoint.views.state import JointState
+from torchjoint.views.evidence import Evidence
 from torchjoint_lab.benchmark import spaces
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.known_images import KnownImages
@@ -24,15 +25,13 @@ from torchjoint_lab.benchmark.planes import planes_and_clusters
 from torchjoint_lab.benchmark.presets import NAMES, preset_config
 from torchjoint_lab.benchmark.space import Setting
 from torchjoint_lab.benchmark.vote import vote
-from torchjoint_lab.regions import RegionsConfig, make_regions
-
-#: Makes the method of step 6 from the config and the points.
-MakeStepSix = Callable[[Config, Tensor], StepSix]
+from torchjoint_lab.regions import REGIONS, RegionsConfig
 
 
 def joint(case: Case, setting: Setting, images: bool) -> Result:
     """The whole method; `setting` has keys `stage.parameter` and is applied on top of the suite's preset."""
-    result = _seen(case, changed(case.preset, setting)).compute(images=images)
+    config = changed(case.preset, setting)
+    result = _seen(case, config).compute(images=images, config=config)
     return Result(result.points, result.images)
 
 
@@ -46,12 +45,11 @@ def geometry(case: Case, setting: Setting, images: bool) -> Result:
 
     Of the images it knows only which side of a surface their cameras are on.
     """
-    segmenter = _seen(case, changed(case.preset, setting))
-    graph = segmenter.cloud.graph
-    blind = JointState.empty(graph.edge_index.shape[1], graph.num_points)
-    blind.facing = segmenter.state.facing
-    segmenter.state = blind
-    return _painted(case, segmenter.compute(images=False).points, images)
+    config = changed(case.preset, setting)
+    segmenter = _seen(case, config)
+    blind = replace(Evidence.empty(segmenter.graph), facing=segmenter.state.facing)
+    tree = segmenter.method.segment(segmenter.graph, blind, config)
+    return _painted(case, label_points(tree, segmenter.graph).given, images)
 
 
 def edges(case: Case, setting: Setting, images: bool) -> Result:
@@ -61,7 +59,7 @@ def edges(case: Case, setting: Setting, images: bool) -> Result:
     r would be nearly constant in rooms.
     """
     config = changed(case.config, {"paper.normalization": "saturating"} | setting)
-    result = _seen(case, config, _edge_by_edge).compute(images=images)
+    result = _seen(case, config, PAPER).compute(images=images, config=config)
     return Result(result.points, result.images)
 
 
@@ -69,7 +67,8 @@ def preset(name: str) -> Callable[[Case, Setting, bool], Result]:
     """Returns the joint method with one of the presets, for any data."""
 
     def run(case: Case, setting: Setting, images: bool) -> Result:
-        result = _seen(case, preset_config(name)).compute(images=images)
+        config = preset_config(name)
+        result = _seen(case, config).compute(images=images, config=config)
         return Result(result.points, result.images)
 
     return run
@@ -136,31 +135,27 @@ def _known_images(case: Case, config: Config) -> KnownImages:
     return known
 
 
-def _seen(case: Case, config: Config, make_method: MakeStepSix | None = None) -> JointSegmenter:
+def _seen(case: Case, config: Config, method: StepSix | None = None) -> JointSegmenter:
     """A segmenter that has seen all frames; the frames are seen again only if the setting changes such a stage.
 
     Args:
         case: the scene.
         config: of the segmenter.
-        make_method: of step 6; default: as the config says.
+        method: of step 6; default: as the config says.
     """
     before = evidence_config(config)
-    make = make_method or (make_regions if isinstance(config, RegionsConfig) else choose_method)
+    method = method or (REGIONS if isinstance(config, RegionsConfig) else None)
 
     def see() -> JointSegmenter:
-        segmenter = JointSegmenter(before, method=make, allow_import=True)
+        segmenter = JointSegmenter(before, method=method, allow_import=True)
         segmenter.image_segmenter = _known_images(case, before)
         segmenter.reset(case.scene.points, case.scene.colors, case.scene.normals)
         for start in range(0, len(case.frames), 8):
             segmenter.update(case.frames[start : start + 8])
         return segmenter
 
-    seen: JointSegmenter = case.keep("seen", (before, make), see)
-    return seen.with_config(config)
-
-
-def _edge_by_edge(config: Config, points: Tensor) -> Paper:
-    return Paper(config)
+    seen: JointSegmenter = case.keep("seen", (before, method), see)
+    return seen
 
 
 def _of_config(setting: Setting) -> Config:

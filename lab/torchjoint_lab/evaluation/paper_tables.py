@@ -11,13 +11,12 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from torchjoint.metrics.covering import covering_of
 from torchjoint.metrics.objects_and_parts import (
     average_precision_objects_of,
     average_precision_parts_of,
     objects_and_parts_of,
 )
-from torchjoint.metrics.overlaps import overlap_tables
+from torchjoint.metrics.overlaps import covering_of, overlap_tables
 from torchjoint_lab.evaluation.table import markdown
 
 #: From the index of a frame and the size (H, W) of its ground truth to a label image of this size.

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_array, read_label_image
 from torchjoint.results.folder import read_points
-from torchjoint.results.hierarchy_files import FILE, read_hierarchy
+from torchjoint.results.hierarchy_files import HIERARCHY, read_hierarchy
 from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.foreign_files import has_file, has_folder, read_text
 from torchjoint.runtime.lazy import LazySequence
@@ -68,7 +68,7 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
     if has_file(path / "points.npz"):
         result = read_points(path)
         points, of_points = result.labels, _places(result.points, scene.points, path / "points.npz")
-        hierarchy = read_hierarchy(path, len(points)) if has_file(path / FILE) else None
+        hierarchy = read_hierarchy(path, len(points)) if has_file(path / HIERARCHY) else None
         scores = Segmentation(points, (), hierarchy=hierarchy).confidence
     files = sorted((path / "images").glob("*.png")) if has_folder(path / "images") else []
     if points is None and not files:

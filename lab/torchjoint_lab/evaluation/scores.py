@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torchjoint.metrics.covering import best_iou_of, covering_of
 from torchjoint.metrics.objects_and_parts import objects_and_parts_of
-from torchjoint.metrics.overlaps import overlap_tables
+from torchjoint.metrics.overlaps import best_iou_of, covering_of, overlap_tables
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 
 

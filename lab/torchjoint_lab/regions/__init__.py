@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from torch import Tensor
-
-from torchjoint.config import Config
 from torchjoint.joint import JointSegmenter
 from torchjoint_lab.regions.config import PRESETS, RegionsConfig
-from torchjoint_lab.regions.method import Regions
+from torchjoint_lab.regions.method import REGIONS
 
-__all__ = ["PRESETS", "Regions", "RegionsConfig", "make_regions", "segmenter"]
+__all__ = ["PRESETS", "REGIONS", "RegionsConfig", "segmenter"]
 
 
 def segmenter(preset: str) -> JointSegmenter:
@@ -21,9 +18,4 @@ def segmenter(preset: str) -> JointSegmenter:
     Raises:
         ValueError, TypeError: an unknown preset, or a bad file; the message names it.
     """
-    return JointSegmenter(RegionsConfig.from_preset(preset), method=make_regions)
-
-
-def make_regions(config: Config, points: Tensor) -> Regions:
-    """Makes method regions, for any points; used as ``JointSegmenter(config, method=make_regions)``."""
-    return Regions(config)
+    return JointSegmenter(RegionsConfig.from_preset(preset), method=REGIONS)

@@ -6,15 +6,17 @@ import torch
 from torch import Tensor
 
 from torchjoint.cloud.graph import PointGraph, build_point_graph
+from torchjoint.cloud.local import LocalFrame
 from torchjoint.cloud.orientation import orient_normals
+from torchjoint.cloud.prepared import local_cloud
 from torchjoint.config import Config
 from torchjoint.scene import Cloud
 from torchjoint.segments.costs import combined_costs, crease_costs
 from torchjoint.segments.merging import merge
 from torchjoint.segments.method import Method
 from torchjoint.segments.planes import SMOOTH_REGIONS, one_sided_planes, small_regions
+from torchjoint.views.evidence import Evidence
 from torchjoint.views.propagation import disagreement
-from torchjoint.views.state import JointState
 from torchjoint_lab.regions.config import RegionsConfig
 from torchjoint_lab.regions.image_support import best_overlaps
 from torchjoint_lab.regions.occlusion_bridging import bridge
@@ -26,60 +28,65 @@ from torchjoint_lab.regions.small_segments import join_small
 MIN_PIECE = 8
 
 
-class Regions(Method):
-    """Merging starts from single points. With images there are three more stages.
+def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
+    """The graph of the nearest neighbours, with normals."""
+    config, frame = _checked(config), LocalFrame.of(cloud.points)
+    local, of_cloud = local_cloud(cloud, frame, merge_within)
+    return build_point_graph(local, config.point_graph.neighbors, config.region_costs.normal_neighbors).of(
+        frame, of_cloud
+    )
 
-    The images' evidence is computed again between small pieces, which merge first. Occlusion bridging joins segments
-    that an occluder separates. Small segments then need support from an image.
+
+def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Tensor:
+    """Merges points, or small pieces of them, by the mean cost of their boundaries.
+
+    Merging starts from single points. With images there are three more stages. The images' evidence is computed again
+    between small pieces, which merge first. Occlusion bridging joins segments that an occluder separates. Small
+    segments then need support from an image.
 
     Args:
+        graph: what :func:`prepare` returned.
+        evidence: of all frames.
         config: a :class:`RegionsConfig`.
 
     Raises:
         TypeError: another config, which lacks the method's parameters.
     """
+    config = _checked(config)
+    costs, merging = config.region_costs, config.region_merging
+    normals, oriented = orient_normals(graph, evidence.facing)
+    planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
+    crease = crease_costs(graph.edge_index, planes, oriented, costs.convex_factor)
+    piece = torch.arange(graph.num_points)
+    if not evidence.observations or costs.weight == 0:  # images have no say
+        return merge(piece, graph.edge_index, crease, merging.threshold, merging.min_size)
+    piece, cost = _pieces(graph, crease, evidence, config)
+    found = merge(piece, graph.edge_index, cost, merging.threshold, merging.min_size)
+    found = bridge(found, planes, evidence.observations, config.occlusion_bridging)
+    support = config.image_support
+    if support.min_size == 0:
+        return found
+    supported = best_overlaps(found, evidence.observations) >= support.overlap
+    return join_small(found, graph.edge_index, cost, supported, support.min_size)
 
-    name = "regions"
-    turned = ("region_merging.threshold", "region_merging.min_size", "region_costs.weight")
 
-    config: RegionsConfig
+def _pieces(graph: PointGraph, crease: Tensor, evidence: Evidence, config: RegionsConfig) -> tuple[Tensor, Tensor]:
+    """What merging starts from: the piece of each point [N], and the cost of each edge [E]."""
+    costs, agreement = config.region_costs, config.region_merging.agreement
+    piece, threshold = torch.arange(graph.num_points), config.pieces.threshold
+    r = disagreement(evidence.views, evidence.overlap_sum, costs.overlap_threshold)
+    cost = combined_costs(crease, r, costs.weight, agreement)
+    if threshold is None:
+        return piece, cost
+    piece = merge(piece, graph.edge_index, cost, threshold, MIN_PIECE)
+    of_pieces = piece_disagreement(piece, graph.edge_index, evidence.observations, costs.overlap_threshold)
+    return piece, combined_costs(crease, (r + of_pieces) / 2, costs.weight, agreement)
 
-    def __init__(self, config: Config) -> None:
-        if not isinstance(config, RegionsConfig):
-            raise TypeError(f"config: method regions expected a RegionsConfig, got {type(config).__name__}")
-        super().__init__(config)
 
-    def build_graph(self, cloud: Cloud) -> tuple[PointGraph, None]:
-        """The graph of the nearest neighbours, with normals."""
-        neighbors, normal_neighbors = self.config.point_graph.neighbors, self.config.region_costs.normal_neighbors
-        return build_point_graph(cloud, neighbors, normal_neighbors), None
+def _checked(config: Config) -> RegionsConfig:
+    if not isinstance(config, RegionsConfig):
+        raise TypeError(f"config: method regions expected a RegionsConfig, got {type(config).__name__}")
+    return config
 
-    def segment(self, graph: PointGraph, state: JointState) -> Tensor:
-        """Merges points, or small pieces of them, by the mean cost of their boundaries."""
-        costs, merging = self.config.region_costs, self.config.region_merging
-        normals, oriented = orient_normals(graph, state.facing)
-        planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
-        crease = crease_costs(graph.edge_index, planes, oriented, costs.convex_factor)
-        piece = torch.arange(graph.num_points)
-        if not state.observations or costs.weight == 0:  # images have no say
-            return merge(piece, graph.edge_index, crease, merging.threshold, merging.min_size)
-        piece, cost = self._pieces(graph, crease, state)
-        segment = merge(piece, graph.edge_index, cost, merging.threshold, merging.min_size)
-        segment = bridge(segment, planes, state.observations, self.config.occlusion_bridging)
-        support = self.config.image_support
-        if support.min_size == 0:
-            return segment
-        supported = best_overlaps(segment, state.observations) >= support.overlap
-        return join_small(segment, graph.edge_index, cost, supported, support.min_size)
 
-    def _pieces(self, graph: PointGraph, crease: Tensor, state: JointState) -> tuple[Tensor, Tensor]:
-        """What merging starts from: the piece of each point [N], and the cost of each edge [E]."""
-        costs, agreement = self.config.region_costs, self.config.region_merging.agreement
-        piece, threshold = torch.arange(graph.num_points), self.config.pieces.threshold
-        r = disagreement(state.views, state.overlap_sum, costs.overlap_threshold)
-        cost = combined_costs(crease, r, costs.weight, agreement)
-        if threshold is None:
-            return piece, cost
-        piece = merge(piece, graph.edge_index, cost, threshold, MIN_PIECE)
-        of_pieces = piece_disagreement(piece, graph.edge_index, state.observations, costs.overlap_threshold)
-        return piece, combined_costs(crease, (r + of_pieces) / 2, costs.weight, agreement)
+REGIONS = Method("regions", prepare, segment)

@@ -140,12 +140,12 @@ def labelled_evidence(scene: Scene, config: Config | None = None, images: bool =
     segmenter.reset(scene.points, scene.colors, scene.normals)
     for start in range(0, len(scene.frames), FRAMES):
         segmenter.update([scene.frames[i] for i in range(start, min(start + FRAMES, len(scene.frames)))])
-    graph = segmenter.cloud.graph
+    graph = segmenter.graph
     assert graph.scales is not None
     state = segmenter.state if images else replace(segmenter.state, observations=Observations())
     with one_thread_per_operation():
         evidence = build_piece_graph(graph, graph.scales, state)
-    return LabelledEvidence(evidence, _majority(scene.truth.points.long(), segmenter.cloud.of_point))
+    return LabelledEvidence(evidence, _majority(scene.truth.points.long(), segmenter.graph.of_given))
 
 
 def _majority(instance: Tensor, of_point: Tensor) -> Tensor:

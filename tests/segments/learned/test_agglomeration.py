@@ -18,9 +18,9 @@ from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundar
 from torchjoint.segments.learned.boundary_model_file import load_boundary_model
 from torchjoint.segments.learned.consensus import build_consensus
 from torchjoint.segments.learned.draws import DRAWS, drawn_anew
-from torchjoint.segments.learned.method import Learned
+from torchjoint.segments.learned.method import segment
 from torchjoint.segments.learned.pieces import build_piece_graph
-from torchjoint.views.state import JointState
+from torchjoint.views.evidence import Evidence
 
 LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
 
@@ -57,7 +57,7 @@ def segmenter(scene):
 
 @pytest.fixture(scope="module")
 def evidence(segmenter):
-    graph = segmenter.cloud.graph
+    graph = segmenter.graph
     return build_piece_graph(graph, graph.scales, segmenter.state)
 
 
@@ -163,11 +163,11 @@ class TestMethod:
         monkeypatch.setattr("torchjoint.segments.learned.method.load_boundary_model", lambda _: ByCrease(0.1, 0.2, 0.3))
 
     def test_is_the_consensus(self, segmenter, evidence):
-        graph = segmenter.cloud.graph
+        graph = segmenter.graph
         others = [drawn_anew(graph, graph.scales, number) for number in range(1, DRAWS)]
         draws = [evidence, *(build_piece_graph(other, graph.scales, segmenter.state) for other in others)]
         hierarchy = build_consensus(draws, ByCrease(0.1, 0.2, 0.3))
-        expected = hierarchy.transferred(segmenter.cloud.of_point)[0].at()
+        expected = hierarchy.transferred(segmenter.graph.of_given)[0].at()
         result = segmenter.compute()
         assert torch.equal(result.points, expected)
         assert expected.max() > 3
@@ -191,25 +191,25 @@ class TestMethod:
             assert segmenter.compute().points.shape == (count,)
 
     def test_needs_the_scales(self, segmenter):
-        graph = replace(segmenter.cloud.graph, scales=None)
+        graph = replace(segmenter.graph, scales=None)
         with pytest.raises(ValueError, match="graph: method learned needs a graph that was built with the scales"):
-            Learned(LEARNED).segment(graph, JointState.empty(graph.edge_index.shape[1], graph.num_points))
+            segment(graph, Evidence.empty(graph), LEARNED)
 
     def test_no_parameter_of_step_6_counts(self, segmenter):
         other = LEARNED.set(["paper.scale=1", "paper.weight=0", "scan.gap=1"])
         expected = segmenter.compute(images=False).points
-        assert torch.equal(segmenter.with_config(other).compute(images=False).points, expected)
+        assert torch.equal(segmenter.compute(images=False, config=other).points, expected)
 
     @pytest.mark.parametrize("method", ["paper", "scan"])
     def test_another_method_needs_another_graph(self, scene, segmenter, method):
         message = r"config: stored evidence depends on point_segments\.method; add the frames again"
         other = LEARNED.set([f"point_segments.method={method}"])
         with pytest.raises(ValueError, match=message):
-            segmenter.with_config(other)
+            segmenter.compute(config=other)
         seen = tj.JointSegmenter(other)
         seen.reset(scene.points)
         with pytest.raises(ValueError, match=message):  # nor the other way round
-            seen.with_config(LEARNED)
+            seen.compute(config=LEARNED)
 
 
 def test_the_model_of_the_package_finds_what_stands_on_a_table():

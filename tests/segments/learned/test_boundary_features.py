@@ -25,8 +25,8 @@ from torchjoint.segments.learned.region_statistics import (
     statistics_of_points,
 )
 from torchjoint.segments.learned.summaries import Measure, summarize
+from torchjoint.views.evidence import Evidence
 from torchjoint.views.observations import Observations
-from torchjoint.views.state import JointState
 
 LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
 OF_COLORS = {"lightness_difference", "chroma_difference", "color_contrast"} | {
@@ -59,7 +59,7 @@ def evidence_of(points, normals=None, colors=None) -> PieceGraph:
     """Without images."""
     scales = measure_scales(points)
     graph = build_point_graph(Cloud(points, colors, normals), LEARNED.point_graph.neighbors, scales)
-    return build_piece_graph(graph, scales, JointState.empty(graph.edge_index.shape[1], len(points)))
+    return build_piece_graph(graph, scales, Evidence.zeros(graph.edge_index.shape[1], len(points)))
 
 
 class TestCorner:
@@ -223,7 +223,8 @@ PAIRS = torch.tensor([[0, 0, 1], [1, 2, 2]])
 class TestImages:
     def agreement(self, *observations, of_piece=(0, 1, 2), pairs=PAIRS):
         images = segments_of_pieces(PIECES, observations)
-        return image_agreement(images, torch.tensor(of_piece), max(of_piece) + 1, pairs)
+        columns = image_agreement(images, torch.tensor(of_piece), max(of_piece) + 1, pairs)
+        return torch.stack(list(columns.values()), 1)
 
     def test_by_hand(self, seen):
         # Shares of piece 0: label 1: 1/2, label 2: 1/2. Piece 1: 2: 1/2, 3: 1/2. Piece 2: 3: 1.
@@ -263,7 +264,7 @@ def seen_by_learned(scene, order=None) -> tuple[tj.JointSegmenter, PieceGraph, B
     segmenter = tj.JointSegmenter(LEARNED)
     segmenter.reset(scene.points, scene.colors)
     segmenter.update([scene.frames[index] for index in order or range(len(scene.frames))])
-    graph = segmenter.cloud.graph
+    graph = segmenter.graph
     assert graph.scales is not None
     evidence = build_piece_graph(graph, graph.scales, segmenter.state)
     return segmenter, evidence, boundary_features(evidence, evidence.piece)
@@ -307,7 +308,7 @@ class TestInvariance:
 
     def test_without_observations_images_do_not_count(self, reference):
         segmenter, _, _ = reference
-        graph = segmenter.cloud.graph
+        graph = segmenter.graph
         unseen = dataclasses.replace(segmenter.state, observations=Observations())
         evidence = build_piece_graph(graph, graph.scales, unseen)
         assert evidence.images is None

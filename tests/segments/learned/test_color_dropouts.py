@@ -40,7 +40,7 @@ def test_black_points_of_a_room_have_no_colour(scene_of):
     segmenter = tj.JointSegmenter()
     segmenter.reset(scene.points, scene.colors.masked_fill(black[:, None], 0))
     segmenter.update(scene.frames)
-    graph = segmenter.cloud.graph
+    graph = segmenter.graph
     statistics = build_piece_graph(graph, graph.scales, segmenter.state).statistics
     share = float(statistics.colored.sum() / statistics.size.sum())
     assert 0.89 < share < 0.92

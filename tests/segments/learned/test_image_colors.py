@@ -82,7 +82,7 @@ def test_colors_of_the_images_are_close_to_those_of_the_points():
     segmenter = tj.JointSegmenter()
     segmenter.reset(scene.points)
     segmenter.update(scene.frames)
-    found = image_colors(len(scene.points), segmenter.state.observations)[segmenter.cloud.of_point]
+    found = image_colors(len(scene.points), segmenter.state.observations)[segmenter.graph.of_given]
     difference = (found - scene.colors).abs().mean(1)
     assert float(difference.nanmedian()) < 0.05
     assert float(difference.isfinite().float().mean()) > 0.8
@@ -109,7 +109,7 @@ def test_what_no_image_sees_has_no_colors():
     segmenter = tj.JointSegmenter()
     segmenter.reset(scene.points)
     segmenter.update(scene.frames[0])
-    graph, state = segmenter.cloud.graph, segmenter.state
+    graph, state = segmenter.graph, segmenter.state
     evidence = build_piece_graph(graph, graph.scales, state)
     is_seen = image_colors(graph.num_points, state.observations)[:, 0].isfinite()
     assert 0.1 < float(is_seen.float().mean()) < 0.9
@@ -132,7 +132,7 @@ def test_given_colors_stay(monkeypatch):
     scene = scene_of(colors=True)
     segmenter = tj.JointSegmenter()
     segmenter(scene)
-    assert torch.equal(segmenter.cloud.graph.colors[segmenter.cloud.of_point], scene.colors)
+    assert torch.equal(segmenter.graph.colors[segmenter.graph.of_given], scene.colors)
 
 
 def test_frames_in_a_file_give_the_same(tmp_path):
@@ -172,4 +172,4 @@ def test_a_weight_of_colors_takes_colors_that_are_all_the_same():
     config = tj.Config.from_preset("paper").set(["paper.color_weight=1"])
     segmenter = tj.JointSegmenter(config)
     segmenter.reset(scene.points, torch.ones_like(scene.points))
-    assert segmenter.cloud.graph.colors.eq(1).all()
+    assert segmenter.graph.colors.eq(1).all()

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 import torchjoint as tj
 from torchjoint.scene import Frame, Scene
-from torchjoint.segments.learned import occluded_surfaces
-from torchjoint.segments.learned.occluded_surfaces import Occlusions, _is_seen_through, continued_surfaces, lines_across
+from torchjoint.segments.learned.occluded_surfaces import Occlusions, _is_seen_through, continued_surfaces
 from torchjoint.segments.learned.region_statistics import RegionStatistics
+from torchjoint.views import occluders
 from torchjoint.views.observation import Observation
+from torchjoint.views.occluders import lines_across
 from torchjoint.views.visibility import Visible
 
 DEPTHS = [None, 1.0, 1.5, 1.6, 2.0, 2.01, 3.0]
@@ -20,7 +21,7 @@ DEPTHS = [None, 1.0, 1.5, 1.6, 2.0, 2.01, 3.0]
 
 @pytest.fixture(autouse=True)
 def cells_of_one_pixel(monkeypatch):
-    monkeypatch.setattr(occluded_surfaces, "CELL", 0.1)
+    monkeypatch.setattr(occluders, "CELL", 0.1)
 
 
 def visible_of(rows):
@@ -43,7 +44,7 @@ def lines_by_hand(depths, noise):
     cells = [(number, float(torch.tensor(depths[i]))) for number, i in enumerate(place)]
 
     def threshold(z):
-        return max(occluded_surfaces.DEPTH_STEP * z, occluded_surfaces.STEP_IN_NOISE * noise)
+        return max(occluders.DEPTH_STEP * z, occluders.STEP_IN_NOISE * noise)
 
     def step(i):  # -1 falls, 1 rises, 0 neither, from cell i to the next one
         one, other = cells[i][1], cells[i + 1][1]
@@ -284,7 +285,7 @@ def test_each_frame_brings_its_lines(scene_of):
     scene, segmenter = scene_of(3).scene, tj.JointSegmenter()
     segmenter.reset(scene.points, scene.colors)
     segmenter.update(scene.frames)
-    noise = segmenter.cloud.graph.scales.noise
+    noise = segmenter.graph.scales.noise
     for seen in segmenter.state.observations:
         assert torch.equal(seen.lines, lines_across(seen.visible, noise))
     assert any(seen.lines.numel() for seen in segmenter.state.observations)

@@ -16,7 +16,7 @@ import torchjoint as tj
 from torchjoint.datasets import load_scene
 from torchjoint.scene import Scene
 from torchjoint.scene.thinning import voxel_subsample
-from torchjoint.segments.choice import choose_method
+from torchjoint.segments.method import choose_method
 from torchjoint.segments.scan.one_view import MOST, dependence_on_range, look_for_scan
 
 BOXES = (

@@ -26,7 +26,7 @@ from torchjoint.datasets.files.columns import CloudFile, repaired
 from torchjoint.datasets.files.pcd import Pcd, read_pcd, read_pcd_header
 from torchjoint.datasets.formats import cloud_alone
 from torchjoint.datasets.recording import Options
-from torchjoint.runtime.foreign_files import has_file
+from torchjoint.runtime.foreign_files import has_file, or_unreadable
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_labels
 
@@ -49,7 +49,7 @@ def recognizes(path: Path) -> bool:
 
 def scenes(path: Path) -> dict[str, Path]:
     """Returns the organised clouds of a folder."""
-    return {file.stem: file for file in sorted(path.glob("*.pcd")) if recognizes(file)}
+    return {file.stem: file for file in sorted(path.glob("*.pcd")) if or_unreadable(recognizes, file)}
 
 
 def load(path: Path, options: Options) -> Scene:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import torch
 
 from torchjoint.datasets.recording import Options
-from torchjoint.runtime.foreign_files import damage_is, has_folder, read_file
+from torchjoint.runtime.foreign_files import damage_is, has_folder, or_unreadable, read_file
 from torchjoint.scene import Scene, Truth
 
 #: Five files, as they are downloaded, have one flipped bit: bytes 0, 16 and 22 in place of a space, 0 and 6.
@@ -43,11 +43,11 @@ def scenes(path: Path) -> dict[str, Path]:
     """Returns the rooms of an area, or of all areas."""
     if not has_folder(path):
         return {}
-    rooms = [one.parent for one in sorted(path.glob("*/Annotations")) if recognizes(one.parent)]
-    if rooms:
-        return {one.name: one for one in rooms}
-    rooms = [one.parent for one in sorted(path.glob("Area_*/*/Annotations")) if recognizes(one.parent)]
-    return {f"{one.parent.name}_{one.name}": one for one in rooms}
+    inside = "*" if any(recognizes(one.parent) for one in path.glob("*/Annotations")) else "Area_*/*"
+    if not any(path.glob(f"{inside}/Annotations")):
+        return {}
+    rooms = [one for one in sorted(path.glob(inside)) if or_unreadable(recognizes, one)]
+    return {one.name if inside == "*" else f"{one.parent.name}_{one.name}": one for one in rooms}
 
 
 def _things(path: Path) -> list[Path]:

@@ -35,7 +35,7 @@ from torchjoint.datasets.recording import (
     tell_unlisted,
 )
 from torchjoint.datasets.scannet_truth import point_instances
-from torchjoint.runtime.foreign_files import has_file, has_folder
+from torchjoint.runtime.foreign_files import has_file, has_folder, or_unreadable
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_pose
@@ -76,7 +76,7 @@ def truth_files(path: Path) -> tuple[Path, Path]:
 def scenes(path: Path) -> dict[str, Path]:
     """Returns the scenes of the data set's own folder, which holds them in `data/`."""
     folders = sorted((path / "data").iterdir()) if has_folder(path / "data") else []
-    return {one.name: one for one in folders if recognizes(one)}
+    return {one.name: one for one in folders if or_unreadable(recognizes, one)}
 
 
 def _places(path: Path) -> tuple[Path, str]:

@@ -15,7 +15,7 @@ from torch import Tensor
 from torchjoint.ops.internal import boosted_trees
 from torchjoint.runtime.threads import all_threads
 
-_MOST_ROUNDS = _MOST_MEMBERS = 100
+MOST_ROUNDS = _MOST_MEMBERS = 100
 #: The arrays of trees, and their types.
 DTYPES = {
     "feature": torch.int32,
@@ -86,8 +86,8 @@ class MemberModel:
     def __post_init__(self) -> None:
         if not self.calibrations:
             object.__setattr__(self, "calibrations", tuple(no_calibration() for _ in self.rounds))
-        if not 1 <= len(self.rounds) <= _MOST_ROUNDS:
-            raise ValueError(f"rounds: expected 1 to {_MOST_ROUNDS}, got {len(self.rounds)}")
+        if not 1 <= len(self.rounds) <= MOST_ROUNDS:
+            raise ValueError(f"rounds: expected 1 to {MOST_ROUNDS}, got {len(self.rounds)}")
         for name, of_rounds in (("thresholds", self.thresholds), ("calibrations", self.calibrations)):
             if len(of_rounds) != len(self.rounds):
                 raise ValueError(f"{name}: expected one for each of {len(self.rounds)} rounds, got {len(of_rounds)}")

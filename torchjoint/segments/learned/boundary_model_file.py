@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES
-from torchjoint.segments.learned.boundary_model import DTYPES, BoostedTrees, BoundaryModel, MemberModel
+from torchjoint.segments.learned.boundary_model import DTYPES, MOST_ROUNDS, BoostedTrees, BoundaryModel, MemberModel
 
 #: The model that comes with the package, in torchjoint/models/.
 PACKAGED = "boundaries.npz"
@@ -28,7 +28,6 @@ PACKAGED = "boundaries.npz"
 LARGEST = 1 << 28
 #: The version of the file's layout, stored in the file.
 _FORMAT = 2
-_MOST_ROUNDS = 100
 
 
 def save_boundary_model(path: Path, model: BoundaryModel) -> None:
@@ -102,7 +101,7 @@ def _model(arrays: dict[str, NDArray[Any]]) -> BoundaryModel:
         raise ValueError(_other_features(names))
     thresholds = tuple(take("thresholds", "f", 1).tolist())
     baselines = take("baselines", "f", 2)
-    if not 1 <= len(thresholds) <= _MOST_ROUNDS or baselines.shape[1] != len(thresholds):
+    if not 1 <= len(thresholds) <= MOST_ROUNDS or baselines.shape[1] != len(thresholds):
         raise ValueError(
             f"baselines: expected [members, rounds] for {len(thresholds)} rounds, got {list(baselines.shape)}"
         )

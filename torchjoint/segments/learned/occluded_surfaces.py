@@ -1,13 +1,12 @@
 """Step 6, method learned: joins regions of one surface that an occluder divides.
 
-Follow a row or a column of an image. Where the depth falls by a step and later rises by a step, an occluder lies
-between the ends of a line. If both ends lie in one plane, and the frames do not see free space between them, the line
-votes for joining the regions of its ends. Such regions do not touch, so the boundary model never judges them.
+Lines along the rows and columns of images cross occluders (:mod:`~torchjoint.views.occluders`). If both ends of a
+line lie in one plane, and the frames do not see free space between them, the line votes for joining the regions of its
+ends. Such regions do not touch, so the boundary model never judges them.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,19 +21,12 @@ from torchjoint.runtime.threads import parallel_map
 from torchjoint.segments.learned.region_statistics import RegionStatistics, color_contrasts, pooled
 from torchjoint.segments.learned.summaries import sum_by
 from torchjoint.views.observation import Observation
+from torchjoint.views.occluders import DEPTH_STEP, STEP_IN_NOISE, CoarseZBuffer
 from torchjoint.views.projection import nearest_pixel, project
-from torchjoint.views.visibility import Visible
 
 # These numbers were chosen on table-tops of mOSD and on generated scenes (seeds 0 to 3). DEPTH_STEP was chosen on one
 # table-top of the half that is used for scores, so these scores are too good for this step.
 
-#: Smallest depth step from an occluder to the surface behind it: a share of the depth, but at least a multiple of the
-#: noise.
-DEPTH_STEP, STEP_IN_NOISE = 0.03, 4.0
-#: Side of the cells along which lines run, in mean distances between points in the image.
-CELL = 1.5
-#: Side of the squares, pixels, that measure the area of the visible points in the image.
-SQUARE = 8
 #: Largest distance of each end from the other end's plane: share of the gap plus multiples of the noise.
 OFF_PLANE, OFF_IN_NOISE = 0.1, 4.0
 #: Cosine of the largest angle between the normals at the two ends, 26 degrees.
@@ -70,26 +62,6 @@ class Occlusions(NamedTuple):
             for one, start in zip(occlusions, starts, strict=True)
         ]
         return cls(*(torch.cat(values, -1) for values in zip(*moved, strict=True)))
-
-
-class _CoarseZBuffer(NamedTuple):
-    """The nearest visible points of a frame, in cells of some pixels."""
-
-    cell: int  #: side of the cells, pixels
-    point: Tensor  #: [h, w] int64, index of the nearest visible point in each cell; -1 = no point
-
-    @classmethod
-    def of(cls, visible: Visible) -> _CoarseZBuffer:
-        """Makes the cells; of equally near points the first counts."""
-        cell = _cell_size(visible)
-        row, column = visible.row // cell, visible.column // cell
-        height, width = int(row.max()) + 1, int(column.max()) + 1
-        nearest = torch.full((height * width,), torch.iinfo(torch.int64).max)
-        # For positive floats the order of the bits is the order of the numbers.
-        rank = (visible.z.view(torch.int32).long() << 32) + torch.arange(len(visible.z))
-        nearest.scatter_reduce_(0, row * width + column, rank, "amin")
-        point = torch.where(nearest == torch.iinfo(torch.int64).max, -1, nearest & 0xFFFFFFFF)
-        return cls(cell, point.view(height, width))
 
 
 def find_occlusions(
@@ -163,81 +135,6 @@ def _keys(a: Tensor, b: Tensor, count: int) -> Tensor:
     return torch.minimum(a, b) * count + torch.maximum(a, b)
 
 
-def lines_across(visible: Visible, noise: Tensor) -> Tensor:
-    """The points at the two ends of each line across an occluder, along the rows and the columns of an image.
-
-    Args:
-        visible: the visible points of an image.
-        noise: [N] metres, noise of the points of the cloud.
-
-    Returns:
-        [2, V] int64 points.
-    """
-    if not len(visible.point):
-        return torch.empty(2, 0, dtype=torch.int64)
-    nearest = _CoarseZBuffer.of(visible).point
-    of_noise = STEP_IN_NOISE * noise[visible.point]
-    found = [_ends_of_gaps(grid, visible.z, of_noise) for grid in (nearest, nearest.T)]
-    return visible.point[torch.cat(found, 1)]
-
-
-def _cell_size(visible: Visible) -> int:
-    """The side of the cells, pixels, from the mean distance of the visible points in the image."""
-    row, column = visible.row // SQUARE, visible.column // SQUARE
-    width = int(column.max()) + 1
-    is_seen = torch.zeros((int(row.max()) + 1) * width, dtype=torch.bool)
-    is_seen[row * width + column] = True
-    return max(1, math.ceil(CELL * math.sqrt(int(is_seen.sum()) * SQUARE * SQUARE / len(visible.point))))
-
-
-def _ends_of_gaps(grid: Tensor, z: Tensor, of_noise: Tensor) -> Tensor:
-    """Ends [2, V] of the gaps along the rows of a grid [h, w] of visible points; empty cells (-1) are skipped."""
-    row, _ = torch.nonzero(grid >= 0, as_tuple=True)
-    point = grid[grid >= 0]
-    falls, rises = _steps(row, point, z, of_noise)
-    # Cells that contain points of both surfaces have depths between the two; they are skipped.
-    mixed = (falls[:-1] & falls[1:]) | (rises[:-1] & rises[1:])
-    kept = torch.nn.functional.pad(~mixed, (1, 1), value=True)[: len(row)]
-    row, point = row[kept], point[kept]
-    falls, rises = _steps(row, point, z, of_noise)
-    fall, rise = _matched(row, falls, rises)
-    first, last = fall + 1, rise  # of the occluder
-    # Both ends and the occluder are at least two cells long.
-    smooth = torch.nn.functional.pad((row[1:] == row[:-1]) & ~falls & ~rises, (0, 1))  # to the next cell
-    long = (fall > 0) & smooth[fall - 1] & smooth[rise + 1] & (last > first)
-    one, other, in_front = point[fall], point[rise + 1], torch.maximum(z[point[first]], z[point[last]])
-    nearer = in_front < torch.minimum(z[one], z[other]) - torch.maximum(
-        _step(z, of_noise, one), _step(z, of_noise, other)
-    )
-    return torch.stack([one, other])[:, long & nearer]
-
-
-def _steps(row: Tensor, point: Tensor, z: Tensor, of_noise: Tensor) -> tuple[Tensor, Tensor]:
-    """Where the depth falls by a step, and where it rises by a step, from each of n cells to the next: [n - 1] bool."""
-    change = z[point[1:]] - z[point[:-1]]
-    # The farther of the two points determines the smallest step: its surface may be hidden.
-    is_step = change.abs() > _step(z, of_noise, torch.where(change > 0, point[1:], point[:-1]))
-    is_step &= row[1:] == row[:-1]
-    return is_step & (change < 0), is_step & (change > 0)
-
-
-def _step(z: Tensor, of_noise: Tensor, point: Tensor) -> Tensor:
-    return torch.maximum(DEPTH_STEP * z[point], of_noise[point])
-
-
-def _matched(row: Tensor, falls: Tensor, rises: Tensor) -> tuple[Tensor, Tensor]:
-    """Matches falls and rises like parentheses: the last cell before each matched fall, and rise; [V] int64 each."""
-    event = torch.nonzero(falls | rises).squeeze(1)
-    opens = falls[event]
-    level = torch.where(opens, 1, -1).cumsum(0) - opens.long()
-    order = torch.argsort(level, stable=True)
-    order = order[torch.argsort(row[event][order], stable=True)]
-    before, after = order[:-1], order[1:]
-    together = (row[event[before]] == row[event[after]]) & (level[before] == level[after])
-    closed = together & opens[before] & ~opens[after]
-    return event[before[closed]], event[after[closed]]
-
-
 def _in_one_plane(pieces: RegionStatistics, a: Tensor, b: Tensor) -> Tensor:
     """[K] bool: each of two pieces lies in the other piece's plane, and both normals have about the same direction."""
     normal = normalize(pieces.normal, dim=1)
@@ -282,7 +179,7 @@ def _votes_for_free_space(places: Tensor, step: Tensor, seen: Observation) -> Te
     vote = torch.zeros(len(places), dtype=torch.int8)
     if not seen.num_points:
         return vote
-    cell, nearest = _CoarseZBuffer.of(seen.visible)
+    cell, nearest = CoarseZBuffer.of(seen.visible)
     depth = torch.where(nearest >= 0, seen.visible.z[nearest], torch.inf)
     # The nearest depth of nine cells: where a frame sees through a gap, all nine are far.
     depth = -torch.nn.functional.max_pool2d(-depth[None], 3, stride=1, padding=1)[0]

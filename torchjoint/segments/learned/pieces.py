@@ -31,8 +31,8 @@ from torchjoint.segments.learned.region_statistics import InnerEdges, Surface, s
 from torchjoint.segments.learned.summaries import Measure
 from torchjoint.segments.merging import merge
 from torchjoint.segments.planes import SMOOTH_REGIONS, Planes, one_sided_planes, small_regions
+from torchjoint.views.evidence import Evidence
 from torchjoint.views.propagation import disagreement
-from torchjoint.views.state import JointState
 
 # The model was trained on boundaries between pieces made with these numbers. With other numbers its probabilities would
 # be wrong, so they are not parameters of the config.
@@ -61,7 +61,7 @@ MIN_SIZE = 8
 RIGHT_ANGLES = 2 / math.pi
 
 
-def build_piece_graph(graph: PointGraph, scales: Scales, state: JointState) -> PieceGraph:
+def build_piece_graph(graph: PointGraph, scales: Scales, evidence: Evidence) -> PieceGraph:
     """Groups the points into pieces, and measures the edges between the pieces.
 
     If the cloud has no colours, the visible points get colours from the images.
@@ -69,14 +69,14 @@ def build_piece_graph(graph: PointGraph, scales: Scales, state: JointState) -> P
     Args:
         graph: the point graph.
         scales: noise and spacing of the points.
-        state: the evidence of the images.
+        evidence: of the images.
     """
-    normals, oriented = orient_normals(graph, state.facing)
+    normals, oriented = orient_normals(graph, evidence.facing)
     planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
-    seen = state.observations
+    seen = evidence.observations
     # Frames with masks are treated separately, because masks have a much larger weight (see mask_merges).
     observations = seen.without_masks()
-    r = disagreement(state.views, state.overlap_sum, OVERLAP_THRESHOLD) if seen else None
+    r = disagreement(evidence.views, evidence.overlap_sum, OVERLAP_THRESHOLD) if seen else None
     if graph.colors is None:
         colors = image_colors(graph.num_points, seen)
     else:
@@ -99,9 +99,9 @@ def build_piece_graph(graph: PointGraph, scales: Scales, state: JointState) -> P
     geometry = _geometry(graph, ends, normals, oriented, planes, scales)
     contour = views = None
     if r is not None and observations:
-        total, views = state.contour_sum[across].long(), state.contour_views[across].long()
+        total, views = evidence.contour_sum[across].long(), evidence.contour_views[across].long()
         contour = torch.where(views > 0, total.float() / (255 * views.clamp(min=1)), torch.nan)
-        r = torch.where(state.views[across] > 0, r[across], torch.nan)
+        r = torch.where(evidence.views[across] > 0, r[across], torch.nan)
     else:
         r = None
     surface = Surface(graph.points, planes.normal, oriented, scales.noise, scales.spacing, lab)

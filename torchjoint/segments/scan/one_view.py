@@ -106,7 +106,7 @@ def _contradiction(seen: Directions, ordered: Tensor) -> float:
     return float(differ / (2 * farther))
 
 
-class Evidence(NamedTuple):
+class ScanSigns(NamedTuple):
     """What tells whether a cloud is a scan."""
 
     rings: Rings | None  #: None: no rings are recognised
@@ -126,7 +126,7 @@ class Evidence(NamedTuple):
         return f" of a LiDAR without clear rings ({sureness}: dependence on range {self.dependence:.2f} of {MOST})"
 
 
-def look_for_scan(points: Tensor) -> Evidence:
+def look_for_scan(points: Tensor) -> ScanSigns:
     """Looks for rings, and if there are none, for other signs that points [N, 3] were seen from near the origin."""
     rings = find_rings(points)
-    return Evidence(rings, dependence_on_range(points) if rings is None else None)
+    return ScanSigns(rings, dependence_on_range(points) if rings is None else None)
