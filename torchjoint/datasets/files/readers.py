@@ -28,7 +28,7 @@ RASTERS = ("PNG", "JPEG", "WEBP", "BMP", "PPM")
 #: Folders with one of these files hold results, of one recording or of many. They are no part of a recording.
 RESULTS = frozenset({"run.yaml", "batch.yaml"})
 #: Suffixes of clouds and recordings that stand alone: no other file belongs to them.
-ALONE = (".ply", ".npy", ".npz", ".xyz", ".txt", *las.SUFFIXES, ".e57", ".off", ".stl", ".r3d")
+ALONE = (".ply", ".npy", ".npz", ".xyz", ".txt", ".asc", ".csv", ".pts", *las.SUFFIXES, ".e57", ".off", ".stl", ".r3d")
 
 
 def read_raster(path: Path, *, header_only: bool = False) -> Image.Image:
