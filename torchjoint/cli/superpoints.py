@@ -37,7 +37,7 @@ def superpoints(
     buffer: float | None = None,
     engine: str | None = None,
 ) -> None:
-    """Segments a cloud into superpoints. LAS and LAZ files may have any size: see docs/tiles.md.
+    """Segments a cloud into superpoints. LAS and LAZ files may have any size: see docs/large.md.
 
     Args:
         cloud: .ply, .pcd, .npy, .npz, .bin (KITTI), .pcd.bin (nuScenes), .xyz, .las, .laz or .e57 file, or a folder of
