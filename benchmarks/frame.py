@@ -18,6 +18,7 @@ import numpy as np
 import report
 import torch
 from torch import nn
+from torchjoint_lab.synthetic import make_scene
 
 import torchjoint as tj
 
@@ -91,7 +92,7 @@ def main() -> None:
     torch.set_num_threads(arguments.threads)
     cv2.setNumThreads(arguments.threads)
 
-    scenes = {"synthetic": tj.synthetic.make_scene(0, "large", num_views=24).scene}
+    scenes = {"synthetic": make_scene(0, "large", num_views=24).scene}
     if arguments.folder is not None:
         recording = tj.load_scene(arguments.folder, cloud=arguments.cloud)
         step = max(1, len(recording.frames) // arguments.frames)

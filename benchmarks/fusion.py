@@ -22,6 +22,7 @@ from interleaved import medians
 from open3d import camera, geometry, pipelines
 from scipy.spatial import KDTree
 from torch import Tensor
+from torchjoint_lab.synthetic import make_scene
 
 import torchjoint as tj
 from torchjoint.datasets.fusion import FAR
@@ -84,7 +85,7 @@ def timed(name: str, images: list[Image], voxel_size: float) -> list[str | float
 
 def judged(seed: int, voxel_size: float) -> list[str | float]:
     """How near both surfaces are to that of a generated room: a row of the second table."""
-    room = partial(tj.synthetic.make_scene, seed, "medium", pose_error=0.0)
+    room = partial(make_scene, seed, "medium", pose_error=0.0)
     true = room(depth_noise=0.0, depth_holes=0.0, num_points=TRUE_POINTS).scene.points.numpy()
     images = images_of(room(num_points=1).scene.frames)
     found = [function(images, voxel_size) for function in (ours, theirs)]

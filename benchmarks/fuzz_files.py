@@ -124,8 +124,7 @@ def make_meshes(folder: Path) -> list[Sample]:
     import trimesh
 
     from torchjoint.datasets.files.meshes import SUFFIXES, read_mesh_file
-    from torchjoint.datasets.files.ply import read_vertex_property
-    from torchjoint.datasets.files.ply_records import read_records, write_bytes
+    from torchjoint.datasets.files.ply import read_records, read_vertex_property, write_bytes
 
     def read(path: Path) -> Content:
         mesh = read_mesh_file(path)

@@ -19,6 +19,7 @@ import numpy as np
 import report
 import torch
 from instances import room
+from torchjoint_lab.synthetic import make_scene
 
 import torchjoint as tj
 from torchjoint.runtime.ahead import ahead
@@ -70,7 +71,7 @@ def recording(num_frames: int, size: str) -> tj.Scene:
     width, height = map(int, size.split("x"))
     file = Path(tempfile.gettempdir()) / f"torchjoint-growth-{size}-{VIEWS}-{POINTS}.pt"
     if not file.is_file():
-        made = tj.synthetic.make_scene(0, "large", num_views=VIEWS, width=width, height=height, num_points=POINTS).scene
+        made = make_scene(0, "large", num_views=VIEWS, width=width, height=height, num_points=POINTS).scene
         frames = [(f.image.mul(255).round().byte(), f.intrinsics, f.world_to_camera) for f in made.frames]
         torch.save((made.points, made.colors, frames), file)
     points, colors, frames = torch.load(file)

@@ -11,6 +11,7 @@ import statistics
 import time
 
 import report
+from torchjoint_lab.synthetic import make_scene
 
 import torchjoint as tj
 
@@ -46,7 +47,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--profile", action="store_true", help="print what the functions take, instead")
     arguments = parser.parse_args()
-    made = tj.synthetic.make_scene(0, "large", num_views=FRAMES + 1, num_points=arguments.points)
+    made = make_scene(0, "large", num_views=FRAMES + 1, num_points=arguments.points)
     if arguments.profile:
         profile(made.scene)
         return

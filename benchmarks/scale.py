@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import report
 import torch
+from torchjoint_lab.synthetic import make_scene
 
 import torchjoint as tj
 from torchjoint.engine import open_engine
@@ -35,7 +36,7 @@ SCENES = [(8, 25_000), (16, 25_000), (32, 25_000), (16, 50_000), (16, 100_000)]
 def write_room(folder: Path, seed: int, frames: int, points: int) -> Path:
     from folder_files import write_folder
 
-    made = tj.synthetic.make_scene(seed, num_views=frames, num_points=points, height=240, width=320)
+    made = make_scene(seed, num_views=frames, num_points=points, height=240, width=320)
     return write_folder(folder, made, depth=False)
 
 

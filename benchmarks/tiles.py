@@ -169,7 +169,7 @@ def in_one_piece(path: Path, out: Path) -> None:
     from torchjoint.datasets.files.las import read_las
 
     start = time.perf_counter()
-    points, colors = read_las(path)
+    points, colors = read_las(path)[:2]
     read = time.perf_counter()
     labels = tj.superpoints(points, colors)
     print(f"  read {read - start:.1f} s, superpoints {time.perf_counter() - read:.1f} s")

@@ -16,13 +16,13 @@ import numpy as np
 import report
 import torch
 from torch.nn.functional import interpolate
+from torchjoint_lab.synthetic.furnished import trajectory
+from torchjoint_lab.synthetic.furnished.render import Renderer
+from torchjoint_lab.synthetic.furnished.room import make_world
+from torchjoint_lab.synthetic.furnished.world import World
 
 import torchjoint as tj
 from torchjoint.runtime.peak_memory import peak_memory, reset_peak_memory
-from torchjoint.synthetic import trajectory
-from torchjoint.synthetic.render import Renderer
-from torchjoint.synthetic.room import make_world
-from torchjoint.synthetic.world import World
 
 HEIGHT, WIDTH = 480, 640
 #: Frames a second, and frames of a round: 25 seconds.

@@ -6,6 +6,7 @@ reads them, too.
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import struct
@@ -71,8 +72,6 @@ def gltf(count: int, places: int = 0, data: bytes | None = None, **more: Any) ->
     accessor: dict[str, Any] = {"componentType": 5126, "count": count, "type": "VEC3"}
     tree: dict[str, Any] = {"asset": {"version": "2.0"}, "accessors": [accessor], "bufferViews": []}
     if data is not None:
-        import base64
-
         accessor["bufferView"] = 0
         uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
         tree |= {"buffers": [{"byteLength": len(data), "uri": uri}]}
@@ -100,6 +99,13 @@ def mat(count: int) -> bytes:
     return b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + (struct.pack("<2I", 15, len(packed)) + packed) * count
 
 
+def picture() -> str:
+    """An image of 64 megapixels in a link."""
+    stream = io.BytesIO()
+    Image.new("1", (SIDE, SIDE)).save(stream, "PNG")
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+
+
 def png(width: int, height: int) -> bytes:
     """The header of an image of any size."""
 
@@ -116,9 +122,10 @@ def tiff() -> bytes:
     return stream.getvalue()
 
 
-def coco(height: int, width: int, segmentation: Any) -> bytes:
+def coco(height: int, width: int, segmentation: Any, count: int = 1) -> bytes:
     image = {"id": 1, "file_name": "a.jpg", "height": height, "width": width}
-    return json.dumps({"images": [image], "annotations": [{"image_id": 1, "segmentation": segmentation}]}).encode()
+    annotations = [{"image_id": 1, "segmentation": segmentation}] * count
+    return json.dumps({"images": [image], "annotations": annotations}).encode()
 
 
 def read_coco(path: Path) -> Any:
@@ -133,6 +140,7 @@ def read_yaml(path: Path) -> Any:
 
 VERTEX = ("element vertex 1", "property float x", "property float y", "property float z")
 MASKS = tj.masks.read_masks
+PICTURE = picture()
 NESTED = [[0] * index + [1] * (3000 - index) for index in range(3000)]
 
 BOMBS: dict[str, Bomb] = {
@@ -197,6 +205,12 @@ BOMBS: dict[str, Bomb] = {
     "edges over many rows": Bomb(
         "sum", ".json", coco(SIDE, 9, [[0, 0, 8, SIDE] * 5000]), read_coco, "rows of all edges"
     ),
+    "masks around much": Bomb(
+        "sum", ".json", coco(SIDE, SIDE, [[0, 0, SIDE, SIDE, 0, 0]], 40), read_coco, "pixels around polygons"
+    ),
+    "edges in several masks": Bomb(
+        "sum", ".json", coco(SIDE, SIDE, [[0, 0, 8, SIDE] * 500], 20), read_coco, "rows of all edges"
+    ),
     "far corners": Bomb("size", ".json", coco(9, 9, [[0, 0, 1e300, 0, 9, -1e300]]), read_coco, "finite corners"),
     "deep JSON": Bomb("depth", ".json", b"[" * 100_000 + b"]" * 100_000, MASKS, "not a whole JSON file"),
     "many values": Bomb("count", ".json", b"[" + b"[]," * (1 << 23) + b"[]]", MASKS, "values"),
@@ -218,6 +232,16 @@ BOMBS: dict[str, Bomb] = {
         gltf(3, 1, bytes(36), images=[{"uri": "data:image/png;base64,JSFQUw=="}]),
         read_cloud_file,
         "expected one of PNG, JPEG",
+    ),
+    "textures of a mesh": Bomb(
+        "sum", ".gltf", gltf(3, 1, bytes(36), images=[{"uri": PICTURE}] * 20), read_cloud_file, "pixels in all textures"
+    ),
+    "materials": Bomb(
+        "sum",
+        ".obj",
+        b"\nv 0 0 0" * 200_000 + b"".join(b"\nusemtl m%d\nf 1 2 3" % i for i in range(20_000)),
+        read_cloud_file,
+        "vertices times materials",
     ),
     "elements": Bomb(
         "count", ".ply", ply(*VERTEX, *(f"element e{i} 0" for i in range(40_000))), read_cloud_file, "at most 256 elem"

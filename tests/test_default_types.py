@@ -1,4 +1,4 @@
-"""What the process has set as torch's default dtype and device does not matter."""
+"""What the caller has set as torch's default dtype, device and autocast does not matter."""
 
 import dataclasses
 
@@ -11,8 +11,12 @@ from torchjoint.recordings import segment_recording
 from torchjoint.results.exports.clouds import export_npz
 
 
-@pytest.fixture(params=["float64", "meta"])
+@pytest.fixture(params=["float64", "meta", "autocast"])
 def other_default(request):
+    if request.param == "autocast":
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            yield
+        return
     dtype = torch.get_default_dtype()
     if request.param == "meta":
         torch.set_default_device("meta")

@@ -109,11 +109,11 @@ def one_engine():
 
 
 @pytest.fixture
-def place(world, one_engine, scene_of, monkeypatch):
+def place(world, one_engine, monkeypatch):
     """The world is the current folder, the demo is small, and pages in the browser end when they are served."""
     monkeypatch.chdir(world)
     monkeypatch.syspath_prepend(world)
-    monkeypatch.setattr("torchjoint.synthetic.make_scene", lambda seed, **_: scene_of(seed))  # .ci/wheels runs it whole
+    monkeypatch.setattr("torchjoint.cli.demo.RECORDING", world / "recording")  # .ci/wheels runs the whole demo
     for module in ("torchjoint.recordings.batch", "torchjoint.cli.segment", "torchjoint.tiles.run"):
         monkeypatch.setattr(importlib.import_module(module), "open_engine", one_engine)  # tj.batch hides its module
     for module in ("show", "live"):

@@ -21,7 +21,7 @@ from rerun.chunk import RrdReader
 
 @pytest.fixture(scope="module")
 def frames():
-    return tj.synthetic.make_scene(0, num_views=3, num_points=500, height=48, width=64).scene.frames
+    return tj.synthetic.make_scene(11, num_views=3, num_points=500, height=48, width=64).scene.frames
 
 
 def results_of(frames):

@@ -25,7 +25,7 @@ from torchjoint.config import SuperpointsConfig
 from torchjoint.runtime.first_places import first_places
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud
-from torchjoint.scene.checks import is_double
+from torchjoint.scene.checks import is_double, without_return
 
 #: A tensor, or a numpy array.
 Values = TypeVar("Values", Tensor, npt.NDArray[Any])
@@ -81,7 +81,8 @@ def superpoints(
             result equals that of ScanNet's segmentator. A vertex without a triangle is its own superpoint.
         ptr: optional [B + 1] integers, the start of each of B clouds, then N: 0 = ptr[0] < ptr[1] < ... < ptr[B] = N.
         viewpoint: optional [3] metres, the position of the sensor; or one per cloud [B, 3], or per point [N, 3].
-        drop_invalid: leave out the points that are NaN or infinite, with a warning; their label is -1. Edges and
+        drop_invalid: leave out the points that are NaN or infinite, with a warning; their label is -1, as is always
+            that of beams without return (many points at (0, 0, 0), in a cloud without a graph of its own). Edges and
             triangles to them are left out, too. Else such points are an error.
         preset: "default", "scan" or "segmentator", a YAML file, or a config.
         parameters: replace parameters of the preset by name, such as ``scale=2.0``. :class:`SuperpointsConfig` declares
@@ -113,12 +114,18 @@ def superpoints(
     if isinstance(points, np.ndarray):
         given = [_as_tensor(value) for value in given]
     valid = None
-    if drop_invalid:
-        valid, given = without_invalid(*given)
+    if drop_invalid or _has_beams(*given):
+        valid, given = without_invalid("drop" if drop_invalid else "keep", *given)
     labels = _segment_batch(*given, preset=preset, parameters=parameters)
     if valid is not None:
         labels = torch.full((len(valid),), -1).masked_scatter_(valid, labels)
     return labels.numpy() if isinstance(points, np.ndarray) else labels
+
+
+def _has_beams(points: Any, _colors: Any, _normals: Any, edges: Any, faces: Any, *_: Any) -> bool:
+    """Whether a cloud without a graph has beams without return."""
+    is_cloud = isinstance(points, Tensor) and points.ndim == 2 and edges is None and faces is None
+    return is_cloud and bool(without_return(points).any())
 
 
 def _as_tensor(values: Any) -> Any:

@@ -21,6 +21,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import normalize
+from torchjoint_lab.synthetic import SyntheticScene, make_scene
 
 import torchjoint as tj
 from torchjoint.cloud.adjacency import CsrAdjacency
@@ -30,7 +31,6 @@ from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.datasets.files.meshes import vertex_normals
 from torchjoint.segments.method import LEARNED
-from torchjoint.synthetic import SyntheticScene, make_scene
 
 VOXEL, NEAR, OFF, DISCS = 0.02, 0.05, 15.0, 0.8
 #: Which edges of triangles are in the graph: all, or no others.

@@ -23,7 +23,7 @@ from normals import of_mesh
 from torch import Tensor
 from torch.nn.functional import normalize
 from torchjoint_lab.evaluation.predictions import read_prediction
-from torchjoint_lab.synthetic import make_domain_scene
+from torchjoint_lab.synthetic import make_domain_scene, make_scene
 
 import torchjoint as tj
 from torchjoint.cloud.local import LocalFrame
@@ -47,7 +47,7 @@ FLIP = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 
 def recording() -> tj.Scene:
     """A small room of which the depth images are known."""
-    return tj.synthetic.make_scene(seed=0, num_views=6, height=180, width=240, num_points=30_000).scene
+    return make_scene(seed=0, num_views=6, height=180, width=240, num_points=30_000).scene
 
 
 def _with_poses(scene: tj.Scene, change: Callable[[Tensor], Tensor]) -> tj.Scene:
@@ -203,7 +203,7 @@ def draw_scan() -> Figure:
 
 def segmented_mesh() -> tj.Result:
     """The vertices of a room that was fused to a mesh, and their segments."""
-    (room, _, kinds), _ = of_mesh(tj.synthetic.make_scene(12, "medium"))
+    (room, _, kinds), _ = of_mesh(make_scene(12, "medium"))
     scene = tj.Scene(room.points.float(), colors=room.colors, normals=kinds["triangles"])
     return tj.Result.of(tj.JointSegmenter()(scene), scene)
 
@@ -244,7 +244,7 @@ def draw_boxes(result: tj.Result) -> Figure:
 
 def draw_instances() -> Figure:
     """A room's true instances, and what `export --format masks` writes: the predicted ones and their scores."""
-    scene = tj.synthetic.make_scene(12, "medium").scene
+    scene = make_scene(12, "medium").scene
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "predictions.npz"
         FORMATS["masks"](file, tj.Result.of(tj.JointSegmenter()(scene), scene))

@@ -22,9 +22,9 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from scipy.spatial import Delaunay, cKDTree
+from torchjoint_lab.synthetic import SyntheticScene, make_scene
 
 import torchjoint as tj
-from torchjoint.synthetic import SyntheticScene, make_scene
 
 #: Metres; and names of what is a part of the room.
 NEAR, SHELL = 0.012, ("wall", "floor", "ceiling", "door", "window")

@@ -12,8 +12,8 @@ from unittest import mock
 
 import report
 import torch
+from torchjoint_lab.synthetic import make_scene
 
-import torchjoint as tj
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
 from torchjoint.views import visibility
@@ -38,8 +38,8 @@ def main() -> None:
     seconds = dict.fromkeys(METHODS, 0.0)
     num_frames = 0
     for seed in range(arguments.seeds):
-        noisy = tj.synthetic.make_scene(seed, "medium")
-        clean = tj.synthetic.make_scene(seed, "medium", depth_noise=0, depth_holes=0, pose_error=0)
+        noisy = make_scene(seed, "medium")
+        clean = make_scene(seed, "medium", depth_noise=0, depth_holes=0, pose_error=0)
         spacing = nearest_neighbors(noisy.scene.points, 16).spacing
         for frame, exact in zip(noisy.scene.frames, clean.scene.frames, strict=True):
             num_frames += 1

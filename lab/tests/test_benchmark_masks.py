@@ -72,3 +72,20 @@ def test_bad_arguments_are_named(tmp_path):
         benchmark("masks", out=tmp_path, noise_seeds=0)
     with pytest.raises(ValueError, match=r"--tuning: suite masks has none"):
         benchmark("masks", out=tmp_path, tuning=(1, 1))
+    (tmp_path / "table.md").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"table.md: exists already; choose another name with -o, or --overwrite"):
+        benchmark("masks", out=tmp_path)
+
+
+def test_what_comes_to_the_folder_meanwhile_stays(tmp_path, monkeypatch, scene_of):
+    def make(*_, **__):
+        (tmp_path / "table.md").write_text("mine")
+        return scene_of(2, num_views=2, num_points=1500, height=60, width=80)
+
+    monkeypatch.setattr(masks, "make_domain_scene", make)
+    chosen = {"domains": ("table",), "scenes": 1, "noise_seeds": 1, "out": tmp_path, "methods": ("vote",)}
+    with pytest.raises(FileExistsError, match=r"table.md: was made or changed while this run worked"):
+        benchmark("masks", **chosen)
+    assert (tmp_path / "table.md").read_text() == "mine"
+    benchmark("masks", **chosen)  # of an earlier start now
+    assert (tmp_path / "table.md").read_text() != "mine"

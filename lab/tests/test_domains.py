@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import torch
 from torchjoint_lab.synthetic import DOMAINS, SyntheticScene, domain_settings, make_domain_scene
+from torchjoint_lab.synthetic.furnished import mesh
 from torchjoint_lab.synthetic.rigs import Rig
-
-from torchjoint.synthetic import mesh
 
 pytest.importorskip("open3d")
 

@@ -9,12 +9,11 @@ import pytest
 import torch
 from synthetic_scenes import TINY, surface_of
 from torchjoint_lab.synthetic import make_scene
+from torchjoint_lab.synthetic.furnished.mesh import box
+from torchjoint_lab.synthetic.furnished.room import make_world
+from torchjoint_lab.synthetic.furnished.site import Site
+from torchjoint_lab.synthetic.furnished.world import KINDS, World
 from torchjoint_lab.synthetic.hard_rooms import harden
-
-from torchjoint.synthetic.mesh import box
-from torchjoint.synthetic.room import make_world
-from torchjoint.synthetic.site import Site
-from torchjoint.synthetic.world import KINDS, World
 
 o3d = pytest.importorskip("open3d", reason="Open3D measures distances to a surface")
 

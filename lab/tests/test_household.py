@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.mesh import Part, cup
 from torchjoint_lab.synthetic.household import _lined, bowl, cup_sides, mug
 from torchjoint_lab.synthetic.style import Style
-
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.mesh import Part, cup
 
 
 def area(part: Part) -> float:

@@ -120,6 +120,13 @@ class TestCommand:
         assert len(segmented) == 1
         assert (out / "table.md").read_text() == before
 
+    @pytest.mark.parametrize("name", ["table.md", "worst.jpg"])
+    def test_files_of_no_earlier_start_stay(self, data, run_lab, tmp_path, name):
+        (tmp_path / name).write_text("mine")
+        with pytest.raises(SystemExit, match="exists already; choose another name with -o, or --overwrite"):
+            run_lab("real", "--data", data, "-o", tmp_path, "--runs", 1)
+        assert (tmp_path / name).read_text() == "mine"
+
 
 def test_table_and_worst_scene_by_hand():
     scenes = [RealScene(*names, load=None) for names in (("rio", "rio-a"), ("rio", "rio-b"), ("kitti", "kitti-a"))]

@@ -367,6 +367,10 @@ def test_bad_arguments_are_named(tmp_path, run_lab):
     (tmp_path / "file").touch()
     with pytest.raises(SystemExit, match=r"-o: .*file exists and is not a folder"):
         run_lab("robustness", "--kinds", "table", "-o", tmp_path / "file")
+    (tmp_path / "table.md").write_text("mine")
+    with pytest.raises(SystemExit, match=r"table.md: exists already; choose another name with -o, or --overwrite"):
+        run_lab("robustness", "--kinds", "table", "-o", tmp_path)
+    assert (tmp_path / "table.md").read_text() == "mine"
 
 
 def test_the_command(tmp_path, monkeypatch, scene_of, run_lab, capsys):

@@ -53,6 +53,15 @@ def test_a_row_and_on_where_it_was(data, capsys):
     assert {file: file.stat().st_mtime_ns for file in out.glob("*/points.npz")} == times
 
 
+@pytest.mark.parametrize("name", ["table.md", "arguments.txt"])
+def test_files_of_no_earlier_start_stay(data, name):
+    (data / "out").mkdir()
+    (data / "out" / name).write_text("mine")
+    with pytest.raises((FileExistsError, ValueError), match=r"exists already; choose|is of a run with mine"):
+        scannet200(data / "data", data / "out")
+    assert (data / "out" / name).read_text() == "mine"
+
+
 def test_results_with_other_masks_are_not_mixed(data):
     with pytest.raises(ValueError, match=r"no scan was scored; the first error: .*missing; expected masks"):
         scannet200(data / "data", data / "out", data / "publised")

@@ -53,6 +53,7 @@ def contents(folder):
         ("show", "result", "--static", "result/run.yaml"),
         ("live", "result", "-o", "out", "--rerun", "result/run.yaml", "--overwrite"),
         ("export", "result", "--format", "coco", "-o", "result/segments.json", "--overwrite"),
+        ("edits", "import", "result", "result/segments.json"),
     ],
 )
 def test_an_output_is_no_input(run, result, cloud, tmp_path, monkeypatch, arguments, link):
@@ -65,7 +66,7 @@ def test_an_output_is_no_input(run, result, cloud, tmp_path, monkeypatch, argume
         given = [f"link/{one}" if (tmp_path / one).exists() and index > 2 else one for index, one in enumerate(given)]
     before = contents(tmp_path)
     with pytest.raises(
-        SystemExit, match=r"(-o|--static|--rerun): expected (another path than the input's|a folder that)"
+        SystemExit, match=r"(-o|--static|--rerun|FILE): expected (another path than the input's|a folder that)"
     ):
         run(*given)
     assert contents(tmp_path) == before

@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from folder_files import write_folder
+from folder_files import write_folder, write_truth
 from PIL import Image
 
 import torchjoint as tj
+from torchjoint.cli.demo import RECORDING
+from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.figures import overview
 from torchjoint.results.folder import read_points
 from torchjoint.results.output_folder import output_folder
+from torchjoint.views.projection import project
 
 SMALL = ["--set", "paper.min_size=20", "image_segments.min_size=20"]
 
@@ -198,15 +201,34 @@ def test_show_of_something_else(run, tmp_path):
         run("show", tmp_path)
 
 
-def test_demo(monkeypatch, tmp_path, capsys, run, scene_of):
-    monkeypatch.setattr("torchjoint.synthetic.make_scene", lambda seed, **_: scene_of(seed))
+def test_demo(monkeypatch, tmp_path, capsys, run, synthetic):
+    write_truth(write_folder(tmp_path / "room", synthetic), synthetic)
+    monkeypatch.setattr("torchjoint.cli.demo.RECORDING", tmp_path / "room")
     run("demo", "-o", tmp_path / "demo", *SMALL)
     assert (tmp_path / "demo" / "overview.png").is_file()
     assert "against the truth, in 3D: covering 0." in capsys.readouterr().out
-    run("show", tmp_path / "demo", "--truth", "--static", tmp_path / "page.html")  # the scene is made again
+    run("show", tmp_path / "demo", "--truth", "--static", tmp_path / "page.html")
     assert "<option>truth</option>" in (tmp_path / "page.html").read_text(encoding="utf-8")
     with pytest.raises(SystemExit, match="demo: exists already"):
         run("demo", "-o", tmp_path / "demo", *SMALL)
+
+
+def test_the_recording_of_the_demo():
+    """It is small, dense, and its truth fits: most points lie in images where they should, with their label."""
+    assert sum(file.stat().st_size for file in RECORDING.iterdir()) < 3e6
+    scene = tj.load_scene(RECORDING)
+    points, labels = scene.points, scene.truth.points
+    assert len(points) > 80_000
+    assert nearest_neighbors(points, 2).spacing.median() < 0.025
+    assert (labels >= 0).float().mean() > 0.95
+    seen = right = 0
+    for frame, image in zip(scene.frames, scene.truth.images, strict=True):
+        at = project(points, frame.intrinsics, frame.world_to_camera, frame.size)
+        row, column, label = at.v.round().long(), at.u.round().long(), labels[at.point]
+        here = ((frame.depth[row, column] - at.z).abs() < 0.02) & (label >= 0)
+        seen, right = seen + here.sum(), right + (image[row, column] == label)[here].sum()
+    assert seen > 2 * len(points)
+    assert right / seen > 0.95
 
 
 def test_an_error_that_is_no_one_s_fault_is_one_line(recording, run, tmp_path, monkeypatch):

@@ -104,6 +104,9 @@ def test_yaml_errors_name_the_file(tmp_path):
         ("paper: {weight: -1}", r"mine\.yaml: paper\.weight: expected >= 0"),
         ("- 1\n- 2", r"mine\.yaml: expected stages with parameters, got a list"),
         ("a: [", r"mine\.yaml: not valid YAML"),
+        ("a: 2026-99-99", r"mine\.yaml: not valid YAML"),
+        ("a: !!timestamp x", r"mine\.yaml: not valid YAML"),
+        ("a: !!bool x", r"mine\.yaml: not valid YAML"),
     ):
         file.write_text(text)
         with pytest.raises(ValueError, match=message):

@@ -168,8 +168,11 @@ class TestPaths:
         beside = tmp_path.parent / "images"
         assert path_inside(tmp_path, "../images/a.png", "list", or_inside=[beside]) == beside / "a.png"
         assert path_inside(tmp_path, "..a.png", "list") == tmp_path / "..a.png"
+        assert path_inside(tmp_path, ".\\images\\a.png", "list") == tmp_path / "images" / "a.png"
+        (tmp_path / "a\\b.png").touch()
+        assert path_inside(tmp_path, "a\\b.png", "list") == tmp_path / "a\\b.png"
 
-    @pytest.mark.parametrize("name", ["../a.png", "/etc/passwd", "images/../../a.png", "..", "."])
+    @pytest.mark.parametrize("name", ["../a.png", "/etc/passwd", "images/../../a.png", "..", ".", "..\\a.png"])
     def test_outside(self, tmp_path, name):
         with pytest.raises(ValueError, match=r"list: expected a file inside .*; give a relative path, without"):
             path_inside(tmp_path, name, "list", or_inside=[tmp_path.parent / "images"])

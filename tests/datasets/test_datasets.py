@@ -11,8 +11,9 @@ from folder_files import write_folder
 from PIL import Image
 
 import torchjoint as tj
+from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.datasets.files.readers import fingerprint, read_array, read_cloud, read_depth, read_image
+from torchjoint.datasets.files.readers import fingerprint, read_array, read_depth, read_image
 from torchjoint.datasets.formats.folder import read_frames
 from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.datasets.recording import invert_pose
@@ -187,13 +188,13 @@ def test_other_people_s_clouds(tmp_path, name, newline, kind):
     lines = ["ply", "format ascii 1.0", "comment by hand", "element vertex 2", "property double x", "property double y"]
     lines += ["property double z", *(f"property {kind} {color}" for color in ("red", "green", "blue")), "end_header"]
     (tmp_path / name).write_text(newline.join([*lines, f"1 2 3 {one} 0 0", f"4 5 6 0 {one} 0", ""]), newline="")
-    points, colors, normals = read_cloud(tmp_path / name)
+    points, colors, normals = read_cloud_file(tmp_path / name)[:3]
     assert points.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert colors.tolist() == [[1, 0, 0], [0, 1, 0]]
     assert normals is None
     (tmp_path / name).write_text(newline.join([*lines, f"1 2 3 {one} 0 0"]), newline="")
     with pytest.raises(ValueError, match=r"truncated, or too long: expected 2 lines \(2 of vertex\), got 1"):
-        read_cloud(tmp_path / name)
+        read_cloud_file(tmp_path / name)
 
 
 def test_a_cloud_with_nan(tmp_path):
@@ -202,7 +203,7 @@ def test_a_cloud_with_nan(tmp_path):
         "end_header\n1 2 3\nnan nan nan\n"
     )
     with pytest.raises(ValueError, match=r"c\.ply: 1 of 2 points are NaN or infinite; --drop-invalid"):
-        read_cloud(tmp_path / "c.ply")
+        read_cloud_file(tmp_path / "c.ply")
 
 
 def test_16_bit_colour(folder):
@@ -273,7 +274,7 @@ def test_clouds_keep_labels_for_other_tools(tmp_path):
 
     cloud = t.io.read_point_cloud(str(tmp_path / "out.ply"))
     assert cloud.point.label.numpy().ravel().tolist() == labels.tolist()
-    assert torch.equal(read_cloud(tmp_path / "out.ply")[0].float(), points)
+    assert torch.equal(read_cloud_file(tmp_path / "out.ply")[0].float(), points)
     assert [file.name for file in tmp_path.iterdir()] == ["out.ply"]
 
 

@@ -67,6 +67,23 @@ def test_a_scene_comes_back(folder, synthetic):
     assert_same_segmentation(scene, expected)
 
 
+def test_paths_of_windows(folder):
+    values = read(folder)
+    for frame in values["frames"]:
+        frame["file_path"] = ".\\" + frame["file_path"].replace("/", "\\")
+    save(folder, values)
+    assert [frame.name for frame in tj.load_scene(folder).frames] == [f"frame_{index:05d}" for index in range(1, 7)]
+
+
+def test_files_of_a_folder_of_blender_are_its_scenes(folder):
+    for name in ("train", "test"):
+        (folder / f"transforms_{name}.json").write_bytes((folder / "transforms.json").read_bytes())
+    (folder / "transforms.json").unlink()
+    assert tj.datasets.list_scenes(folder) == {name: folder / f"transforms_{name}.json" for name in ("test", "train")}
+    with pytest.raises(ValueError, match=r"is a data set; choose one of its scenes, such as .*transforms_test\.json"):
+        tj.load_scene(folder)
+
+
 def test_the_file_itself_can_be_given(folder):
     (folder / "transforms.json").rename(folder / "transforms_train.json")
     scene = tj.load_scene(folder / "transforms_train.json")

@@ -85,13 +85,29 @@ def test_scenes_of_a_folder(tmp_path):
 def test_points_that_are_on_no_pixel_s_ray(tmp_path):
     fields = view(np.random.default_rng(0))
     fields["x"][30] += 0.2
-    with pytest.raises(
-        ValueError, match=r"view\.pcd: expected points on the rays of a pinhole camera's pixels, got one"
-    ):
-        tj.load_scene(write(tmp_path / "view.pcd", fields))
-    fields["x"] *= -1
-    with pytest.raises(ValueError, match=r"view\.pcd: expected points on the rays"):
-        tj.load_scene(write(tmp_path / "view.pcd", fields))
+    for factor in (1, -1):  # one point; all points, mirrored
+        fields["x"] *= factor
+        path = write(tmp_path / "view.pcd", fields)
+        with (
+            pytest.warns(UserWarning, match=r"view\.pcd: 3 of 48 points are NaN or infinite; they are left out"),
+            pytest.warns(
+                UserWarning, match=r"view\.pcd: expected points on the rays .* px off its ray: read as a cloud"
+            ),
+        ):
+            scene = tj.load_scene(path)
+        assert len(scene.points) == len(scene.colors) == 45
+        assert len(scene.frames) == 0
+
+
+def test_a_view_may_be_read_as_a_cloud(tmp_path):
+    path = write(tmp_path / "view.pcd", view(np.random.default_rng(0)))
+    with pytest.warns(UserWarning, match="3 of 48 points are NaN"):
+        scene = tj.load_scene(path, format="cloud_alone", drop_invalid=True)
+    assert len(scene.frames) == 0
+    with pytest.raises(ValueError, match=r"format: expected one of folder, .*, got 'cloud'"):
+        tj.load_scene(path, format="cloud")
+    with pytest.raises(ValueError, match=r"view\.pcd is not of format ros, which needs a ROS recording"):
+        tj.load_scene(path, format="ros")
 
 
 @pytest.mark.parametrize("left", [[], [5], [5, 6]])
@@ -113,8 +129,12 @@ def test_labels_that_are_none(tmp_path):
 
 def test_colours_of_another_size_are_none(tmp_path):
     fields = view(np.random.default_rng(0))
-    with pytest.raises(ValueError, match="expected a field rgb or rgba of 4 bytes"):
-        tj.load_scene(write(tmp_path / "view.pcd", fields | {"rgba": fields["rgba"].astype(np.uint16)}))
+    path = write(tmp_path / "view.pcd", fields | {"rgba": fields["rgba"].astype(np.uint16)})
+    with (
+        pytest.warns(UserWarning, match="rgba: no position, normal or colour by these names"),
+        pytest.raises(ValueError, match="expected a field rgb or rgba of 4 bytes"),
+    ):
+        tj.load_scene(path)
 
 
 @pytest.mark.slow

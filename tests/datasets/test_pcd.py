@@ -12,7 +12,6 @@ from pcd_files import BODIES, compress_lzf, write_pcd
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.lzf import decompress
 from torchjoint.datasets.files.pcd import read_pcd
-from torchjoint.datasets.files.readers import read_cloud
 
 XYZ = {axis: np.array([1.5, -2.25, 3.0], dtype=np.float32) + place for place, axis in enumerate("xyz")}
 HEADER = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA "
@@ -88,7 +87,7 @@ class TestFields:
     @pytest.mark.parametrize("kind", [np.uint32, np.int32, np.float32])
     def test_colours_are_packed(self, tmp_path, data, name, kind):
         packed = np.array([0x00FF8001, 0x00010203, 0x00000000], dtype=np.uint32).view(kind)
-        points, colors, normals = read_cloud(write_pcd(tmp_path / "c.pcd", XYZ | {name: packed}, data=data))
+        points, colors, normals = read_cloud_file(write_pcd(tmp_path / "c.pcd", XYZ | {name: packed}, data=data))[:3]
         expected = torch.tensor([[255, 128, 1], [1, 2, 3], [0, 0, 0]]) / 255
         torch.testing.assert_close(colors, expected)
         assert points.tolist() == np.stack(list(XYZ.values()), axis=1).tolist()
@@ -119,7 +118,7 @@ class TestFields:
         for ascii_, compressed in ((True, False), (False, False), (False, True)):
             path = tmp_path / f"{ascii_}{compressed}.pcd"
             t.io.write_point_cloud(str(path), cloud, write_ascii=ascii_, compressed=compressed)
-            points, read_colors, _ = read_cloud(path)
+            points, read_colors, _ = read_cloud_file(path)[:3]
             torch.testing.assert_close(points.float(), positions)
             torch.testing.assert_close(read_colors, colors.float() / 255)
 
@@ -127,14 +126,14 @@ class TestFields:
         x = XYZ["x"].copy()
         x[1] = np.nan
         path = write_pcd(tmp_path / "c.pcd", XYZ | {"x": x}, data="ascii")
-        assert read_pcd(path).points().isnan().sum() == 1
+        assert read_pcd(path).cloud("c").points.isnan().sum() == 1
         with pytest.raises(ValueError, match=r"c\.pcd: 1 of 3 points are NaN"):
-            read_cloud(path)
+            read_cloud_file(path)
 
     def test_unorganised_files_of_old_without_points_and_count(self, tmp_path):
         path = tmp_path / "c.pcd"
         path.write_text("# comment\n\nFIELDS x y z\r\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\nDATA ascii\n1 2 nan\n")
-        assert read_pcd(path).points()[0, :2].tolist() == [1, 2]
+        assert read_pcd(path).cloud("c").points[0, :2].tolist() == [1, 2]
 
 
 class TestErrors:

@@ -1,11 +1,13 @@
 """ROS recordings: topics found by type, times matched, poses of tf and odometry; ROS 1 and 2 give the same."""
 
+import warnings
+
 import numpy as np
 import pytest
 import samples
 import torch
 from rosbags.rosbag2 import StoragePlugin
-from samples import ros
+from samples import ros, ros_points
 from samples._parts import wall
 
 import torchjoint as tj
@@ -73,6 +75,100 @@ def test_images_far_from_any_pose_are_left_out_and_told(tmp_path):
     bag = ros.record(tmp_path / "never", [*[one for one in ros.messages() if one[0] != "/camera/image_raw"], late])
     with pytest.raises(ValueError, match=r"none of 1 images has a pose within 0\.02 s"):
         tj.load_scene(bag)
+
+
+def of(messages, *topics):
+    return [one for one in messages if one[0] not in topics]
+
+
+def pose_stamped(seconds, x):
+    types = ros.TYPES
+    place, turn = (types[f"geometry_msgs/msg/{name}"] for name in ("Point", "Quaternion"))
+    pose = types["geometry_msgs/msg/Pose"](place(float(x), 0.0, 0.0), turn(0.0, 0.0, 0.0, 1.0))
+    return types["geometry_msgs/msg/PoseStamped"](ros.header(seconds, "map"), pose)
+
+
+def path_of(poses):
+    return ros.TYPES["nav_msgs/msg/Path"](ros.header(0.0, "map"), poses)
+
+
+@pytest.mark.parametrize("kind", ["PoseStamped", "TransformStamped", "Path"])
+def test_poses_of_other_topics(kind, tmp_path):
+    """Of the body to which tf_static fixes the camera, half a metre below it."""
+    poses = [pose_stamped(seconds, index) for index, seconds in enumerate((0.0, 0.1))]
+    if kind == "TransformStamped":
+        sent = [ros.transforms(0.1 * index, "map", "base", (index, 0, 0)).transforms[0] for index in range(2)]
+    else:
+        sent = poses if kind == "PoseStamped" else [path_of(poses[:1]), path_of(poses)]
+    messages = [*of(ros.messages(), "/tf"), *(("/pose", 0.1 * index, one) for index, one in enumerate(sent))]
+    bag = ros.record(tmp_path / "walk", messages)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        scene = tj.load_scene(bag, voxel_size=0.1)
+    assert [str(one.message) for one in told if issubclass(one.category, UserWarning)] == [
+        f"{bag}: the poses of /pose are taken as those of frame base"
+    ] * (kind != "TransformStamped")
+    centers = [-frame.world_to_camera[:3, 3] for frame in scene.frames]
+    torch.testing.assert_close(
+        torch.stack(centers), torch.tensor([[0.04, 0, 0.5], [1, 0, 0.5]]).double(), atol=1e-5, rtol=0
+    )
+
+
+def test_a_camera_without_poses_does_not_stand_still(tmp_path):
+    bag = ros.record(tmp_path / "none", of(ros.messages(), "/tf", "/tf_static"))
+    with pytest.raises(ValueError, match=r"expected poses of the camera, frame 'camera_optical', in tf, or as"):
+        tj.load_scene(bag, voxel_size=0.1)
+    scene = tj.load_scene(bag, topics={"odometry": "none"}, voxel_size=0.1)
+    assert [frame.world_to_camera.tolist() for frame in scene.frames] == [np.eye(4).tolist()] * 2
+    bag = ros.record(tmp_path / "fixed", of(ros.messages(), "/tf"))
+    with pytest.warns(UserWarning, match=r"the camera, frame 'camera_optical', stands still in frame 'base';"):
+        tj.load_scene(bag, voxel_size=0.1)
+
+
+def test_scans_of_another_tree_have_no_place(tmp_path):
+    points = [("/points", 0.0, ros_points.cloud(0.0, np.asarray(wall())))]
+    points[0][2].header.frame_id = "lidar"
+    bag = ros.record(tmp_path / "two", [*of(ros.messages(), "/camera/aligned_depth"), *points])
+    with pytest.raises(ValueError, match=r"no pose between frame 'camera_optical' of .* and frame 'lidar' of /points"):
+        tj.load_scene(bag)
+
+
+@pytest.mark.parametrize(
+    ("full", "sent", "binning"),
+    [
+        ((24, 32), (12, 16), 0),  # the part, of the whole camera
+        ((12, 16), (12, 16), 0),  # sizes of the part, as Baxter writes them
+        ((0, 0), (12, 16), 0),
+        ((48, 64), (12, 16), 2),
+        ((12, 16), None, 0),  # the whole image is sent with the region
+    ],
+)
+def test_a_region_of_interest(tmp_path, full, sent, binning):
+    def cut(info):
+        info.height, info.width, info.binning_x, info.binning_y = *full, binning, binning
+        height, width = (24, 32) if binning else sent or (6, 8)
+        info.roi = ros.TYPES["sensor_msgs/msg/RegionOfInterest"](2, 4, height, width, False)
+        return info
+
+    messages = [(t, s, cut(m) if t == "/camera/camera_info" else m) for t, s, m in ros.messages()]
+    frame = tj.load_scene(ros.record(tmp_path / "walk", messages), voxel_size=0.1).frames[0]
+    K = torch.tensor([[12, 0, 7.5], [0, 12, 5.5], [0, 0, 1]], dtype=torch.float64)
+    K[:2, 2] -= torch.tensor([2.0, 4.0]) if sent else 0
+    if binning:
+        K[:2] *= 0.5
+        K[:2, 2] -= 0.25
+    torch.testing.assert_close(frame.intrinsics, K)
+
+
+def test_beams_without_return_are_no_points_at_the_sensor(tmp_path):
+    messages = list(ros_points.messages())
+    for topic, _, message in messages:
+        if topic.endswith("points"):
+            message.data[: message.point_step] = 0
+    with pytest.warns(UserWarning, match=r"2 of \d+ points are \(0, 0, 0\), beams without return; they are left out"):
+        scene = tj.load_scene(ros.record(tmp_path / "bag", messages), voxel_size=1e-4)
+    expected = np.concatenate([wall()[1:], wall()[1:] + np.array([1, 0, 0])])
+    assert len(scene.points) == len(expected)
 
 
 def test_what_is_no_recording_of_a_camera(tmp_path):

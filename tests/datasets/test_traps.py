@@ -9,6 +9,7 @@ import samples
 import traps
 
 import torchjoint as tj
+from torchjoint.datasets import recording
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.runtime import bounds
 
@@ -38,6 +39,27 @@ def test_a_folder_that_is_a_dead_link(tmp_path):
     depth.symlink_to(tmp_path / "lost")
     with pytest.raises(ValueError, match=r"cannot be read: .*depth is a link to .*lost, which is not there"):
         traps.content_of(path)
+
+
+@pytest.mark.parametrize("name", ["folder", "scannet", "scannetpp", "s3dis", "organized_pcd"])
+def test_a_lost_scene_hides_no_other(name, tmp_path):
+    path = samples.write(name, tmp_path / "set" / ("scans" if name == "scannet" else "1"))
+    lost = path.parent / f"lost{path.suffix}"
+    lost.symlink_to(tmp_path / "away")
+    top = path.parent.parent if name in ("scannet", "scannetpp") else path.parent
+    assert sorted(tj.datasets.list_scenes(top).values()) == sorted([lost, path])
+    with pytest.raises(ValueError, match=r"lost.* cannot be read: .* is a link to .*away, which is not there"):
+        tj.load_scene(lost)
+
+
+def test_a_cloud_that_comes_while_one_is_fused_stays(tmp_path, monkeypatch):
+    path, cloud = samples.write("folder", tmp_path / "sample"), tmp_path / "fused.ply"
+    (path / "cloud.ply").unlink()
+    fuse = recording.fuse_or_recall
+    monkeypatch.setattr(recording, "fuse_or_recall", lambda *a: (cloud.write_text("mine"), fuse(*a))[1])
+    with pytest.raises(FileExistsError, match=r"fused.ply: was made or changed while this run worked"):
+        tj.load_scene(path, cloud=cloud)
+    assert cloud.read_text() == "mine"
 
 
 def test_the_message_names_the_link(tmp_path):

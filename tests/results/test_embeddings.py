@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import nn
 from torch.nn.functional import cross_entropy, normalize
+from torchjoint_lab.synthetic import make_scene
 
 import torchjoint as tj
 from torchjoint.results.edits import Edit, Edits, write_edits
@@ -202,8 +203,8 @@ class WordEncoder(nn.Module):
 
 
 def true_room(seed):
-    """The name of each thing of a generated room, and the true segments as a result."""
-    made = tj.synthetic.make_scene(seed)
+    """The name of each thing of a furnished room, and the true segments as a result."""
+    made = make_scene(seed)
     names = tuple(frame.name for frame in made.scene.frames)
     segments = tj.Segmentation(made.point_labels, list(made.image_labels), names=names)
     return made.instance_names, tj.Result.of(segments, made.scene)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 import zlib
 
@@ -103,9 +104,32 @@ class TestStates:
         with pytest.raises(ValueError, match=r"not a saved state: expected at most \d+ bytes of tensors"):
             read_values(tmp_path / "a")
 
+    @pytest.mark.parametrize("same", [torch.zeros(2), 1])
+    def test_lists_that_hold_the_same_lists(self, tmp_path, same):
+        for _ in range(40):
+            same = [same, same]
+        write_values(tmp_path / "a", {"a": same})
+        with traps.ends(), pytest.raises(ValueError, match=r"not a saved state: expected at most \d+ values"):
+            read_values(tmp_path / "a")
+
+    def test_a_pickle_that_calls_for_more_than_tensors(self, tmp_path):
+        content = io.BytesIO()
+        torch.save({"a": bytearray(b"1")}, content)
+        write_checked(tmp_path / "a", content.getvalue())
+        with pytest.raises(ValueError, match=r"expected tensors, numbers and texts, got \w+ bytearray"):
+            read_values(tmp_path / "a")
+
+    def test_an_older_format_with_an_archive_behind_it(self, tmp_path):
+        old, new = io.BytesIO(), io.BytesIO()
+        torch.save({"a": 1}, old, _use_new_zipfile_serialization=False)
+        torch.save({"a": 1}, new)
+        write_checked(tmp_path / "a", old.getvalue() + new.getvalue())
+        with pytest.raises(ValueError, match=r"not a saved state: expected an archive"):
+            read_values(tmp_path / "a")
+
     def test_what_is_no_archive(self, tmp_path):
         write_checked(tmp_path / "a", b"\x80\x02]q\x00.")
-        with pytest.raises(ValueError, match="not a saved state: File is not a zip file"):
+        with pytest.raises(ValueError, match="not a saved state: expected an archive"):
             read_values(tmp_path / "a")
 
     def test_endless_zlib(self):

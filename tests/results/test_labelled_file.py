@@ -1,8 +1,12 @@
 """Labels in the files of others: clouds, meshes, Gaussian splats."""
 
+import re
+
+import laspy
 import numpy as np
 import pytest
 import torch
+from las_town import town, write_las
 from splat_files import splat_file, splat_rows
 
 import torchjoint as tj
@@ -131,6 +135,24 @@ def test_a_mesh_has_labels_of_vertices_and_triangles(tmp_path, encoding):
     assert not (tmp_path / "c.ply").exists()
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
+def test_line_ends_and_comments_stay(tmp_path, encoding):
+    """As Windows writes them: without the label, the file is the one before."""
+    path = squares(tmp_path / "a.ply", encoding)
+    head, end, body = path.read_bytes().partition(b"end_header\n")
+    body = body.replace(b"\n", b" \r\n") + b"\r\n" if encoding == "ascii" else body
+    path.write_bytes(head.replace(b"\n", b" \r\n") + end.replace(b"\n", b"\r\n") + body)
+    label_file(path, tmp_path / "b.ply", of_squares(), name="thing")
+    head, end, after = (tmp_path / "b.ply").read_bytes().partition(b"end_header\r\n")
+    assert head.count(b"property int thing\r\n") == 2
+    if encoding == "ascii":
+        after = re.sub(rb" [01]\r\n", b"\r\n", after)
+    else:
+        vertices = np.frombuffer(after, np.uint8, 8 * 17).reshape(8, 17)[:, :13].tobytes()
+        after = vertices + np.frombuffer(after, np.uint8, 4 * 17, 8 * 17).reshape(4, 17)[:, :13].tobytes()
+    assert head.replace(b"property int thing\r\n", b"") + end + after == path.read_bytes()
+
+
 @pytest.mark.parametrize("encoding", ["binary_little_endian", "binary_big_endian"])
 def test_parts_of_a_mesh(tmp_path, encoding):
     part_files(squares(tmp_path / "a.ply", encoding), tmp_path / "parts", of_squares())
@@ -232,3 +254,52 @@ def test_files_that_cannot_be_labelled(tmp_path, run):
     with pytest.raises(ValueError, match=r"a\.ply"):
         label_file(path, tmp_path / "b.ply", of_squares())
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.glb", "a.ply"]
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory, run):
+    """A survey and its result."""
+    folder = tmp_path_factory.mktemp("survey")
+    file = write_las(folder / "site.laz", town(3_000, 12))
+    run("segment", file, "-o", folder / "result")
+    return file, folder / "result"
+
+
+class TestSurvey:
+    """LAS and LAZ keep all that they have: coordinate system, dimensions, records, the order of points."""
+
+    def check(self, source, out, result, name="label"):
+        before, after = laspy.read(source), laspy.read(out)
+        for dimension in before.point_format.dimension_names:
+            assert np.array_equal(before[dimension], after[dimension]), dimension
+        assert [one.string for one in after.vlrs.get("WktCoordinateSystemVlr")] == ['PROJCS["WGS 84 / UTM zone 32N"]']
+        loaded = tj.load_result(result)
+        assert np.array_equal(after[name], loaded.points.numpy())
+        assert np.allclose(after["confidence"], loaded.point_confidence.numpy())
+
+    @pytest.mark.parametrize("suffix", [".las", ".laz"])
+    def test_label(self, survey, run, tmp_path, suffix):
+        run("label", survey[1], survey[0], "-o", tmp_path / f"out{suffix}", "--name", "thing")
+        self.check(survey[0], tmp_path / f"out{suffix}", survey[1], "thing")
+
+    def test_export(self, survey, run, tmp_path):
+        run("export", survey[1], "--format", "las", "-o", tmp_path / "out.laz")
+        self.check(survey[0], tmp_path / "out.laz", survey[1])
+
+    def test_the_file_is_gone(self, survey, run, tmp_path):
+        moved = survey[0].rename(tmp_path / "moved.laz")
+        try:
+            with pytest.warns(UserWarning, match=r"site\.laz: not there any more; OUT has points, colours"):
+                run("export", survey[1], "--format", "las", "-o", tmp_path / "out.las")
+            run("label", survey[1], moved, "-o", tmp_path / "again.laz")
+        finally:
+            moved.rename(survey[0])
+        self.check(survey[0], tmp_path / "again.laz", survey[1])
+        assert set(laspy.read(tmp_path / "out.las").point_format.dimension_names) >= {"label", "confidence", "red"}
+
+    def test_what_cannot_be(self, survey, run, tmp_path):
+        with pytest.raises(SystemExit, match=r"out\.ply: expected \.las or \.laz for site\.laz"):
+            run("label", survey[1], survey[0], "-o", tmp_path / "out.ply")
+        with pytest.raises(SystemExit, match="expected no dimension quality, got one; remove it first"):
+            run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "quality")
+        assert list(tmp_path.iterdir()) == []

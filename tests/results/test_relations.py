@@ -12,6 +12,7 @@ import torchjoint as tj
 from torchjoint.cli.export import export
 from torchjoint.results.folder import write_result
 from torchjoint.results.relations import Relation, Relations
+from torchjoint.runtime.locks import BusyError, lock
 
 UP = torch.tensor([0.0, 0, 1])
 
@@ -175,6 +176,13 @@ def test_segments_of_another_result_are_an_error(saved, change):
             read(saved)
 
 
+def test_only_one_adds_to_segments_json_at_a_time(saved):
+    before = (saved / "segments.json").read_bytes()
+    with lock(saved / ".segments.json.lock", "busy"), pytest.raises(BusyError, match="writing it; save again"):
+        tj.load_result(saved).graph().save(saved)
+    assert (saved / "segments.json").read_bytes() == before
+
+
 def test_a_link_is_not_read(saved):
     tj.load_result(saved).graph().save(saved)
     (saved / "segments.json").rename(saved / "elsewhere.json")
@@ -200,7 +208,7 @@ def test_apart_nothing_is_related():
 
 def test_a_generated_room(scene_of):
     """All that stands on a table or a cabinet is above it; most of what a person would name is found."""
-    made = scene_of(0, num_points=15_000)
+    made = scene_of(3, num_points=15_000)
     ids, labels = made.point_labels.unique(return_inverse=True)
     graph = tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(made.scene.points)).graph(UP)
     names = [made.instance_names[int(one)] for one in ids]

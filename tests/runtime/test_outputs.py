@@ -170,3 +170,12 @@ def test_what_does_not_belong_is_removed_if_nobody_changed_it(tmp_path):
         made.remove()
     Output(made.path, overwrite=True).remove()
     assert not made.path.exists()
+
+
+@pytest.mark.parametrize("out", ["out"], indirect=True)
+def test_a_mount_point_is_not_replaced(out, monkeypatch):
+    write(out, "mine")
+    monkeypatch.setattr(outputs, "is_fixed", lambda path: path == out)
+    with pytest.raises(FileExistsError, match=r"-o: .*out is a mount point, .*cannot be replaced; choose a new folder"):
+        Output(out, overwrite=True)
+    assert text_of(out) == "mine"

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from torchjoint.config import Config, presets
-from torchjoint.datasets.formats.cloud_alone import SUFFIXES
+from torchjoint.datasets.files.clouds import SUFFIXES
 from torchjoint.runtime.outputs import Output
 
 

@@ -1,27 +1,27 @@
-"""torchjoint demo: segments a generated scene."""
+"""torchjoint demo: segments the recording that comes with the package."""
 
 from __future__ import annotations
 
 import sys
+from importlib.resources import files
 from pathlib import Path
 
 from torchjoint import metrics
-from torchjoint.cli._demo_scene import SOURCE, demo_scene
 from torchjoint.cli._log import printed_log
 from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
 from torchjoint.cli.show import live_view, show_result
-from torchjoint.joint import JointSegmenter
-from torchjoint.results.folder import write_result
-from torchjoint.results.output_folder import output_folder
+from torchjoint.recordings import RecordingOptions, segment_recording
 from torchjoint.runtime.messages import say
-from torchjoint.runtime.stopwatch import Stopwatch
+
+#: The recording: a rendered room, in the format of torchjoint/datasets/formats/folder.py, with its truth.
+RECORDING = Path(str(files("torchjoint.models") / "demo"))
 
 
 def demo(
     out: Out = Path("torchjoint-demo"), parameters: Flat = DEFAULTS, overwrite: bool = False, show: bool = False
 ) -> None:
-    """Segments a generated synthetic scene and scores the result against its exact ground truth; needs no data.
+    """Segments the package's own recording of a rendered room, and scores the result against its truth.
 
     Args:
         out: folder for the result.
@@ -30,20 +30,25 @@ def demo(
         show: show the run, and then the result, in the browser, as `torchjoint segment --show` does.
     """
     view = live_view(show)
-    clock, config = Stopwatch(), parameters.config()
-    with output_folder(out, SOURCE, overwrite=overwrite) as partial:
-        assert partial is not None  # it is None only if a key is given
-        with clock("generate"):
-            synthetic = demo_scene()
-        with printed_log(), clock("segment"):
-            segmenter = JointSegmenter(config, allow_import=True)
-            for _ in segmenter.steps(synthetic.scene, progress=sys.stderr.isatty()):
-                if view is not None:
-                    view(segmenter, synthetic.scene)
-            result = segmenter.compute(progress=sys.stderr.isatty())
-        write_result(partial, synthetic.scene, result, config, SOURCE, seconds=clock.seconds)
+    say(f"segmenting {RECORDING}", flush=True)
+    with printed_log():
+        segmented = segment_recording(
+            RECORDING,
+            out,
+            parameters.config(),
+            RecordingOptions(),
+            overwrite=overwrite,
+            progress=sys.stderr.isatty(),
+            watch=view,
+            allow_import=True,
+        )
+    if segmented is None:
+        say(f"{out}: an earlier run was killed after it wrote the result; this result is now in its place")
+        return
+    result, segmenter, scene = segmented
     summarize(result, out)
-    in_3d = metrics.objects_and_parts(result.points, synthetic.point_labels)
-    covering = metrics.segmentation_covering(result.points, synthetic.point_labels)
-    say(f"against the truth, in 3D: covering {covering.symmetric:.2f}, F for objects and parts {in_3d.f:.2f}")
-    show_result(out, view, segmenter, synthetic.scene)
+    if scene.truth is not None and scene.truth.points is not None:
+        f = metrics.objects_and_parts(result.points, scene.truth.points).f
+        covering = metrics.segmentation_covering(result.points, scene.truth.points).symmetric
+        say(f"against the truth, in 3D: covering {covering:.2f}, F for objects and parts {f:.2f}")
+    show_result(out, view, segmenter, scene)

@@ -11,11 +11,13 @@ import tyro
 from torchjoint.results.box_edits import edits_of_boxes
 from torchjoint.results.boxes import read_boxes
 from torchjoint.results.edits import FILE, read_edits
+from torchjoint.results.folder import parts_of
 from torchjoint.results.loading import load_result
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.point_edits import edits_of_points, read_point_labels
 from torchjoint.results.shared_edits import save_edits
 from torchjoint.runtime.messages import say
+from torchjoint.runtime.outputs import check_no_input
 
 
 def edits(
@@ -35,6 +37,7 @@ def edits(
         file: .json of labelCloud (centroid_abs); .json of Segments.ai, a label of points or cuboids; .json of CVAT
             (annotations/default.json of format Datumaro 3D); or .txt of OpenPCDet's custom data sets.
     """
+    check_no_input(file, parts_of(result), "FILE")
     stored = load_result(result, edits=False)
     parts = Parts(stored)
     before = read_edits(result, parts.count)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from torchjoint.cli.arguments import output_file, output_files_in
+from torchjoint.datasets.files import las
 from torchjoint.results.exports import FORMATS, SUFFIXES
 from torchjoint.results.exports.boxes import export_labelcloud
-from torchjoint.results.folder import parts_of
+from torchjoint.results.folder import parts_of, read_source
+from torchjoint.results.labelled_file import label_file
 from torchjoint.results.loading import load_result
 from torchjoint.results.mask_report import select_masked
 from torchjoint.runtime.messages import say
@@ -47,7 +50,8 @@ def export(
     Args:
         result: folder that `torchjoint segment` wrote.
         format: coco: COCO's JSON of instances, for all images; sam: a JSON for each image, as in SA-1B; ply: a cloud
-            for each segment; las: the cloud with the extra dimension `label`; npz: all labels as arrays;
+            for each segment; las: the .las or .laz that was segmented, with all that it has, and the dimensions `label`
+            and `confidence` (other clouds: points, colours and these); npz: all labels as arrays;
             scannet: instances as its benchmark reads them, SCENE.txt and predicted_masks/; masks: the same as an
             archive with pred_masks, pred_score and pred_classes; openmask3d: SCENE_masks.pt and the saved embeddings,
             SCENE_openmask3d_features.npy; graph: what stands on what, as "relations" in RESULT/segments.json, without
@@ -83,6 +87,23 @@ def export(
     with made.written() as path:
         if format == "labelcloud":
             export_labelcloud(path, loaded, out.with_suffix(".ply"))
+        elif format == "las" and (survey := _survey(result)) is not None:
+            label_file(survey, path, loaded)
         else:
             FORMATS[format](path, loaded)
     say(out)
+
+
+def _survey(result: Path) -> Path | None:
+    """The .las or .laz that was segmented; None, with a warning, if it is not there any more; None for other inputs."""
+    source = Path(read_source(result))
+    if source.suffix.lower() not in las.SUFFIXES:
+        return None
+    if source.is_file():
+        return source
+    warnings.warn(
+        f"{source}: not there any more; OUT has points, colours and labels, but no coordinate system and no other "
+        "dimension; `torchjoint label RESULT FILE -o OUT.laz` puts the labels into the file where it is now",
+        stacklevel=3,
+    )
+    return None

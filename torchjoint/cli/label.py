@@ -1,4 +1,4 @@
-"""torchjoint label: puts the labels of a result into a cloud, a mesh or Gaussian splats."""
+"""torchjoint label: puts the labels of a result into a cloud, a survey, a mesh or Gaussian splats."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from torchjoint.cli.arguments import output_file, output_files_in
+from torchjoint.datasets.files import las
 from torchjoint.results.folder import parts_of
 from torchjoint.results.labelled_file import label_file, part_files
 from torchjoint.results.loading import load_result
@@ -22,25 +23,26 @@ def label(
     name: str = "label",
     overwrite: bool = False,
 ) -> None:
-    """Puts the labels of a result into the file of a cloud, a mesh or Gaussian splats.
+    """Puts the labels of a result into the file of a cloud, a survey, a mesh or Gaussian splats.
 
     Each vertex gets the label of the nearest point of RESULT.
 
     Args:
         result: folder that `torchjoint segment` wrote.
-        file: a .ply, .obj, .glb, .gltf, .off or .stl in the frame of RESULT; mostly the file that was segmented. All
-            but .ply need `pip install 'torchjoint[mesh]'`.
-        out: .ply: FILE with labels of its vertices and triangles; all else in a .ply stays, to the byte. .glb: the mesh
-            in the colours of the segments, one node for each. A folder: a .ply for each segment, with all properties
+        file: a .ply, .las, .laz, .obj, .glb, .gltf, .off or .stl in the frame of RESULT; mostly the file that was
+            segmented. .las and .laz need `pip install 'torchjoint[las]'`, meshes `'torchjoint[mesh]'`.
+        out: .ply: FILE with labels of its vertices and triangles; all else in a .ply stays, to the byte. .las, .laz:
+            FILE with the dimensions `label` and `confidence`; coordinate system and all else stay. .glb: the mesh in
+            the colours of the segments, one node for each. A folder: a .ply for each segment, with all properties
             of FILE's vertices.
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); needs a result of method learned.
-        name: of the property of the labels in a .ply.
+        name: of the property of the labels in a .ply, or of the dimension in a .las.
         overwrite: replace OUT; a folder must hold nothing but .ply files.
     """
     loaded = load_result(result)
     if granularity is not None:
         loaded = loaded.at(granularity)
-    is_file = out.suffix.lower() in (".ply", ".glb")
+    is_file = out.suffix.lower() in (".ply", ".glb", *las.SUFFIXES)
     inputs = (file, *parts_of(result))
     made = output_file(out, overwrite, inputs) if is_file else output_files_in(out, (".ply",), overwrite, inputs)
     if not name.isidentifier():

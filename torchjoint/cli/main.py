@@ -5,7 +5,7 @@ from __future__ import annotations
 from torchjoint.cli.commands import Command, run
 
 COMMANDS = {
-    "demo": Command("torchjoint.cli.demo:demo", "segments a generated room, and scores it; needs no data"),
+    "demo": Command("torchjoint.cli.demo:demo", "segments a rendered room, and scores it; needs no data"),
     "segment": Command("torchjoint.cli.segment:segment", "segments a recording: posed frames, with or without a cloud"),
     "batch": Command("torchjoint.cli.batch:batch", "segments any number of recordings over many workers"),
     "live": Command("torchjoint.cli.live:live", "plays a recording with depth, and segments what was seen so far"),

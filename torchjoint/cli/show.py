@@ -18,7 +18,6 @@ import torch
 import tyro
 from torch import Tensor
 
-from torchjoint.cli._demo_scene import SOURCE, demo_scene
 from torchjoint.cli.arguments import output_file
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
@@ -130,11 +129,8 @@ def _read(out: Path, truth: bool) -> Result:
 
 
 def _scene_of(out: Path) -> Scene:
-    """Reads the scene of a result, or makes that of the demo again; a fused cloud is taken from the result."""
-    source = read_source(out)
-    if source == SOURCE:
-        return demo_scene().scene
-    recording = Path(source)
+    """Reads the scene of a result; a fused cloud is taken from the result."""
+    recording = Path(read_source(out))
     if not is_there(recording):
         raise FileNotFoundError(f"--truth: expected the recording of this result, {recording}; it does not exist")
     return load_scene(recording, cloud=next(iter(sorted(out.glob("cloud-*mm.ply"))), None))

@@ -19,6 +19,7 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.oversegmentation import superpoints as segment
 from torchjoint.runtime.messages import say
 from torchjoint.scene import Scene
+from torchjoint.scene.checks import kept_points
 from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.run import is_las
 
@@ -92,7 +93,8 @@ def superpoints(
     pictured = output_file(png, overwrite, (cloud,)) if picture else None
     config = SuperpointsConfig.from_preset(preset).set(set)
     row = int(columns) if columns and columns.isdecimal() else columns
-    read = read_cloud_file(cloud, row, "keep" if drop_invalid else "refuse")
+    read = read_cloud_file(cloud, row, "keep")
+    kept_points(read.points, str(cloud), "keep" if drop_invalid else "refuse")  # an error names the file
     mesh = read.faces if config.weight == "segmentator" else None
     of_rows = segment(
         read.points,

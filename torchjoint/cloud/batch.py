@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.scene import Cloud
-from torchjoint.scene.checks import kept_points
+from torchjoint.scene.checks import Beams, Invalid, kept_points
 
 
 def split_batch(
@@ -49,6 +49,7 @@ def split_batch(
 
 
 def without_invalid(
+    invalid: Invalid,
     points: Tensor,
     colors: Tensor | None,
     normals: Tensor | None,
@@ -57,9 +58,10 @@ def without_invalid(
     ptr: Tensor | None,
     viewpoint: Tensor | None,
 ) -> tuple[Tensor, list[Tensor | None]]:
-    """A batch without the points that are NaN or infinite, and without edges and triangles to them.
+    """A batch without the points that are NaN or infinite, beams without return, and edges and triangles to them.
 
     Args:
+        invalid: what becomes of points that are NaN or infinite.
         points: [N, 3] metres.
         colors, normals, edges, faces, ptr, viewpoint: as of :func:`torchjoint.superpoints`.
 
@@ -73,7 +75,8 @@ def without_invalid(
         raise TypeError(f"points: expected a torch.Tensor, got {type(points).__name__}")
     if points.ndim != 2:
         raise ValueError(f"points: expected shape [N, 3], got {list(points.shape)}")
-    num_points, valid = len(points), kept_points(points, "points", "drop")
+    beams: Beams = "drop many" if edges is None and faces is None else "keep"
+    num_points, valid = len(points), kept_points(points, "points", invalid, beams)
     first = torch.cat([torch.zeros(1, dtype=torch.int64), valid.cumsum(0)])  # kept points before each point
     graphs = []
     for name, given in (("edges", edges), ("faces", faces)):

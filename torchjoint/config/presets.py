@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import yaml
 
 from torchjoint.runtime import bounds
-from torchjoint.runtime.foreign_files import read_text
+from torchjoint.runtime.foreign_files import damage_is, read_text
 
 T = TypeVar("T")
 
@@ -73,17 +73,13 @@ def read_assignment(assignment: str, form: str = "parameter") -> tuple[str, Any]
     name = name.strip()
     if not equals or not name or form.count(".") != name.count("."):
         raise ValueError(f"--set: expected {form}=value, got {assignment!r}")
-    try:
+    with damage_is(f"{name}: expected a value, got {text!r}", yaml.YAMLError):
         return name, yaml.load(text, _Loader)
-    except (yaml.YAMLError, RecursionError):
-        raise ValueError(f"{name}: expected a value, got {text!r}") from None
 
 
 def _parse(text: str, source: str, make: Callable[[Mapping[str, Any]], T], form: str) -> T:
-    try:
+    with damage_is(f"{source}: not valid YAML", yaml.YAMLError):  # such as a date or a number that cannot be
         values = yaml.load(text, _Loader)
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ValueError(f"{source}: not valid YAML: {error}") from error
     if values is not None and not isinstance(values, dict):
         raise ValueError(f"{source}: expected {form}, got a {type(values).__name__}")
     try:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from torchjoint.datasets.formats import FORMATS, Format
 from torchjoint.datasets.recording import Options
-from torchjoint.runtime.foreign_files import has_file, has_folder, is_there
+from torchjoint.runtime.foreign_files import has_file, has_folder, is_there, or_unreadable
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
 
@@ -27,6 +27,7 @@ def load_scene(
     drop_invalid: bool = False,
     least_opacity: float = 0.1,
     fuse: bool = True,
+    format: str | None = None,
 ) -> Scene:
     """Loads a scene; detects its format. Frames are read from disk on access.
 
@@ -45,6 +46,8 @@ def load_scene(
             error.
         least_opacity: Gaussian splats whose opacity is smaller are no part of the cloud, in [0, 1].
         fuse: False: a recording without a cloud gets a single point in its place, for those who need the frames alone.
+        format: a name of `FORMATS`, if the format that is detected is not the right one: "cloud_alone" reads a file as
+            points without images.
 
     Returns:
         The scene; `scene.truth` holds the ground-truth instances, if the data set has any.
@@ -69,15 +72,21 @@ def load_scene(
         least_opacity,
         fuse,
     )
-    for module in FORMATS.values():
+    if format is not None and format not in FORMATS:
+        raise ValueError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
+    for module in FORMATS.values() if format is None else [FORMATS[format]]:
         if module.recognizes(path):
             return module.load(path, options)
+    if format is not None:
+        raise ValueError(f"scene: {path} is not of format {format}, which needs {FORMATS[format].WHAT}")
     some = ", ".join(str(one) for one in list(list_scenes(path).values())[:3])
     raise ValueError(f"scene: {path} is a data set; choose one of its scenes, such as {some}")
 
 
 def list_scenes(path: str | Path) -> dict[str, Path]:
     """Returns the scenes of a data set: their paths, for :func:`load_scene`, by name. A path may be a single scene.
+
+    Links inside that lead nowhere are returned, too: a scene may be lost, and loading it raises the error.
 
     Raises:
         FileNotFoundError: there is no such path.
@@ -102,8 +111,12 @@ def _find_scenes(path: Path) -> dict[str, Path]:
         found: dict[str, Path] = getattr(module, "scenes", lambda _: {})(path)
         if found:
             return found
-    folders = sorted(one for one in path.iterdir() if has_folder(one)) if has_folder(path) else []
-    return {one.name: one for one in folders if any(module.recognizes(one) for module in FORMATS.values())}
+    inside = sorted(path.iterdir()) if has_folder(path) else []
+    return {one.name: one for one in inside if or_unreadable(_is_folder_of_scene, one)}
+
+
+def _is_folder_of_scene(path: Path) -> bool:
+    return has_folder(path) and any(module.recognizes(path) for module in FORMATS.values())
 
 
 def _content(path: Path) -> str:

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from torch import Tensor
 
+from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.datasets.files.readers import fingerprint, read_cloud
+from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.runtime.files import cache_folder
 from torchjoint.runtime.foreign_files import has_file
@@ -32,7 +33,7 @@ def fuse_or_recall(
     file = _file(path, voxel_size)
     if file is not None and has_file(file):
         try:
-            points, colors, _ = read_cloud(file)
+            points, colors = read_cloud_file(file)[:2]
             return points.float(), colors
         except ValueError:
             pass  # a damaged file is written anew

@@ -9,10 +9,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.datasets.files.readers import read_cloud
 from torchjoint.datasets.fused_clouds import fuse_or_recall
 from torchjoint.runtime.foreign_files import has_file
+from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.camera import camera_center
 from torchjoint.scene.checks import Invalid
@@ -43,13 +44,15 @@ def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, cloud
     """
     file = find_cloud(path, options, clouds)
     if file is not None:
-        points, colors, normals = read_cloud(file, options.invalid, options.least_opacity)
-        return Scene(points, frames, colors, normals, name=path.name)
+        cloud = read_cloud_file(file, invalid=options.invalid, least_opacity=options.least_opacity)
+        return Scene(cloud.points, frames, cloud.colors, cloud.normals, name=path.name)
     if not options.fuse:
         return Scene(torch.zeros(1, 3), frames, name=path.name)
+    made = None if options.cloud is None else Output(options.cloud, overwrite=False, option="cloud")
     points, colors = fuse_or_recall(path, frames, options.voxel_size, options.progress)
-    if options.cloud is not None:
-        write_cloud(options.cloud, points, colors)
+    if made is not None:
+        with made.written() as file:
+            write_cloud(file, points, colors)
     return Scene(points, frames, colors, name=path.name)
 
 

@@ -1,7 +1,8 @@
-"""Poses of the sensors of a ROS recording, from the tree of tf, or from odometry and the fixed part of the tree."""
+"""Poses of the sensors of a ROS recording: of the tree of tf, or of another topic and the fixed part of the tree."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,7 +13,15 @@ from torch import Tensor
 from torchjoint.datasets.files.ros_bag import Bag
 from torchjoint.datasets.pose_interpolation import interpolate_poses
 
-TF, ODOMETRY = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), ("nav_msgs/msg/Odometry",)
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+#: Other topics with poses, the better ones first: those that name the frame that they place.
+ODOMETRY = (
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/TransformStamped",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "nav_msgs/msg/Path",
+)
 #: A chain of more frames than this is taken for a cycle.
 _DEEPEST = 64
 
@@ -37,7 +46,15 @@ class Poses:
 
     def moves(self, frame: str) -> bool:
         """Whether a frame moves in the world: its transform, or one above it in the tree, changes over time."""
-        return any(not self._fixed[one] for one in self._chain(frame))
+        return any(len({tuple(row[1:]) for row in self._rows[one].values()}) > 1 for one in self._chain(frame))
+
+    def names(self, frame: str) -> bool:
+        """Whether there is a transform of this frame."""
+        return bool(self._chain(frame))
+
+    def root(self, frame: str) -> str:
+        """The frame at the root of a frame's tree."""
+        return self._parents[chain[-1]] if (chain := self._chain(frame)) else frame.lstrip("/")
 
     def world_from(self, frame: str, times: Sequence[float]) -> list[Tensor | None]:
         """The poses [4, 4] float64, world from frame, at each time; None where no transform is near enough in time."""
@@ -50,13 +67,24 @@ class Poses:
             poses = [None if a is None or b is None else a @ b for a, b in zip(step, poses, strict=True)]
         return poses
 
-    def add_odometry(self, topic: str) -> None:
-        """Takes the poses of a frame from odometry instead of from tf."""
+    def add_odometry(self, topic: str, frame: str) -> None:
+        """Takes poses from a topic of a type in ODOMETRY instead of from tf.
+
+        Poses that do not name the frame that they place are those of the frame at the root of `frame`'s tree, which a
+        warning tells.
+        """
         messages = list(self.bag.messages(topic))
-        for child in {message.child_frame_id.lstrip("/") for message in messages}:
+        if messages and hasattr(messages[-1], "poses"):
+            messages = messages[-1].poses
+        body = self.root(frame)
+        children = [getattr(message, "child_frame_id", "").lstrip("/") or body for message in messages]
+        if body in children and not hasattr(messages[0], "child_frame_id"):
+            warnings.warn(f"{self.bag.path}: the poses of {topic} are taken as those of frame {body}", stacklevel=4)
+        for child in set(children):
             self._rows.pop(child, None)
-        for message in messages:
-            self._add(message.header, message.child_frame_id, message.pose.pose, False)
+        for child, message in zip(children, messages, strict=True):
+            transform = message.transform if hasattr(message, "transform") else message.pose
+            self._add(message.header, child, getattr(transform, "pose", transform), False)
 
     def _chain(self, frame: str) -> list[str]:
         """A frame and the frames above it in the tree, without the root."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -29,6 +31,27 @@ class Shot(NamedTuple):
         """Reads the frame."""
         depth = read_depth(self.depth, self.unit) if self.depth is not None and has_file(self.depth) else None
         return self.camera.frame(read_image(self.color, self.camera.size), self.world_to_camera, depth, self.name)
+
+
+def tell_left_out(name: str, left: int, total: int, why: str = "have no pose") -> None:
+    """Warns of images that are left out; readers of all formats tell it with these words."""
+    if left:
+        warnings.warn(f"{name}: {left} of {total} images {why} and are left out", stacklevel=4)
+
+
+def tell_unlisted(name: str, files: Sequence[Path]) -> None:
+    """Warns of images beside those with a pose, `files`, which a list of poses does not name: they are left out.
+
+    An image is one of theirs if it differs in its number only.
+    """
+    kinds = {(file.parent, _without_number(file)) for file in files}
+    folders, used = {file.parent for file in files}, set(files)
+    beside = {one for folder in folders for one in folder.iterdir() if (folder, _without_number(one)) in kinds}
+    tell_left_out(name, len(beside - used), len(beside | used))
+
+
+def _without_number(file: Path) -> str:
+    return re.sub(r"\d+", "#", file.name)
 
 
 def read_shots(shots: Sequence[Shot]) -> LazySequence[Frame]:

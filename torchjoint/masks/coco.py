@@ -34,7 +34,7 @@ def from_coco(
     Masks(1 masks, 2 x 4 pixels, 50% covered)
     """
     scores = torch.tensor([_score(annotation, f"annotations[{index}]") for index, annotation in enumerate(annotations)])
-    check_declared((annotation["segmentation"] for annotation in annotations), "annotations")
+    check_declared((annotation["segmentation"] for annotation in annotations), size, "annotations")
     masks = (
         pixels_of(annotation["segmentation"], size, f"annotations[{index}]'s segmentation")
         for index, annotation in enumerate(annotations)

@@ -67,6 +67,8 @@ def read_masks(path: Path | str) -> Masks:
 def save_masks(path: Path | str, masks: Masks) -> None:
     """Writes masks for :func:`read_masks`, compressed, to a temporary file that is then renamed; makes the folder.
 
+    An earlier file is replaced, as NumPy does.
+
     Raises:
         ValueError: the file name does not end with .npz.
     """

@@ -33,7 +33,7 @@ def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None 
         raise TypeError(f"records: expected a list of dicts, got {type(records).__name__}")
     names = [f"records[{index}]" for index in range(len(records))]
     scores = torch.tensor([_score(record, name) for record, name in zip(records, names, strict=True)])
-    check_declared((record["segmentation"] for record in records), "records")
+    check_declared((record["segmentation"] for record in records), size, "records")
     masks = (_pixels(record, size, name) for record, name in zip(records, names, strict=True))
     return merged(masks, len(records), size, scores, "records")
 

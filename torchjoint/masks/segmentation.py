@@ -14,7 +14,7 @@ import numpy.typing as npt
 from torch import Tensor
 
 from torchjoint.masks.arrays import as_binary
-from torchjoint.masks.polygon import Window, polygon_pixels
+from torchjoint.masks.polygon import polygon_pixels, work_of
 from torchjoint.masks.rle import declared_pixels, rle_pixels
 from torchjoint.runtime import bounds
 from torchjoint.scene.masks import Masks
@@ -56,7 +56,12 @@ def pixels_of(segmentation: Any, size: Size | None, name: str) -> Pixels:
 
 def _filled(polygons: Sequence[Any], size: Size, name: str) -> npt.NDArray[np.int64]:
     """The pixels whose centres lie in one of the polygons; COCO's pixel centres have coordinates that end with .5."""
-    found, area = [], 0
+    pixels = [np.empty(0, np.int64), *(polygon_pixels(corners, size) for corners in _corners(polygons, name))]
+    return pixels[-1] if len(pixels) <= 2 else np.unique(np.concatenate(pixels))
+
+
+def _corners(polygons: Sequence[Any], name: str) -> Iterator[npt.NDArray[np.float64]]:
+    """The corners [C, 2] of each polygon; integers are the centres of pixels."""
     for polygon in polygons:
         try:
             corners = np.array(polygon, dtype=np.float64)
@@ -66,22 +71,26 @@ def _filled(polygons: Sequence[Any], size: Size, name: str) -> npt.NDArray[np.in
             raise ValueError(
                 f"{name}: expected polygons x, y, x, y, ... of at least 3 finite corners, got {corners.shape} numbers"
             )
-        corners = corners.reshape(-1, 2) - 0.5
-        height, width = Window(corners, size).size
-        area += height * width
-        bounds.check(area, bounds.INSIDE, "pixels around polygons", name)
-        found.append(corners)
-    pixels = [np.empty(0, np.int64), *(polygon_pixels(corners, size) for corners in found)]
-    return pixels[-1] if len(pixels) <= 2 else np.unique(np.concatenate(pixels))
+        yield corners.reshape(-1, 2) - 0.5
 
 
-def check_declared(segmentations: Iterable[Any], name: str) -> None:
-    """Checks how many pixels all run lengths of an image declare, before any of them is unpacked.
+def check_declared(segmentations: Iterable[Any], size: Size | None, name: str) -> None:
+    """Checks how much work all run lengths and polygons of an image declare, before any of them is unpacked.
 
     Raises:
-        ValueError: too many.
+        ValueError, TypeError: too much, or as :func:`pixels_of`.
     """
-    inside = sum(declared_pixels(one, name) for one in segmentations if isinstance(one, Mapping))
+    inside = around = rows = 0
+    for index, one in enumerate(segmentations):
+        if isinstance(one, Mapping):
+            inside += declared_pixels(one, name)
+        elif isinstance(one, (list, tuple)) and size is not None:
+            bounds.check_pixels(*size, "size")
+            for corners in _corners(one, f"{name}[{index}]'s segmentation"):
+                of_window, of_edges = work_of(corners, size)
+                around, rows = around + of_window, rows + of_edges
+                bounds.check(around, bounds.INSIDE, "pixels around polygons", name)
+                bounds.check(rows, bounds.EDGE_ROWS, "rows of all edges", name)
     bounds.check(max(0, inside), bounds.INSIDE, "pixels in all masks", name)
 
 

@@ -1,1 +1,1 @@
-"""The trained models that come with the package, and their cards."""
+"""Data that come with the package: trained models and their card; the demo's recording, demo/."""

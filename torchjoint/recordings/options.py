@@ -30,6 +30,7 @@ class RecordingOptions:
         drop_invalid: leave out the points that are NaN or infinite, and tell their number; else they are an error.
         least_opacity: of Gaussian splats (a .ply), 0 to 1: fainter ones are no part of the cloud. `torchjoint label`
             gives them labels.
+        format: of `torchjoint formats`, if the one that is detected is not the right one: cloud_alone.
     """
 
     voxel_size: float = 0.02
@@ -43,6 +44,7 @@ class RecordingOptions:
     ignore_poses: bool = False
     drop_invalid: bool = False
     least_opacity: float = 0.1
+    format: str | None = None
 
     def check(self, config: Config) -> None:
         """Raises ValueError if an option is out of range, or does not fit the parameters."""
@@ -64,6 +66,7 @@ class RecordingOptions:
         """The options that change the state of a run, as text."""
         return (
             f"{self.max_frames} {self.in_view} {self.thin} {self.merge_within} {self.drop_invalid} {self.least_opacity}"
+            f"{'' if self.format is None else f' {self.format}'}"
         )
 
     def cut_down(self, scene: Scene) -> Scene:

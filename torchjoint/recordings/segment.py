@@ -170,6 +170,7 @@ def _load(path: Path, partial: Path, options: RecordingOptions, progress: bool) 
         time_limit=options.time_limit,
         drop_invalid=options.drop_invalid,
         least_opacity=options.least_opacity,
+        format=options.format,
     )
     if fused.is_file() and not is_whole:
         checksum.parent.mkdir(exist_ok=True)

@@ -87,7 +87,7 @@ class Embeddings:
         return Embeddings(functional.normalize(sums, dim=1), labels)
 
     def save(self, path: str | Path) -> None:
-        """Writes an .npz archive with the arrays `vectors` and `labels`.
+        """Writes an .npz archive with the arrays `vectors` and `labels`. An earlier file is replaced, as NumPy does.
 
         Args:
             path: the file; or a result's folder: then :func:`torchjoint.load_result` finds the vectors again, and

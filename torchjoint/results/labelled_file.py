@@ -1,4 +1,4 @@
-"""Puts the labels of a result into the file of a cloud, a mesh or Gaussian splats (output after step 8).
+"""Puts the labels of a result into the file of a cloud, a survey, a mesh or Gaussian splats (output after step 8).
 
 Each vertex, and each face at its centre, gets the label of the nearest point of the result. So the file may have more
 vertices than the result has points: those that were thinned out, faint splats, the corners of large triangles.
@@ -13,36 +13,55 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import meshes
-from torchjoint.datasets.files.ply import Ply, read_ply, write_cloud
-from torchjoint.datasets.files.ply_records import PlyRecords, parse_records, read_records, write_bytes
+from torchjoint.datasets.files import las, meshes
+from torchjoint.datasets.files.columns import CloudFile
+from torchjoint.datasets.files.ply import (
+    PlyRecords,
+    parse_records,
+    read_ply,
+    read_records,
+    write_bytes,
+    write_cloud,
+)
 from torchjoint.results.label_colors import label_colors
+from torchjoint.results.labelled_las import check_dimension, write_labelled
 from torchjoint.results.result import Result
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import file_name
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.threads import on_cpu
+from torchjoint.scene.checks import without_return
 
 #: If half of the vertices are farther from the result than this share of its diagonal, the file is of another place.
 FAR = 0.25
 
 
 def nearest_labels(result: Result, points: Tensor) -> Tensor:
-    """The label of the result's point nearest to each of these points.
+    """The label [M] int64 of the result's point nearest to each of M points; -1 where a point is not finite.
+
+    Arguments and errors as of :func:`nearest_points`.
+    """
+    return torch.cat([result.points, result.points.new_full((1,), -1)])[nearest_points(result, points)]
+
+
+def nearest_points(result: Result, points: Tensor) -> Tensor:
+    """The result's point nearest to each of these points.
 
     Args:
         result: a result.
         points: [M, 3] metres, in the frame of the result's cloud.
 
     Returns:
-        [M] int64; -1 where a point is not finite.
+        [M] int64, their numbers; -1 where a point is not finite, or a beam without return.
 
     Raises:
         ValueError: half of the points are far from the result.
     """
     own, finite = result.scene.points, points.isfinite().all(1)
+    if not bool(without_return(own).any()):
+        finite &= ~without_return(points)
     if points.shape == own.shape and torch.equal(points.double(), own.double()):
-        return result.points.clone()
+        return torch.arange(len(own))
     from scipy.spatial import cKDTree
 
     distance, index = cKDTree(own.double().numpy()).query(points[finite].double().numpy(), workers=-1)
@@ -52,9 +71,21 @@ def nearest_labels(result: Result, points: Tensor) -> Tensor:
             f"expected vertices near the result's points, got half of them farther than {np.median(distance):.3g} m; "
             "is the file of another place, or in another frame?"
         )
-    labels = torch.full((len(points),), -1)
-    labels[finite] = result.points[torch.from_numpy(index)]
-    return labels
+    found = torch.full((len(points),), -1)
+    found[finite] = torch.from_numpy(index)
+    return found
+
+
+def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
+    check_dimension(source, name)
+    points = las.read_las(source).points
+    with damage_is(str(source)):
+        nearest = nearest_points(result, points)
+    columns = {name: torch.cat([result.points, result.points.new_full((1,), -1)])[nearest].int().numpy()}
+    sure = result.point_confidence
+    if sure is not None:
+        columns["confidence"] = torch.cat([sure, sure.new_zeros(1)])[nearest].float().numpy()
+    write_labelled(source, out, columns)
 
 
 @on_cpu()
@@ -65,17 +96,26 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
       have the property if all are triangles.
     * Another mesh as OUT.ply has positions, colours, triangles and labels.
     * OUT.glb is the mesh in the colours of the segments, with a node for each, which has the segment's name.
+    * A .las or .laz as OUT.las or OUT.laz is the same file, with the dimension `name` (int32), and `confidence`
+      (float32), if the result has one. Coordinate system, records and all other dimensions stay.
 
     Args:
-        source: a .ply, .obj, .glb, .gltf, .off or .stl file in the frame of the result's cloud.
-        out: a .ply or .glb file.
+        source: a .ply, .obj, .glb, .gltf, .off, .stl, .las or .laz file in the frame of the result's cloud.
+        out: a .ply, .glb, .las or .laz file.
         result: the result.
         name: of the property.
 
     Raises:
-        ModuleNotFoundError: trimesh is not installed; a .ply as .ply does not need it.
+        ModuleNotFoundError: trimesh or laspy is not installed; a .ply as .ply does not need them.
         FileNotFoundError, ValueError: the message names the file and its error.
     """
+    is_survey = [file.suffix.lower() in las.SUFFIXES for file in (source, out)]
+    if is_survey[0] != is_survey[1]:
+        raise ValueError(f"{out}: expected .las or .laz for {source.name}" if is_survey[0] else
+                         f"{source}: expected .las or .laz for {out.name}")  # fmt: skip
+    if is_survey[0]:
+        _label_survey(source, out, result, name)
+        return
     mesh = _read(source)
     with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
@@ -117,7 +157,7 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
             file.write_bytes(parts.some_vertices(which.numpy(), triangles))
 
 
-def _read(source: Path) -> Ply:
+def _read(source: Path) -> CloudFile:
     suffix = source.suffix.lower()
     if suffix not in (".ply", *meshes.SUFFIXES):
         raise ValueError(f"{source}: expected a file that ends in {', '.join(('.ply', *meshes.SUFFIXES))}")
@@ -129,20 +169,20 @@ def _stem(segment: int, result: Result) -> str:
     return f"{segment:06d}" if name is None else file_name(f"{segment:06d}-{name}")
 
 
-def _write_mesh(out: Path, mesh: Ply, of_vertex: Tensor, of_face: Tensor | None, name: str) -> None:
+def _write_mesh(out: Path, mesh: CloudFile, of_vertex: Tensor, of_face: Tensor | None, name: str) -> None:
     every = np.ones(len(mesh.points), dtype=np.bool_)
     whole = _vertices(mesh).some_vertices(every, None if mesh.faces is None else mesh.faces.numpy())
     labels = {"vertex": of_vertex.numpy()} | ({} if of_face is None else {"face": of_face.numpy()})
     write_bytes(out, parse_records(whole).with_labels(name, labels))
 
 
-def _vertices(mesh: Ply) -> PlyRecords:
+def _vertices(mesh: CloudFile) -> PlyRecords:
     with tempfile.TemporaryDirectory() as temporary:
         write_cloud(Path(temporary) / "mesh.ply", mesh.points, mesh.colors)
         return read_records(Path(temporary) / "mesh.ply")
 
 
-def _write_glb(out: Path, mesh: Ply, of_face: Tensor | None, result: Result) -> None:
+def _write_glb(out: Path, mesh: CloudFile, of_face: Tensor | None, result: Result) -> None:
     if mesh.faces is None or of_face is None:
         raise ValueError("expected a mesh with faces, for a .glb, got vertices only")
     with needed_for(".glb files", "trimesh", "torchjoint[mesh]"):

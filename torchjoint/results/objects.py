@@ -18,6 +18,7 @@ from torchjoint.results.upright import up_direction
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import no_link, write_text
 from torchjoint.runtime.foreign_files import damage_is, read_json
+from torchjoint.runtime.locks import lock
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene, Segmentation
 
@@ -125,11 +126,13 @@ def add_to_segments(folder: Path, values: dict[str, Any], rows: Mapping[int, int
 
     Raises:
         FileNotFoundError, ValueError: as :func:`read_segments`.
+        BusyError: another program writes there at this moment.
     """
-    head, _ = read_segments(folder)
-    row = (lambda one: {}) if rows is None else (lambda one: {"embedding": rows.get(one["id"])})
-    segments = [one | row(one) for one in head.pop("segments")]
-    _write(folder, head | values, segments)
+    with lock(folder / f".{FILE}.lock", f"{folder / FILE}: another program is writing it; save again"):
+        head, _ = read_segments(folder)
+        row = (lambda one: {}) if rows is None else (lambda one: {"embedding": rows.get(one["id"])})
+        segments = [one | row(one) for one in head.pop("segments")]
+        _write(folder, head | values, segments)
 
 
 def read_segments(folder: Path) -> tuple[dict[str, Any], Tensor]:

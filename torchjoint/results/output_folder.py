@@ -25,7 +25,7 @@ from torchjoint.results.edits import FILE as EDITS
 from torchjoint.runtime.files import no_link
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.locks import lock
-from torchjoint.runtime.outputs import Seen, check_no_input, check_unchanged, move_new, put, seen
+from torchjoint.runtime.outputs import Seen, check_no_input, check_unchanged, is_fixed, move_new, put, seen
 from torchjoint.runtime.work_folder import SOURCE, read_sealed, work_folder, write_sealed
 
 #: Files in a partial folder: the marker that it is complete; the marker that the earlier result has moved.
@@ -80,20 +80,6 @@ class _Places:
     def seen(self) -> Seen:
         """What stands at OUT, without the files of this module."""
         return seen(self.out, {path.name for path in self.own} if self.inside else ())
-
-
-def is_fixed(out: Path) -> bool:
-    """Whether a folder exists and cannot be renamed: a mount point, or in a read-only folder."""
-    return out.is_dir() and (_is_mount_point(out) or not os.access(out.parent, os.W_OK | os.X_OK))
-
-
-def _is_mount_point(path: Path) -> bool:
-    if os.path.ismount(path):
-        return True
-    mounts = Path("/proc/self/mountinfo")  # also lists bind mounts within one file system
-    lines = mounts.read_text(encoding="utf-8", errors="replace").splitlines() if mounts.is_file() else []
-    escaped = str(path).replace("\\", "\\134").replace(" ", "\\040").replace("\t", "\\011")
-    return any(line.split(" ")[4:5] == [escaped] for line in lines)
 
 
 def own_files(out: Path) -> set[Path]:

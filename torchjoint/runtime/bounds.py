@@ -29,6 +29,8 @@ ELEMENTS, PROPERTIES = 256, 4096
 LIST_ROWS = 1 << 24
 #: Values of the vertices and triangles of a mesh that stands at many places, beyond POINTS_PER_BYTE.
 INSTANCED = 16_000_000
+#: Pixels of all textures of a mesh together; and its vertices times its materials, each of which takes all vertices.
+TEXTURES, MATERIAL_STEPS = 1 << 29, 1 << 31
 #: Files of a recording that are looked through for changes.
 FILES = 1_000_000
 

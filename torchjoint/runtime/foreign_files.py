@@ -12,7 +12,7 @@ import stat
 import struct
 import tokenize
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
@@ -59,6 +59,14 @@ def has_folder(path: Path) -> bool:
     return mode is not None and stat.S_ISDIR(mode)
 
 
+def or_unreadable(is_one: Callable[[Path], bool], path: Path) -> bool:
+    """Whether a path is one of a list, or this cannot be known: who reads it gets the error, the others are read."""
+    try:
+        return is_one(path)
+    except ValueError:
+        return True
+
+
 def present(path: Path, expected: str) -> Path:
     """Returns the path of a file that must exist.
 
@@ -97,7 +105,7 @@ def read_text(path: Path, expected: str, most: int = bounds.TEXT_BYTES, *, error
     """Reads a text file (UTF-8) with any line ends; errors as of :func:`read_file`, also if it is no text."""
     data = read_file(path, expected, most)
     with damage_is(f"{path}: expected {expected} as text"):
-        text = data.decode("utf-8", errors)
+        text = data.decode("utf-8-sig", errors)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

@@ -142,6 +142,20 @@ def check_no_input(out: Path, inputs: Iterable[Path | None], option: str = "-o")
             raise ValueError(f"{option}: expected a folder that does not contain the input, {given}, got {out}")
 
 
+def is_fixed(out: Path) -> bool:
+    """Whether a folder exists and cannot be renamed: a mount point, or in a read-only folder."""
+    return out.is_dir() and (_is_mount_point(out) or not os.access(out.parent, os.W_OK | os.X_OK))
+
+
+def _is_mount_point(path: Path) -> bool:
+    if os.path.ismount(path):
+        return True
+    mounts = Path("/proc/self/mountinfo")  # also lists bind mounts within one file system
+    lines = mounts.read_text(encoding="utf-8", errors="replace").splitlines() if mounts.is_file() else []
+    escaped = os.path.abspath(path).replace("\\", "\\134").replace(" ", "\\040").replace("\t", "\\011")
+    return any(line.split(" ")[4:5] == [escaped] for line in lines)
+
+
 class Output:
     """A file or folder that a command writes when its work is done.
 
@@ -152,7 +166,7 @@ class Output:
         option: the name of `path` for messages.
 
     Raises:
-        FileExistsError: something stands there, and `overwrite` is False.
+        FileExistsError: something stands there, and `overwrite` is False, or it cannot be replaced.
         ValueError: it is an input.
     """
 
@@ -161,6 +175,9 @@ class Output:
         self.path, self._before = path, seen(path)
         if self._before and not overwrite:
             raise FileExistsError(f"{path}: exists already; choose another name with {option}, or --overwrite")
+        if is_fixed(path):
+            where = "is a mount point, or in a read-only folder"
+            raise FileExistsError(f"{option}: {path} {where}, and cannot be replaced; choose a new folder, also inside")
 
     @contextmanager
     def written(self) -> Iterator[Path]:

@@ -48,9 +48,12 @@ def one_thread_per_operation() -> Iterator[None]:
 def on_cpu() -> Iterator[None]:
     """Inside the block, or a function that it decorates, new tensors are on the CPU, whatever the default device.
 
-    Nor are they tensors of an inference mode around it, which nobody could change after it.
+    Nor are they tensors of an inference mode around it, which nobody could change after it; and an autocast around it
+    rounds nothing.
     """
     with ExitStack() as stack:
+        if torch.is_autocast_enabled("cpu"):
+            stack.enter_context(torch.autocast("cpu", enabled=False))
         if torch.is_inference_mode_enabled():
             stack.enter_context(torch.inference_mode(False))
             stack.enter_context(torch.no_grad())

@@ -13,10 +13,14 @@ from torch import Tensor
 
 #: What becomes of points that are NaN or infinite.
 Invalid = Literal["refuse", "drop", "keep"]
+Beams = Literal["keep", "drop many", "drop any"]
 
 #: Largest difference of R R^T from the identity, of det R from 1, and of the last row from 0 0 0 1, in a valid pose.
 #: Poses in text files have 7 digits. Poses that were averaged or interpolated wrongly have much larger differences.
 RIGID_TOLERANCE = 1e-3
+
+#: Fewer points at (0, 0, 0) than this are no beams without return, unless the points are known to be a scan.
+BEAMS = 10
 
 #: Largest coordinate, because squares of distances, and their sums, must fit into float32.
 LARGEST_COORDINATE = 1e12
@@ -42,25 +46,42 @@ def as_points(points: Tensor, name: str = "points") -> Tensor:
     return points
 
 
-def kept_points(points: Tensor, name: str, invalid: Invalid) -> Tensor:
+def without_return(points: Tensor, fewest: int | None = None) -> Tensor:
+    """Which points [N, 3] are exactly (0, 0, 0): beams without return, as many drivers of LiDARs write them; [N] bool.
+
+    Fewer than `fewest`, or all, are points as others are. Default: BEAMS, and one in a hundred.
+    """
+    none = ~points.any(1)
+    fewest = max(BEAMS, len(points) // 100) if fewest is None else fewest
+    return none if fewest <= int(none.sum()) < len(none) else torch.zeros_like(none)
+
+
+def kept_points(points: Tensor, name: str, invalid: Invalid, beams: Beams = "keep") -> Tensor:
     """Which points [N, 3] are kept, [N] bool.
 
     Args:
         points: [N, 3].
         name: begins the messages.
         invalid: what becomes of points that are NaN or infinite; "drop" warns of their number.
+        beams: what becomes of beams without return, see :func:`without_return`: they are kept; or left out, with a
+            warning, if they are many, or if there are any.
 
     Raises:
-        ValueError: there are such points, and they are refused; or there are no others.
+        ValueError: there are NaN or infinite points, and they are refused; or there are no others.
     """
     valid = torch.isfinite(points).all(1)
     bad = int((~valid).sum())
-    if bad == 0 or invalid == "keep":
-        return torch.ones_like(valid)
-    told = f"{name}: {bad} of {len(points)} points are NaN or infinite"
-    if invalid == "refuse" or bad == len(points):
-        raise ValueError(f"{told}; --drop-invalid (drop_invalid=True) leaves them out")
-    warnings.warn(f"{told}; they are left out", stacklevel=3)
+    if bad and invalid != "keep":
+        told = f"{name}: {bad} of {len(points)} points are NaN or infinite"
+        if invalid == "refuse" or bad == len(points):
+            raise ValueError(f"{told}; --drop-invalid (drop_invalid=True) leaves them out")
+        warnings.warn(f"{told}; they are left out", stacklevel=3)
+    elif bad:
+        valid = torch.ones_like(valid)
+    if beams != "keep" and bool((none := without_return(points, 1 if beams == "drop any" else None)).any()):
+        told = f"{name}: {int(none.sum())} of {len(points)} points are (0, 0, 0), beams without return"
+        warnings.warn(f"{told}; they are left out", stacklevel=3)
+        valid &= ~none
     return valid
 
 

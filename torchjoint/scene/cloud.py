@@ -62,13 +62,36 @@ class Cloud:
         return replace(self, colors=None)
 
 
+def full_brightness(largest: float, most: int | None = None) -> float:
+    """The number of full brightness among colours of one file, or of one tensor: 1, 255, 65535.
+
+    Many programs write 8 bits into wider integers.
+
+    Args:
+        largest: of the colours.
+        most: the largest integer of their type; None: they are floating.
+
+    >>> full_brightness(200, 65535), full_brightness(40000, 65535), full_brightness(200.0), full_brightness(0.9)
+    (255, 65535, 255, 1)
+    """
+    if most is None:
+        return 1 if largest < 2 else 255
+    wide = min(65535, most)
+    return 255 if largest <= 255 else wide if largest <= wide else most
+
+
 def _in_unit_range(colors: Tensor) -> Tensor:
-    """Floating colours of 0 to 255, divided by 255; any others as they are."""
-    if isinstance(colors, Tensor) and colors.is_floating_point() and colors.numel():
+    """Colours of 0 to 255, or of wider integers, divided by full brightness; others, and uint8, as they are."""
+    if not isinstance(colors, Tensor) or colors.dtype in (torch.uint8, torch.bool) or not colors.numel():
+        return colors
+    if colors.is_floating_point():
         low, high = map(float, colors.aminmax())
-        if low >= 0 and 2 <= high <= 255:
+        if low >= 0 and full_brightness(high) == 255 >= high:
             warnings.warn(f"colors: got values up to {high:g}; taken as 0 to 255, and divided by 255", stacklevel=4)
             return colors / 255
+    elif not colors.is_complex():
+        values = colors.double()
+        return values / full_brightness(float(values.max()), torch.iinfo(colors.dtype).max)
     return colors
 
 

@@ -3,7 +3,7 @@
 Read it in this order: :mod:`~torchjoint.tiles.survey` counts the points; :mod:`~torchjoint.tiles.plan` cuts the plane;
 :mod:`~torchjoint.tiles.spill` writes a file of points for each tile; :mod:`~torchjoint.tiles.tile` segments one tile;
 :mod:`~torchjoint.tiles.stitching` unites the superpoints that two tiles share, and decides where they disagree;
-:mod:`~torchjoint.tiles.labelled_las` writes the result; :mod:`~torchjoint.tiles.run` calls them.
+:mod:`~torchjoint.results.labelled_las` writes the result; :mod:`~torchjoint.tiles.run` calls them.
 """
 
 from __future__ import annotations

@@ -23,18 +23,20 @@ from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.engine import Engine, open_engine
+from torchjoint.results.labelled_las import check_dimension, write_labelled
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.locks import lock
 from torchjoint.runtime.outputs import Seen, check_no_input, put, seen, settle
 from torchjoint.runtime.work_folder import SOURCE, read_sealed, work_folder
-from torchjoint.tiles.labelled_las import check_dimension, write_labelled
 from torchjoint.tiles.plan import NARROWEST, plan_tiles
 from torchjoint.tiles.spill import point_type, spill_points, tile_file
 from torchjoint.tiles.stitching import stitch
 from torchjoint.tiles.survey import survey
 from torchjoint.tiles.tile import TileTask, read_own, read_shared, segment_tile
 
+#: The name of the new dimension.
+DIMENSION = "superpoint"
 #: Most points of a tile with its buffer: segmenting them takes about 0.7 GB.
 MOST_POINTS = 2_000_000
 COPC = ".copc.laz"
@@ -109,7 +111,7 @@ def superpoints_of_files(
     _check_sizes(tile, buffer)
     _check_output(cloud, files, out, overwrite)
     for file in files:
-        check_dimension(file)
+        check_dimension(file, DIMENSION)
     work = out.with_name(f"{out.name}.tiles")
     busy = f"{out}: another run is writing this result; wait for it, or choose another output"
     with lock(out.with_name(f".{out.name}.lock"), busy) as held:
@@ -197,13 +199,13 @@ def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | 
         if tile is not None and buffer is None:
             width = min(width, tile / NARROWEST)
         plan = plan_tiles(found, tile, width, MOST_POINTS)
-        _check_disk(work, found.num_points, found.white is not None)
+        _check_disk(work, found.num_points, found.whites is not None)
         with tqdm(total=found.num_points, desc="cut", unit="points", unit_scale=True, disable=_hidden(progress)) as bar:
             spill_points(files, found, plan, folder, bar.update)
         with atomic_write(marker) as partial:
             np.savez(
                 partial,
-                sizes=np.array([found.num_points, len(plan.tiles), found.white or 0]),
+                sizes=np.array([found.num_points, len(plan.tiles), 65535 if found.whites else 0]),
                 neighbors=np.array(plan.neighbors(found), np.int64).reshape(-1, 2),
                 metres=np.array([np.subtract(one.end, one.first) for one in plan.tiles]) * found.side,
                 buffer=np.array(plan.buffer),
@@ -275,7 +277,7 @@ def _write(
     with tqdm(total=len(labels), desc="write", unit="points", unit_scale=True, disable=_hidden(progress)) as bar:
         for file in files:
             name = _result_name(file) if cloud.is_dir() else out.name
-            first += write_labelled(file, made / name, labels[first:], bar.update)
+            first += write_labelled(file, made / name, {DIMENSION: labels[first:]}, bar.update)
 
 
 def _place(cloud: Path, out: Path, work: Path, before: Seen) -> None:

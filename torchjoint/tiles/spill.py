@@ -43,13 +43,13 @@ def spill_points(
     """
     corners = np.array([tile.first for tile in plan.tiles]) * survey.side + survey.origin[:2]
     alone = _cells_of_one_tile(survey, plan)
-    for first, points in read_points(files):
+    for first, points in read_points(files, survey.whites):
         row, tile, kind = _copies(points.xyz[:, :2], survey, plan, alone)
         starts = np.flatnonzero(np.diff(tile, prepend=-1))
         for start, end in zip(starts, [*starts[1:], len(tile)], strict=True):
             number = int(tile[start])
             corner = np.array([*corners[number], survey.origin[2]])
-            records = _records(points, row[start:end], kind[start:end], first, corner, survey.white is not None)
+            records = _records(points, row[start:end], kind[start:end], first, corner, survey.whites is not None)
             with tile_file(folder, number).open("ab") as stream:
                 stream.write(records.tobytes())
         progress(len(points.xyz))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -10,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.datasets.files.las import LasPoints, las_points, open_las, white_of
+from torchjoint.datasets.files.las import LasPoints, las_points, open_las
+from torchjoint.scene.cloud import full_brightness
 
 #: Mean number of points in a cell, and most cells: small enough to cut tiles along cells, and few enough for memory.
 POINTS, MOST_CELLS = 100, 4_000_000
@@ -23,7 +25,7 @@ class Survey(NamedTuple):
     origin: npt.NDArray[np.float64]  #: [3] metres, the lower corner of the grid, and the lowest height
     side: float  #: of a cell, metres
     counts: npt.NDArray[np.int64]  #: [columns, rows] points in each cell
-    white: int | None  #: the colour value of full brightness; None: there are no colours
+    whites: tuple[int, ...] | None  #: the colour value of full brightness of each file; None: there are no colours
 
     def cells(self, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
         """The column and row [n, 2] of the cell of each position [n, 2], or of the nearest cell if it is outside."""
@@ -35,16 +37,22 @@ class Survey(NamedTuple):
         return self.side / float(np.median(self.counts[self.counts > 0])) ** 0.5
 
 
-def read_points(files: Sequence[Path]) -> Iterator[tuple[int, LasPoints]]:
+def read_points(files: Sequence[Path], whites: Sequence[int] | None = None) -> Iterator[tuple[int, LasPoints]]:
     """Yields the points of all files in their order, in parts; with each part, the number of its first point.
+
+    Args:
+        files: of the cloud.
+        whites: of :class:`Survey`; colours then have 16 bits in all files.
 
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
     first = 0
-    for path in files:
+    for number, path in enumerate(files):
         with open_las(path) as reader:
             for points in las_points(reader, path):
+                if whites is not None and points.rgb is not None:
+                    points = points._replace(rgb=points.rgb * np.uint16(65535 // whites[number]))
                 if not np.isfinite(points.xyz).all():
                     raise ValueError(f"{path}: expected finite coordinates, got NaN or infinite ones")
                 yield first, points
@@ -103,15 +111,20 @@ def _grid(num_points: int, low: npt.NDArray[np.float64], high: npt.NDArray[np.fl
 
 def _count(files: Sequence[Path], grid: Survey) -> tuple[Survey, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """The grid with the number of points in each cell, and the corners of the box of the points."""
-    counts, num_points, largest = np.zeros(grid.counts.size, np.int64), 0, 0
+    counts, num_points, largest = np.zeros(grid.counts.size, np.int64), 0, dict.fromkeys(files, 0)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    colored = True
-    for _, (xyz, rgb) in read_points(files):
+    for path, (xyz, rgb) in ((one, points) for one in files for _, points in read_points([one])):
         cell = grid.cells(xyz[:, :2])
         counts += np.bincount(cell[:, 0] * grid.counts.shape[1] + cell[:, 1], minlength=len(counts))
         low, high = np.minimum(low, xyz.min(0)), np.maximum(high, xyz.max(0))
         num_points += len(xyz)
-        colored &= rgb is not None
-        largest = max(largest, 0 if rgb is None else int(rgb.max()))
-    white = white_of(largest) if colored else None
-    return grid._replace(num_points=num_points, counts=counts.reshape(grid.counts.shape), white=white), low, high
+        largest[path] = max(largest[path], 0 if rgb is None else int(rgb.max()))
+    bare = [path for path, value in largest.items() if not value]
+    if 0 < len(bare) < len(files):
+        warnings.warn(
+            f"{len(bare)} of {len(files)} files have no colours, so those of the others are not read: {bare[0]}"
+            f"{', ...' if len(bare) > 1 else ''}",
+            stacklevel=4,
+        )
+    whites = None if bare else tuple(int(full_brightness(value, 65535)) for value in largest.values())
+    return grid._replace(num_points=num_points, counts=counts.reshape(grid.counts.shape), whites=whites), low, high

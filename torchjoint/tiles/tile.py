@@ -51,7 +51,7 @@ def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -
     If a worker dies between these steps, another worker may get the tile; finished steps are not repeated.
 
     Args:
-        white: the colour value of full brightness, see :class:`~torchjoint.tiles.survey.Survey`.
+        white: the colour value of full brightness; None: there are no colours.
         config: parameters of the superpoints.
         task: the files.
     """

@@ -70,7 +70,7 @@ def benchmark(
     """
     if suite == "masks":
         sizes = {"scenes": scenes, "noise_seeds": noise_seeds, "domains": domains or None}
-        given = {name: value for name, value in sizes.items() if value is not None}
+        given = {name: value for name, value in sizes.items() if value is not None} | {"overwrite": overwrite}
         _benchmark_masks(out, methods, half, page, given, (data, settings, tuning))
         return
     for name, value in (("--scenes", scenes), ("--noise-seeds", noise_seeds), ("--domains", domains or None)):
@@ -203,4 +203,5 @@ def _check_page(page: Path | None, suite: str, is_whole: bool) -> None:
 def _fill(page: Path, part: str, text: str) -> None:
     """Replaces the text between a page's marks of this part."""
     pattern = re.compile(rf"(<!-- {part} -->\n).*?(<!-- end {part} -->)", flags=re.DOTALL)
-    write_text(page, pattern.sub(lambda m: f"{m[1]}{text}\n{m[2]}", page.read_text(encoding="utf-8")))
+    filled = pattern.sub(lambda m: f"{m[1]}{text}\n{m[2]}", page.read_text(encoding="utf-8"))
+    write_text(page.resolve(), filled)  # a link stays one

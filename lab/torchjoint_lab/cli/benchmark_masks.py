@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from torchjoint.cli.arguments import check_output
 from torchjoint.runtime.files import write_text
 from torchjoint_lab.benchmark.masks import TITLES, VIEWS, measure, report, runs
 
@@ -19,22 +20,23 @@ def benchmark_masks(
     domains: Sequence[str] = tuple(VIEWS),
     scenes: int = 4,
     noise_seeds: int = 4,
+    overwrite: bool = False,
 ) -> str:
     """Does the runs whose results are missing in the folder, writes table.md there, and returns the table.
 
     Raises:
         ValueError: an unknown method or domain, or a number below 1.
-        FileExistsError: `out` is not a folder.
+        FileExistsError: `out` is not a folder, or it has a table of no earlier start and `overwrite` is False.
     """
     if unknown := [name for name in methods if name not in TITLES]:
         raise ValueError(f"--methods: expected some of {', '.join(TITLES)}, got {unknown[0]!r}")
     todo = runs(half, scenes, noise_seeds, domains)
-    if out.exists() and not out.is_dir():
-        raise FileExistsError(f"-o: {out} exists and is not a folder")
     folder = out / "runs"
+    table = check_output(out, (TABLE,), overwrite or folder.is_dir())[TABLE]
     folder.mkdir(parents=True, exist_ok=True)
     chosen = [name for name in TITLES if not methods or name in methods]
     text = report(list(measure(todo, chosen, folder)), half)
-    write_text(out / TABLE, f"{text}\n")
+    with table.written() as path:
+        write_text(path, f"{text}\n")
     print(f"\n{text}\n\nwritten to {out}: {TABLE}; runs/ has the scores of each run; the next start reads them")
     return text

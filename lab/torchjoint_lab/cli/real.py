@@ -7,7 +7,9 @@ from typing import Annotated
 
 import tyro
 
+from torchjoint.cli.arguments import check_output
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.outputs import Output
 from torchjoint_lab.benchmark.real import Results, best_rival, measure, report
 from torchjoint_lab.benchmark.real_picture import draw_worst
 from torchjoint_lab.benchmark.real_scenes import find_real_scenes
@@ -21,6 +23,7 @@ def real(
     sets: tuple[str, ...] = (),
     runs: int = 4,
     rivals: int = 0,
+    overwrite: bool = False,
 ) -> None:
     """Scores the default on real recordings, most of them of kinds that no training has seen.
 
@@ -34,23 +37,29 @@ def real(
         sets: shelf, tote, rio, piles, trees, ycb, mosd, kitti, semantickitti, vod, argo, nuscenes; default: all.
         runs: number of runs of each scene.
         rivals: number of random settings of each simple method, whose best is a column of the table; 0: no such column.
+        overwrite: replace files in OUT that no earlier start has written.
     """
     for name, value, least in (("runs", runs, 1), ("rivals", rivals, 0)):
         if value < least:
             raise ValueError(f"--{name}: expected at least {least}, got {value}")
     scenes = find_real_scenes(data, sets)
-    if out.exists() and not out.is_dir():
-        raise FileExistsError(f"-o: {out} exists and is not a folder")
     folders = [out / name for name in ("runs", "rivals")]
+    files = check_output(out, (TABLE, PICTURE), overwrite or folders[0].is_dir(), (data,))
     for folder in folders:
         folder.mkdir(parents=True, exist_ok=True)
     results: Results = {}
     for of_scene in measure(scenes, runs, folders[0]):
         results |= of_scene
-        write_text(out / TABLE, f"{report(results, {})}\n")
+        _write(files[TABLE], report(results, {}))
     found = {}
     for name in dict.fromkeys(one.set for one in scenes if not one.masks) if rivals else ():
         found[name] = best_rival([one for one in scenes if one.set == name], rivals, runs, folders[1])
-        write_text(out / TABLE, f"{report(results, found)}\n")
-    draw_worst(results, folders[0], out / PICTURE)
+        _write(files[TABLE], report(results, found))
+    with files[PICTURE].written() as path:
+        draw_worst(results, folders[0], path)
     print(f"\n{report(results, found)}\n\nwritten to {out}: {TABLE}, {PICTURE}; the next start reads runs/ and rivals/")
+
+
+def _write(table: Output, text: str) -> None:
+    with table.written() as path:
+        write_text(path, f"{text}\n")

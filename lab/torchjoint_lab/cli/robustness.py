@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from torchjoint.cli.arguments import check_output
 from torchjoint.runtime.files import write_text
 from torchjoint_lab.benchmark.disturbances import DISTURBANCES
 from torchjoint_lab.benchmark.robustness import Record, Run, measure, report
@@ -22,6 +23,7 @@ def robustness(
     disturbances: tuple[str, ...] = (),
     scenes: int = 2,
     runs: int = 4,
+    overwrite: bool = False,
 ) -> None:
     """Measures how much the default's labels and scores change with noise, light, density, frames and poses.
 
@@ -36,20 +38,21 @@ def robustness(
         disturbances: names, such as half-points light-0.25; default: all. A wrong name lists them.
         scenes: at most so many scenes of each kind.
         runs: number of runs of each scene and disturbance.
+        overwrite: replace files in OUT that no earlier start has written.
     """
     if runs < 1:
         raise ValueError(f"--runs: expected at least 1, got {runs}")
     if unknown := [name for name in disturbances if name not in DISTURBANCES]:
         raise ValueError(f"--disturbances: expected some of {', '.join(DISTURBANCES)}, got {unknown[0]!r}")
     chosen = find_scenes(kinds, scenes, data)
-    if out.exists() and not out.is_dir():
-        raise FileExistsError(f"-o: {out} exists and is not a folder")
     folder = out / "runs"
+    table = check_output(out, (TABLE,), overwrite or folder.is_dir(), (data,))[TABLE]
     folder.mkdir(parents=True, exist_ok=True)
     names = [name for name in DISTURBANCES if not disturbances or name in disturbances]
     results: dict[Run, Record] = {}
     for of_scene in measure(chosen, names, runs, folder):
         results |= of_scene
         text = report(results)
-        write_text(out / TABLE, f"{text}\n")
+        with table.written() as path:
+            write_text(path, f"{text}\n")
     print(f"\n{text}\n\nwritten to {out}: {TABLE}; runs/ has the scores of each run; the next start reads them")

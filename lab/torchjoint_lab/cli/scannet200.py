@@ -13,6 +13,7 @@ from typing import Annotated, Literal, NamedTuple
 import tyro
 from tqdm import tqdm
 
+from torchjoint.cli.arguments import check_output
 from torchjoint.config import Config
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.engine import open_engine
@@ -53,6 +54,7 @@ def scannet200(
     label_table: Path | None = None,
     max_frames: int | None = None,
     engine: str | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Segments the annotated scans of ScanNet, scores them as its benchmark does, and writes a table.
 
@@ -68,9 +70,11 @@ def scannet200(
         label_table: scannetv2-labels.combined.tsv; default: the one in SCANS, or in the two folders above.
         max_frames: number of frames of a scan, evenly spread; default: all.
         engine: workers for the frames: loky, dask or ray, as `torchjoint segment --engine`.
+        overwrite: replace files in OUT that no earlier start has written.
     """
     table, found = label_table or find_table(scans, protocol), list_scenes(scans)
-    _check_arguments(out, f"--masks {masks and masks.resolve()} --max-frames {max_frames}")
+    written = check_output(out, (TABLE,), overwrite or (out / ARGUMENTS).is_file(), (masks, table))[TABLE]
+    _check_arguments(out, f"--masks {masks and masks.resolve()} --max-frames {max_frames}", overwrite)
     metric, scored, failed = ScannetAveragePrecisionMetric(), 0, {}
     options = RecordingOptions(max_frames=max_frames)
     for name, path in tqdm(found.items(), desc="scans", unit="scan"):
@@ -92,15 +96,17 @@ def scannet200(
         raise ValueError(f"{scans}: no scan was scored; the first error: {next(iter(failed.values()), 'none')}")
     text = _table(metric.compute(), scored, masks, protocol)
     text += "".join(f"\n{name} failed: {reason}" for name, reason in failed.items())
-    write_text(out / TABLE, f"{text}\n")
+    with written.written() as path:
+        write_text(path, f"{text}\n")
     print(text)
 
 
-def _check_arguments(out: Path, arguments: str) -> None:
+def _check_arguments(out: Path, arguments: str, overwrite: bool) -> None:
     """Raises ValueError if results in `out` are of a run with other arguments: a row would mix them."""
     out.mkdir(parents=True, exist_ok=True)
     file, has_results = out / ARGUMENTS, any(one.is_dir() for one in out.iterdir())
-    if has_results and file.is_file() and (before := file.read_text(encoding="utf-8")) != arguments:
+    before = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else arguments
+    if before != arguments and (has_results or not (overwrite or before.startswith("--masks "))):
         raise ValueError(f"-o: {out} is of a run with {before}; got {arguments}; choose another output")
     write_text(file, arguments)
 

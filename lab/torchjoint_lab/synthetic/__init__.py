@@ -1,9 +1,9 @@
 """Synthetic scenes of many domains, with exact labels, for training and checking.
 
 :func:`make_domain_scene` makes a scene of a domain (:data:`DOMAINS`: tables, shelves, bins, desks, kitchens, rooms,
-workshops, LiDAR streets); :func:`domain_settings` returns the difficulties that are drawn for a scene. The rooms of
-:mod:`torchjoint.synthetic` lie below; :func:`make_scene` can make them harder, with more flat things
-(:mod:`~torchjoint_lab.synthetic.flats`), more slender things that split the object behind them
+workshops, LiDAR streets); :func:`domain_settings` returns the difficulties that are drawn for a scene. Rooms of
+:mod:`~torchjoint_lab.synthetic.furnished` lie below; :func:`make_scene` makes them, or harder ones, with more flat
+things (:mod:`~torchjoint_lab.synthetic.flats`), more slender things that split the object behind them
 (:mod:`~torchjoint_lab.synthetic.occluders`), and more hollow things (:mod:`~torchjoint_lab.synthetic.vessels`).
 """
 

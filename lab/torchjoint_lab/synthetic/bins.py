@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic.mesh import box
-from torchjoint.synthetic.world import Item
 from torchjoint_lab.synthetic import household, making
+from torchjoint_lab.synthetic.furnished.mesh import box
+from torchjoint_lab.synthetic.furnished.world import Item
 from torchjoint_lab.synthetic.rigs import Rig
 from torchjoint_lab.synthetic.settings import DomainSettings
 from torchjoint_lab.synthetic.source import Source

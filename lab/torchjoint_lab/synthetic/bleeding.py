@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.cloud import Shot
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.cloud import Shot
 
 #: Depth pixels that are fused, at most.
 _MOST = 700_000

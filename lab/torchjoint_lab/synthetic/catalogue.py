@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Rng
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part
-from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic.furnished.arrays import Rng
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import Part
+from torchjoint_lab.synthetic.furnished.world import Item
 from torchjoint_lab.synthetic.making import made
 from torchjoint_lab.synthetic.models import load_parts
 

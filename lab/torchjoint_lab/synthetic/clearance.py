@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array
+from torchjoint_lab.synthetic.furnished.arrays import Array
 
 
 def clearance(triangles: Array, place: Array) -> float:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.render import View
-from torchjoint.synthetic.sensor import blobs, rippled
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.render import View
+from torchjoint_lab.synthetic.furnished.sensor import blobs, rippled
 from torchjoint_lab.synthetic.settings import DomainSettings
 
 #: Nearest and farthest depth that is returned, metres.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part, box
 from torchjoint_lab.synthetic import making, office, prints
+from torchjoint_lab.synthetic.furnished.arrays import Array
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import Part, box
 from torchjoint_lab.synthetic.rigs import Rig
 from torchjoint_lab.synthetic.settings import DomainSettings
 from torchjoint_lab.synthetic.shelves import row

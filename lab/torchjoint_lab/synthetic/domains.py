@@ -9,11 +9,7 @@ import numpy as np
 import torch
 
 from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.synthetic import trajectory
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.cloud import Shot
-from torchjoint.synthetic.scene import SyntheticScene
-from torchjoint.synthetic.world import World
+from torchjoint.synthetic import SyntheticScene
 from torchjoint_lab.synthetic import (
     bins,
     bleeding,
@@ -28,6 +24,10 @@ from torchjoint_lab.synthetic import (
 )
 from torchjoint_lab.synthetic.catalogue import Catalogue
 from torchjoint_lab.synthetic.depth_sensors import measure
+from torchjoint_lab.synthetic.furnished import trajectory
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.cloud import Shot
+from torchjoint_lab.synthetic.furnished.world import World
 from torchjoint_lab.synthetic.photo import shot_of
 from torchjoint_lab.synthetic.quick_render import QuickRenderer
 from torchjoint_lab.synthetic.settings import DOMAINS, DomainSettings, domain_settings
@@ -60,8 +60,8 @@ def make_domain_scene(
     """A scene of one of :data:`DOMAINS`, with exact truth; equal arguments give equal scenes.
 
     Everything that makes it easy or hard is drawn: see
-    :func:`~torchjoint.synthetic.domain_settings`, which says what was drawn. Cells of the cloud average what was seen
-    in them, across the borders of things, so that colours bleed as in real fused clouds.
+    :func:`~torchjoint_lab.synthetic.domain_settings`, which says what was drawn. Cells of the cloud average what was
+    seen in them, across the borders of things, so that colours bleed as in real fused clouds.
 
     Args:
         domain: a name of :data:`DOMAINS`. A "street" is one scan of a turning LiDAR at the origin, without colours;

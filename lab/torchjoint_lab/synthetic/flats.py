@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.clutter import magazine, sheet
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import box
-from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.clutter import magazine, sheet
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import box
+from torchjoint_lab.synthetic.furnished.world import Item
 
 
 def envelope(rng: Rng) -> Item:

@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from torchjoint.synthetic import SyntheticScene, clutter, furniture
-from torchjoint.synthetic import make_scene as make_furnished_scene
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.layout import Footprints, bounds
-from torchjoint.synthetic.site import Site
-from torchjoint.synthetic.trajectory import WALL_MARGIN
-from torchjoint.synthetic.world import Front, Item, Pose, Surface
+from torchjoint.synthetic import SyntheticScene
 from torchjoint_lab.synthetic import flats, occluders, vessels
+from torchjoint_lab.synthetic.furnished import clutter, furniture
+from torchjoint_lab.synthetic.furnished import make_scene as make_furnished_scene
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.layout import Footprints, bounds
+from torchjoint_lab.synthetic.furnished.site import Site
+from torchjoint_lab.synthetic.furnished.trajectory import WALL_MARGIN
+from torchjoint_lab.synthetic.furnished.world import Front, Item, Pose, Surface
 
 #: Names of the items that form the room itself.
 _SHELL = ("floor", "wall", "ceiling")
@@ -30,14 +31,14 @@ _DENSITY = 7.0
 
 
 def make_scene(seed: int = 0, size: str = "small", *, hard: bool = False, **options: Any) -> SyntheticScene:
-    """Makes a scene of a room as :func:`torchjoint.synthetic.make_scene` does, on request of a harder room.
+    """Makes a scene of a room as :func:`~torchjoint_lab.synthetic.furnished.make_scene` does, or a harder room.
 
     Args:
         seed: as there.
         size: as there.
         hard: adds flat things on flat surfaces, slender occluders that split the object behind them, and hollow things;
             the rest of the room does not change. A large room gets 50 to 75 more instances, about 40 of them flat.
-        options: the other arguments of :func:`torchjoint.synthetic.make_scene`.
+        options: the other arguments of :func:`torchjoint_lab.synthetic.furnished.make_scene`.
     """
     if not hard:
         return make_furnished_scene(seed, size, **options)
@@ -106,7 +107,7 @@ def _occlude(site: Site, rng: Rng, taken: Footprints, focus: tuple[float, float,
 
 
 def _surroundings(room: tuple[float, float, float], focus: tuple[float, float, float, float]) -> Array:
-    """Positions [K, 2] that cover the camera positions of :func:`~torchjoint.synthetic.trajectory.walk`, metres."""
+    """Positions [K, 2] that cover the camera positions of `furnished.trajectory.walk`, metres."""
     x, y, half_x, half_y = focus
     angle, away = np.meshgrid(np.arange(0, 2 * np.pi, 0.05), np.linspace(0.5, 0.9, 5))
     reach = np.array(room[:2]) / 2 - WALL_MARGIN

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Rng
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part, ball, box, cup, cup_profiles, cylinder, lathe, tube
-from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.arrays import Rng
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import Part, ball, box, cup, cup_profiles, cylinder, lathe, tube
+from torchjoint_lab.synthetic.furnished.world import Item
 from torchjoint_lab.synthetic.making import Maker, log_uniform, made
 from torchjoint_lab.synthetic.solids import blob, euler, ring, rod, rounded_box, slab, turned
 from torchjoint_lab.synthetic.style import Style

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic import furniture
-from torchjoint.synthetic.arrays import Array
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import box
-from torchjoint.synthetic.world import Item
 from torchjoint_lab.synthetic import household, making, office, prints
+from torchjoint_lab.synthetic.furnished import furniture
+from torchjoint_lab.synthetic.furnished.arrays import Array
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import box
+from torchjoint_lab.synthetic.furnished.world import Item
 from torchjoint_lab.synthetic.rigs import Rig
 from torchjoint_lab.synthetic.settings import DomainSettings
 from torchjoint_lab.synthetic.source import Source

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
 from torchjoint_lab.synthetic.quick_render import QuickRenderer
 from torchjoint_lab.synthetic.settings import DomainSettings
 

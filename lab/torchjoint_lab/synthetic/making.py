@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part
-from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import Part
+from torchjoint_lab.synthetic.furnished.world import Item
 from torchjoint_lab.synthetic.style import Style
 
 Maker = Callable[[Rng, Style], Item]

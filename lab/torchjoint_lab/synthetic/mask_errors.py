@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from torchjoint.synthetic.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
 
 #: Pixels between the knots of an outline's displacement, in an image 640 pixels wide.
 _JITTER_GRAIN = 16.0

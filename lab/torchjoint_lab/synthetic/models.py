@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from torchjoint.runtime.extras import needed_for
-from torchjoint.synthetic.arrays import Array
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part
+from torchjoint_lab.synthetic.furnished.arrays import Array
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import Part
 
 #: Models with more triangles are left out.
 _MOST_TRIANGLES = 60_000

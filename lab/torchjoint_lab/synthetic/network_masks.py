@@ -13,7 +13,7 @@ from torch import Tensor
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.masks import Masks
-from torchjoint.synthetic.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
 from torchjoint_lab.synthetic.mask_errors import jittered, merged, split
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Rng
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import ball, box, cup, cylinder, tube
-from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.arrays import Rng
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import ball, box, cup, cylinder, tube
+from torchjoint_lab.synthetic.furnished.world import Item
 
 
 def pillar(rng: Rng, height: float) -> Item:

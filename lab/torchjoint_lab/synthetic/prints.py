@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.materials import Material
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.materials import Material
 
 _SIDE = 128
 

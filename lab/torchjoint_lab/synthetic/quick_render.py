@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array
-from torchjoint.synthetic.render import Renderer, View
-from torchjoint.synthetic.world import World
 from torchjoint_lab.synthetic.clearance import clearance
+from torchjoint_lab.synthetic.furnished.arrays import Array
+from torchjoint_lab.synthetic.furnished.render import Renderer, View
+from torchjoint_lab.synthetic.furnished.world import World
 
 _OFFSET = 2e-4
 
 
 class QuickRenderer(Renderer):
-    """A :class:`~torchjoint.synthetic.render.Renderer` at about a third of the cost.
+    """A :class:`~torchjoint_lab.synthetic.furnished.render.Renderer` at about a third of the cost.
 
     Two rays for each pixel, not four, and shadow rays for every second one of them: a corner gets the light of a
     neighbouring centre on the same instance, and a colour of its own.
@@ -42,7 +42,7 @@ class QuickRenderer(Renderer):
         return clearance(self._world.triangles, place)
 
     def view(self, camera_from_world: Array, intrinsics: Array, height: int, width: int) -> View:
-        """As that of :class:`~torchjoint.synthetic.render.Renderer`, a little coarser."""
+        """As that of :class:`~torchjoint_lab.synthetic.furnished.render.Renderer`, a little coarser."""
         turn = camera_from_world[:3, :3].astype(np.float32)
         eye = (-camera_from_world[:3, :3].T @ camera_from_world[:3, 3]).astype(np.float32)
         grids = [_directions(turn, intrinsics, height, width, shift) for shift in (0.0, -0.5)]

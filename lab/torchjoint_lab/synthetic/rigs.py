@@ -6,9 +6,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from torchjoint.synthetic import trajectory
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.world import World
+from torchjoint_lab.synthetic.furnished import trajectory
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.world import World
 from torchjoint_lab.synthetic.quick_render import QuickRenderer
 
 #: Nothing is nearer to a camera than this, metres.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.mesh import Part, box, cup, cylinder
-from torchjoint.synthetic.world import Item
 from torchjoint_lab.synthetic import prints
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.mesh import Part, box, cup, cylinder
+from torchjoint_lab.synthetic.furnished.world import Item
 from torchjoint_lab.synthetic.making import made
 from torchjoint_lab.synthetic.solids import blob, random_rotation, rod, rounded_box
 from torchjoint_lab.synthetic.style import Style

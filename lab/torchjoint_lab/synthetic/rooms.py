@@ -1,4 +1,4 @@
-"""Rooms of :func:`~torchjoint.synthetic.make_scene`, mended: fewer flat things, more misleading texture, clutter."""
+"""Rooms of :mod:`~torchjoint_lab.synthetic.furnished`, mended: fewer flat things, more misleading texture, clutter."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array
-from torchjoint.synthetic.room import make_world
-from torchjoint.synthetic.world import World
+from torchjoint_lab.synthetic.furnished.arrays import Array
+from torchjoint_lab.synthetic.furnished.room import make_world
+from torchjoint_lab.synthetic.furnished.world import World
 from torchjoint_lab.synthetic.quick_render import QuickRenderer
 from torchjoint_lab.synthetic.rigs import Walk
 from torchjoint_lab.synthetic.settings import DomainSettings

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Rng
+from torchjoint_lab.synthetic.furnished.arrays import Rng
 from torchjoint_lab.synthetic.making import log_uniform
 
 #: The names of the domains.

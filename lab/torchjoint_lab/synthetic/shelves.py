@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.mesh import box
-from torchjoint.synthetic.world import Item
 from torchjoint_lab.synthetic import making
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.mesh import box
+from torchjoint_lab.synthetic.furnished.world import Item
 from torchjoint_lab.synthetic.rigs import Rig
 from torchjoint_lab.synthetic.settings import DomainSettings
 from torchjoint_lab.synthetic.solids import euler, rotated

@@ -1,4 +1,4 @@
-"""More solids than :mod:`~torchjoint.synthetic.mesh` has: rounded boxes, blobs, slabs, rings; and how to turn them."""
+"""More solids than `furnished.mesh` has: rounded boxes, blobs, slabs, rings; and how to turn them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.mesh import Part, lathe, tube
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.mesh import Part, lathe, tube
 
 _TWO = np.array([[0, 1, 2], [0, 2, 3]])
 

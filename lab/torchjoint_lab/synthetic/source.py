@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Rng
-from torchjoint.synthetic.world import Item
 from torchjoint_lab.synthetic import household, making
+from torchjoint_lab.synthetic.furnished.arrays import Rng
+from torchjoint_lab.synthetic.furnished.world import Item
 from torchjoint_lab.synthetic.making import Maker
 from torchjoint_lab.synthetic.style import Style
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.world import Item, Light, World
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.world import Item, Light, World
 from torchjoint_lab.synthetic.solids import euler, turned
 
 _UPRIGHT = np.eye(3)

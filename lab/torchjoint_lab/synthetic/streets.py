@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part
-from torchjoint.synthetic.world import Item, Light
 from torchjoint_lab.synthetic import prints, roadside, vehicles
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import Part
+from torchjoint_lab.synthetic.furnished.world import Item, Light
 from torchjoint_lab.synthetic.rigs import Mount
 from torchjoint_lab.synthetic.settings import DomainSettings
 from torchjoint_lab.synthetic.solids import euler, sheet_of

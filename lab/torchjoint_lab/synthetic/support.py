@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.world import Item
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.world import Item
 from torchjoint_lab.synthetic.solids import euler, rotated, rotation_about
 from torchjoint_lab.synthetic.stage import Body, Heights, Stage
 

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.mesh import Part, box, cylinder
-from torchjoint.synthetic.world import Item, Light, World
 from torchjoint_lab.synthetic import making, prints
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.mesh import Part, box, cylinder
+from torchjoint_lab.synthetic.furnished.world import Item, Light, World
 from torchjoint_lab.synthetic.rigs import Cameras, Rig
 from torchjoint_lab.synthetic.settings import DomainSettings
 from torchjoint_lab.synthetic.solids import rounded_box

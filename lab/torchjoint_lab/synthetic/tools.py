@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.mesh import ball, box, cup, cylinder, lathe, tube
-from torchjoint.synthetic.world import Item
 from torchjoint_lab.synthetic import prints
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.mesh import ball, box, cup, cylinder, lathe, tube
+from torchjoint_lab.synthetic.furnished.world import Item
 from torchjoint_lab.synthetic.household import basket, packet, tin
 from torchjoint_lab.synthetic.making import Maker, made
 from torchjoint_lab.synthetic.solids import blob, euler, joined, ring, rod, rounded_box, slab, turned

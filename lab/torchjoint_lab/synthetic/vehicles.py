@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Array, Rng
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part, box, cylinder
-from torchjoint.synthetic.world import Item
 from torchjoint_lab.synthetic import prints
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import Part, box, cylinder
+from torchjoint_lab.synthetic.furnished.world import Item
 from torchjoint_lab.synthetic.making import made
 from torchjoint_lab.synthetic.solids import blob, euler, ring, rod, rounded_box, sheet_of, turned
 from torchjoint_lab.synthetic.style import Style

@@ -1,12 +1,12 @@
-"""Concave objects, larger and deeper than those of torchjoint.synthetic.clutter: each function returns one instance."""
+"""Concave objects, larger and deeper than those of `furnished.clutter`: each function returns one instance."""
 
 from __future__ import annotations
 
-from torchjoint.synthetic import materials as paint
-from torchjoint.synthetic.arrays import Rng
-from torchjoint.synthetic.materials import Material
-from torchjoint.synthetic.mesh import Part, box, cup
-from torchjoint.synthetic.world import Item, Surface
+from torchjoint_lab.synthetic.furnished import materials as paint
+from torchjoint_lab.synthetic.furnished.arrays import Rng
+from torchjoint_lab.synthetic.furnished.materials import Material
+from torchjoint_lab.synthetic.furnished.mesh import Part, box, cup
+from torchjoint_lab.synthetic.furnished.world import Item, Surface
 
 
 def crate(rng: Rng) -> Item:

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from torchjoint.synthetic.mesh import box, cylinder
 from torchjoint_lab.synthetic import household, making, office, tools
 from torchjoint_lab.synthetic.desks import path_over
+from torchjoint_lab.synthetic.furnished.mesh import box, cylinder
 from torchjoint_lab.synthetic.making import Maker
 from torchjoint_lab.synthetic.rigs import Rig
 from torchjoint_lab.synthetic.settings import DomainSettings

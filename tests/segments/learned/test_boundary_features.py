@@ -223,7 +223,8 @@ PAIRS = torch.tensor([[0, 0, 1], [1, 2, 2]])
 class TestImages:
     def agreement(self, *observations, of_piece=(0, 1, 2), pairs=PAIRS):
         images = segments_of_pieces(PIECES, observations)
-        return image_agreement(images, torch.tensor(of_piece), max(of_piece) + 1, pairs)
+        columns = image_agreement(images, torch.tensor(of_piece), max(of_piece) + 1, pairs)
+        return torch.stack(list(columns.values()), 1)
 
     def test_by_hand(self, seen):
         # Shares of piece 0: label 1: 1/2, label 2: 1/2. Piece 1: 2: 1/2, 3: 1/2. Piece 2: 3: 1.

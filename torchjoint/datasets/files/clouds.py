@@ -3,46 +3,41 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import meshes
-from torchjoint.datasets.files.readers import opaque, read_array, read_mesh
+from torchjoint.datasets.files import las, meshes, text_clouds
+from torchjoint.datasets.files.columns import CloudFile, repaired, tell_not_read, unit_colors
+from torchjoint.datasets.files.e57 import read_e57
+from torchjoint.datasets.files.pcd import read_pcd
+from torchjoint.datasets.files.ply import read_ply
+from torchjoint.datasets.files.readers import read_array
+from torchjoint.datasets.files.text_clouds import cloud_of_letters, cloud_of_rows, read_text_cloud
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.foreign_files import damage_is, present
-from torchjoint.scene.checks import Invalid, kept_points
+from torchjoint.scene.checks import Beams, Invalid, kept_points
 
 #: Row lengths that are tried for a LiDAR scan; rows that are examined, and the fewest rows that allow a decision.
 COLUMNS, ROWS, LEAST_ROWS = (3, 4, 5, 6, 7), 1 << 16, 100
 
-#: An array with more columns than this, and more columns than rows, is transposed: its columns are the points.
-MOST_COLUMNS = 16
-
 #: Another row length is more plausible if it reduces the median step between points below this share.
 MUCH = 0.25
 
-#: Letters of columns: positions, colours, normals; and the suffixes of files of rows, which may have them.
-GROUPS = ("xyz", "rgb", "n")
-LETTERED = (".npy", ".xyz", ".txt", ".bin")
+#: Files of rows, whose columns may have letters.
+LETTERED = (".npy", ".bin", *text_clouds.SUFFIXES)
 
-#: What :func:`read_mesh` reads.
-MESHES = (".ply", ".pcd", ".las", ".laz", ".e57", *meshes.SUFFIXES)
-SUFFIXES = (*MESHES, ".npy", ".npz", ".bin", ".xyz", ".txt")
-
-
-class CloudFile(NamedTuple):
-    """The contents of a point cloud file."""
-
-    points: Tensor  #: [N, 3]
-    colors: Tensor | None = None  #: [N, 3] RGB in [0, 1], or uint8
-    normals: Tensor | None = None  #: [N, 3]
-    faces: Tensor | None = None  #: [F, 3] int64, triangles of a mesh
-    opacities: Tensor | None = None  #: [N] in [0, 1], of Gaussian splats
+_READERS: dict[str, Callable[[Path], CloudFile]] = {
+    ".ply": read_ply,
+    ".pcd": lambda path: read_pcd(path).cloud(str(path)),
+    ".e57": read_e57,
+    **dict.fromkeys(las.SUFFIXES, las.read_las),
+    **dict.fromkeys(meshes.SUFFIXES, meshes.read_mesh_file),
+}
+SUFFIXES = (*_READERS, ".npy", ".npz", ".bin", *text_clouds.SUFFIXES)
 
 
 def read_cloud_file(
@@ -54,8 +49,8 @@ def read_cloud_file(
     * .obj, .glb, .gltf, .off, .stl: vertices, triangles; colours, if any;
     * .las, .laz (also COPC), .e57: positions, float64; colours, if any; all scans of an .e57, in its world frame;
     * .npz: array `points` and, if any, arrays `colors`, `normals`, `faces`;
-    * .npy, .xyz, .txt: one row per point, x y z first; columns 4 to 6 are colours, if all are in 0-255 (or 0-1), else
-      they are left out, as all after them are; a warning tells what is left out;
+    * .npy, .xyz, .txt, .asc, .csv, .pts: one row per point, x y z first, or names of the columns above; see
+      :mod:`torchjoint.datasets.files.text_clouds`;
     * .pcd.bin: nuScenes' LiDAR scans, rows of 5 float32: x y z intensity ring;
     * other .bin: KITTI's LiDAR scans, rows of 4 float32: x y z reflectance.
 
@@ -63,18 +58,36 @@ def read_cloud_file(
         path: of the file.
         columns: numbers in a row of a .bin file, if other than above. Or a letter for each number in a row of a .bin,
             .npy, .xyz or .txt file: x y z, r g b, nnn (a normal); others are left out: "xyzrgbl".
-        invalid: what becomes of points that are NaN or infinite; a mesh with such points loses its triangles.
+        invalid: what becomes of points that are NaN or infinite; a mesh with such points loses its triangles. "keep"
+            keeps beams without return, too: many points at (0, 0, 0), which are left out otherwise, with a warning.
         least_opacity: fainter Gaussian splats are left out, with a warning.
 
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
     read = _read(path, columns)
-    valid = kept_points(read.points, str(path), invalid) & opaque(read.opacities, least_opacity, path)
-    if bool(valid.all()):
-        return read
-    colors, normals = (None if of is None else of[valid] for of in (read.colors, read.normals))
-    return CloudFile(read.points[valid], colors, normals)
+    beams: Beams = "keep" if invalid == "keep" or read.faces is not None else "drop many"
+    valid = kept_points(read.points, str(path), invalid, beams)
+    read = repaired(read.chosen(valid), str(path))
+    return read if read.opacities is None else read.chosen(_opaque(read.opacities, least_opacity, path))
+
+
+def _opaque(opacities: Tensor, least: float, path: Path) -> Tensor:
+    """Which Gaussian splats [N] are visible enough to be a part of a surface, [N] bool.
+
+    Raises:
+        ValueError: none of them is.
+    """
+    enough = opacities >= least
+    if not bool(enough.any()):
+        raise ValueError(f"{path}: all {len(enough)} splats are fainter than --least-opacity (least_opacity) {least:g}")
+    if not bool(enough.all()):
+        warnings.warn(
+            f"{path}: {int((~enough).sum())} of {len(enough)} splats are fainter than an opacity of {least:g} and are "
+            "left out; `torchjoint label` gives them the label of the nearest point",
+            stacklevel=4,
+        )
+    return enough
 
 
 def _read(path: Path, columns: int | str | None) -> CloudFile:
@@ -88,19 +101,21 @@ def _read(path: Path, columns: int | str | None) -> CloudFile:
             raise ValueError(f"{path}: expected a file that ends in {', '.join(LETTERED)}, for columns {columns!r}")
         if [columns.count(letter) for letter in "xyz"] != [1, 1, 1] or not _is_whole(columns):
             raise ValueError(f"columns: expected x, y, z, and r, g, b or nnn if there are any, got {columns!r}")
-    if suffix in MESHES:
-        return CloudFile(*read_mesh(path))
+    if suffix in _READERS:
+        return _READERS[suffix](path)
     if isinstance(columns, int) and (suffix != ".bin" or columns < 3):
         raise ValueError(f"{path}: expected at least 3 columns, and a file that ends in .bin, got {columns} columns")
     if suffix == ".bin":
         if isinstance(columns, str):
-            return _from_letters(read_scan(path, len(columns), "keep").numpy(), columns)
+            return cloud_of_letters(read_scan(path, len(columns), "keep").numpy(), columns)
         return CloudFile(_read_bin(path, columns)[:, :3])
     with damage_is(f"{path}: not a whole {suffix} cloud", OSError):
         if suffix == ".npz":
             return _from_archive(path)
-        rows = read_array(path).numpy() if suffix == ".npy" else np.loadtxt(path, ndmin=2)
-        return _from_letters(rows, columns) if isinstance(columns, str) else _from_rows(rows)
+        if suffix == ".npy":
+            rows = read_array(path).numpy()
+            return cloud_of_letters(rows, columns) if isinstance(columns, str) else cloud_of_rows(rows)
+    return read_text_cloud(path, columns if isinstance(columns, str) else None)
 
 
 def _read_bin(path: Path, columns: int | None) -> Tensor:
@@ -142,55 +157,24 @@ def read_scan(path: Path, columns: int, invalid: Invalid = "refuse") -> Tensor:
     if size == 0 or size % (4 * columns):
         raise ValueError(f"{path}: expected rows of {columns} float32, {4 * columns} bytes each, got {size} bytes")
     rows = torch.from_numpy(np.fromfile(path, dtype="<f4").reshape(-1, columns))
-    return rows[kept_points(rows[:, :3], str(path), invalid)]
+    return rows[kept_points(rows[:, :3], str(path), invalid, "keep" if invalid == "keep" else "drop any")]
 
 
 def _from_archive(path: Path) -> CloudFile:
-    values = {name: torch.from_numpy(array) for name, array in read_archive(path).items()}
+    values = read_archive(path)
     if "points" not in values:
         raise ValueError(f"expected an array `points`, got {', '.join(values) or 'none'}")
     count = len(values["points"]) if values["points"].shape[1:] == (3,) else -1
     for name in ("points", "colors", "normals"):
         if name in values and values[name].shape != (count, 3):
             raise ValueError(f"{name}: expected a row of three numbers for each point, got {[*values[name].shape]}")
-    return CloudFile(values["points"], *map(values.get, ("colors", "normals", "faces")))
-
-
-def _from_rows(rows: npt.NDArray[Any]) -> CloudFile:
-    if rows.ndim != 2 or rows.shape[1] < 3:
-        raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}")
-    if rows.shape[1] > max(MOST_COLUMNS, rows.shape[0]):
-        raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}: transpose the array")
-    values = torch.from_numpy(np.ascontiguousarray(rows)).to(torch.float64)
-    colors = values[:, 3:6] if rows.shape[1] >= 6 else None
-    if colors is not None and colors.numel() and not (float(colors.min()) >= 0 and float(colors.max()) <= 255):
-        colors = None  # normals, for example
-    used = 3 if colors is None else 6
-    if rows.shape[1] > used:
-        what = "x y z" if colors is None else "x y z and colours"
-        warnings.warn(
-            f"of {rows.shape[1]} columns, the first {used} are read, {what}; the rest is left out; --columns "
-            "xyz... names others",
-            stacklevel=2,
-        )
-    return CloudFile(values[:, :3], None if colors is None else unit_colors(colors.float()))
+    tell_not_read(set(values) - {"points", "colors", "normals", "faces"}, str(path))
+    made = {name: torch.from_numpy(values[name]) for name in ("points", "normals", "faces") if name in values}
+    normals = made["normals"].float() if "normals" in made else None
+    colors = unit_colors(values["colors"]) if "colors" in values else None
+    return CloudFile(made["points"], colors, normals, made.get("faces"))
 
 
 def _is_whole(letters: str) -> bool:
     """Whether colours and normals have three columns each, if any."""
     return [letters.count(letter) for letter in "rgb"] in ([0] * 3, [1] * 3) and letters.count("n") in (0, 3)
-
-
-def _from_letters(rows: npt.NDArray[Any], letters: str) -> CloudFile:
-    """Rows whose columns have a letter each."""
-    if rows.ndim != 2 or rows.shape[1] != len(letters):
-        raise ValueError(f"expected rows of {len(letters)} numbers, {letters!r}, got shape {list(rows.shape)}")
-    values = torch.from_numpy(np.ascontiguousarray(rows)).to(torch.float64)
-    x, r, n = ([place for one in group for place, letter in enumerate(letters) if letter == one] for group in GROUPS)
-    colors, normals = (values[:, places].float() if places else None for places in (r, n))
-    return CloudFile(values[:, x], None if colors is None else unit_colors(colors), normals)
-
-
-def unit_colors(colors: Tensor) -> Tensor:
-    """Colours of 0 to 255 as colours of 0 to 1; those that are in 0 to 1 already stay."""
-    return colors / 255 if colors.numel() and float(colors.max()) > 1 else colors

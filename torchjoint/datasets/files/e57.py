@@ -7,17 +7,19 @@ in the file; there are none if any scan lacks them. The library verifies the che
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
 
+from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.runtime import bounds
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.foreign_files import present
+from torchjoint.scene.cloud import full_brightness
 
 _XYZ = ("cartesianX", "cartesianY", "cartesianZ")
 _RGB = ("colorRed", "colorGreen", "colorBlue")
@@ -25,11 +27,8 @@ _RGB = ("colorRed", "colorGreen", "colorBlue")
 Array = npt.NDArray[Any]
 
 
-def read_e57(path: Path) -> tuple[Tensor, Tensor | None]:
-    """Reads a whole file.
-
-    Returns:
-        points [N, 3] float64 metres, colours [N, 3] float32 in [0, 1] or None.
+def read_e57(path: Path) -> CloudFile:
+    """Reads a whole file: positions, float64, and colours, if any.
 
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
@@ -45,8 +44,16 @@ def read_e57(path: Path) -> tuple[Tensor, Tensor | None]:
     except Exception as error:  # the library raises several types of its own
         raise ValueError(f"{path}: not a whole E57 file: {str(error).strip() or type(error).__name__}") from error
     points = torch.from_numpy(np.concatenate([xyz for xyz, _ in scans]))
-    colors = [rgb for _, rgb in scans if rgb is not None]
-    return points, torch.from_numpy(np.concatenate(colors)) if len(colors) == len(scans) else None
+    bare = [str(index) for index, (_, rgb) in enumerate(scans) if rgb is None]
+    if bare:
+        if len(bare) < len(scans):
+            warnings.warn(
+                f"{path}: {len(bare)} of {len(scans)} scans have no colours ({', '.join(bare[:9])}), so those of the "
+                "others are not read",
+                stacklevel=4,
+            )
+        return CloudFile(points)
+    return CloudFile(points, torch.from_numpy(np.concatenate([rgb for _, rgb in scans if rgb is not None])))
 
 
 def _check_counts(path: Path, counts: list[int]) -> None:
@@ -64,8 +71,8 @@ def _scan(file: Any, index: int) -> tuple[Array, Array | None]:
     header = file.get_header(index)
     low, high = (np.array([_limit(header, name, end) for name in _RGB]) for end in ("Minimum", "Maximum"))
     rgb = np.stack([np.asarray(data[name], np.float64) for name in _RGB], axis=1)
-    if not (high > low).all():
-        low, high = np.zeros(3), np.full(3, 255.0 if rgb.max(initial=0) <= 255 else 65535.0)
+    if not (high > low).all() or (high.max() > 255 >= rgb.max(initial=0) > 1):  # no limits, or those of a wider type
+        low, high = np.zeros(3), np.full(3, full_brightness(float(rgb.max(initial=0)), 65535))
     return xyz, ((rgb - low) / (high - low)).clip(0, 1).astype(np.float32)
 
 

@@ -31,6 +31,8 @@ class Parts:
         self._path = path
         #: The first file that is there and cannot be read: trimesh goes on without colours.
         self.error: ValueError | None = None
+        self._pixels = 0
+        self._names: set[str] = set()
 
     def get(self, name: str) -> bytes:
         """The bytes of a file.
@@ -41,9 +43,11 @@ class Parts:
         """
         try:
             data = self._read(name)
-            is_texture = self._path.suffix.lower() == ".obj" and not name.strip().lower().endswith(".mtl")
-            if is_texture:
-                decode_image(data, str(self._path.parent / name), formats=TEXTURES)
+            # A library of materials is read once; the second time it is named as a texture.
+            is_library = name.strip().lower().endswith(".mtl") and name not in self._names
+            self._names.add(name)
+            if self._path.suffix.lower() == ".obj" and not is_library:
+                self.check_texture(data, str(self._path.parent / name))
         except ValueError as error:
             self.error = self.error or error
             raise
@@ -51,6 +55,12 @@ class Parts:
 
     def __getitem__(self, name: str) -> bytes:
         return self.get(name)
+
+    def check_texture(self, data: bytes, name: str) -> None:
+        """Checks a texture, and the sum of all of them; errors as of :func:`decode_image`."""
+        image = decode_image(data, name, formats=TEXTURES)
+        self._pixels += image.width * image.height
+        bounds.check(self._pixels, bounds.TEXTURES, "pixels in all textures", name)
 
     def _read(self, name: str) -> bytes:
         for candidate in (name.strip(), name.strip().lstrip("/"), os.path.split(name)[-1]):
@@ -69,6 +79,12 @@ def bound_textures() -> None:
 
     decoder = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", formats=TEXTURES))
     vars(obj)["Image"] = decoder
+
+
+def check_obj(data: bytes, name: str) -> None:
+    """Checks how long trimesh takes for the materials of an .obj; errors as of :func:`bounds.check`."""
+    steps = data.count(b"usemtl") * data.count(b"\nv")
+    bounds.check(steps, bounds.MATERIAL_STEPS, "vertices times materials", name)
 
 
 def check_gltf(data: bytes, parts: Parts, name: str) -> None:
@@ -90,7 +106,7 @@ def check_gltf(data: bytes, parts: Parts, name: str) -> None:
             content = buffers[view["buffer"]][start : start + view["byteLength"]]
         else:
             content = _content(image, parts)
-        decode_image(content, f"{name}: image {index}", formats=TEXTURES)
+        parts.check_texture(content, f"{name}: image {index}")
 
 
 def _check_numbers(tree: dict[str, Any], size: int) -> None:

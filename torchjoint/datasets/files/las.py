@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
 
+from torchjoint.datasets.files.columns import CloudFile, tell_not_read, unit_colors
 from torchjoint.datasets.files.las_header import check_header
 from torchjoint.runtime.extras import needed_for
 
@@ -33,29 +33,19 @@ class LasPoints(NamedTuple):
     rgb: npt.NDArray[np.uint16] | None  #: [n, 3], as in the file
 
 
-def read_las(path: Path) -> tuple[Tensor, Tensor | None]:
-    """Reads a whole file.
-
-    Returns:
-        points [N, 3] float64, colours [N, 3] float32 in [0, 1] or None.
+def read_las(path: Path) -> CloudFile:
+    """Reads a whole file: positions, float64, and colours, if any.
 
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
         ModuleNotFoundError: laspy or lazrs is not installed.
     """
     with open_las(path) as reader:
+        tell_not_read(reader.header.point_format.extra_dimension_names, str(path))
         parts = list(las_points(reader, path))
-    xyz = np.concatenate([part.xyz for part in parts])
-    if parts[0].rgb is None:
-        return torch.from_numpy(xyz), None
-    rgb = np.concatenate([part.rgb for part in parts if part.rgb is not None])
-    white = white_of(int(rgb.max()))
-    return torch.from_numpy(xyz), None if white is None else torch.from_numpy(rgb.astype(np.float32) / white)
-
-
-def white_of(largest: int) -> int | None:
-    """The value of full brightness in a file whose largest colour value is `largest`; None: it has no colours."""
-    return None if largest == 0 else 255 if largest <= 255 else 65535
+    xyz = torch.from_numpy(np.concatenate([part.xyz for part in parts]))
+    rgb = np.concatenate([part.rgb for part in parts if part.rgb is not None]) if parts[0].rgb is not None else None
+    return CloudFile(xyz, unit_colors(rgb) if rgb is not None and rgb.any() else None)
 
 
 @contextmanager

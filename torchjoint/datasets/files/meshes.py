@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import io
+import re
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from torchjoint.datasets.files.gltf import Parts, bound_textures, check_gltf
-from torchjoint.datasets.files.ply import Ply
+from torchjoint.datasets.files.columns import CloudFile, unit_colors
+from torchjoint.datasets.files.gltf import Parts, bound_textures, check_gltf, check_obj
 from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.foreign_files import read_file
 
 SUFFIXES = (".obj", ".glb", ".gltf", ".off", ".stl")
+Array = npt.NDArray[Any]
 #: A triangle is large if its longest edge is longer than this share of the mesh's diagonal.
 LARGE = 0.02
 #: Points are drawn if large triangles have more than this share of the area; this is the number of points.
@@ -26,11 +31,12 @@ MUCH, SAMPLES = 0.1, 200_000
 AGREED = 0.9
 
 
-def read_mesh_file(path: Path) -> Ply:
-    """Reads all meshes of a file as one, in the file's world frame.
+def read_mesh_file(path: Path) -> CloudFile:
+    """Reads all meshes and points of a file as one, in the file's world frame.
 
-    Colours are those of vertices, faces or textures, if there are any. Normals are not read: in many files they are
-    those of a smooth picture. Equal vertices of an .stl are one vertex.
+    The points of an .obj are its `v` lines, those of others their vertices, in the order of the file. Colours are those
+    of vertices, faces or textures; if a part has none, those of the others are not read, which a warning tells. Normals
+    are not read: in many files they are those of a smooth picture. Equal vertices of an .stl are one vertex.
 
     Raises:
         ModuleNotFoundError: trimesh is not installed.
@@ -39,31 +45,122 @@ def read_mesh_file(path: Path) -> Ply:
     with needed_for(f"{path.suffix} files", "trimesh", "torchjoint[mesh]"):
         import trimesh
     data, suffix, parts = read_file(path, "a mesh"), path.suffix.lower(), Parts(path)
+    if suffix in (".obj", ".off"):
+        data = data.removeprefix(b"\xef\xbb\xbf")
     bound_textures()
     try:
         if suffix in (".gltf", ".glb"):
             check_gltf(data, parts, str(path))
-        mesh = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=parts, process=False).to_mesh()  # type: ignore[arg-type]  # it only gets
-        if parts.error is not None:
-            raise parts.error
-        if suffix == ".stl":
-            mesh.merge_vertices()
-        points, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-        kind = mesh.visual.kind
-        colors = mesh.visual.vertex_colors if kind in ("vertex", "face") else None
-        colors = mesh.visual.to_color().vertex_colors if kind == "texture" else colors
+        if suffix == ".obj":
+            check_obj(data, str(path))
+        own = _rows_of_obj(data) if suffix == ".obj" else None
+        has_faces = own is None or re.search(rb"^\s*f\s", data, re.MULTILINE) is not None
+        mesh = own
+        if has_faces:
+            loaded = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=parts, process=False)  # type: ignore[arg-type]  # it only gets
+            if parts.error is not None:
+                raise parts.error
+            if suffix == ".stl":
+                for geometry in loaded.geometry.values():
+                    geometry.merge_vertices()
+            mesh = _joined(loaded.dump(), str(path))
+            if own is not None:
+                mesh = _in_rows(mesh, own)
+            if suffix == ".off":
+                mesh = mesh._replace(colors=_colors_of_off(data, len(mesh.points), str(path)))
     except MemoryError:
         raise
     except Exception as error:  # trimesh raises errors of many types for damaged files
         raise ValueError(f"{path}: not a whole {path.suffix} mesh: {error!r}"[:300]) from error
-    if not len(points) or points.shape[1:] != (3,):
+    if mesh is None or not len(mesh.points):
         raise ValueError(f"{path}: expected a mesh with vertices, got none")
-    if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
-        raise ValueError(f"{path}: expected faces of {len(points)} vertices, got {faces.min()} to {faces.max()}")
-    rgb = None
-    if colors is not None and len(colors) == len(points):
-        rgb = torch.from_numpy(np.asarray(colors)[:, :3].astype(np.float32) / 255)
-    return Ply(torch.from_numpy(points), rgb, None, torch.from_numpy(faces) if len(faces) else None)
+    if mesh.faces is not None and not 0 <= int(mesh.faces.min()) <= int(mesh.faces.max()) < len(mesh.points):
+        low, high = int(mesh.faces.min()), int(mesh.faces.max())
+        raise ValueError(f"{path}: expected faces of {len(mesh.points)} vertices, got {low} to {high}")
+    return mesh
+
+
+def _joined(parts: Sequence[Any], name: str) -> CloudFile:
+    """The meshes and clouds of trimesh as one."""
+    points, faces, colors, bare, count = [], [], [], [], 0
+    for part in parts:
+        has_faces = hasattr(part, "faces")
+        if not has_faces and not hasattr(part, "colors"):
+            warnings.warn(f"{name}: {part.metadata.get('name')}: lines are not read", stacklevel=5)
+            continue
+        if has_faces:
+            has_colors, is_texture = part.visual.kind is not None, part.visual.kind == "texture"
+            of_part = _of_material(part.visual, len(part.vertices)) if is_texture else part.visual.vertex_colors
+            faces.append(np.asarray(part.faces, np.int64).reshape(-1, 3) + count)
+        else:
+            of_part, has_colors = part.colors, part.colors is not None and len(part.colors) > 0
+        points.append(np.asarray(part.vertices, np.float64).reshape(-1, 3))
+        count += len(points[-1])
+        if has_colors and len(of_part) == len(points[-1]):
+            colors.append(np.asarray(of_part)[:, :3])
+        elif len(points[-1]):
+            bare.append(str(part.metadata.get("name")))
+    if colors and bare:
+        warnings.warn(
+            f"{name}: {len(bare)} of {len(points)} parts have no colours, so those of the others are not read: "
+            f"{', '.join(bare[:9])}",
+            stacklevel=5,
+        )
+    triangles = np.concatenate([np.empty((0, 3), np.int64), *faces])
+    return CloudFile(
+        torch.from_numpy(np.concatenate([np.empty((0, 3)), *points])),
+        unit_colors(np.concatenate(colors)) if colors and not bare else None,
+        faces=torch.from_numpy(triangles) if len(triangles) else None,
+    )
+
+
+def _of_material(visual: Any, count: int) -> Array:
+    """The colours of vertices with a texture, or of one colour, as bytes."""
+    material = visual.material
+    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    if image is not None and visual.uv is not None:
+        return np.asarray(visual.to_color().vertex_colors)
+    if not hasattr(material, "baseColorFactor"):
+        return np.tile(material.main_color, (count, 1))
+    if material.baseColorFactor is None:
+        return np.full((count, 4), 255, np.uint8)
+    linear = np.asarray(material.main_color) / 255  # glTF: factors are linear, textures and vertices are not
+    curved = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.tile((255 * curved).round().astype(np.uint8), (count, 1))
+
+
+def _rows_of_obj(data: bytes) -> CloudFile:
+    """The `v` lines of an .obj: x y z, and r g b of some programs."""
+    rows = [line.split()[1:7] for line in data.splitlines() if line.lstrip()[:2] in (b"v ", b"v\t")]
+    points = np.array([row[:3] for row in rows], np.float64).reshape(-1, 3)
+    colors = np.array([row[3:] if len(row) == 6 else [np.nan] * 3 for row in rows], np.float64).reshape(-1, 3)
+    return CloudFile(torch.from_numpy(points), None if np.isnan(colors).all() else unit_colors(colors))
+
+
+def _in_rows(mesh: CloudFile, own: CloudFile) -> CloudFile:
+    """A mesh of an .obj with the file's rows as vertices: trimesh repeats those at seams and drops those of no face."""
+    known = own.points.isfinite().all(1).nonzero().squeeze(1)
+    rows = known[torch.from_numpy(cKDTree(own.points[known].numpy()).query(mesh.points.numpy())[1])]
+    colors = own.colors
+    if colors is None and mesh.colors is not None:
+        colors = torch.full((len(own.points), 3), torch.nan).index_copy(0, rows, mesh.colors)
+        at = cKDTree(mesh.points.numpy()).query(own.points[known].numpy())[1]  # vertices of one place, or of no face
+        colors[known] = mesh.colors[torch.from_numpy(at)]
+    return own._replace(colors=colors, faces=None if mesh.faces is None else rows[mesh.faces])
+
+
+def _colors_of_off(data: bytes, count: int, name: str) -> Tensor | None:
+    """The colours behind the positions (and normals) of an .off; those of faces are not read, which a warning tells."""
+    lines = [line for line in (line.partition(b"#")[0].split() for line in data.splitlines()) if line]
+    head = lines[0][0].upper()
+    first = 1 if lines[0][1:] or head[-3:] != b"OFF" else 2  # the counts may stand behind the word OFF
+    rows, faces = lines[first : first + count], lines[first + count :]
+    if any(len(face) > int(face[0]) + 1 for face in faces):
+        warnings.warn(f"{name}: colours of faces are not read; those of vertices (COFF) are", stacklevel=4)
+    start = 6 if b"N" in head[:-3] else 3
+    if min(map(len, rows), default=0) < start + 3:
+        return None
+    return unit_colors(np.array([row[start : start + 3] for row in rows], np.float64))
 
 
 def has_large_triangles(points: Tensor, faces: Tensor) -> bool:
@@ -109,7 +206,7 @@ def points_on(points: Tensor, faces: Tensor, colors: Tensor | None, name: str) -
         name: begins the warning.
 
     Returns:
-        points [SAMPLES, 3] float64, and their colours.
+        points [SAMPLES, 3] float64 and the vertices of no triangle, and their colours.
     """
     warnings.warn(
         f"{name}: the triangles are large, so {SAMPLES} points are drawn on them; `torchjoint label` labels the mesh",
@@ -126,7 +223,12 @@ def points_on(points: Tensor, faces: Tensor, colors: Tensor | None, name: str) -
         a, b, c = values[faces[face]].double().unbind(1)
         return a + u * (b - a) + v * (c - a)
 
-    return between(points), None if colors is None else between(colors).float()
+    loose = torch.ones(len(points), dtype=torch.bool)
+    loose[faces] = False  # points beside the meshes
+    return (
+        torch.cat([between(points), points[loose].double()]),
+        None if colors is None else torch.cat([between(colors).float(), colors[loose]]),
+    )
 
 
 def _areas(corners: Tensor) -> Tensor:

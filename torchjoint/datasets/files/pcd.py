@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import Tensor
 
+from torchjoint.datasets.files.columns import POINTS, CloudFile, cloud_of, plain
 from torchjoint.datasets.files.lzf import decompress
 from torchjoint.datasets.files.text import parse_integer
 from torchjoint.runtime.foreign_files import damage_is, open_file, read_file
@@ -61,27 +60,9 @@ class Pcd:
     #: arrays [N] by name, or [N, count] if a field has several values per point
     fields: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
-    def points(self) -> Tensor:
-        """Returns [N, 3] float32 or float64, as in the file; NaN where the sensor had no return."""
-        return self._columns(("x", "y", "z"))
-
-    def colors(self) -> Tensor | None:
-        """Returns [N, 3] uint8 RGB, or None; reads field `rgb` or `rgba`: four bytes b g r a, whatever its type."""
-        for name in ("rgb", "rgba"):
-            packed = self.fields.get(name)
-            if packed is not None and packed.ndim == 1 and packed.dtype.itemsize == 4:
-                return torch.from_numpy(packed.view(np.uint8).reshape(-1, 4)[:, [2, 1, 0]].copy())
-        return None
-
-    def normals(self) -> Tensor | None:
-        """Returns [N, 3] float32, or None."""
-        names = ("normal_x", "normal_y", "normal_z")
-        return self._columns(names).to(torch.float32) if all(name in self.fields for name in names) else None
-
-    def _columns(self, names: tuple[str, ...]) -> Tensor:
-        columns = [self.fields[name] for name in names]
-        narrow = all(column.dtype == np.float32 for column in columns)
-        return torch.from_numpy(np.stack(columns, axis=1).astype(np.float32 if narrow else np.float64))
+    def cloud(self, name: str) -> CloudFile:
+        """Points, NaN where the sensor had no return; colours and normals, if any; warnings begin with `name`."""
+        return cloud_of(self.fields, name)
 
 
 def read_pcd(path: Path) -> Pcd:
@@ -117,7 +98,7 @@ def _parse_header(path: Path, start: bytes) -> PcdHeader:
     size = 0
     for line in start.splitlines(keepends=True):
         size += len(line)
-        words = line.decode("ascii", errors="replace").split()
+        words = line.removeprefix(b"\xef\xbb\xbf").decode("ascii", errors="replace").split()
         if words and not words[0].startswith("#"):
             entries.setdefault(words[0], words[1:])
         if "DATA" in entries:
@@ -150,8 +131,8 @@ def _field_types(
                 f"{path}: field {name!r} of TYPE {kind}, SIZE {size}, COUNT {count} is not known, or twice"
             )
         fields[name] = np.dtype((_TYPES[kind, size], (count,)) if count > 1 else _TYPES[kind, size])
-    missing = [axis for axis in "xyz" if axis not in fields or fields[axis].shape or fields[axis].kind != "f"]
-    if missing:
+    floats = {plain(name) for name, dtype in fields.items() if not dtype.shape and dtype.kind == "f"}
+    if not floats.issuperset(POINTS[0]):
         raise ValueError(f"{path}: expected fields x, y and z of TYPE F, got {' '.join(names)}")
     return fields
 

@@ -1,10 +1,13 @@
 """Reads PLY files (Greg Turk's Polygon File Format, 1994), ascii and binary of both byte orders; writes binary ones.
 
-Every number is checked: a truncated file, extra data, or a word that is not a number is an error in any element.
+Every number is checked: a truncated file, extra data, or a word that is not a number is an error in any element. Labels
+are added to a file of others as bytes: properties without a meaning for this package survive.
 """
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,34 +17,80 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.ply_ascii import read_ascii
-from torchjoint.datasets.files.ply_binary import read_binary
-from torchjoint.datasets.files.ply_columns import Columns, Lists
-from torchjoint.datasets.files.ply_header import MAX_HEADER, parse_header
+from torchjoint.datasets.files.columns import CloudFile, cloud_of
+from torchjoint.datasets.files.text import parse_integer
+from torchjoint.runtime import bounds
 from torchjoint.runtime.files import atomic_write
-from torchjoint.runtime.foreign_files import damage_is, open_file
+from torchjoint.runtime.foreign_files import damage_is, read_file
 
 Array = npt.NDArray[Any]
 
+#: Largest size of a header, bytes; some writers list thousands of comments.
+MAX_HEADER = 1 << 20
+
 #: Names of the list of a face's vertices.
 _FACE_LISTS = ("vertex_indices", "vertex_index")
-_COLORS, _NORMALS = ("red", "green", "blue"), ("nx", "ny", "nz")
-#: Gaussian splats (Kerbl et al. 2023): the constant term of the colour's spherical harmonics, and this basis function.
-#: Their opacity is stored before a sigmoid.
-_HARMONICS, _CONSTANT, _OPACITY = ("f_dc_0", "f_dc_1", "f_dc_2"), 0.5 / np.pi**0.5, "opacity"
+_WORDS = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
+          "f8": "double"}  # fmt: skip
+_KINDS = {word: kind for kind, word in _WORDS.items()} | {
+    f"{name}{8 * int(kind[1])}": kind for kind in _WORDS for name in [{"i": "int", "u": "uint", "f": "float"}[kind[0]]]
+}
+_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
-class Ply(NamedTuple):
-    """A cloud, or a mesh."""
+class Property(NamedTuple):
+    """One number for each row of an element, or a list of numbers."""
 
-    points: Tensor  #: [N, 3] metres, float32 or float64 as in the file
-    colors: Tensor | None  #: [N, 3] float32 RGB in [0, 1]
-    normals: Tensor | None  #: [N, 3] float32
-    faces: Tensor | None  #: [F, 3] int64; polygons are cut into triangles from their first vertex
-    opacities: Tensor | None = None  #: [N] float32 in [0, 1], of Gaussian splats
+    name: str
+    kind: str  #: numpy's type, without byte order
+    length: str | None = None  #: the type of a list's length; None: no list
 
 
-def read_ply(path: Path) -> Ply:
+class Element(NamedTuple):
+    """Rows of one kind, such as vertices."""
+
+    name: str
+    rows: int
+    properties: tuple[Property, ...]
+
+    @property
+    def lists(self) -> list[str]:
+        """The names of the properties that are lists."""
+        return [one.name for one in self.properties if one.length is not None]
+
+    def dtype(self, byte_order: str, lengths: Mapping[str, int]) -> np.dtype[Any]:
+        """The NumPy type of a row whose lists have these `lengths`; field `#NAME` is the length of list NAME."""
+        fields: list[Any] = []
+        for one in self.properties:
+            if one.length is None:
+                fields.append((one.name, byte_order + one.kind))
+            else:
+                fields.append((f"#{one.name}", byte_order + one.length))
+                fields.append((one.name, byte_order + one.kind, (lengths[one.name],)))
+        return np.dtype(fields)
+
+
+class Header(NamedTuple):
+    """The header of a file."""
+
+    encoding: str
+    byte_order: str
+    elements: tuple[Element, ...]
+    size: int  #: bytes
+
+
+class Lists(NamedTuple):
+    """A column of lists, one after the other."""
+
+    values: Array  #: of all lists
+    lengths: Array  #: [rows] int64
+
+
+#: By name: numbers [rows], or lists.
+Columns = Mapping[str, "Array | Lists"]
+
+
+def read_ply(path: Path) -> CloudFile:
     """Reads the vertices and faces of a PLY file; of other elements only the size is checked.
 
     Raises:
@@ -50,7 +99,7 @@ def read_ply(path: Path) -> Ply:
     """
     elements = _read_elements(path)
     with damage_is(str(path)):
-        return _assembled(elements)
+        return _assembled(elements, str(path))
 
 
 def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
@@ -59,21 +108,13 @@ def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
     Raises:
         FileNotFoundError, ValueError: as :func:`read_ply`; also if the property is a list, or not of integers.
     """
-    vertex = _read_elements(path).get("vertex", Columns.of({}, 0))
-    if name not in vertex.kinds:
+    values = _read_elements(path).get("vertex", {}).get(name)
+    if values is None:
         return None
-    if vertex.kinds[name].kind not in "iu":
-        raise ValueError(f"{path}: property {name}: expected integers, got {vertex.kinds[name]}")
-    with damage_is(str(path)):
-        return vertex.stacked({name: ((name,), np.int64, 1)})[name][:, 0]
-
-
-def _read_elements(path: Path) -> dict[str, Columns]:
-    with open_file(path, "a point cloud, .ply") as stream:
-        start = stream.read(MAX_HEADER)
-    with damage_is(str(path)):
-        header = parse_header(start)
-        return (read_ascii if header.encoding == "ascii" else read_binary)(path, header)
+    if isinstance(values, Lists) or values.dtype.kind not in "iu":
+        got = "lists" if isinstance(values, Lists) else values.dtype
+        raise ValueError(f"{path}: property {name}: expected integers, got {got}")
+    return values.astype(np.int64)
 
 
 def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels: Tensor | None = None) -> None:
@@ -85,90 +126,401 @@ def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels
         colors: [N, 3] in [0, 1], as uchar red green blue.
         labels: [N] integers, as int label.
     """
-    kind = "f8" if points.dtype == torch.float64 else "f4"
-    fields = [(name, f"<{kind}") for name in "xyz"]
-    fields += [] if colors is None else [(name, "u1") for name in ("red", "green", "blue")]
-    fields += [] if labels is None else [("label", "<i4")]
-    rows = np.empty(len(points), dtype=np.dtype(fields))
-    for axis, name in enumerate("xyz"):
-        rows[name] = points[:, axis].numpy()
+    kind = torch.float64 if points.dtype == torch.float64 else torch.float32
+    columns = dict(zip("xyz", points.to(kind).T, strict=True))
     if colors is not None:
-        bytes_ = (colors.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
-        for axis, name in enumerate(("red", "green", "blue")):
-            rows[name] = bytes_[:, axis]
+        columns |= zip(("red", "green", "blue"), (colors.clamp(0, 1) * 255).round().to(torch.uint8).T, strict=True)
     if labels is not None:
-        rows["label"] = labels.to(torch.int32).numpy()
-    names = {"<f4": "float", "<f8": "double", "u1": "uchar", "<i4": "int"}
+        columns["label"] = labels.to(torch.int32)
+    rows = np.empty(len(points), [(name, column.numpy().dtype.newbyteorder("<")) for name, column in columns.items()])
+    for name, column in columns.items():
+        rows[name] = column.numpy()
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    lines += [f"property {names[kind]} {name}" for name, kind in fields]
-    with atomic_write(path) as partial, partial.open("wb") as stream:
-        stream.write(("\n".join([*lines, "end_header"]) + "\n").encode())
-        stream.write(rows.tobytes())
+    lines += [f"property {_WORDS[rows.dtype[name].str[1:]]} {name}" for name in columns]
+    write_bytes(path, ("\n".join([*lines, "end_header"]) + "\n").encode() + rows.tobytes())
 
 
-def _assembled(elements: Mapping[str, Columns]) -> Ply:
-    vertex = elements.get("vertex", Columns.of({}, 0))
-    missing = [name for name in "xyz" if not vertex.has_numbers(name)]
-    if missing:
-        raise ValueError(f"expected an element vertex with properties x, y and z; {', '.join(missing)} missing")
-    if not vertex.rows:
+def write_bytes(path: Path, content: bytes) -> None:
+    """Writes a file atomically."""
+    with atomic_write(path) as partial:
+        partial.write_bytes(content)
+
+
+def _assembled(elements: Mapping[str, Columns], name: str) -> CloudFile:
+    vertex = {name: column for name, column in elements.get("vertex", {}).items() if not isinstance(column, Lists)}
+    if any(column.startswith("packed_") for column in vertex):
+        raise ValueError(
+            "these are splats as SuperSplat packs them (.compressed.ply); expected splats with x, y and z: save them "
+            "as .ply (`splat-transform a.compressed.ply a.ply`, or SuperSplat's export)"
+        )
+    cloud = cloud_of(vertex, name)
+    if not len(cloud.points):
         raise ValueError("no points")
-    narrow = all((vertex.kinds[name].kind, vertex.kinds[name].itemsize) == ("f", 4) for name in "xyz")
-    wanted: dict[str, tuple[tuple[str, ...], npt.DTypeLike, float]] = {
-        "points": (tuple("xyz"), np.float32 if narrow else np.float64, 1)
-    }
-    are_splats = not vertex.has_numbers(_COLORS) and vertex.has_numbers(_HARMONICS)
-    if are_splats:
-        wanted["colors"] = (_HARMONICS, np.float32, 1)
-        if vertex.has_numbers((_OPACITY,)):
-            wanted["opacities"] = ((_OPACITY,), np.float32, 1)
-    elif vertex.has_numbers(_COLORS):
-        wanted["colors"] = (_COLORS, np.float32, _white([vertex.kinds[name] for name in _COLORS]))
-    if vertex.has_numbers(_NORMALS):
-        wanted["normals"] = (_NORMALS, np.float32, 1)
-    made = {name: torch.from_numpy(array) for name, array in vertex.stacked(wanted).items()}
-    colors, normals = made.get("colors"), made.get("normals")
-    if are_splats and colors is not None:
-        colors = (0.5 + _CONSTANT * colors).clamp(0, 1)
-    if normals is not None and not normals.any():
-        normals = None  # some programs, such as those for splats, write zeros where they have no normals
-    opacities = made["opacities"][:, 0].sigmoid() if "opacities" in made else None
-    return Ply(made["points"], colors, normals, _faces(elements, vertex.rows), opacities)
-
-
-def _white(kinds: Sequence[np.dtype[Any]]) -> float:
-    """The number of full brightness."""
-    kind = kinds[0] if len({(one.kind, one.itemsize) for one in kinds}) == 1 else np.dtype(np.uint8)
-    return 1 if kind.kind == "f" else int(np.iinfo(kind).max)
+    return cloud._replace(faces=_faces(elements, len(cloud.points)))
 
 
 def _faces(elements: Mapping[str, Columns], num_points: int) -> Tensor | None:
-    face = elements.get("face", Columns.of({}, 0))
-    name = next((name for name in _FACE_LISTS if name in face.kinds), None)
-    if name is None or not face.rows:
-        return None
-    lists = next(block[name] for _, block in face.blocks())  # rows with lists are one block
-    if isinstance(lists, Lists):
-        stacked = _fans(lists)
-    else:  # all of one length
-        corners = lists.reshape(len(lists), -1)
-        triangles = np.empty((len(lists), max(corners.shape[1] - 2, 0), 3), np.int64)
-        for k in range(triangles.shape[1]):
-            for place, corner in enumerate((0, k + 1, k + 2)):
-                triangles[:, k, place] = corners[:, corner]
-        stacked = triangles.reshape(-1, 3)
-    if not len(stacked):
-        return None
-    if not 0 <= stacked.min() <= stacked.max() < num_points:
-        raise ValueError(
-            f"element face: expected vertices in [0, {num_points}), got {stacked.min()} to {stacked.max()}"
-        )
-    return torch.from_numpy(stacked)
+    """The triangles [F, 3] int64 of polygons, from the first corner of each; and those of strips."""
+    found = []
+    for element, triangles_of in (("face", _fans), ("tristrips", _strips)):
+        columns = elements.get(element, {})
+        lists = next((columns[name] for name in _FACE_LISTS if name in columns), None)
+        if isinstance(lists, Lists) and len(triangles := triangles_of(lists)):
+            low, high = triangles.min(), triangles.max()
+            if not 0 <= low <= high < num_points:
+                raise ValueError(f"element {element}: expected vertices in [0, {num_points}), got {low} to {high}")
+            found.append(triangles)
+    return torch.from_numpy(np.concatenate(found)) if found else None
 
 
 def _fans(lists: Lists) -> Array:
-    """The triangles [F, 3] int64 of polygons, from the first corner of each."""
     count = np.maximum(lists.lengths - 2, 0)
     start = np.repeat(np.cumsum(lists.lengths) - lists.lengths, count)
     second = start + 1 + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    return np.stack([lists.values[start], lists.values[second], lists.values[second + 1]], axis=1).astype(np.int64)
+    return np.stack([lists.values[corner] for corner in (start, second, second + 1)], axis=1).astype(np.int64)
+
+
+def _strips(lists: Lists) -> Array:
+    """Each corner makes a triangle with the two before it, turned every other time; -1 begins a new strip."""
+    corners = np.insert(lists.values.astype(np.int64), np.cumsum(lists.lengths), -1)
+    is_end = corners == -1
+    place = np.arange(len(corners)) - np.maximum.accumulate(np.where(is_end, np.arange(len(corners)) + 1, 0))
+    triangles = np.lib.stride_tricks.sliding_window_view(corners, 3) if len(corners) > 2 else np.empty((0, 3), np.int64)
+    turned = place[: len(triangles)] % 2 == 1
+    triangles = np.where(turned[:, None], triangles[:, [1, 0, 2]], triangles)
+    a, b, c = triangles.T
+    return triangles[(triangles != -1).all(1) & (a != b) & (b != c) & (a != c)]
+
+
+def _read_elements(path: Path) -> dict[str, Columns]:
+    data = read_file(path, "a point cloud, .ply")
+    with damage_is(str(path)):
+        header = parse_header(data)
+        return _ascii_elements(data, header) if header.encoding == "ascii" else _binary_elements(data, header)
+
+
+def parse_header(data: bytes) -> Header:
+    """Parses the header at the start of a file.
+
+    Raises:
+        ValueError: a wrong line; the message quotes the first one.
+    """
+    end = re.search(rb"\nend_header[ \t]*\r?\n", data[:MAX_HEADER])
+    if not re.match(rb"(?:\xef\xbb\xbf)?ply[ \t]*\r?\n", data) or end is None:
+        raise ValueError("not a PLY file, or its header is truncated")
+    lines = data[: end.start()].decode("ascii", errors="replace").splitlines()[1:]
+    encoding = ""
+    elements: dict[str, tuple[int, dict[str, Property]]] = {}
+    name, num_properties = "", 0
+    for line in lines:
+        words = line.split()
+        if not words or words[0] in ("comment", "obj_info"):
+            continue
+        if words[0] == "format" and len(words) == 3 and words[1] in _ORDERS and words[2] == "1.0" and not encoding:
+            encoding = words[1]
+        elif words[0] == "element" and len(words) == 3 and words[1] not in elements:
+            count = parse_integer(words[2], f"header: {line!r}")
+            if count < 0:
+                raise ValueError(f"header: {line!r}: expected a count")
+            name = words[1]
+            elements[name] = (count, {})
+            bounds.check(len(elements), bounds.ELEMENTS, "elements", "header")
+        elif words[0] == "property" and elements and (one := _property(words)) is not None:
+            if one.name in elements[name][1]:
+                raise ValueError(f"header: property {one.name} of element {name} is there twice")
+            elements[name][1][one.name] = one
+            num_properties += 1
+            bounds.check(num_properties, bounds.PROPERTIES, "properties", "header")
+        else:
+            raise ValueError(f"header: {line[:100]!r} is not understood")
+    if not encoding:
+        raise ValueError("header: expected format ascii, binary_little_endian or binary_big_endian 1.0")
+    made = tuple(Element(name, count, tuple(of.values())) for name, (count, of) in elements.items())
+    return Header(encoding, _ORDERS[encoding], made, end.end())
+
+
+def _property(words: list[str]) -> Property | None:
+    if len(words) == 3 and words[1] in _KINDS:
+        return Property(words[2], _KINDS[words[1]])
+    if len(words) == 5 and words[1] == "list" and words[2] in _KINDS and words[3] in _KINDS:
+        count = _KINDS[words[2]]
+        return Property(words[4], _KINDS[words[3]], count) if count[0] in "iu" else None
+    return None
+
+
+def _binary_elements(data: bytes, header: Header) -> dict[str, Columns]:
+    place, elements = header.size, {}
+    for element in header.elements:
+        if element.properties:
+            elements[element.name], place = _binary_rows(data, place, element, header.byte_order)
+    if data[place:].strip():
+        raise ValueError(f"expected the end at byte {place}, got {len(data) - place} more bytes")
+    return elements
+
+
+def _binary_rows(data: bytes, place: int, element: Element, order: str) -> tuple[Columns, int]:
+    """The columns of an element, and the byte behind it."""
+    smallest = sum(np.dtype(one.length or one.kind).itemsize for one in element.properties)
+    _check_rest(data, place, smallest * element.rows, element)
+    lengths: dict[str, Any] = dict.fromkeys(element.lists, 0)
+    if element.lists and element.rows:
+        first, _ = _rows_of_several_lengths(data, place, element._replace(rows=1), order)
+        lengths = {name: int(lists.lengths[0]) for name, lists in first.items() if isinstance(lists, Lists)}
+    dtype = element.dtype(order, lengths)
+    if dtype.itemsize * element.rows <= len(data) - place:
+        rows = np.frombuffer(data, dtype, element.rows, place)
+        if all((rows[f"#{name}"] == length).all() for name, length in lengths.items()):
+            columns: dict[str, Array | Lists] = {one.name: rows[one.name] for one in element.properties}
+            columns |= {name: Lists(rows[name].ravel(), np.full(len(rows), length)) for name, length in lengths.items()}
+            return columns, place + rows.nbytes
+    return _rows_of_several_lengths(data, place, element, order)
+
+
+def _rows_of_several_lengths(data: bytes, place: int, element: Element, order: str) -> tuple[Columns, int]:
+    """The rows one by one: where a list begins depends on all lists before it. Numbers stay bytes until the end."""
+    bounds.check(element.rows, bounds.LIST_ROWS, f"rows of lists of several lengths in element {element.name}")
+    found = [bytearray() for _ in element.properties]
+    lengths = {name: np.zeros(element.rows, np.int64) for name in element.lists}
+    steps = [(one.name, np.dtype(one.kind).itemsize, one.length) for one in element.properties]
+    for row in range(element.rows):
+        for raw, (name, size, count) in zip(found, steps, strict=True):
+            length = 1
+            if count is not None:
+                width = int(count[1])
+                _check_rest(data, place, width, element)
+                length = int.from_bytes(
+                    data[place : place + width], "little" if order == "<" else "big", signed=count[0] == "i"
+                )
+                if length < 0:
+                    raise ValueError(f"element {element.name}: a list of {length} numbers")
+                lengths[name][row] = length
+                place += width
+            _check_rest(data, place, length * size, element)
+            raw += data[place : place + length * size]
+            place += length * size
+    columns: dict[str, Array | Lists] = {}
+    for one, raw in zip(element.properties, found, strict=True):
+        values = np.frombuffer(raw, order + one.kind)
+        columns[one.name] = Lists(values, lengths[one.name]) if one.length else values
+    return columns, place
+
+
+def _check_rest(data: bytes, place: int, size: int, element: Element) -> None:
+    if size > len(data) - place:
+        raise ValueError(
+            f"truncated: {element.rows} of element {element.name} need {size} bytes at byte {place}, "
+            f"got {max(0, len(data) - place)}"
+        )
+
+
+def _ascii_elements(data: bytes, header: Header) -> dict[str, Columns]:
+    ends = np.flatnonzero(np.frombuffer(data.rstrip(), np.uint8)[header.size :] == ord("\n")) + header.size + 1
+    full = [element for element in header.elements if element.properties]
+    lines, expected = len(ends) + bool(data[header.size :].strip()), sum(element.rows for element in full)
+    if lines != expected:
+        counts = ", ".join(f"{element.rows} of {element.name}" for element in header.elements)
+        raise ValueError(f"truncated, or too long: expected {expected} lines ({counts}), got {lines}")
+    if expected and not data.endswith(b"\n"):
+        raise ValueError("truncated: expected a line break after the last number, which may be cut off")
+    starts, row, elements = [header.size, *ends.tolist(), len(data)], 0, {}
+    for element in full:
+        elements[element.name] = _ascii_rows(data[starts[row] : starts[row + element.rows]], element)
+        row += element.rows
+    return elements
+
+
+def _ascii_rows(text: bytes, element: Element) -> Columns:
+    """The columns of an element; if all its lists have one length, as triangles have, NumPy reads them."""
+    try:
+        values = np.loadtxt(io.BytesIO(text), comments=None, ndmin=2) if element.rows else np.empty((0, 1 << 16))
+        error = ""
+    except ValueError as wrong:
+        values, error = np.empty((0, 0)), str(wrong)
+    columns: dict[str, Array | Lists] = {}
+    place, count = 0, values.shape[1]
+    for one in element.properties:
+        length = 1
+        if one.length is not None and place < count:
+            lengths = _converted(values[:, place], one.length, one.name).astype(np.int64)
+            length, place = int(lengths[0]) if len(lengths) else 0, place + 1
+            if (lengths != length).any():
+                break
+        own = values[:, place : place + length]
+        place += length
+        if length < 0 or place > count:
+            break
+        read = _converted(own.ravel(), one.kind, one.name)
+        columns[one.name] = read if one.length is None else Lists(read, lengths)
+    if len(values) == element.rows and (place == count or not element.rows):
+        return columns
+    if element.lists:
+        return _lines_of_several_lengths(text, element)
+    for row, line in enumerate(text.splitlines()):
+        if len(line.split()) != len(element.properties):
+            raise ValueError(
+                f"element {element.name}: expected {len(element.properties)} numbers in row {row}, got "
+                f"{len(line.split())} words"
+            )
+    raise ValueError(f"element {element.name}: a word is no number: {error}")
+
+
+def _lines_of_several_lengths(text: bytes, element: Element) -> Columns:
+    bounds.check(element.rows, bounds.LIST_ROWS, f"rows of lists of several lengths in element {element.name}")
+    found: dict[str, list[float]] = {one.name: [] for one in element.properties}
+    lengths: dict[str, list[int]] = {name: [] for name in element.lists}
+    for line in text.splitlines():
+        if b"_" in line:  # Python reads 1_0 as 10
+            raise ValueError(f"element {element.name}: expected numbers, got {line[:80]!r}")
+        words, place = [float(word) for word in line.split()], 0
+        for one in element.properties:
+            length = 1
+            if one.length is not None:
+                read = _converted(np.array(words[place : place + 1]), one.length, one.name)
+                length, place = int(read[0]) if len(read) else 1, place + 1
+                lengths[one.name].append(length)
+            if not 0 <= length <= len(words) - place:
+                raise ValueError(f"element {element.name}: expected {length} numbers of {one.name} in {line[:80]!r}")
+            found[one.name] += words[place : place + length]
+            place += length
+        if place != len(words):
+            raise ValueError(f"element {element.name}: expected {place} numbers in {line[:80]!r}")
+    columns: dict[str, Array | Lists] = {}
+    for one in element.properties:
+        values = _converted(np.array(found[one.name]), one.kind, one.name)
+        columns[one.name] = values if one.length is None else Lists(values, np.array(lengths[one.name], np.int64))
+    return columns
+
+
+def _converted(values: npt.NDArray[np.float64], kind: str, name: str) -> Array:
+    """Numbers from text in the type of their property; integers must fit into it."""
+    dtype = np.dtype(kind)
+    with np.errstate(over="ignore", invalid="ignore"):
+        converted = values.astype(dtype, copy=False)
+    if dtype.kind != "f" and (converted != values).any():  # also of NaN
+        raise ValueError(f"property {name}: expected integers of {dtype.itemsize * 8} bits")
+    return converted
+
+
+class PlyRecords(NamedTuple):
+    """A file as records that can be copied: the bytes of each vertex, and of each face, stay together."""
+
+    head: Sequence[bytes]  #: the lines of the header, with their ends
+    header: Header
+    #: By element: bytes [rows, size] of a binary file, or lines [rows] of an ascii one, with their ends; an element is
+    #: missing if its rows have lists of several lengths.
+    records: Mapping[str, Array]
+    rest: bytes  #: everything after the last element in `records`
+
+    def with_labels(self, name: str, labels: Mapping[str, Array]) -> bytes:
+        """The file with one more property of the elements in `labels`, int NAME, at the end of each row.
+
+        Raises:
+            ValueError: there is such a property already.
+        """
+        lines, bodies = list(self.head), dict(self.records)
+        for element, values in labels.items():
+            of_file = next(one for one in self.header.elements if one.name == element)
+            if any(one.name == name for one in of_file.properties):
+                raise ValueError(f"element {element} has a property {name} already; choose another name")
+            start = next(i for i, line in enumerate(lines) if line.split()[:2] == [b"element", element.encode()])
+            after = (i for i in range(start + 1, len(lines)) if not lines[i].startswith((b"property", b"comment")))
+            lines.insert(next(after), f"property int {name}".encode() + _end(lines[start]))
+            rows = bodies[element]
+            if self.header.encoding == "ascii":
+                pairs = zip(rows, values.tolist(), strict=True)
+                bodies[element] = np.array([b"%s %d%s" % (r.rstrip(b"\r\n"), v, _end(r)) for r, v in pairs], object)
+            else:
+                last = np.ascontiguousarray(values, f"{self.header.byte_order}i4").view(np.uint8)
+                bodies[element] = np.concatenate([rows, last.reshape(len(rows), 4)], axis=1)
+        return b"".join([*lines, *map(_joined, bodies.values()), self.rest])
+
+    def some_vertices(self, which: npt.NDArray[np.bool_], triangles: npt.NDArray[np.int64] | None) -> bytes:
+        """A file with some of the vertices, all their properties, and these triangles of the new vertices, if any.
+
+        Raises:
+            ValueError: an ascii file with triangles.
+        """
+        end = next(i for i, line in enumerate(self.head) if line.split()[:1] == [b"element"])
+        lines = [f"element vertex {int(which.sum())}"]
+        lines += [f"property {_WORDS[one.kind]} {one.name}" for one in self.header.elements[0].properties]
+        bodies = [_joined(self.records["vertex"][which])]
+        if triangles is not None:
+            if self.header.encoding == "ascii":
+                raise ValueError("expected a binary file, for parts of a mesh, got an ascii one")
+            faces = np.empty(len(triangles), [("size", "u1"), ("corner", f"{self.header.byte_order}i4", (3,))])
+            faces["size"], faces["corner"] = 3, triangles
+            lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+            bodies.append(faces.tobytes())
+        head = b"".join(self.head[:end]) + "".join(f"{line}\n" for line in [*lines, "end_header"]).encode()
+        return head + b"".join(bodies)
+
+
+def read_records(path: Path) -> PlyRecords:
+    """Reads a file's records.
+
+    Raises:
+        FileNotFoundError, ValueError: the message names the file and its error.
+    """
+    with damage_is(str(path)):
+        return parse_records(read_file(path, "a .ply"))
+
+
+def parse_records(data: bytes) -> PlyRecords:
+    """Reads the records of a file's bytes.
+
+    Raises:
+        ValueError: the bytes are damaged, or have no vertices.
+    """
+    header = parse_header(data)
+    if not header.elements or header.elements[0].name != "vertex" or header.elements[0].lists:
+        raise ValueError("expected vertices without lists as first element")
+    records, rest = (_records_of_lines if header.encoding == "ascii" else _records_of_bytes)(data, header)
+    return PlyRecords(_lines(data[: header.size]), header, records, rest)
+
+
+def _records_of_bytes(data: bytes, header: Header) -> tuple[dict[str, Array], bytes]:
+    """Rows of elements from the first on, while all rows of an element have one size."""
+    place, records = header.size, {}
+    for element in header.elements:
+        if not element.properties:
+            continue
+        dtype = element.dtype(header.byte_order, dict.fromkeys(element.lists, 3))
+        if dtype.itemsize * element.rows > len(data) - place:
+            if not element.lists:
+                raise ValueError(f"truncated: element {element.name} has fewer than {element.rows} rows")
+            break
+        rows = np.frombuffer(data, dtype, element.rows, place)
+        if any((rows[f"#{name}"] != 3).any() for name in element.lists):
+            break
+        records[element.name] = np.frombuffer(data, np.uint8, rows.nbytes, place).reshape(element.rows, dtype.itemsize)
+        place += rows.nbytes
+    return records, data[place:]
+
+
+def _records_of_lines(data: bytes, header: Header) -> tuple[dict[str, Array], bytes]:
+    lines, rest = _lines(data[header.size :]), b""
+    while lines and not lines[-1].strip():
+        rest = lines.pop() + rest
+    expected = sum(element.rows for element in header.elements)
+    if len(lines) != expected:
+        raise ValueError(f"expected {expected} lines after the header, one a row, got {len(lines)}")
+    place, records = 0, {}
+    for element in header.elements:
+        records[element.name] = np.empty(element.rows, object)
+        records[element.name][:] = lines[place : place + element.rows]
+        place += element.rows
+    return records, rest
+
+
+def _lines(text: bytes) -> list[bytes]:
+    """Lines with their ends."""
+    return text.splitlines(keepends=True)
+
+
+def _end(line: bytes) -> bytes:
+    """The line break at the end of a line."""
+    return line[len(line.rstrip(b"\r\n")) :] or b"\n"
+
+
+def _joined(rows: Array) -> bytes:
+    return b"".join(rows) if rows.dtype == object else rows.tobytes()

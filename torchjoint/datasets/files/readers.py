@@ -1,11 +1,10 @@
-"""Reads single files: images, depth, matrices, point clouds. Errors name the file and what is wrong."""
+"""Reads single files: images, depth, matrices, arrays. Errors name the file and what is wrong."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import stat
-import warnings
 from collections.abc import Iterable, Iterator, Set
 from pathlib import Path
 
@@ -14,15 +13,11 @@ import torch
 from PIL import ExifTags, Image, ImageOps
 from torch import Tensor
 
-from torchjoint.datasets.files import las, meshes
-from torchjoint.datasets.files.e57 import read_e57
-from torchjoint.datasets.files.pcd import read_pcd
-from torchjoint.datasets.files.ply import Ply, read_ply
+from torchjoint.datasets.files import las
 from torchjoint.datasets.files.rasters import read_raster
 from torchjoint.runtime import bounds
 from torchjoint.runtime.archives import as_int64, read_npy
 from torchjoint.runtime.foreign_files import damage_is, has_file, has_folder, is_there, present, read_text
-from torchjoint.scene.checks import Invalid, kept_points
 
 #: Folders with one of these files hold results, of one recording or of many. They are no part of a recording.
 RESULTS = frozenset({"run.yaml", "batch.yaml"})
@@ -76,66 +71,6 @@ def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
     if values.size != shape[0] * shape[1]:
         raise ValueError(f"{path}: expected {shape[0]}x{shape[1]} = {shape[0] * shape[1]} numbers, got {values.size}")
     return torch.from_numpy(values.reshape(shape))
-
-
-def read_cloud(
-    path: Path, invalid: Invalid = "refuse", least_opacity: float = 0.0
-) -> tuple[Tensor, Tensor | None, Tensor | None]:
-    """Reads a PLY, PCD, LAS, LAZ or E57 file.
-
-    Args:
-        path: of the file.
-        invalid: what becomes of points that are NaN or infinite.
-        least_opacity: fainter Gaussian splats are left out, with a warning.
-
-    Returns:
-        points [N, 3] float32 or float64, as in the file; colours [N, 3] in [0, 1] or None; normals [N, 3] or None (also
-        if all are zero).
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
-    """
-    points, colors, normals, _, opacities = read_mesh(path)
-    valid = kept_points(points, str(path), invalid) & opaque(opacities, least_opacity, path)
-    colors, normals = (None if of is None else of[valid] for of in (colors, normals))
-    return points[valid], colors, normals
-
-
-def opaque(opacities: Tensor | None, least: float, path: Path) -> Tensor:
-    """Which Gaussian splats are visible enough to be a part of a surface: [N] bool, or True if there are no splats.
-
-    Raises:
-        ValueError: none of them is.
-    """
-    enough = torch.tensor(True) if opacities is None else opacities >= least
-    if not bool(enough.any()):
-        raise ValueError(f"{path}: all {len(enough)} splats are fainter than --least-opacity (least_opacity) {least:g}")
-    if not bool(enough.all()):
-        warnings.warn(
-            f"{path}: {int((~enough).sum())} of {len(enough)} splats are fainter than an opacity of {least:g} and are "
-            "left out; `torchjoint label` gives them the label of the nearest point",
-            stacklevel=3,
-        )
-    return enough
-
-
-def read_mesh(path: Path) -> Ply:
-    """Reads a file as :func:`read_cloud`, with the triangles of a mesh; points may be NaN or infinite."""
-    present(path, "a point cloud")
-    suffix = path.suffix.lower()
-    if suffix in las.SUFFIXES:
-        mesh = Ply(*las.read_las(path), None, None)
-    elif suffix == ".e57":
-        mesh = Ply(*read_e57(path), None, None)
-    elif suffix in meshes.SUFFIXES:
-        mesh = meshes.read_mesh_file(path)
-    elif suffix == ".pcd":
-        pcd = read_pcd(path)
-        colors = pcd.colors()
-        mesh = Ply(pcd.points(), None if colors is None else colors.float() / 255, pcd.normals(), None)
-    else:
-        mesh = read_ply(path)
-    return mesh if mesh.normals is not None and mesh.normals.any() else mesh._replace(normals=None)
 
 
 def read_array(path: Path) -> Tensor:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.files.columns import POINTS, CloudFile, cloud_of, plain, repaired
 from torchjoint.datasets.files.rasters import decode_image
 from torchjoint.datasets.files.readers import rgb_of
 
@@ -86,8 +87,19 @@ def _pixels(message: Any, dtype: np.dtype[Any], channels: int, name: str) -> npt
     return rows.view(order).astype(dtype).reshape(height, width, channels)
 
 
-def camera(message: Any, rectified: bool, name: str) -> Camera:
+def has_region(message: Any) -> bool:
+    """Whether a CameraInfo has a region of interest: its images show a part of what K and P describe."""
+    return min(message.roi.height, message.roi.width) > 0
+
+
+def camera(message: Any, rectified: bool, name: str, image_size: tuple[int, int] | None = None) -> Camera:
     """The camera of a CameraInfo: K and the distortion, or P of rectified images.
+
+    Args:
+        message: the CameraInfo.
+        rectified: the images are.
+        name: for messages.
+        image_size: (H, W) of an image; needed if there is a region of interest: some drivers send whole images with it.
 
     Raises:
         ValueError: the distortion model is not one of OpenCV, or the numbers describe no camera.
@@ -96,6 +108,13 @@ def camera(message: Any, rectified: bool, name: str) -> Camera:
     P = np.asarray(message.p if hasattr(message, "p") else message.P, np.float64).reshape(3, 4)
     D = np.asarray(message.d if hasattr(message, "d") else message.D, np.float64)
     size = (int(message.height), int(message.width)) if message.height and message.width else None
+    if has_region(message):
+        part = (int(message.roi.height), int(message.roi.width))
+        bins = (max(int(message.binning_y), 1), max(int(message.binning_x), 1))
+        if size is None or part == size or image_size != (size[0] // bins[0], size[1] // bins[1]):
+            size, K, P = part, K.copy(), P.copy()
+            for matrix in (K, P):
+                matrix[:2, 2] -= message.roi.x_offset, message.roi.y_offset
     if rectified and P[0, 0] > 0:
         return Camera(torch.from_numpy(P[:, :3].copy()), size, (), name)
     if D.any() and message.distortion_model not in ("plumb_bob", "rational_polynomial", ""):
@@ -106,8 +125,10 @@ def camera(message: Any, rectified: bool, name: str) -> Camera:
     return Camera(torch.from_numpy(K.copy()), size, tuple(D.tolist()) if D.any() else (), name)
 
 
-def cloud_points(message: Any, name: str) -> tuple[Tensor, Tensor | None]:
-    """The finite points [N, 3] float64 of a PointCloud2, in the message's frame, and their colours [N, 3] or None.
+def cloud_points(message: Any, name: str) -> tuple[CloudFile, int]:
+    """The finite points of a PointCloud2, float64 in the message's frame, with their colours, if any.
+
+    And how many points are left out because they are (0, 0, 0), as drivers write a beam without return.
 
     Raises:
         ValueError: there are no fields x, y, z, or sizes do not fit.
@@ -116,8 +137,8 @@ def cloud_points(message: Any, name: str) -> tuple[Tensor, Tensor | None]:
     count, step = int(message.width) * int(message.height), int(message.point_step)
     row_step = int(message.row_step) or step * int(message.width)
     size = row_step * int(message.height)
-    wrong = [axis for axis in "xyz" if axis not in fields or fields[axis].datatype not in (7, 8)]
-    if wrong or row_step < step * int(message.width) or len(message.data) < size:
+    floats = {plain(field.name) for field in message.fields if field.datatype in (7, 8)}
+    if not floats.issuperset(POINTS[0]) or row_step < step * int(message.width) or len(message.data) < size:
         raise ValueError(
             f"{name}: expected fields x, y, z and {count} points of {step} bytes, got fields {', '.join(fields)} and "
             f"{len(message.data)} bytes"
@@ -125,18 +146,15 @@ def cloud_points(message: Any, name: str) -> tuple[Tensor, Tensor | None]:
     rows = message.data[:size].reshape(int(message.height), row_step)[:, : step * int(message.width)]
     rows = np.ascontiguousarray(rows).reshape(count, step)
     order = ">" if message.is_bigendian else "<"
-
-    def column(field: Any, kind: str) -> npt.NDArray[Any]:
-        end = field.offset + np.dtype(kind).itemsize
+    columns = {}
+    for field in message.fields:
+        kind, number = np.dtype(f"{order}{_FIELDS.get(field.datatype, 'u1')}"), max(int(field.count), 1)
+        end = field.offset + kind.itemsize * number
         if end > step:
             raise ValueError(f"{name}: field {field.name} ends at byte {end} of {step}")
-        return np.ascontiguousarray(rows[:, field.offset : end]).view(f"{order}{kind}")[:, 0]
-
-    xyz = np.stack([column(fields[axis], _FIELDS[fields[axis].datatype]).astype(np.float64) for axis in "xyz"], axis=1)
-    kept = np.isfinite(xyz).all(1)
-    packed = next((fields[key] for key in ("rgb", "rgba") if key in fields), None)
-    if packed is None:
-        return torch.from_numpy(xyz[kept]), None
-    value = column(packed, "u4")[kept]
-    rgb = np.stack([(value >> shift) & 255 for shift in (16, 8, 0)], axis=1).astype(np.float32) / 255
-    return torch.from_numpy(xyz[kept]), torch.from_numpy(rgb)
+        values = np.ascontiguousarray(rows[:, field.offset : end]).view(kind)
+        columns[field.name] = values[:, 0] if number == 1 else values
+    cloud = cloud_of(columns, name)
+    finite, returned = cloud.points.isfinite().all(1), cloud.points.any(1)
+    kept = repaired(cloud._replace(points=cloud.points.double(), normals=None).chosen(finite & returned), name)
+    return kept, int((finite & ~returned).sum())

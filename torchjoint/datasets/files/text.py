@@ -19,7 +19,7 @@ def read_lines(path: Path, expected: str) -> Iterator[tuple[str, str]]:
         FileNotFoundError, ValueError: there is no such file, or it is not a text file.
     """
     is_damaged = damage_is(f"{path}: expected {expected} as text")
-    with open_file(path, expected) as stream, is_damaged, TextIOWrapper(stream, "utf-8") as text:
+    with open_file(path, expected) as stream, is_damaged, TextIOWrapper(stream, "utf-8-sig") as text:
         for number, line in enumerate(iter(partial(text.readline, bounds.LINE), ""), 1):
             bounds.check(len(line), bounds.LINE - 1, f"characters in line {number}")
             if not line.startswith("#"):

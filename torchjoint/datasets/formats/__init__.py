@@ -3,7 +3,8 @@
 A format is a module with
 
 * ``WHAT``: a few words on the files it expects,
-* ``recognizes(path) -> bool``: whether `path` is one scene of this format; cheap, never raises,
+* ``recognizes(path) -> bool``: whether `path` is one scene of this format; cheap; raises ValueError if this cannot be
+  known, because a link leads nowhere or a pipe stands in the place of a file,
 * ``load(path, options) -> Scene``: with ground truth if the data set has any; frames are lazy,
 
 and, if a data set holds many scenes, ``scenes(path) -> dict[str, Path]``: scene paths by name; empty if `path` is no

@@ -28,6 +28,7 @@ from torchjoint.datasets.files.readers import read_depth, read_image
 from torchjoint.datasets.files.text import parse_numbers, read_lines
 from torchjoint.datasets.pose_interpolation import interpolate_poses
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.datasets.shots import tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
@@ -68,6 +69,7 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
     shots = [(file, pose) for (_, file), pose in zip(images, poses, strict=True) if pose is not None]
     if not shots:
         raise ValueError(f"{folder / IMAGES}: no image has a pose in {TRAJECTORY} within {TOLERANCE} s")
+    tell_left_out(str(folder), len(images) - len(shots), len(images), f"have no pose within {TOLERANCE} s,")
 
     def read(index: int) -> Frame:
         file, pose = shots[index]

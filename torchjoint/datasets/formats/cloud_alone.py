@@ -10,12 +10,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from torchjoint.datasets.files import meshes
-from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.clouds import SUFFIXES, read_cloud_file
 from torchjoint.datasets.recording import Options
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.scene import Scene
 
-SUFFIXES = (".ply", ".pcd", ".npy", ".npz", ".xyz", ".txt", ".las", ".laz", ".e57", ".bin", *meshes.SUFFIXES)
 WHAT = f"a point cloud or a mesh alone: {', '.join(SUFFIXES)}"
 
 

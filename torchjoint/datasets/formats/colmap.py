@@ -1,6 +1,8 @@
 """Reads COLMAP's reconstructions (J. Schönberger, J.-M. Frahm, "Structure-from-Motion Revisited", CVPR 2016).
 
-sparse/0, sparse, or the folder itself    the model: cameras, images and points3D, .bin or .txt
+sparse/N, sparse, or the folder itself    the model: cameras, images and points3D, .bin or .txt; of several sparse/N the
+                                          one with most images, which a warning tells. rigs and frames of COLMAP 3.12
+                                          and later are not needed: images have whole poses there, too
 images, or images_2, _4, _8               the images, in the first folder that holds the model's names; or in the folder
                                           itself
 cloud.ply, fused.ply, dense/fused.ply,    the cloud, the first that exists; otherwise the model's sparse points, which
@@ -13,31 +15,31 @@ Images may be resized, but not cropped; lens distortion is removed. The scale of
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 from torchjoint.datasets.files.colmap_model import has_model, read_images, read_points
 from torchjoint.datasets.paths import frame_names, path_inside
 from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames
-from torchjoint.datasets.shots import Shot, read_shots
+from torchjoint.datasets.shots import Shot, read_shots, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
 WHAT = "COLMAP's cameras and images (.bin or .txt) in sparse/0, in sparse, or in the folder itself"
 
-_MODELS = ("sparse/0", "sparse", ".")
 _IMAGES = ("images", "images_2", "images_4", "images_8", ".")
 _CLOUDS = ("fused.ply", "dense/fused.ply", "dense/0/fused.ply")
 
 
 def recognizes(path: Path) -> bool:
     """Returns whether the folder has a sparse model."""
-    return has_folder(path) and any(has_model(path / place) for place in _MODELS)
+    return has_folder(path) and bool(_models(path))
 
 
 def load(path: Path, options: Options) -> Scene:
     """Loads the folder; see :func:`torchjoint.load_scene`."""
-    model = next(path / place for place in _MODELS if has_model(path / place))
+    model = _largest(path, _models(path))
     around = list(path.absolute().parents)[:2] if model == path else []
     frames = _read_frames(model, [path, *around])
     clouds = [base / name for base in (path, *around) for name in _CLOUDS]
@@ -47,12 +49,34 @@ def load(path: Path, options: Options) -> Scene:
     return Scene(points, frames, colors, name=path.name)
 
 
+def _models(path: Path) -> list[Path]:
+    """The models of which one is read: COLMAP numbers those of parts that it could not join."""
+    numbered = (path / "sparse").glob("[0-9]*") if has_folder(path / "sparse") else ()
+    parts = sorted((one for one in numbered if one.name.isdigit() and has_model(one)), key=lambda one: int(one.name))
+    return parts or [one for one in (path / "sparse", path) if has_model(one)][:1]
+
+
+def _largest(path: Path, models: Sequence[Path]) -> Path:
+    if len(models) == 1:
+        return models[0]
+    counts = [len(read_images(model)) for model in models]
+    best = counts.index(max(counts))
+    parts = ", ".join(f"sparse/{model.name} has {count}" for model, count in zip(models, counts, strict=True))
+    warnings.warn(
+        f"{path}: {len(models)} models, of parts that COLMAP did not join: sparse/{models[best].name} is read; images: "
+        f"{parts}; give the folder of another model to read it",
+        stacklevel=4,
+    )
+    return models[best]
+
+
 def _read_frames(model: Path, bases: Sequence[Path]) -> Sequence[Frame]:
     images = read_images(model)
     folder = _image_folder(bases, images[0].name, str(model))
     files = [path_inside(folder, image.name, str(model)) for image in images]
     for file in files:
         present(file, f"an image of the model in {model}")
+    tell_unlisted(str(model), files)
     names = frame_names([image.name for image in images])
     shots = [
         Shot(file, image.camera, image.world_to_camera, name)

@@ -11,6 +11,7 @@ from torchjoint.datasets.files.readers import read_depth, read_image, read_matri
 from torchjoint.datasets.recording import invert_pose
 from torchjoint.datasets.resampling import register_depth
 from torchjoint.datasets.scannet_cameras import Calibration, Cameras
+from torchjoint.datasets.shots import tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame
@@ -48,6 +49,7 @@ def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
         raise ValueError(f"{folder / 'color'}: frame {twice!r} has two colour images")
     poses = [read_matrix(folder / "pose" / f"{stem}.txt", (4, 4)) for stem in stems]
     kept = [i for i, pose in enumerate(poses) if torch.isfinite(pose).all()]
+    tell_left_out(str(folder), len(images) - len(kept), len(images))
     extrinsics = {i: invert_pose(as_pose(poses[i], str(folder / "pose" / f"{stems[i]}.txt"))) for i in kept}
 
     def read(place: int) -> Frame:

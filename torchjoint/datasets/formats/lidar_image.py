@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.files.columns import repaired
 from torchjoint.datasets.files.json_record import read_record
 from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.readers import read_image, read_matrix
@@ -40,15 +41,15 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     """Loads the folder; see :func:`torchjoint.load_scene`."""
-    cloud = read_pcd(path / "pointcloud.pcd")
-    points, colors = cloud.points(), cloud.colors()
-    known = torch.isfinite(points).all(dim=1)
+    file = path / "pointcloud.pcd"
+    cloud = read_pcd(file).cloud(str(file))
+    cloud = repaired(cloud.chosen(cloud.points.isfinite().all(1)), str(file))
     camera, pose = _read_camera(path / "camera_info.json"), _read_pose(path)
     image = next((path / name for name in ("image.png", "image.jpg") if has_file(path / name)), None)
     if image is None:
         raise FileNotFoundError(f"{path}: expected image.png or image.jpg beside pointcloud.pcd")
     frames = LazySequence(1, lambda _: camera.frame(read_image(image, camera.size), pose, name="image"))
-    return Scene(points[known], frames, None if colors is None else colors[known], name=path.name)
+    return Scene(cloud.points, frames, cloud.colors, cloud.normals, name=path.name)
 
 
 def _read_camera(path: Path) -> Camera:

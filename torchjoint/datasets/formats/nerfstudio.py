@@ -32,6 +32,7 @@ from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_image_size
 from torchjoint.datasets.paths import frame_names, path_inside
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.datasets.shots import tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene
@@ -55,6 +56,11 @@ def recognizes(path: Path) -> bool:
     """Returns whether `path` is a transforms.json, or a folder with one."""
     is_file = path.suffix == ".json" and path.name.startswith("transforms")
     return has_file(path) if is_file else has_file(path / "transforms.json")
+
+
+def scenes(path: Path) -> dict[str, Path]:
+    """Returns the files of a folder without transforms.json, such as transforms_train.json of Blender's sets."""
+    return {file.stem.removeprefix("transforms_"): file for file in sorted(path.glob("transforms_*.json"))}
 
 
 def load(path: Path, options: Options) -> Scene:
@@ -82,6 +88,7 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
     for one, following in pairwise(shots):
         if one.color == following.color:
             raise ValueError(f"{file}: frames: two are of {one.color}")
+    tell_unlisted(str(file), [shot.color for shot in shots])
     names = frame_names([str(shot.color) for shot in shots])
     return LazySequence(len(shots), lambda i: _read_frame(shots[i], names[i]), names)
 

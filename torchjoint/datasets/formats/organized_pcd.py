@@ -5,7 +5,8 @@ NAME.pcd                 WIDTH x HEIGHT points, row by row like pixels: x, y, z 
 
 The world frame is the camera's frame; the pose is the identity. Each point lies on its pixel's ray, so the intrinsics
 are found by least squares: column = fx x/z + cx and row = fy y/z + cy (mOSD: 525, 525, 319.5, 239.5). The cloud holds
-the points with depth, row by row.
+the points with depth, row by row. A cloud that was moved to another frame, or that a LiDAR made, is on no camera's
+rays: it is read as a cloud alone, and a warning tells so.
 
 Ground truth from mOSD's labels: 0 is void, 1-9 are parts of the table, 20-29 of the first object, 30-39 of the second,
 and so on. label // 10 merges the parts of an object, so the table is 0, the first object 2, the second 3. Pixels
@@ -14,14 +15,18 @@ without depth are void. The background is void, too: mOSD has removed it from th
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.files.columns import CloudFile, repaired
 from torchjoint.datasets.files.pcd import Pcd, read_pcd, read_pcd_header
+from torchjoint.datasets.formats import cloud_alone
 from torchjoint.datasets.recording import Options
-from torchjoint.runtime.foreign_files import has_file
+from torchjoint.runtime.foreign_files import has_file, or_unreadable
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_labels
 
@@ -44,30 +49,34 @@ def recognizes(path: Path) -> bool:
 
 def scenes(path: Path) -> dict[str, Path]:
     """Returns the organised clouds of a folder."""
-    return {file.stem: file for file in sorted(path.glob("*.pcd")) if recognizes(file)}
+    return {file.stem: file for file in sorted(path.glob("*.pcd")) if or_unreadable(recognizes, file)}
 
 
 def load(path: Path, options: Options) -> Scene:
     """Loads the view; see :func:`torchjoint.load_scene`."""
     cloud = read_pcd(path)
-    points, colors = cloud.points(), cloud.colors()
+    points, colors, normals, *_ = cloud.cloud(str(path))
     if colors is None:
         raise ValueError(f"{path}: expected a field rgb or rgba of 4 bytes")
     known = torch.isfinite(points).all(dim=1) & (points[:, 2] > 0)
-    size = (cloud.height, cloud.width)
+    size, intrinsics = (cloud.height, cloud.width), _intrinsics(path, points, known, cloud.width)
+    if intrinsics is None:
+        return cloud_alone.load(path, replace(options, invalid="drop"))
     frame = Frame(
-        colors.view(*size, 3).permute(2, 0, 1).contiguous(),
-        _intrinsics(path, points, known, cloud.width),
+        (colors.view(*size, 3).permute(2, 0, 1) * 255).round().byte().contiguous(),
+        intrinsics,
         torch.eye(4, dtype=torch.float64),
         depth=torch.where(known, points[:, 2], 0).float().view(size),
         name=path.stem,
     )
     instances = _instances(path, cloud, known)
     truth = None if instances is None else Truth(instances[known], (instances.view(size),))
-    return Scene(points[known], (frame,), colors[known], name=path.stem, truth=truth)
+    seen = repaired(CloudFile(points[known], colors[known], None if normals is None else normals[known]), str(path))
+    return Scene(seen.points, (frame,), seen.colors, seen.normals, name=path.stem, truth=truth)
 
 
-def _intrinsics(path: Path, points: Tensor, known: Tensor, width: int) -> Tensor:
+def _intrinsics(path: Path, points: Tensor, known: Tensor, width: int) -> Tensor | None:
+    """The camera's matrix; None, with a warning, if the points are not on its rays."""
     place = torch.nonzero(known).squeeze(1)
     matrix = torch.eye(3, dtype=torch.float64)
     for axis, pixel in enumerate((place % width, place.div(width, rounding_mode="floor"))):
@@ -79,9 +88,12 @@ def _intrinsics(path: Path, points: Tensor, known: Tensor, width: int) -> Tensor
         center = pixel.mean() - focal * slope.mean()
         offset = float((focal * slope + center - pixel).abs().max())
         if not (offset <= LARGEST_OFFSET and focal > 0):
-            raise ValueError(
-                f"{path}: expected points on the rays of a pinhole camera's pixels, got one {offset:.3g} px off its ray"
+            warnings.warn(
+                f"{path}: expected points on the rays of a pinhole camera's pixels, got one {offset:.3g} px off its "
+                "ray: read as a cloud alone, without an image",
+                stacklevel=3,
             )
+            return None
         matrix[axis, axis], matrix[axis, 2] = focal, center
     return matrix
 

@@ -21,6 +21,7 @@ from torchjoint.datasets.formats.scannet import CLOUD
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.datasets.scannet_cameras import COLOR_SIZE, DEPTH_SIZE, Calibration, Cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, read_point_instances
+from torchjoint.datasets.shots import tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder, read_text
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
@@ -52,6 +53,7 @@ def _read_frames(path: Path) -> LazySequence[Frame]:
     cameras = Cameras(color, _calibration(of_depth) if has_file(of_depth) else color)
     poses = [read_matrix(file.with_suffix(".txt"), (4, 4)) for file in images]
     kept = [index for index, pose in enumerate(poses) if torch.isfinite(pose).all()]
+    tell_left_out(str(path), len(images) - len(kept), len(images))
     extrinsics = {i: invert_pose(as_pose(poses[i], str(images[i].with_suffix(".txt")))) for i in kept}
 
     def read(place: int) -> Frame:

@@ -2,7 +2,7 @@
 
 results/frameNNNNNN.jpg      8-bit RGB
 results/depthNNNNNN.png      16-bit, `scale` per metre, 0 = unknown
-traj.txt                     a line for each frame: 16 numbers, camera-to-world by rows, OpenCV axes
+traj.txt                     a line for each frame (or the first ones): 16 numbers, camera-to-world by rows, OpenCV axes
 ../cam_params.json           {"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}}; also in the room's folder
 ../ROOM_mesh.ply             the cloud: its vertices (optional: fused from depth if absent)
 """
@@ -18,7 +18,7 @@ from torchjoint.datasets.cameras import Camera, pinhole_matrix
 from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.text import parse_numbers, read_lines
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
-from torchjoint.datasets.shots import Shot, read_shots
+from torchjoint.datasets.shots import Shot, read_shots, tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import as_pose
@@ -41,8 +41,10 @@ def load(path: Path, options: Options) -> Scene:
         raise ValueError(f"{values.name}: scale: expected steps per metre, > 0, got {scale:g}")
     camera, poses = _camera(values), _read_poses(path / "traj.txt")
     images = sorted((path / "results").glob("frame*.jpg"))
-    if len(images) != len(poses):
+    if not 0 < len(poses) <= len(images):
         raise ValueError(f"{path / 'traj.txt'}: expected {len(images)} poses, one for each image, got {len(poses)}")
+    tell_left_out(str(path), len(images) - len(poses), len(images))
+    images = images[: len(poses)]
     depths = [image.with_name(f"{image.stem.replace('frame', 'depth')}.png") for image in images]
     shots = [
         Shot(image, camera, pose, image.stem, depth, 1 / scale)

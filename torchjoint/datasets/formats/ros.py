@@ -6,7 +6,8 @@ color     sensor_msgs/Image or CompressedImage, in colour or grey
 info      sensor_msgs/CameraInfo of the colour camera: with the same frame, or else the only one
 depth     sensor_msgs/Image (16UC1: millimetres, 32FC1: metres) or CompressedImage (16 bits), in the same frame
 points    sensor_msgs/PointCloud2: the cloud, unless there is depth
-odometry  nav_msgs/Odometry; used if the camera does not move according to tf
+odometry  nav_msgs/Odometry, geometry_msgs/TransformStamped, PoseStamped or PoseWithCovarianceStamped, or nav_msgs/Path;
+          used if the camera does not move according to tf. `none`: the camera stands still
 
 An image gets the depth nearest in time; the nearest pairs are matched first. Its pose is interpolated between the
 transforms before and after it. Both must be within `time_limit`; images without a pose are left out, and a warning says
@@ -34,11 +35,13 @@ from torchjoint.datasets.files.ros_messages import (
     cloud_points,
     color_image,
     depth_image,
+    has_region,
     is_depth,
 )
 from torchjoint.datasets.formats.tum import associate
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.datasets.ros_poses import ODOMETRY, Poses
+from torchjoint.datasets.shots import tell_left_out
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene
@@ -48,7 +51,8 @@ WHAT = "a ROS recording: .bag, .mcap, .db3, or a folder with metadata.yaml"
 INFO, POINTS = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2"
 #: The keys of `topics`.
 ROLES = ("color", "info", "depth", "points", "odometry")
-
+#: In place of a topic of odometry.
+STILL = "none"
 
 #: Points that are collected before they are thinned.
 FEW = 1_000_000
@@ -85,8 +89,11 @@ def load(path: Path, options: Options) -> Scene:
     bag = Bag(path)
     poses = Poses(bag, options.time_limit)
     topics = _find_topics(bag, poses, options.topics)
-    if topics.odometry is not None:
-        poses.add_odometry(topics.odometry)
+    frame = _frame(bag.first(topics.color))
+    if topics.odometry is not None and topics.odometry != STILL:
+        poses.add_odometry(topics.odometry, frame)
+    if topics.odometry != STILL:
+        _check_poses(bag, topics, poses, frame)
     frames = _frames(bag, topics, poses, options.time_limit)
     if topics.points is None or not options.fuse or find_cloud(path, options) is not None:
         return scene_of_frames(path, frames, options)
@@ -99,7 +106,7 @@ def _find_topics(bag: Bag, poses: Poses, chosen: Mapping[str, str]) -> _Topics:
     if unknown:
         raise ValueError(f"topics: expected some of {', '.join(ROLES)}, got {', '.join(unknown)}")
     for role, topic in chosen.items():
-        if topic not in bag.kinds:
+        if topic not in bag.kinds and (role, topic) != ("odometry", STILL):
             raise ValueError(f"topics: {role}: {bag.path} has no messages of {topic}; it has {', '.join(bag.kinds)}")
     heads = {topic: bag.first(topic) for topic in bag.topics(IMAGE, COMPRESSED)}
     color = _only("color", [topic for topic, head in heads.items() if not is_depth(head)], chosen, bag)
@@ -115,8 +122,37 @@ def _find_topics(bag: Bag, poses: Poses, chosen: Mapping[str, str]) -> _Topics:
     points = chosen.get("points", points)
     odometry = chosen.get("odometry")
     if odometry is None and not poses.moves(frame):
-        odometry = _only("odometry", bag.topics(*ODOMETRY), chosen, bag)
+        found = [topics for kind in ODOMETRY if (topics := bag.topics(kind))]
+        odometry = _only("odometry", found[0], chosen, bag) if found else None
     return _Topics(color, info, None if "points" in chosen else depth, points, odometry)
+
+
+def _check_poses(bag: Bag, topics: _Topics, poses: Poses, frame: str) -> None:
+    """A camera whose poses are missing must not count as one that stands still.
+
+    Raises:
+        ValueError: there is no pose of the images, or none that connects them to the cloud.
+    """
+    if topics.points is not None and poses.root(of_points := _frame(bag.first(topics.points))) != poses.root(frame):
+        raise ValueError(
+            f"{bag.path}: expected one tree of tf, got no pose between frame {frame!r} of {topics.color} and frame "
+            f"{of_points!r} of {topics.points}; record /tf and /tf_static"
+        )
+    if poses.moves(frame) or len(bag.stamps(topics.color)) < 2:
+        return
+    way_out = "if it stood still, --topics odometry=none says so"
+    if not poses.names(frame):
+        raise ValueError(
+            f"{bag.path}: expected poses of the camera, frame {frame!r}, in tf, or as "
+            f"{', '.join(kind.rpartition('/')[2] for kind in ODOMETRY)}, got "
+            f"{f'none in {topics.odometry}' if topics.odometry else 'none'}; record them, or name their topic "
+            f"(--topics odometry=TOPIC); {way_out}"
+        )
+    warnings.warn(
+        f"{bag.path}: no pose changes: according to tf the camera, frame {frame!r}, stands still in frame "
+        f"{poses.root(frame)!r}; if it moved, its poses are missing (--topics odometry=TOPIC); {way_out}",
+        stacklevel=3,
+    )
 
 
 def _only(role: str, found: Sequence[str], chosen: Mapping[str, str], bag: Bag) -> str | None:
@@ -150,14 +186,12 @@ def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[F
     ]
     if not shots:
         raise ValueError(f"{bag.path}: none of {len(colors)} images has a pose within {limit} s (tf or odometry)")
-    if len(shots) < len(colors):
-        warnings.warn(
-            f"{bag.path}: {len(colors) - len(shots)} of {len(colors)} images have no pose within {limit} s, and are "
-            "left out",
-            stacklevel=2,
-        )
+    tell_left_out(str(bag.path), len(colors) - len(shots), len(colors), f"have no pose within {limit} s,")
     rectified = re.search(r"(?:^|[/_])rect", topics.color) is not None
-    lens = camera(bag.first(topics.info), rectified, f"{bag.path}: {topics.info}")
+    info, size = bag.first(topics.info), []
+    if has_region(info):
+        _, *size = color_image(bag.first(topics.color), f"{bag.path}: {topics.color}").shape
+    lens = camera(info, rectified, f"{bag.path}: {topics.info}", (size[0], size[1]) if size else None)
     names = [f"{shot.color.time:.6f}" for shot in shots]
     return LazySequence(len(shots), _reader(bag, topics, shots, lens, names), names)
 
@@ -180,18 +214,29 @@ def _merged_scans(bag: Bag, topic: str, poses: Poses, voxel_size: float) -> tupl
     """The points [N, 3] float64 of all scans in the world, one per voxel, and their colours if every scan has them."""
     stamps = bag.stamps(topic)
     at = poses.world_from(_frame(bag.first(topic)), [one.time for one in stamps])
-    points, colors, colored, thinned = torch.empty(0, 3, dtype=torch.float64), torch.empty(0, 3), True, 0
+    points, colors, thinned = torch.empty(0, 3, dtype=torch.float64), torch.empty(0, 3), 0
+    colored, used, without, given = 0, 0, 0, 0
     for stamp, pose in zip(stamps, at, strict=True):
         if pose is None:
             continue
-        scan, rgb = cloud_points(bag.read(topic, stamp), f"{bag.path}: {topic} at {stamp.time:.6f}")
-        colored &= rgb is not None
-        points = torch.cat([points, scan @ pose[:3, :3].T + pose[:3, 3]])
-        colors = torch.cat([colors, torch.zeros(len(scan), 3) if rgb is None else rgb])
+        scan, no_return = cloud_points(bag.read(topic, stamp), f"{bag.path}: {topic}")
+        used, colored = used + 1, colored + (scan.colors is not None)
+        without, given = without + no_return, given + no_return + len(scan.points)
+        points = torch.cat([points, scan.points @ pose[:3, :3].T + pose[:3, 3]])
+        colors = torch.cat([colors, torch.zeros(len(scan.points), 3) if scan.colors is None else scan.colors])
         if len(points) > 2 * thinned + FEW:
             kept = voxel_subsample(points, voxel_size)
             points, colors, thinned = points[kept], colors[kept], len(kept)
     if not len(points):
         raise ValueError(f"{bag.path}: no scan of {topic} has points and a pose within {poses.limit} s")
+    for told in (
+        f"{len(stamps) - used} of {len(stamps)} scans have no pose within {poses.limit} s"
+        if used < len(stamps)
+        else "",
+        f"{without} of {given} points are (0, 0, 0), beams without return" if without else "",
+        f"{used - colored} of {used} scans have no colours, so those of the others" if 0 < colored < used else "",
+    ):
+        if told:
+            warnings.warn(f"{bag.path}: {topic}: {told}; they are left out", stacklevel=3)
     kept = voxel_subsample(points, voxel_size)
-    return points[kept], colors[kept] if colored else None
+    return points[kept], colors[kept] if colored == used else None

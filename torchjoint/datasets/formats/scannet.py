@@ -28,8 +28,8 @@ from torchjoint.datasets.formats.exported_frames import has_frames, make_frame, 
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.datasets.scannet_cameras import Calibration, Cameras, find_cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
-from torchjoint.datasets.shots import read_shots
-from torchjoint.runtime.foreign_files import has_file, has_folder
+from torchjoint.datasets.shots import read_shots, tell_left_out
+from torchjoint.runtime.foreign_files import has_file, has_folder, or_unreadable
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_pose
@@ -62,7 +62,8 @@ def load(path: Path, options: Options) -> Scene:
 def scenes(path: Path) -> dict[str, Path]:
     """Returns the scans of the data set's own folder, which holds them in `scans/` and `scans_test/`."""
     folders = [one for name in ("scans", "scans_test") if has_folder(path / name) for one in (path / name).iterdir()]
-    return {one.name: one for one in sorted(folders) if has_folder(one) and recognizes(one)}
+    folders = [one for one in sorted(folders) if or_unreadable(has_folder, one)]
+    return {one.name: one for one in folders if or_unreadable(recognizes, one)}
 
 
 def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
@@ -84,6 +85,7 @@ def _stream_frames(stream: SensFile) -> LazySequence[Frame]:
         Calibration(stream.depth_intrinsics, (stream.depth_size,)),
     )
     kept = torch.isfinite(stream.poses).all(dim=(1, 2)).nonzero().flatten().tolist()
+    tell_left_out(str(stream.path), len(stream) - len(kept), len(stream))
     extrinsics = [invert_pose(as_pose(stream.poses[i], f"{stream.path}, pose of frame {i}")) for i in kept]
 
     def read(place: int) -> Frame:

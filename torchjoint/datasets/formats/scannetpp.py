@@ -27,8 +27,8 @@ from torchjoint.datasets.files.json_record import read_record
 from torchjoint.datasets.formats.nerfstudio import read_camera
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.datasets.scannet_truth import point_instances
-from torchjoint.datasets.shots import Shot, read_shots
-from torchjoint.runtime.foreign_files import has_file, has_folder
+from torchjoint.datasets.shots import Shot, read_shots, tell_unlisted
+from torchjoint.runtime.foreign_files import has_file, has_folder, or_unreadable
 from torchjoint.runtime.lazy import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_pose
@@ -69,7 +69,7 @@ def truth_files(path: Path) -> tuple[Path, Path]:
 def scenes(path: Path) -> dict[str, Path]:
     """Returns the scenes of the data set's own folder, which holds them in `data/`."""
     folders = sorted((path / "data").iterdir()) if has_folder(path / "data") else []
-    return {one.name: one for one in folders if recognizes(one)}
+    return {one.name: one for one in folders if or_unreadable(recognizes, one)}
 
 
 def _places(path: Path) -> tuple[Path, str]:
@@ -95,6 +95,7 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
     kept = [(file, shot) for file, shot in files if has_file(file)]
     if not kept:
         raise FileNotFoundError(f"{images}: expected images that have poses, such as {files[0][0].name}, got none")
+    tell_unlisted(str(images), [file for file, _ in kept])
     undistorted = None
     if "undistorted" in images.name:
         undistorted = read_camera(read_record(folder / UNDISTORTED, "the camera of images"), kept[0][0])

@@ -33,7 +33,7 @@ from torchjoint.datasets.files.text import parse_numbers, read_lines
 from torchjoint.datasets.paths import frame_names, path_inside
 from torchjoint.datasets.pose_interpolation import interpolate_poses
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
-from torchjoint.datasets.shots import Shot, read_shots
+from torchjoint.datasets.shots import Shot, read_shots, tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
@@ -81,6 +81,7 @@ def read_frames(path: Path) -> Sequence[Frame]:
     kept = [(index, pose) for index, pose in enumerate(poses) if pose is not None]
     if not kept:
         raise ValueError(f"{path}: no image of rgb.txt has a pose in groundtruth.txt within {TOLERANCE} s")
+    tell_left_out(str(path), len(poses) - len(kept), len(poses), f"have no pose within {TOLERANCE} s,")
     camera, shots = _camera(path), []
     names = frame_names([str(colors[index].path) for index, _ in kept])
     for (index, pose), name in zip(kept, names, strict=True):

@@ -13,7 +13,7 @@ from torch.nn.functional import normalize
 
 from torchjoint.cloud._vectors import dot, length
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.segments.learned.image_agreement import NUM_VALUES, image_agreement
+from torchjoint.segments.learned.image_agreement import image_agreement
 from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.region_statistics import (
     RegionStatistics,
@@ -43,6 +43,12 @@ def _context(name: str) -> tuple[str, ...]:
     return (f"{name}_above_mean_of_small", f"{name}_above_least_of_small", f"{name}_above_least_of_large")
 
 
+#: Values by the names of features, [B] each.
+Columns = dict[str, Tensor]
+#: Measures of edges of which a boundary has a mean and quantiles.
+SUMMARIES = (
+    "crease", "bend", "wide_bend", "offset", "larger_offset", "gap", "color_step", "disagreement", "contour"
+)  # fmt: skip
 _SHAPE = ("noise_ratio", "width", "elongation", "thickness", "flatness")
 
 #: The names of the features. The order is part of a trained model.
@@ -144,40 +150,38 @@ def boundary_features(pieces: PieceGraph, region: Tensor) -> BoundaryFeatures:
     a_is_small = statistics.size[a] <= statistics.size[b]
     small, large = torch.where(a_is_small, a, b), torch.where(a_is_small, b, a)
     edges, images = pieces.edges, pieces.images
-    measures = [edges.crease, edges.bend, edges.wide_bend, edges.offset, edges.larger_offset, edges.gap]
-    optional = [edges.color_step, edges.disagreement, edges.contour]
-    missing = boundaries.num_edges.new_full((len(a), 1), torch.nan)
-
-    def summary(measure: Measure | None) -> Tensor:
-        return missing.expand(-1, 4) if measure is None else boundaries.summary(measure)
-
-    *geometry, color_step, disagreement, contour = parallel_map(summary, measures + optional)
+    known = [name for name in SUMMARIES if getattr(edges, name) is not None]
     averaged = [edges.crease.values.clamp(min=0), edges.unoriented]
     averaged += [] if edges.views is None else [edges.views > 0, edges.views]
-    crease, unoriented, *of_views = (mean[:, None] for mean in parallel_map(boundaries.mean, averaged))
-    columns = [
-        *geometry,
-        unoriented,
-        _sizes(statistics, small, large, boundaries.num_edges),
-        _shapes(statistics, small, large),
-        _colors(statistics, boundaries.pairs, small, large),
-        color_step,
-        color_step[:, 2:3] / (pieces.typical_color_step or 1),
-        disagreement,
-        contour,
-    ]
-    if images is None or edges.views is None:
-        columns += [missing.expand(-1, 2 + NUM_VALUES), _in_context(crease[:, 0], boundaries, small, large)]
-        columns += [missing.expand(-1, 3)]
-    else:
-        seen_share, views = of_views
-        columns += [seen_share, views.log1p()]
-        columns += [image_agreement(images, boundaries.of_piece, boundaries.num_regions, boundaries.pairs)]
-        columns += [_in_context(values, boundaries, small, large) for values in (crease[:, 0], disagreement[:, 0])]
-    columns += [_neighborhood(boundaries, small), _bulges(statistics, small, large)]
-    columns += [_textures(statistics, small, large, bend=geometry[1][:, 2], color_step=color_step[:, 2])]
-    values = torch.cat([values.float() for values in columns], 1)
-    return BoundaryFeatures(boundaries.pairs, values, boundaries.of_any_edge)
+    crease, unoriented, *of_views = parallel_map(boundaries.mean, averaged)
+    columns: Columns = {"unoriented_share": unoriented}
+    for name, summary in zip(
+        known, parallel_map(lambda name: boundaries.summary(getattr(edges, name)), known), strict=True
+    ):
+        columns |= zip(_summary(name), summary.unbind(1), strict=True)
+    columns |= _sizes(statistics, small, large, boundaries.num_edges)
+    columns |= _shapes(statistics, small, large)
+    columns |= _colors(statistics, small, large)
+    columns |= _in_context("crease", crease, boundaries, small, large)
+    if images is not None and edges.views is not None:
+        columns |= {"seen_share": of_views[0], "log_views": of_views[1].log1p()}
+        columns |= image_agreement(images, boundaries.of_piece, boundaries.num_regions, boundaries.pairs)
+        columns |= _in_context("disagreement", columns["disagreement_mean"], boundaries, small, large)
+    columns |= _neighborhood(boundaries, small)
+    columns |= _bulges(statistics, small, large)
+    columns |= _roughness(statistics, small, large, columns["bend_median"])
+    if edges.color_step is not None:
+        columns["color_step_ratio"] = columns["color_step_median"] / (pieces.typical_color_step or 1)
+        columns |= _textures(statistics, small, large, columns["color_step_median"])
+    return BoundaryFeatures(boundaries.pairs, _in_order(columns, len(a)), boundaries.of_any_edge)
+
+
+def _in_order(columns: Columns, count: int) -> Tensor:
+    """The values [count, F] float32 in the order of FEATURE_NAMES; NaN for a column that is missing."""
+    if unknown := columns.keys() - set(FEATURE_NAMES):
+        raise KeyError(f"features: {sorted(unknown)} are not in FEATURE_NAMES")
+    missing = torch.full((count,), torch.nan)
+    return torch.stack([columns[name].float() if name in columns else missing for name in FEATURE_NAMES], 1)
 
 
 def _find_boundaries(pieces: PieceGraph, region: Tensor) -> _Boundaries:
@@ -197,67 +201,74 @@ def _find_boundaries(pieces: PieceGraph, region: Tensor) -> _Boundaries:
     return _Boundaries(of_piece, num_regions, pairs, edges, of_edge, of_any_edge, num_edges)
 
 
-def _sizes(regions: RegionStatistics, small: Tensor, large: Tensor, num_edges: Tensor) -> Tensor:
-    """Sizes of both regions, and of the boundary relative to them: [B, 5]."""
+def _sizes(regions: RegionStatistics, small: Tensor, large: Tensor, num_edges: Tensor) -> Columns:
+    """Sizes of both regions, and of the boundary relative to them."""
     one, other = regions.size[small], regions.size[large]
-    return torch.stack(
-        [one.log(), other.log(), num_edges / one.sqrt(), num_edges / other.sqrt(), num_edges / (num_edges + one)], 1
-    )
+    return {
+        "log_points_small": one.log(),
+        "log_points_large": other.log(),
+        "boundary_per_perimeter_small": num_edges / one.sqrt(),
+        "boundary_per_perimeter_large": num_edges / other.sqrt(),
+        "boundary_share": num_edges / (num_edges + one),
+    }
 
 
-def _shapes(regions: RegionStatistics, small: Tensor, large: Tensor) -> Tensor:
-    """Shapes of both regions and of their union, and their positions relative to each other: [B, 18]."""
+def _shapes(regions: RegionStatistics, small: Tensor, large: Tensor) -> Columns:
+    """Shapes of both regions and of their union, and their positions relative to each other."""
     deviations = axes(regions.covariance)
     thin, middle, long = deviations.unbind(1)
-    own = torch.stack(
-        [
-            thin / regions.noise,
-            middle / regions.spacing,
-            long / middle.clamp(min=TINY),
-            thin / middle.clamp(min=TINY),
-            length(regions.normal),
-        ],
-        1,
-    )
+    own = {
+        "noise_ratio": thin / regions.noise,
+        "width": middle / regions.spacing,
+        "elongation": long / middle.clamp(min=TINY),
+        "thickness": thin / middle.clamp(min=TINY),
+        "flatness": length(regions.normal),
+    }
     union = axes(covariance_of_unions(regions, small, large))
     between = regions.mean[small] - regions.mean[large]
     normal_small, normal_large = normalize(regions.normal[small], dim=1), normalize(regions.normal[large], dim=1)
     reach = long[small].clamp(min=TINY)
     extent = length(deviations)
-    together = [
-        union[:, 0] / torch.maximum(regions.noise[small], regions.noise[large]),
-        union[:, 0] / union[:, 1].clamp(min=TINY),
-        union[:, 0] / torch.maximum(thin[small], thin[large]).clamp(min=TINY),
-        torch.minimum(long[small], long[large]) / union[:, 2].clamp(min=TINY),
-        dot(normal_small, normal_large),
-        dot(between, normal_large) / reach,
-        dot(-between, normal_small) / reach,
-        length(between) / (extent[small] + extent[large]),
-    ]
-    return torch.cat([own[small], own[large], torch.stack(together, 1)], 1)
+    return {
+        **{f"{name}_small": values[small] for name, values in own.items()},
+        **{f"{name}_large": values[large] for name, values in own.items()},
+        "noise_ratio_union": union[:, 0] / torch.maximum(regions.noise[small], regions.noise[large]),
+        "thickness_union": union[:, 0] / union[:, 1].clamp(min=TINY),
+        "thickness_growth": union[:, 0] / torch.maximum(thin[small], thin[large]).clamp(min=TINY),
+        "extent_ratio": torch.minimum(long[small], long[large]) / union[:, 2].clamp(min=TINY),
+        "normals_cosine": dot(normal_small, normal_large),
+        "side_of_large": dot(between, normal_large) / reach,
+        "side_of_small": dot(-between, normal_small) / reach,
+        "center_distance": length(between) / (extent[small] + extent[large]),
+    }
 
 
-def _colors(regions: RegionStatistics, pairs: Tensor, small: Tensor, large: Tensor) -> Tensor:
-    """Differences of the regions' colours, and the spreads of the colours: [B, 5], NaN without colours."""
+def _colors(regions: RegionStatistics, small: Tensor, large: Tensor) -> Columns:
+    """Differences of the regions' colours, and the spreads of the colours; nothing without colours."""
     if regions.color is None or regions.color_variance is None:
-        return torch.full((pairs.shape[1], 5), torch.nan, dtype=torch.float32)
+        return {}
     difference = regions.color[small] - regions.color[large]
     spread = regions.color_variance.sum(1).sqrt()
-    contrast = color_contrasts(regions, small, large)
-    chroma = difference[:, 1:].square().sum(1).sqrt()
-    return torch.stack([difference[:, 0].abs(), chroma, contrast, spread[small], spread[large]], 1)
+    return {
+        "lightness_difference": difference[:, 0].abs(),
+        "chroma_difference": difference[:, 1:].square().sum(1).sqrt(),
+        "color_contrast": color_contrasts(regions, small, large),
+        "color_spread_small": spread[small],
+        "color_spread_large": spread[large],
+    }
 
 
-def _in_context(value: Tensor, boundaries: _Boundaries, small: Tensor, large: Tensor) -> Tensor:
+def _in_context(name: str, value: Tensor, boundaries: _Boundaries, small: Tensor, large: Tensor) -> Columns:
     """The value of each boundary relative to the other boundaries of the same regions.
 
     Args:
+        name: of the value.
         value: [B], a value of each boundary, NaN counts as TYPICAL.
         boundaries: the boundaries.
         small, large: [B] int64, the regions of each boundary.
 
     Returns:
-        [B, 3]: above the mean of the small region's boundaries, above their minimum, above the large region's minimum.
+        above the mean of the small region's boundaries, above their minimum, above the large region's minimum.
     """
     value = value.nan_to_num(nan=TYPICAL)
     ends = boundaries.pairs.flatten()
@@ -265,27 +276,39 @@ def _in_context(value: Tensor, boundaries: _Boundaries, small: Tensor, large: Te
     mean = weighted / sum_by(ends, boundaries.num_edges.repeat(2), boundaries.num_regions)
     least = value.new_zeros(boundaries.num_regions)
     least = least.scatter_reduce(0, ends, value.repeat(2), "amin", include_self=False)
-    return torch.stack([value - mean[small], value - least[small], value - least[large]], 1)
+    return {
+        f"{name}_above_mean_of_small": value - mean[small],
+        f"{name}_above_least_of_small": value - least[small],
+        f"{name}_above_least_of_large": value - least[large],
+    }
 
 
-def _neighborhood(boundaries: _Boundaries, small: Tensor) -> Tensor:
-    """The boundary's share of all edges around the small region, and the log of its number of neighbours: [B, 2]."""
+def _neighborhood(boundaries: _Boundaries, small: Tensor) -> Columns:
+    """The boundary's share of all edges around the small region, and the log of its number of neighbours."""
     ends = boundaries.pairs.flatten()
     perimeter = sum_by(ends, boundaries.num_edges.repeat(2), boundaries.num_regions)
     neighbors = torch.bincount(ends, minlength=boundaries.num_regions).double()
-    return torch.stack([boundaries.num_edges / perimeter[small], neighbors[small].log()], 1)
+    return {
+        "perimeter_share_small": boundaries.num_edges / perimeter[small],
+        "log_neighbors_small": neighbors[small].log(),
+    }
 
 
-def _bulges(regions: RegionStatistics, small: Tensor, large: Tensor) -> Tensor:
-    """How far both regions and their union bulge outward, relative to their extents: [B, 4].
+def _bulges(regions: RegionStatistics, small: Tensor, large: Tensor) -> Columns:
+    """How far both regions and their union bulge outward, relative to their extents.
 
-    The last column is the union's bulge minus the mean of both, because a whole object bulges more than its sides.
+    The growth is the union's bulge minus the mean of both, because a whole object bulges more than its sides.
     """
     bulge = regions.bulge / _extent(regions.covariance)
     union = bulge_of_unions(regions, small, large) / _extent(covariance_of_unions(regions, small, large))
     share = regions.size[small] / (regions.size[small] + regions.size[large])
     mean = share * bulge[small] + (1 - share) * bulge[large]
-    return torch.stack([bulge[small], bulge[large], union, union - mean], 1)
+    return {
+        "bulge_small": bulge[small],
+        "bulge_large": bulge[large],
+        "bulge_union": union,
+        "bulge_growth": union - mean,
+    }
 
 
 def _extent(covariance: Tensor) -> Tensor:
@@ -293,13 +316,17 @@ def _extent(covariance: Tensor) -> Tensor:
     return torch.diagonal(covariance, dim1=1, dim2=2).sum(1).sqrt().clamp(min=TINY)
 
 
-def _textures(regions: RegionStatistics, small: Tensor, large: Tensor, bend: Tensor, color_step: Tensor) -> Tensor:
-    """Roughness and texture of both regions, and the boundary's bend and colour step [B] divided by them: [B, 6]."""
-    roughness = [regions.roughness[small], regions.roughness[large]]
+def _roughness(regions: RegionStatistics, small: Tensor, large: Tensor, bend: Tensor) -> Columns:
+    """Roughness of both regions, and the boundary's bend [B] divided by it."""
+    one, other = regions.roughness[small], regions.roughness[large]
+    above = bend.double() / (torch.maximum(one, other) + SMALLEST_ROUGHNESS)
+    return {"roughness_small": one, "roughness_large": other, "bend_above_roughness": above}
+
+
+def _textures(regions: RegionStatistics, small: Tensor, large: Tensor, color_step: Tensor) -> Columns:
+    """Texture of both regions, and the boundary's colour step [B] divided by it; nothing without colours."""
     if regions.texture is None:
-        texture = [torch.full_like(roughness[0], torch.nan)] * 2
-    else:
-        texture = [regions.texture[small], regions.texture[large]]
-    bend_above = bend.double() / (torch.maximum(*roughness) + SMALLEST_ROUGHNESS)
-    step_above = color_step.double() / (torch.maximum(*texture) + SMALLEST_TEXTURE)
-    return torch.stack([*roughness, bend_above, *texture, step_above], 1)
+        return {}
+    one, other = regions.texture[small], regions.texture[large]
+    above = color_step.double() / (torch.maximum(one, other) + SMALLEST_TEXTURE)
+    return {"texture_small": one, "texture_large": other, "color_step_above_texture": above}

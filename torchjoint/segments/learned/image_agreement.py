@@ -16,11 +16,9 @@ from torchjoint.views.propagation import OVERLAP_RESOLUTION
 
 #: An image counts for a region only if it sees at least this many points of the region.
 MIN_POINTS = 3
-#: Number of values of :func:`image_agreement`.
-NUM_VALUES = 8
 
 
-def image_agreement(images: ImageCounts, of_piece: Tensor, num_regions: int, pairs: Tensor) -> Tensor:
+def image_agreement(images: ImageCounts, of_piece: Tensor, num_regions: int, pairs: Tensor) -> dict[str, Tensor]:
     """Measures how far the images show two regions as one, for each pair of regions.
 
     Args:
@@ -30,10 +28,10 @@ def image_agreement(images: ImageCounts, of_piece: Tensor, num_regions: int, pai
         pairs: [2, B] int64, pairs of regions.
 
     Returns:
-        [B, NUM_VALUES] float64: agreement over all images, weighted by the products of visible points; its mean over
-        the images; its standard deviation; log(1 + number of images that see both); the gain of the union in best
-        overlap (intersection over union) with an image segment, over the better region; best overlap of the better
-        region, and of the other; range of the agreement. NaN where no image sees both regions.
+        [B] float64 each: agreement over all images, weighted by the products of visible points; its mean over the
+        images; its standard deviation; log(1 + number of images that see both); the gain of the union in best overlap
+        (intersection over union) with an image segment, over the better region; best overlap of the better region, and
+        of the other; range of the agreement. NaN where no image sees both regions.
     """
     with all_threads():
         best, (best_union, low, high), (common, product, rounded, squares, num_views) = agreement_sums(
@@ -43,16 +41,13 @@ def image_agreement(images: ImageCounts, of_piece: Tensor, num_regions: int, pai
     mean = rounded.double() * OVERLAP_RESOLUTION / views
     mean_square = squares.double() * OVERLAP_RESOLUTION**2 / views
     better, worse = torch.maximum(*best[pairs]), torch.minimum(*best[pairs])
-    return torch.stack(
-        [
-            common.double() / product,
-            mean,
-            (mean_square - mean.square()).clamp(min=0).sqrt(),
-            torch.log1p(views),
-            best_union - better,
-            better,
-            worse,
-            torch.where(num_views > 0, high - low, torch.nan),
-        ],
-        dim=1,
-    )
+    return {
+        "agreement": common.double() / product,
+        "agreement_mean": mean,
+        "agreement_deviation": (mean_square - mean.square()).clamp(min=0).sqrt(),
+        "agreement_log_views": torch.log1p(views),
+        "overlap_gain": best_union - better,
+        "better_overlap": better,
+        "worse_overlap": worse,
+        "agreement_range": torch.where(num_views > 0, high - low, torch.nan),
+    }

@@ -1,0 +1,73 @@
+"""Images without a pose are left out, and every format tells so in the same words."""
+
+import shutil
+
+import numpy as np
+import pytest
+import samples
+from samples import ros
+from samples._parts import write_noise
+
+import torchjoint as tj
+
+
+def without_pose(name, folder):
+    """A sample with one image more than poses, or with one pose less."""
+    path = samples.write(name, folder / "sample")
+    if name == "tum":
+        lines = (path / "rgb.txt").read_text().splitlines()
+        (path / "rgb.txt").write_text("\n".join([*lines, f"9999.0 {lines[-1].split()[1]}"]) + "\n")
+    elif name == "arkitscenes":
+        image = next(path.rglob("lowres_wide/*.png"))
+        shutil.copy(image, image.with_name(f"{image.stem.rpartition('_')[0]}_9999.000.png"))
+    elif name == "replica":
+        lines = (path / "traj.txt").read_text().splitlines()
+        (path / "traj.txt").write_text("\n".join(lines[:-1]) + "\n")
+    elif name == "colmap":
+        write_noise(path / "images" / "left 7.png", 7)
+    elif name == "nerfstudio":
+        image = next(path.rglob("*0.png"))
+        shutil.copy(image, image.with_name(image.name.replace("0.png", "777.png")))
+    return path
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["tum", "arkitscenes", "replica", "colmap", "scannet", "scannet_exported", "posed_images",
+     "nerfstudio"],
+)  # fmt: skip
+def test_they_are_told(name, tmp_path):
+    path = without_pose(name, tmp_path)
+    with pytest.warns(
+        UserWarning, match=r": 1 of \d images have no pose( within [0-9.]+ s,)? and are left out$"
+    ) as told:
+        scene = tj.load_scene(path, voxel_size=0.1)
+    (message,) = [str(one.message) for one in told if "images have no pose" in str(one.message)]
+    assert f"1 of {len(scene.frames) + 1} images" in message
+
+
+def test_ros(tmp_path):
+    late = ("/camera/image_raw", 3.0, ros.image(3.0, ros.colors(2), "bgr8"))
+    bag = ros.record(tmp_path / "late", [*ros.messages(), late])
+    with pytest.warns(UserWarning, match=r"late: 1 of 3 images have no pose within 0\.02 s, and are left out"):
+        tj.load_scene(bag, voxel_size=0.1)
+
+
+def test_the_largest_of_several_models(tmp_path):
+    """COLMAP numbers parts that it could not join; version 3.12 adds rigs and frames."""
+    path = samples.write("colmap", tmp_path / "sample")
+    whole, part = path / "sparse" / "1", path / "sparse" / "0"
+    part.rename(whole)
+    (whole / "rigs.txt").write_text("1 1 CAMERA 3\n2 1 CAMERA 1\n")
+    (whole / "frames.txt").write_text(
+        "1 1 0.8 0.6 0 0 0 0.5 0.25 1 CAMERA 3 5\n2 2 0.8 0.6 0 0 -0.1 0.5 0.25 1 CAMERA 1 4\n"
+    )
+    assert [frame.name for frame in tj.load_scene(path).frames] == ["left 0", "left 1"]
+    shutil.copytree(whole, part)
+    lines = (part / "images.txt").read_text().splitlines()
+    (part / "images.txt").write_text("\n".join(lines[:4]) + "\n")
+    with pytest.warns(UserWarning, match=r"2 models, .*: sparse/1 is read; images: sparse/0 has 1, sparse/1 has 2"):
+        scene = tj.load_scene(path)
+    assert len(scene.frames) == 2
+    assert len(tj.load_scene(part).frames) == 1
+    np.testing.assert_array_equal(scene.points, tj.load_scene(whole).points)

@@ -1,0 +1,146 @@
+"""Meshes of several parts, and rows of their files: no colour, point or row is lost without a word."""
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import torchjoint as tj
+from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.ply import read_ply, read_vertex_property
+from torchjoint.results.labelled_file import label_file
+
+trimesh = pytest.importorskip("trimesh")
+
+RED, BLUE = (200, 30, 30), (30, 30, 200)
+SIDE = 12
+U, V = (part.ravel() for part in np.meshgrid(np.linspace(0, 1, SIDE), np.linspace(0, 1, SIDE)))
+PLANE = np.c_[U, V, 0 * U]
+INDEX = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
+A, B, C, D = (corner.ravel() for corner in (INDEX[:-1, :-1], INDEX[:-1, 1:], INDEX[1:, 1:], INDEX[1:, :-1]))
+FACES = np.r_[np.c_[A, B, C], np.c_[A, C, D]]
+
+
+def part(kind, color, shift=0.0):
+    places, visual = PLANE + np.array([shift, 0, 0]), trimesh.visual
+    if kind == "points":
+        return trimesh.PointCloud(places, colors=np.tile([*color, 255], (len(places), 1)))
+    if kind == "bare":
+        return trimesh.Trimesh(places, FACES, process=False)
+    if kind == "colored":
+        return trimesh.Trimesh(places, FACES, vertex_colors=np.tile([*color, 255], (len(places), 1)), process=False)
+    image = Image.new("RGB", (4, 4), color) if kind == "textured" else None
+    factor = [*(255 * (np.array(color) / 255) ** 2.2).round().astype(int).tolist(), 255] if kind == "plain" else None
+    material = visual.material.PBRMaterial(baseColorTexture=image, baseColorFactor=factor, metallicFactor=0.0)
+    visuals = visual.TextureVisuals(uv=np.c_[U, V], material=material)
+    return trimesh.Trimesh(places, FACES, visual=visuals, process=False)
+
+
+def glb(path, *parts):
+    scene = trimesh.Scene()
+    for index, one in enumerate(parts):
+        scene.add_geometry(one, node_name=f"n{index}", geom_name=f"g{index}")
+    scene.export(path)
+    return path
+
+
+@pytest.mark.parametrize("first", ["textured", "colored", "plain", "points"])
+@pytest.mark.parametrize("second", ["textured", "colored", "points"])
+def test_parts_of_any_two_kinds(tmp_path, first, second):
+    read = read_cloud_file(glb(tmp_path / "a.glb", part(first, RED), part(second, BLUE, 5.0)))
+    assert len(read.points) == 2 * SIDE**2
+    expected = np.where(read.points[:, :1] > 3, BLUE, RED) / 255
+    np.testing.assert_allclose(read.colors, expected, atol=0.04)  # 2.2 is near sRGB's curve
+
+
+def test_a_part_without_colours_is_told(tmp_path):
+    path = glb(tmp_path / "a.glb", part("colored", RED), part("bare", BLUE, 5.0))
+    with pytest.warns(
+        UserWarning, match=r"a\.glb: 1 of 2 parts have no colours, so those of the others are not read: g1"
+    ):
+        read = read_cloud_file(path)
+    assert read.colors is None
+    assert len(read.points) == 2 * SIDE**2
+
+
+def test_points_beside_large_triangles_are_kept(tmp_path):
+    large = trimesh.Trimesh(
+        [[0, 0, 5.0], [1, 0, 5], [0, 1, 5]], [[0, 1, 2]], vertex_colors=[[*RED, 255]] * 3, process=False
+    )
+    path = glb(tmp_path / "a.glb", part("points", BLUE), large)
+    with pytest.warns(UserWarning, match="triangles are large"):
+        scene = tj.load_scene(path)
+    assert int((scene.points[:, 2] == 0).sum()) == SIDE**2
+
+
+def obj(path, *, colors=None, seams=False, faces=True, more=(), name="a"):
+    rows = np.r_[PLANE, np.array(more).reshape(-1, 3)]
+    tail = "" if colors is None else " " + " ".join(map(str, colors))
+    lines = [f"v {x} {y} {z}{tail}" for x, y, z in rows.tolist()]
+    if seams:
+        lines = ["mtllib m.mtl", "usemtl a", *lines, *2 * [f"vt {u} {v}" for u, v in zip(U, V, strict=True)]]
+    for number, corners in enumerate(FACES.tolist() if faces else []):
+        twice = number % 2 * SIDE**2
+        lines.append("f " + " ".join(f"{c + 1}/{c + 1 + twice}" if seams else f"{c + 1}" for c in corners))
+    (path / "t.png").parent.mkdir(exist_ok=True)
+    Image.new("RGB", (4, 4), RED).save(path / "t.png")
+    (path / "m.mtl").write_text("newmtl a\nmap_Kd t.png\n")
+    (path / f"{name}.obj").write_bytes(b"\xef\xbb\xbf" + "\n".join([*lines, ""]).encode())
+    return path / f"{name}.obj"
+
+
+@pytest.mark.parametrize(
+    "how",
+    [{"colors": RED}, {"colors": tuple(np.array(RED) / 255)}, {"colors": RED, "faces": False}, {"seams": True},
+     {"colors": RED, "more": [[9, 9, 9], [0, 0, 0]]}, {"seams": True, "more": [[9, 9, 9]]}],
+)  # fmt: skip
+def test_rows_of_an_obj(tmp_path, how):
+    """One for each `v` line, in their order; and labels of them."""
+    path = obj(tmp_path, **how)
+    read = read_cloud_file(path)
+    rows = np.r_[PLANE, np.array(how.get("more", ())).reshape(-1, 3)]
+    np.testing.assert_array_equal(read.points, rows)
+    np.testing.assert_allclose(read.colors, np.tile(RED, (len(rows), 1)) / 255, atol=0.01)
+    if how.get("faces", True):
+        corners = [sorted(map(tuple, read.points[face].tolist())) for face in read.faces]
+        assert sorted(corners) == sorted(sorted(map(tuple, PLANE[face].tolist())) for face in FACES)
+    scene = tj.Scene(read.points)
+    result = tj.Result.of(tj.Segmentation((scene.points[:, 0] > 0.5).long(), ()), scene)
+    label_file(path, tmp_path / "out.ply", result)
+    assert read_vertex_property(tmp_path / "out.ply", "label").tolist() == (rows[:, 0] > 0.5).astype(int).tolist()
+
+
+@pytest.mark.parametrize(
+    ("head", "before", "counts"), [("COFF", "", "\n"), ("CNOFF", "0 0 1 ", "\n"), ("COFF", "", " "), ("OFF", "", "\n")]
+)
+def test_colours_of_an_off(tmp_path, head, before, counts):
+    lines = [f"{x} {y} {z} {before}200 30 30 255" for x, y, z in PLANE.tolist()]
+    lines += [f"3 {a} {b} {c}" for a, b, c in FACES.tolist()]
+    path = tmp_path / "a.off"
+    path.write_text(f"{head}{counts}{len(PLANE)} {len(FACES)} 0\n" + "\n".join(lines) + "\n")
+    read = read_cloud_file(path)
+    np.testing.assert_array_equal(read.points, PLANE)
+    np.testing.assert_allclose(read.colors, np.tile(RED, (len(PLANE), 1)) / 255, atol=1e-6)
+    path.write_text(path.read_text().rstrip() + " 255 0 0\n")
+    with pytest.warns(UserWarning, match=r"a\.off: colours of faces are not read"):
+        read_cloud_file(path)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
+def test_strips_of_a_ply(tmp_path, encoding):
+    """Each corner of a strip turns the last two; -1 begins a new one."""
+    strips = [np.c_[INDEX[row], INDEX[row + 1]].ravel() for row in range(SIDE - 1)]
+    corners = np.concatenate([np.r_[strip, -1] for strip in strips]).astype("<i4")
+    lines = ["ply", f"format {encoding} 1.0", f"element vertex {len(PLANE)}", *(f"property double {a}" for a in "xyz")]
+    lines += ["element tristrips 1", "property list int int vertex_indices", "end_header", ""]
+    if encoding == "ascii":
+        body = "\n".join(" ".join(map(repr, row)) for row in PLANE.tolist())
+        body = f"{body}\n{len(corners)} {' '.join(map(str, corners))}\n".encode()
+    else:
+        body = PLANE.astype("<f8").tobytes() + np.array([len(corners)], "<i4").tobytes() + corners.tobytes()
+    (tmp_path / "a.ply").write_bytes("\n".join(lines).encode() + body)
+    read = read_ply(tmp_path / "a.ply")
+    assert len(read.faces) == 2 * (SIDE - 1) ** 2
+    first, second, third = read.points[read.faces].unbind(1)
+    normals = torch.linalg.cross(second - first, third - first)
+    assert bool((normals[:, 2] < 0).all()) or bool((normals[:, 2] > 0).all())

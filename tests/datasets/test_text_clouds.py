@@ -1,0 +1,86 @@
+"""Clouds as text: what can be read without guessing is read; what cannot, is told with file, line and remedy."""
+
+import numpy as np
+import pytest
+
+from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.scene import Scene
+
+RNG = np.random.default_rng(0)
+XYZ = RNG.uniform(-1, 1, (30, 3)).round(6)
+RGB = RNG.integers(0, 256, (30, 3)).astype(float)
+UP = np.tile([0.6, 0.0, 0.8], (30, 1))
+HIGH = RNG.integers(-900, 2000, (30, 1)).astype(float)
+HIGH[0] = 1000
+
+
+def text(*columns, by=" "):
+    return "\n".join(by.join(f"{value:.6f}" for value in row) for row in np.hstack(columns)) + "\n"
+
+
+COLORED = text(XYZ, RGB)
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("a.txt", "//X Y Z R G B\n" + COLORED),  # CloudCompare
+        ("a.asc", "//X Y Z R G B\n30\n" + COLORED),
+        ("a.txt", "# made by hand\n# x y z r g b\n\n" + COLORED),
+        ("a.xyz", "x y z red green blue\n" + COLORED),
+        ("a.csv", '"x","y","z","r","g","b"\r\n' + text(XYZ, RGB, by=",").replace("\n", "\r\n")),
+        ("a.csv", text(XYZ, RGB, by=", ")),
+        ("a.txt", text(XYZ, RGB, by=",").replace("\n", ",\n")),
+        ("a.txt", text(XYZ, RGB, by=";")),
+        ("a.txt", text(XYZ, RGB, by=";").replace(".", ",")),
+        ("a.txt", text(XYZ, RGB, by="\t")),
+        ("a.txt", COLORED.replace("\n", "\r")),
+        ("a.xyz", "\ufeff" + COLORED),
+        ("a.txt", COLORED.encode("utf-16")),
+        ("a.pts", "30\n" + text(XYZ, RGB[:, :1], RGB)),
+        ("a.txt", "30\n" + text(XYZ, RGB[:, :1], RGB)),
+        ("a.txt", text(XYZ, HIGH, RGB)),  # Semantic3D
+        ("a.txt", "b g r z y x\n" + text(RGB[:, ::-1], XYZ[:, ::-1])),
+        ("a.xyz", text(XYZ, UP, RGB)),
+        ("a.xyz", text(XYZ, RGB, UP)),
+    ],
+)
+def test_what_programs_write(tmp_path, name, data):
+    (tmp_path / name).write_bytes(data if isinstance(data, bytes) else data.encode())
+    read = read_cloud_file(tmp_path / name)
+    np.testing.assert_array_equal(read.points, XYZ)
+    np.testing.assert_allclose(read.colors, RGB / 255, atol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", [".xyz", ".npy"])
+def test_normals_without_a_negative_one_are_no_colours(tmp_path, suffix):
+    normals = UP.copy()
+    normals[3] = 0
+    path = tmp_path / f"a{suffix}"
+    np.save(path, np.hstack([XYZ, normals])) if suffix == ".npy" else path.write_text(text(XYZ, normals))
+    with pytest.warns(UserWarning, match="1 of 30 normals are NaN or of length 0"):
+        read = read_cloud_file(path)
+    assert read.colors is None
+    np.testing.assert_allclose(read.normals, UP, atol=1e-6)
+    assert Scene(read.points, normals=read.normals).normals is not None
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (COLORED + "1 2 x 4 5 6\n", r"line 31: expected 6 numbers, got '1 2 x 4 5 6'; correct the line, or remove it"),
+        ("# x\n" + COLORED + "1 2 3\n", r"line 32: expected 6 numbers, got '1 2 3'"),
+        (
+            "Point cloud of a room\n" + COLORED,
+            r"line 1: expected numbers, or names of columns with x, y and z, got 'Poin",
+        ),
+        ("31\n" + COLORED, r"line 1: 31 points are counted, got 30: is it truncated\?"),
+        ("1,5 2,5 3,5\n", r"line 1: expected decimal points, got commas in '1,5 2,5 3,5'; replace them"),
+        ("# nothing\n", "expected a row of x y z for each point, got no rows"),
+        ("1 2\n3 4\n", r"expected a row of x y z for each point, got shape \[2, 2\]"),
+    ],
+)
+def test_what_cannot_be_read(tmp_path, data, message):
+    (tmp_path / "a.txt").write_text(data)
+    with pytest.raises(ValueError, match=rf"a\.txt: .*{message}"):
+        read_cloud_file(tmp_path / "a.txt")

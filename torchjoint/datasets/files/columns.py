@@ -1,0 +1,184 @@
+"""What a cloud's columns mean, by the names that programs give them: one table and one scale for all readers.
+
+Names are compared without case, `_`, and the prefix `scalar_` of CloudCompare. Each column of a file is read, or stands
+in the table of what is not read, or a warning names it.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from torchjoint.scene.cloud import full_brightness
+
+Array = npt.NDArray[Any]
+
+POINTS = (("x", "y", "z"),)
+COLORS = tuple(
+    tuple(f"{prefix}{color}" for color in colors)
+    for colors in (("red", "green", "blue"), ("r", "g", "b"))
+    for prefix in ("", "diffuse", "color", "colour", "vertex")
+)
+NORMALS = (("nx", "ny", "nz"), ("normalx", "normaly", "normalz"))
+#: Gaussian splats (Kerbl et al. 2023): the constant term of the colour's spherical harmonics, and this basis function.
+#: Their opacity is stored before a sigmoid.
+HARMONICS, CONSTANT, OPACITY = (("fdc0", "fdc1", "fdc2"),), 0.5 / np.pi**0.5, (("opacity",),)
+#: Red, green and blue in one number of four bytes: b g r a.
+PACKED = ("rgb", "rgba", "color", "bgr", "bgra")
+#: Columns that no reader reads, and that no one expects to be read.
+NOT_READ = re.compile(
+    r"a|alpha|(diffuse|color|colour|vertex)(a|alpha)|intensity|reflectance|reflectivity|i|ambient|noise|ring|channel|line|"
+    r"tag|range|distance|(gps|scan|time|offset|sweep)*(time|timestamp|stamp|stampsec|stampnsec)?|t|curvature|quality|"
+    r"confidence|value|radius|flags?|label|labels|class|classification|category|semantic|instance|object|objectid|"
+    r"segment|superpoint|thing|id|index|number|fdc\d+|frest\d+|scale\d+|rot\d+|u|v|s|texture[uv]|viewpoint[xyz]|vp[xyz]|"
+    r"padding\d*|_?\d*|filterid|returnnumber|numberofreturns|(original)?cloudindex|material(index|id)|face\w*|edges?"
+)
+
+#: Normals that are shorter have no direction. If more than this share of a column's values is wrong, it is left out.
+SHORTEST, MOST_WRONG = 1e-3, 0.5
+
+
+class CloudFile(NamedTuple):
+    """The contents of a file with a cloud or a mesh."""
+
+    points: Tensor  #: [N, 3] metres, float32 or float64 as in the file
+    colors: Tensor | None = None  #: [N, 3] float32 RGB in [0, 1]
+    normals: Tensor | None = None  #: [N, 3] float32
+    faces: Tensor | None = None  #: [F, 3] int64, triangles of a mesh
+    opacities: Tensor | None = None  #: [N] float32 in [0, 1], of Gaussian splats
+
+    def chosen(self, which: Tensor) -> CloudFile:
+        """The points that a mask [N] chooses; without faces, if some are missing."""
+        if bool(which.all()):
+            return self
+        parts = (None if one is None else one[which] for one in (self.colors, self.normals, self.opacities))
+        colors, normals, opacities = parts
+        return CloudFile(self.points[which], colors, normals, None, opacities)
+
+
+def cloud_of(columns: Mapping[str, Array], name: str) -> CloudFile:
+    """The cloud that columns [N] of numbers, or [N, k], describe; warnings begin with `name`.
+
+    Raises:
+        ValueError: there are no x, y and z.
+    """
+    found: dict[str, str] = {}
+    for column in sorted(columns, key=lambda column: (plain(column) != column, column != column.lower())):
+        if columns[column].ndim == 1:
+            found.setdefault(plain(column), column)
+    used: set[str] = set()
+
+    def group(names: Iterable[Sequence[str]]) -> list[Array] | None:
+        """The columns of the first of several groups that is whole."""
+        for one in names:
+            if all(part in found for part in one):
+                used.update(found[part] for part in one)
+                return [columns[found[part]] for part in one]
+        return None
+
+    xyz = group(POINTS)
+    if xyz is None:
+        missing = ", ".join(axis for axis in "xyz" if axis not in found)
+        raise ValueError(f"expected x, y and z, got {', '.join(columns) or 'nothing'}: {missing} missing")
+    narrow = all(column.dtype.str[1:] == "f4" for column in xyz)
+    points = _stacked(xyz, np.float32 if narrow else np.float64)
+    rgb, normals, opacities = group(COLORS), group(NORMALS), None
+    colors = None if rgb is None else unit_colors(np.stack(rgb, axis=1))
+    for packed in PACKED:
+        whole = next((column for column in columns if plain(column) == packed), None)
+        if colors is None and whole is not None and (read := _unpacked(columns[whole])) is not None:
+            colors = unit_colors(read)
+            used.add(whole)
+    harmonics, faint = group(HARMONICS), group(OPACITY)
+    if colors is None and harmonics is not None:
+        colors = (0.5 + CONSTANT * _stacked(harmonics, np.float32)).clamp(0, 1)
+        opacities = None if faint is None else _stacked(faint, np.float32)[:, 0].sigmoid()
+    tell_not_read([column for column in columns if column not in used], name)
+    has_normals = normals is not None and any(column.any() for column in normals)  # splats have zeros, for example
+    return CloudFile(
+        points, colors, _stacked(normals, np.float32) if normals and has_normals else None, None, opacities
+    )
+
+
+def tell_not_read(columns: Iterable[str], name: str) -> None:
+    """Warns of columns that are not read, but for those of which no one expects it."""
+    left = [column for column in columns if not NOT_READ.fullmatch(plain(column))]
+    if left:
+        some = ", ".join(left[:8]) + (", ..." if len(left) > 8 else "")
+        warnings.warn(
+            f"{name}: {some}: no position, normal or colour by these names; not read (docs/your_data.md)", stacklevel=5
+        )
+
+
+def plain(column: str) -> str:
+    """The name of a column as it stands in the tables."""
+    return re.sub(r"[\s_.-]", "", column.lower().removeprefix("scalar_").removeprefix("scalar "))
+
+
+def unit_colors(colors: Array) -> Tensor:
+    """Colours [N, 3] of one file, of any type and scale, as [N, 3] float32 in [0, 1]; NaN stays."""
+    if colors.dtype == np.int8:
+        colors = colors.view(np.uint8)
+    largest = float(np.nanmax(colors, initial=0)) if colors.size else 0
+    most = None if colors.dtype.kind == "f" else int(np.iinfo(colors.dtype).max)
+    white = 255 if colors.dtype == np.uint8 else full_brightness(largest, most)
+    return torch.from_numpy((colors if white == 1 else colors / white).astype(np.float32))
+
+
+def repaired(cloud: CloudFile, name: str) -> CloudFile:
+    """The cloud with values of the nearest points for NaN in colours, normals and opacities, and normals of length 0.
+
+    What is hardly right anywhere is left out. Warnings begin with `name`, and tell the numbers.
+    """
+    has_place = cloud.points.isfinite().all(1)
+    for what in ("colors", "normals", "opacities"):
+        values: Tensor | None = getattr(cloud, what)
+        if values is None:
+            continue
+        wide = values.view(len(values), -1)
+        right = wide.isfinite().all(1)
+        if what == "normals":
+            right &= wide.norm(dim=1) > SHORTEST
+        wrong, known = ((has_place & which).nonzero().squeeze(1) for which in (~right, right))
+        if not len(wrong):
+            continue
+        told = f"{name}: {len(wrong)} of {len(values)} {what} are NaN{' or of length 0' if what == 'normals' else ''}; "
+        if len(wrong) > MOST_WRONG * len(values):
+            if bool(wide.any()):  # some programs write zeros where they have no normals
+                warnings.warn(f"{told}the {what} are not read", stacklevel=4)
+            cloud = cloud._replace(**{what: None})  # type: ignore[arg-type]
+            continue
+        warnings.warn(f"{told}they are taken from the nearest points", stacklevel=4)
+        from scipy.spatial import cKDTree
+
+        near = cKDTree(cloud.points[known].double().numpy()).query(cloud.points[wrong].double().numpy())[1]
+        cloud = cloud._replace(**{what: values.index_copy(0, wrong, values[known[torch.from_numpy(near)]])})
+    return cloud
+
+
+def _stacked(columns: Sequence[Array], kind: npt.DTypeLike) -> Tensor:
+    made = np.empty((len(columns[0]), len(columns)), kind)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for place, column in enumerate(columns):
+            made[:, place] = column
+    return torch.from_numpy(made)
+
+
+def _unpacked(packed: Array) -> Array | None:
+    """Colours [N, 3] of a column whose numbers hold red, green and blue; None if they do not."""
+    if packed.ndim == 2:
+        return packed[:, :3] if packed.shape[1] in (3, 4) else None
+    if packed.dtype.itemsize == 8:
+        whole = packed.dtype.kind != "f" or (packed.max(initial=0) >= 1 and bool((packed == np.floor(packed)).all()))
+        packed = packed.astype(np.int64).astype(np.uint32) if whole else packed.astype(np.float32)
+    if packed.dtype.itemsize != 4:
+        return None
+    value = np.ascontiguousarray(packed.astype(packed.dtype.newbyteorder("="))).view(np.uint32)
+    return np.stack([(value >> shift).astype(np.uint8) for shift in (16, 8, 0)], axis=1)

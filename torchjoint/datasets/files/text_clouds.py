@@ -1,0 +1,202 @@
+"""Clouds as rows of numbers: text with or without names of columns (.txt, .xyz, .asc, .csv, .pts), and arrays.
+
+Rows of numbers without names are x y z, then whatever can be told without guessing: three columns whose rows all have
+length 1 are normals; three of 0 to 255 (or 0 to 1) are colours, behind an intensity too, as in .pts and Semantic3D. A
+warning tells what is left out.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from torchjoint.datasets.files.columns import POINTS, CloudFile, cloud_of, plain, unit_colors
+from torchjoint.runtime.foreign_files import damage_is, read_file
+
+SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
+#: An array with more columns than this, and more columns than rows, is transposed: its columns are the points.
+MOST_COLUMNS = 16
+#: Letters of columns: positions, colours, normals.
+GROUPS = ("xyz", "rgb", "n")
+#: Normals in text have few digits, and a few have no length.
+UNIT, MOST_UNIT = 0.02, 0.95
+
+Array = npt.NDArray[Any]
+
+
+def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
+    """Reads a cloud of text.
+
+    Args:
+        path: of the file.
+        letters: of the columns, as of :func:`torchjoint.datasets.files.clouds.read_cloud_file`, or None.
+
+    Raises:
+        FileNotFoundError, ValueError: the message names the file, the line and what to do.
+    """
+    data = _as_utf8(read_file(path, "a point cloud as text"))
+    start, number, names, count = _preamble(data, f"{path}: not a whole {path.suffix} cloud")
+    rows = _numbers(data[start:], number, path)
+    if count is not None and count != len(rows):
+        raise ValueError(f"{path}: line {number - 1}: {count} points are counted, got {len(rows)}: is it truncated?")
+    with damage_is(str(path)):
+        if letters is not None:
+            return cloud_of_letters(rows, letters)
+        if names is not None and len(names) == rows.shape[1]:
+            return cloud_of(dict(zip(names, rows.T, strict=True)), str(path))
+        return cloud_of_rows(rows, is_pts=count is not None or path.suffix.lower() == ".pts")
+
+
+def _as_utf8(data: bytes) -> bytes:
+    """Text without the mark of its encoding, with line ends of Unix."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        with damage_is("expected text"):
+            data = data.decode("utf-16").encode()
+    return data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+
+
+def _preamble(data: bytes, name: str) -> tuple[int, int, list[str] | None, int | None]:
+    """The byte and the line where the rows begin, the names of columns, and the number of points, if there are any.
+
+    Raises:
+        ValueError: a line of words that are no names of columns.
+    """
+    start, number, names, count = 0, 1, None, None
+    while start < len(data):
+        end = data.find(b"\n", start) + 1 or len(data)
+        line = data[start:end].decode("utf-8", "replace").strip()
+        is_comment = line.startswith(("#", "//"))
+        words = [word.strip('"') for word in re.split(r"[\s,;]+", line.lstrip("#/ ")) if word]
+        if words and (is_comment or not _is_number(words[0])):
+            if {plain(word) for word in words}.issuperset(POINTS[0]):
+                names = words
+            elif not is_comment:
+                raise ValueError(
+                    f"{name}: line {number}: expected numbers, or names of columns with x, y and z, got {line[:80]!r}; "
+                    "remove the line, or begin it with #"
+                )
+        elif len(words) == 1 and words[0].isdigit() and count is None:
+            count = int(words[0])
+        elif words:
+            break
+        start, number = end, number + 1
+    return start, number, names, count
+
+
+def _numbers(text: bytes, first: int, path: Path) -> Array:
+    """The rows of numbers; the first one is line `first` of the file."""
+    line = text.partition(b"\n")[0]
+    delimiter = next((mark for mark in (";", ",") if mark.encode() in line), None)
+    if delimiter == ";" and b"," in line:
+        text = text.replace(b",", b".")  # decimal commas
+    elif delimiter == "," and len(line.split()) > 2 and not re.search(rb",\s", line):
+        raise ValueError(f"{path}: line {first}: expected decimal points, got commas in {_shown(line)}; replace them")
+    text = (
+        re.sub(rb"[;,][ \t]*(?=\n|$)", b"", text) if delimiter and line.rstrip().endswith(delimiter.encode()) else text
+    )
+    if not text.strip():
+        raise ValueError(f"{path}: expected a row of x y z for each point, got no rows")
+    try:
+        return np.loadtxt(io.BytesIO(text), comments=["#", "//"], delimiter=delimiter, ndmin=2)
+    except ValueError as error:
+        columns = None
+        for number, one in enumerate(text.split(b"\n"), first):
+            words = re.split(rb"[;,]", one) if delimiter else one.split()
+            columns = columns or len(words)
+            if not one.strip() or one.startswith((b"#", b"//")):
+                continue
+            if len(words) != columns or not all(_is_number(word.decode("latin1")) for word in words):
+                raise ValueError(
+                    f"{path}: not a whole {path.suffix} cloud: line {number}: expected {columns} numbers, got "
+                    f"{_shown(one)}; correct the line, or remove it"
+                ) from error
+        raise ValueError(f"{path}: not a whole {path.suffix} cloud: {error}") from error
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word.replace(",", "."))
+    except ValueError:
+        return False
+    return "_" not in word
+
+
+def _shown(line: bytes) -> str:
+    return repr(line[:80].decode("utf-8", "replace"))
+
+
+def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
+    """The cloud of rows without names.
+
+    Args:
+        rows: [N, columns].
+        is_pts: if there are seven columns, they are x y z intensity r g b.
+
+    Raises:
+        ValueError: the rows do not have at least three numbers.
+    """
+    if rows.ndim != 2 or rows.shape[1] < 3:
+        raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}")
+    if rows.shape[1] > max(MOST_COLUMNS, rows.shape[0]):
+        raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}: transpose the array")
+    values = rows.astype(np.float64)
+    used, found = 3, ["x y z"]
+    parts: dict[str, Array] = {}
+    if rows.shape[1] >= 7 and (is_pts or not _are_bytes(values[:, 3])) and _are_bytes(values[:, 4:7]):
+        parts["colors"], used = values[:, 4:7], 7
+        found.append("colours behind an intensity")
+    while rows.shape[1] >= used + 3:
+        three = values[:, used : used + 3]
+        if "normals" not in parts and _are_unit(three):
+            parts["normals"] = three
+            found.append("normals")
+        elif "colors" not in parts and three.size and three.min() >= 0 and three.max() <= 255:
+            parts["colors"] = three
+            found.append("colours")
+        else:
+            break
+        used += 3
+    if rows.shape[1] > used:
+        what = ", ".join(found[:-1]) + f" and {found[-1]}" if len(found) > 1 else found[0]
+        warnings.warn(
+            f"of {rows.shape[1]} columns, the first {used} are read, {what}; the rest is left out; --columns "
+            "xyz... names others",
+            stacklevel=3,
+        )
+    normals = torch.from_numpy(parts["normals"].astype(np.float32)) if "normals" in parts else None
+    return CloudFile(
+        torch.from_numpy(np.ascontiguousarray(values[:, :3])),
+        unit_colors(parts["colors"]) if "colors" in parts else None,
+        normals,
+    )
+
+
+def _are_bytes(values: Array) -> bool:
+    return bool(((values >= 0) & (values <= 255) & (values == np.floor(values))).all())
+
+
+def _are_unit(values: Array) -> bool:
+    """Whether rows [N, 3] have length 1; colours have not."""
+    near = np.abs(np.linalg.norm(values, axis=1) - 1) < UNIT
+    return bool(len(values)) and bool((near | ~values.any(1)).all()) and float(near.mean()) > MOST_UNIT
+
+
+def cloud_of_letters(rows: Array, letters: str) -> CloudFile:
+    """The cloud of rows whose columns have a letter each.
+
+    Raises:
+        ValueError: the rows have another number of columns.
+    """
+    if rows.ndim != 2 or rows.shape[1] != len(letters):
+        raise ValueError(f"expected rows of {len(letters)} numbers, {letters!r}, got shape {list(rows.shape)}")
+    values = np.ascontiguousarray(rows, dtype=np.float64)
+    x, r, n = ([place for one in group for place, letter in enumerate(letters) if letter == one] for group in GROUPS)
+    normals = torch.from_numpy(values[:, n].astype(np.float32)) if n else None
+    return CloudFile(torch.from_numpy(values[:, x]), unit_colors(values[:, r]) if r else None, normals)
