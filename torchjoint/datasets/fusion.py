@@ -14,8 +14,8 @@ from torchjoint.datasets.depth_agreement import warn_of_poses
 from torchjoint.datasets.volume import Volume
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame
-from torchjoint.scene.camera import camera_center
-from torchjoint.scene.subset import evenly_spaced_indices
+from torchjoint.scene.frame import camera_center
+from torchjoint.scene.scene import evenly_spaced_indices
 
 #: Depth beyond this, metres, is ignored: a depth camera's error grows with the square of the distance.
 FAR = 5.0

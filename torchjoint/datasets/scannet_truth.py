@@ -14,9 +14,9 @@ from torchjoint.datasets.files.members import Members
 from torchjoint.datasets.files.rasters import decode_image
 from torchjoint.datasets.files.readers import labels_of, read_label_image
 from torchjoint.datasets.resampling import resize_nearest
-from torchjoint.runtime import bounds
+from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame
 
 SEGMENTS, OBJECTS = "_vh_clean_2.0.010000.segs.json", ".aggregation.json"

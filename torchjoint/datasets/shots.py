@@ -13,7 +13,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.readers import read_depth, read_image
 from torchjoint.runtime.foreign_files import has_file
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame
 
 

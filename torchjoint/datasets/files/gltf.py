@@ -11,7 +11,7 @@ from typing import Any
 
 from torchjoint.datasets.files.rasters import RASTERS, decode_image
 from torchjoint.datasets.paths import path_inside
-from torchjoint.runtime import bounds
+from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.foreign_files import has_file, parse_json, read_file
 
 #: Formats of textures. TGA has no mark at its start, so it is tried last.

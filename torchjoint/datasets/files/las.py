@@ -19,7 +19,7 @@ import torch
 
 from torchjoint.datasets.files.columns import CloudFile, tell_not_read, unit_colors
 from torchjoint.datasets.files.las_header import check_header
-from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.messages import needed_for
 
 SUFFIXES = (".las", ".laz")
 #: Points that are read at a time; a chunk of LAZ has 50,000.

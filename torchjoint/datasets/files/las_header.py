@@ -11,7 +11,7 @@ import struct
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from torchjoint.runtime import bounds
+from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.foreign_files import damage_is, open_file
 
 #: Sizes of the header's fixed part, of the header of a variable length record, and of an extended one, bytes.

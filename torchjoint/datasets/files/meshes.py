@@ -18,8 +18,8 @@ from torch.nn.functional import normalize
 
 from torchjoint.datasets.files.columns import CloudFile, unit_colors
 from torchjoint.datasets.files.gltf import Parts, bound_textures, check_gltf, check_obj
-from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.foreign_files import read_file
+from torchjoint.runtime.messages import needed_for
 
 SUFFIXES = (".obj", ".glb", ".gltf", ".off", ".stl")
 Array = npt.NDArray[Any]

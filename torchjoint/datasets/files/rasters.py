@@ -10,7 +10,7 @@ from pathlib import Path
 
 from PIL import Image, UnidentifiedImageError
 
-from torchjoint.runtime import bounds
+from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.foreign_files import read_file
 
 #: Formats of images that are read. The content must not choose another decoder: Pillow gives EPS to Ghostscript, which

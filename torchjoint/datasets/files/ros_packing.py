@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-from torchjoint.runtime import bounds
+from torchjoint.runtime import foreign_files as bounds
 
 #: Bytes that are unpacked at a time: lz4 allocates so many in advance.
 STEP = 1 << 24

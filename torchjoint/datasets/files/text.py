@@ -8,7 +8,7 @@ from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
 
-from torchjoint.runtime import bounds
+from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.foreign_files import damage_is, open_file
 
 

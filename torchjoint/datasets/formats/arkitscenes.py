@@ -30,7 +30,7 @@ from torchjoint.datasets.pose_interpolation import interpolate_poses
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.datasets.shots import tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 
 WHAT = (

@@ -13,7 +13,7 @@ from torchjoint.datasets.resampling import register_depth
 from torchjoint.datasets.scannet_cameras import Calibration, Cameras
 from torchjoint.datasets.shots import tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame
 from torchjoint.scene.checks import as_pose
 

@@ -34,7 +34,7 @@ from torchjoint.datasets.paths import frame_names, path_inside
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.datasets.shots import tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.checks import as_pose
 

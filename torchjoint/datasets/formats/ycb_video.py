@@ -23,7 +23,7 @@ from torchjoint.datasets.files.readers import read_label_image
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
 from torchjoint.datasets.shots import Shot, read_shots
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_pose
 
