@@ -17,7 +17,7 @@ import traps
 import torchjoint as tj
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.ply import read_ply
-from torchjoint.datasets.files.rasters import decode_image
+from torchjoint.datasets.files.readers import decode_image
 from torchjoint.masks.rle import polygon_pixels
 from torchjoint.runtime import foreign_files as bounds
 
@@ -210,7 +210,7 @@ def test_all_readers_open_paths_in_one_way():
     }
     allowed = {
         "config/config.py",  # the package's own presets
-        "datasets/files/rasters.py",  # with the formats that it may have
+        "datasets/files/readers.py",  # with the formats that it may have
         "results/output_folder.py",  # markers of a run
         "results/page.py",  # the package's own script
         "viewer/model.py",  # a file that it has just written

@@ -10,9 +10,10 @@ from torchjoint.datasets.cameras import (
     resize_depth,
     rotations_from_quaternions,
     scale_intrinsics,
+    undistort,
+    undistort_fisheye,
 )
-from torchjoint.datasets.lenses import undistort, undistort_fisheye
-from torchjoint.datasets.paths import frame_names, path_inside
+from torchjoint.datasets.files.text import frame_names, path_inside
 
 HALF = 0.5**0.5
 

@@ -156,7 +156,7 @@ def test_a_few_bad_normals_are_estimated(tmp_path, suffix, bad):
     np.testing.assert_array_equal(read.normals, NORMALS)
 
 
-def test_bad_colours_and_opacities_are_estimated_and_useless_ones_left_out():
+def test_bad_colours_and_opacities_are_estimated():
     cloud = cloud_of(PLACES | named(("red", "green", "blue"), UNIT, "f4"), "a")._replace(opacities=torch.ones(40))
     cloud.colors[5], cloud.opacities[7] = torch.nan, torch.nan
     place = np.linalg.norm(XYZ - XYZ[5], axis=1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from torchjoint.datasets.files.rasters import decode_image
+from torchjoint.datasets.files.readers import decode_image
 
 
 def test_a_flipped_bit_in_a_png_is_an_error(tmp_path):

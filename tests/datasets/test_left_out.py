@@ -5,10 +5,12 @@ import shutil
 import numpy as np
 import pytest
 import samples
+import torch
 from samples import ros
 from samples._parts import write_noise
 
 import torchjoint as tj
+from torchjoint.datasets.files.ply import write_cloud
 
 
 def without_pose(name, folder):
@@ -71,3 +73,9 @@ def test_the_largest_of_several_models(tmp_path):
     assert len(scene.frames) == 2
     assert len(tj.load_scene(part).frames) == 1
     np.testing.assert_array_equal(scene.points, tj.load_scene(whole).points)
+    for number in "01":  # the cloud is that of the model
+        (path / "dense" / number).mkdir(parents=True)
+        write_cloud(path / "dense" / number / "fused.ply", torch.full((3, 3), float(number)) + torch.eye(3))
+        assert tj.load_scene(path / "sparse" / number).points.min() == int(number)
+    with pytest.warns(UserWarning, match="sparse/1 is read"):
+        assert tj.load_scene(path).points.min() == 1

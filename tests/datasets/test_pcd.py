@@ -10,8 +10,7 @@ import torch
 from pcd_files import BODIES, compress_lzf, write_pcd
 
 from torchjoint.datasets.files.clouds import read_cloud_file
-from torchjoint.datasets.files.lzf import decompress
-from torchjoint.datasets.files.pcd import read_pcd
+from torchjoint.datasets.files.pcd import decompress, read_pcd
 
 XYZ = {axis: np.array([1.5, -2.25, 3.0], dtype=np.float32) + place for place, axis in enumerate("xyz")}
 HEADER = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA "

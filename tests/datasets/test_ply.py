@@ -87,6 +87,12 @@ def test_vertices_after_other_elements(tmp_path, order):
         read_ply(written(tmp_path / "a.ply", data + b"abc"))
 
 
+def test_faces_by_another_name_are_told(tmp_path):
+    lines = (*VERTEX, "element face 1", "property list uchar int corners")
+    with pytest.warns(UserWarning, match=r"a\.ply: element face: no list vertex_indices; triangles are not read"):
+        assert read_ply(written(tmp_path / "a.ply", header("ascii", *lines) + b"1 2 3\n4 5 6\n3 0 1 1\n")).faces is None
+
+
 def test_ascii_with_lists(tmp_path):
     lines = (*VERTEX, "element face 2", "property list uchar int vertex_index")
     data = header("ascii", *lines) + b"1 2 3\n4 5 6\n3 0 1 1\n4 0 1 0 1\n"

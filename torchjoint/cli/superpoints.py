@@ -41,8 +41,8 @@ def superpoints(
     """Segments a cloud into superpoints. LAS and LAZ files may have any size: see docs/large.md.
 
     Args:
-        cloud: .ply, .pcd, .npy, .npz, .bin (KITTI), .pcd.bin (nuScenes), .xyz, .las, .laz or .e57 file, or a folder of
-            .las and .laz files. Preset segmentator uses the triangles of a .ply mesh.
+        cloud: .ply, .pcd, .npy, .npz, .bin (KITTI), .pcd.bin (nuScenes), .xyz, .txt, .asc, .csv, .pts, .las, .laz or
+            .e57 file, or a folder of .las and .laz files. Preset segmentator uses the triangles of a .ply mesh.
         out: file for the result; default: CLOUD-superpoints.ply in the current folder. A .ply has the points, a colour
             for each superpoint, and a property `label`. A .npy has the labels, int64. A .npz has the arrays points,
             labels and colors. A .las or .laz has all data of the cloud's file, and a dimension `superpoint`; it is the

@@ -1,17 +1,19 @@
-"""Converts cameras of other conventions: quaternions, OpenGL axes, resized images, distorting lenses."""
+"""Converts cameras of other conventions: quaternions, OpenGL axes, resized images, poses of other times; undoes lenses.
+
+OpenCV's perspective and fisheye lenses are undone in images and their depth.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.lenses import undistort, undistort_fisheye
-from torchjoint.datasets.resampling import resize_nearest
 from torchjoint.scene import Frame
 from torchjoint.scene.checks import as_intrinsics
 
@@ -25,6 +27,10 @@ FLIP_YZ = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 
 #: Largest difference between a quaternion's length and 1: files give at least two digits.
 UNIT_TOLERANCE = 0.02
+Size = tuple[int, int]  # (W, H), as in OpenCV
+#: For (intrinsics, coefficients, size): the intrinsics of the undistorted image, and the column and row of each of its
+#: pixels in the distorted image.
+Lens = Callable[[Matrix, Matrix, Size], tuple[Matrix, npt.NDArray[Any], npt.NDArray[Any]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,3 +141,176 @@ def _check_same_shape(old: tuple[int, int], new: tuple[int, int], name: str) -> 
         raise ValueError(
             f"{name}: expected the aspect ratio of {old[1]} x {old[0]} pixels, got {new[1]} x {new[0]}: is it cropped?"
         )
+
+
+def undistort(
+    image: Tensor, depth: Tensor | None, intrinsics: Tensor, distortion: tuple[float, ...], name: str = "camera"
+) -> tuple[Tensor, Tensor | None, Tensor]:
+    """Undistorts image and depth; crops the view to pixels that the image covers, as nerfstudio and COLMAP do.
+
+    Args:
+        image: [3, H, W] uint8.
+        depth: [H, W] float32 metres, 0 = unknown; resampled by nearest neighbour.
+        intrinsics: [3, 3] of the distorted image, pixels.
+        distortion: as in :class:`~torchjoint.datasets.cameras.Camera`.
+        name: used in messages.
+
+    Returns:
+        Image, depth and intrinsics, undistorted; the image size does not change.
+
+    Raises:
+        ValueError: the distortion model cannot be inverted in this image.
+    """
+    return _resample(_perspective, image, depth, intrinsics, distortion, name)
+
+
+def undistort_fisheye(
+    image: Tensor, depth: Tensor | None, intrinsics: Tensor, distortion: tuple[float, ...], name: str = "camera"
+) -> tuple[Tensor, Tensor | None, Tensor]:
+    """As :func:`undistort`, for a fisheye with k1, k2, k3, k4.
+
+    The focal length stays, and so does the resolution in the middle. The image shows what fits into its size: of a lens
+    that sees 180 degrees from edge to edge, about 115.
+    """
+    return _resample(_fisheye, image, depth, intrinsics, distortion, name)
+
+
+def _resample(
+    lens: Lens, image: Tensor, depth: Tensor | None, intrinsics: Tensor, distortion: tuple[float, ...], name: str
+) -> tuple[Tensor, Tensor | None, Tensor]:
+    import cv2
+
+    size = (image.shape[2], image.shape[1])
+    try:
+        after, columns, rows = lens(intrinsics.numpy(), np.array(distortion, dtype=np.float64), size)
+        pixels = np.ascontiguousarray(image.permute(1, 2, 0).numpy())
+        straight = cv2.remap(pixels, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        straight_depth = (
+            None if depth is None else cv2.remap(depth.contiguous().numpy(), columns, rows, cv2.INTER_NEAREST)
+        )
+    except cv2.error as error:
+        raise ValueError(f"{name}: images of {size[0]} x {size[1]} pixels cannot be undistorted: {error}") from error
+    except ArithmeticError as error:
+        raise ValueError(
+            f"{name}: distortion {distortion} cannot be undone in images of {size[0]} x {size[1]} pixels"
+        ) from error
+    return (
+        torch.from_numpy(straight).permute(2, 0, 1),
+        None if straight_depth is None else torch.from_numpy(straight_depth),
+        torch.from_numpy(after),
+    )
+
+
+def _perspective(before: Matrix, coefficients: Matrix, size: Size) -> tuple[Matrix, npt.NDArray[Any], npt.NDArray[Any]]:
+    import cv2
+
+    after = np.asarray(cv2.getOptimalNewCameraMatrix(before, coefficients, size, 0)[0], dtype=np.float64)
+    zoom = np.diag(after)[:2] / np.diag(before)[:2]
+    if not (np.isfinite(after).all() and (zoom > 0.25).all() and (zoom < 4).all()):
+        raise ArithmeticError
+    k1, k2, _, _, k3, k4, k5, k6 = np.append(coefficients, np.zeros(8))[:8]
+    radius = np.linspace(0, _largest_radius(after, size), 200)
+    square = radius**2
+    above, below = (1 + square * (a + square * (b + square * c)) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
+    if not (below > 0).all():
+        raise ArithmeticError
+    _must_grow(radius * above / below)
+    return after, *cv2.initUndistortRectifyMap(before, coefficients, np.eye(3), after, size, cv2.CV_32FC1)
+
+
+def _fisheye(before: Matrix, coefficients: Matrix, size: Size) -> tuple[Matrix, npt.NDArray[Any], npt.NDArray[Any]]:
+    import cv2
+
+    after = before.copy()
+    k1, k2, k3, k4 = np.append(coefficients, np.zeros(4))[:4]
+    angle = np.arctan(np.linspace(0, _largest_radius(after, size), 200))
+    square = angle**2
+    _must_grow(angle * (1 + square * (k1 + square * (k2 + square * (k3 + square * k4)))))
+    columns, rows = cv2.fisheye.initUndistortRectifyMap(before, coefficients, np.eye(3), after, size, cv2.CV_32FC1)
+    if columns.min() < -1 or rows.min() < -1 or columns.max() > size[0] or rows.max() > size[1]:
+        raise ArithmeticError  # the lens sees less at the border than a pinhole would
+    return after, columns, rows
+
+
+def _largest_radius(after: Matrix, size: Size) -> float:
+    """Of a corner of the undistorted image, in focal lengths."""
+    corners = np.array([(x, y) for x in (0, size[0]) for y in (0, size[1])])
+    return float(np.linalg.norm((corners - after[:2, 2]) / np.diag(after)[:2], axis=1).max())
+
+
+def _must_grow(distorted: Matrix) -> None:
+    """Raises ArithmeticError unless the distorted radius grows with the radius, up to the corners."""
+    if not (np.diff(distorted) > 0).all():
+        raise ArithmeticError
+
+
+def register_depth(depth: Tensor, depth_intrinsics: Tensor, intrinsics: Tensor, size: tuple[int, int]) -> Tensor:
+    """Resamples depth for a second camera with the same position and orientation.
+
+    Args:
+        depth: [h, w] metres along z, 0 = unknown.
+        depth_intrinsics: [3, 3] of the depth image; pixel centres at integer coordinates; no skew.
+        intrinsics: [3, 3] of the second camera; no skew.
+        size: (H, W) of the second camera's images.
+
+    Returns:
+        [H, W] metres; 0 also outside of the depth image.
+
+    Raises:
+        ValueError: intrinsics with skew.
+    """
+    if depth_intrinsics[0, 1] != 0 or intrinsics[0, 1] != 0:
+        raise ValueError("intrinsics: expected cameras without skew")
+    indices, reached = [], []
+    for axis in (1, 0):  # rows by y, columns by x
+        focal, center = intrinsics[axis, axis], intrinsics[axis, 2]
+        ray = (torch.arange(size[1 - axis], dtype=torch.float64) - center) / focal
+        place = (ray * depth_intrinsics[axis, axis] + depth_intrinsics[axis, 2]).round()
+        reached.append((place >= 0) & (place < depth.shape[1 - axis]))
+        indices.append(place.clamp(0, depth.shape[1 - axis] - 1).long())
+    inside = reached[0][:, None] & reached[1]
+    return torch.where(inside, depth[indices[0]][:, indices[1]], 0)
+
+
+def resize_nearest(image: Tensor, size: tuple[int, int]) -> Tensor:
+    """Resizes labels or depth [h, w] to (H, W) by nearest neighbour."""
+    if image.shape == size:
+        return image
+    row, column = (
+        ((torch.arange(new, dtype=torch.float64) + 0.5) * old / new).long()
+        for new, old in zip(size, image.shape, strict=True)
+    )
+    return image[row[:, None], column]
+
+
+def interpolate_poses(
+    rows: npt.NDArray[np.float64], wanted: npt.NDArray[np.float64], tolerance: float, name: str
+) -> list[Tensor | None]:
+    """Interpolates poses at the wanted times: rotations spherically, positions linearly.
+
+    Args:
+        rows: [P, 8] time tx ty tz qx qy qz qw: seconds, ascending, each time once; metres; a unit quaternion.
+        wanted: [T] seconds.
+        tolerance: a pose is used if it is at most this many seconds from the wanted time.
+        name: used in messages.
+
+    Returns:
+        T poses [4, 4] float64, with the direction of the rows (such as camera-to-world); None where no pose is near
+            enough in time.
+
+    Raises:
+        ValueError: a quaternion's length is not 1.
+    """
+    from scipy.spatial.transform import Slerp
+
+    rotations = rotations_from_quaternions(rows[:, 4:], name)
+    if len(rows) == 1:  # duplicates a single pose, so that Slerp has two
+        rows, rotations = np.concatenate([rows, rows + np.eye(8)[:1]]), rotations[[0, 0]]
+    times = rows[:, 0]
+    within = wanted.clip(times[0], times[-1])
+    after = np.searchsorted(times, within).clip(1, len(times) - 1)
+    nearest = np.minimum(abs(wanted - times[after - 1]), abs(wanted - times[after]))
+    poses = np.tile(np.eye(4), (len(wanted), 1, 1))
+    poses[:, :3, :3] = Slerp(times, rotations)(within).as_matrix()
+    poses[:, :3, 3] = np.stack([np.interp(within, times, rows[:, axis]) for axis in (1, 2, 3)], axis=1)
+    return [torch.from_numpy(pose) if gap <= tolerance else None for pose, gap in zip(poses, nearest, strict=True)]

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.cameras import interpolate_poses
 from torchjoint.datasets.files.ros_bag import Bag
-from torchjoint.datasets.pose_interpolation import interpolate_poses
 
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 #: Other topics with poses, the better ones first: those that name the frame that they place.

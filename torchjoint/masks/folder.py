@@ -15,8 +15,7 @@ import numpy as np
 import torch
 from torch.utils.data import Subset
 
-from torchjoint.datasets.files.rasters import read_raster
-from torchjoint.datasets.files.readers import read_label_image
+from torchjoint.datasets.files.readers import read_label_image, read_raster
 from torchjoint.masks.arrays import as_binary, as_scores, from_labels
 from torchjoint.masks.coco import CocoFile
 from torchjoint.masks.networks import from_sam

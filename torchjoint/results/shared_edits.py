@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.datasets.files.json_record import read_record
+from torchjoint.datasets.files.text import read_record
 from torchjoint.results.boxes import UNNAMED, Box, boxes_of
 from torchjoint.results.edits import FILE, Edit, Edits, read_edits, write_edits
 from torchjoint.results.parts import Parts

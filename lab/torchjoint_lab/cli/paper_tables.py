@@ -13,7 +13,7 @@ import tyro
 from torch import Tensor
 
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out, check_output
-from torchjoint.datasets.resampling import resize_nearest
+from torchjoint.datasets.cameras import resize_nearest
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.folder import read_config

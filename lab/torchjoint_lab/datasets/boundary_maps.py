@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.rasters import decode_image
+from torchjoint.datasets.files.readers import decode_image
 
 
 def find_boundary_map(folder: Path, name: str) -> Path:

@@ -22,8 +22,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.formats.exported_frames import has_frames, read_frames
-from torchjoint.datasets.formats.scannet import CLOUD
+from torchjoint.datasets.formats.scannet import CLOUD, has_frames, read_frames
 from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames
 from torchjoint.datasets.scannet_cameras import DEPTH_SIZE, Calibration, Cameras, find_cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances

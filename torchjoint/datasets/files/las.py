@@ -1,29 +1,37 @@
 """Reads LAS, LAZ and COPC files (ASPRS LAS 1.4) with laspy and lazrs, whole or in parts.
 
 A COPC file is a LAZ file whose points are sorted into an octree; its points are read in the order of the file.
-Coordinates are X, Y, Z x scale + offset, in float64: UTM coordinates have more digits than float32.
-Colours have 16 bits. If none is above 255, they are read as 8 bits, because many programs write them so. If all are 0,
-there are none.
+laspy and lazrs trust the sizes of a header, and would allocate as much memory as a damaged file declares; so they are
+checked against the file before. Coordinates are X, Y, Z x scale + offset, in float64: UTM coordinates have more digits
+than float32. Colours have 16 bits. If none is above 255, they are read as 8 bits, because many programs write them so.
+If all are 0, there are none.
 """
 
 from __future__ import annotations
 
+import math
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
 from torchjoint.datasets.files.columns import CloudFile, tell_not_read, unit_colors
-from torchjoint.datasets.files.las_header import check_header
+from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime.foreign_files import damage_is, open_file
 from torchjoint.runtime.messages import needed_for
 
 SUFFIXES = (".las", ".laz")
 #: Points that are read at a time; a chunk of LAZ has 50,000.
 CHUNK = 1_000_000
+#: Sizes of the header's fixed part, of the header of a variable length record, and of an extended one, bytes.
+HEADER, RECORD, EXTENDED_RECORD = 227, 54, 60
+#: Set in the point format's number if the points are compressed.
+COMPRESSED = 0x80
 
 
 class LasPoints(NamedTuple):
@@ -124,3 +132,98 @@ def _clear_errors(path: Path) -> Iterator[None]:
         if isinstance(error, MemoryError):
             raise
         raise ValueError(f"{path}: not a whole LAS file: {error}") from error
+
+
+class LasHeader(NamedTuple):
+    """The values of a header that the checks need."""
+
+    points_at: int  #: byte of the first point
+    num_records: int  #: variable length records, between header and points
+    record_size: int  #: bytes of a point, not compressed
+    num_points: int
+    is_compressed: bool
+    extended_at: int  #: byte of the first extended record
+    num_extended: int
+
+
+def check_header(path: Path) -> LasHeader:
+    """Reads and checks the header of a file.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is no LAS file, or sizes do not fit the file; the message names the file.
+    """
+    with open_file(path, "a point cloud, .las or .laz") as stream, damage_is(f"{path}: not a whole LAS file"):
+        size = path.stat().st_size
+        header = _parse(stream.read(375))
+        _check_records(stream, header, size)
+        if header.is_compressed:
+            bounds.check_points(header.num_points, size)
+            bounds.check_unpacked(header.num_points * header.record_size, size)
+            _check_chunks(stream, header, size)
+        elif header.num_points * header.record_size > size - header.points_at:
+            raise ValueError(
+                f"truncated: {header.num_points} points take {header.num_points * header.record_size} bytes, got "
+                f"{size - header.points_at}"
+            )
+    return header
+
+
+def _parse(head: bytes) -> LasHeader:
+    if len(head) < HEADER or head[:4] != b"LASF":
+        raise ValueError(f"expected a header of {HEADER} bytes that starts with LASF, got {head[:4]!r}")
+    version = head[24:26]
+    if version[0] != 1 or version[1] > 5:
+        raise ValueError(f"expected version 1.0 to 1.5, got {version[0]}.{version[1]}")
+    header_size, points_at, num_records, kind, record_size, num_points = struct.unpack_from("<HIIBHI", head, 94)
+    extended_at = num_extended = 0
+    if version[1] >= 4:
+        extended_at, num_extended, wide = struct.unpack_from("<QIQ", head, 235)
+        num_points = wide or num_points
+    if header_size < HEADER or points_at < header_size + RECORD * num_records:
+        raise ValueError(f"the points begin at byte {points_at}, inside a header with {num_records} records")
+    if record_size < 20:
+        raise ValueError(f"expected points of at least 20 bytes, got {record_size}")
+    if num_points == 0:
+        raise ValueError("no points")
+    places = struct.unpack_from("<6d", head, 131)
+    if not all(map(math.isfinite, places)) or 0 in places[:3]:
+        raise ValueError(f"expected finite scales other than 0 and finite offsets, got {places}")
+    compressed = bool(kind & COMPRESSED)
+    return LasHeader(points_at, num_records, record_size, num_points, compressed, extended_at, num_extended)
+
+
+def _check_records(stream: BinaryIO, header: LasHeader, size: int) -> None:
+    """Checks that the records before and after the points lie in the file."""
+    if header.points_at > size:
+        raise ValueError(f"truncated: the points begin at byte {header.points_at}, got {size} bytes")
+    stream.seek(94)
+    (place,) = struct.unpack("<H", stream.read(2))
+    for _ in range(header.num_records):
+        stream.seek(place + 20)
+        place += RECORD + struct.unpack("<H", stream.read(2))[0]
+        if place > header.points_at:
+            raise ValueError(f"a variable length record ends at byte {place}, after the first point")
+    place = header.extended_at
+    if header.num_extended * EXTENDED_RECORD > size - place:
+        raise ValueError(f"truncated: {header.num_extended} extended records do not fit behind byte {place}")
+    for _ in range(header.num_extended):
+        stream.seek(place + 20)
+        place += EXTENDED_RECORD + struct.unpack("<Q", stream.read(8))[0]
+        if place > size:
+            raise ValueError(f"truncated: an extended record ends at byte {place}, got {size} bytes")
+
+
+def _check_chunks(stream: BinaryIO, header: LasHeader, size: int) -> None:
+    """Checks the number of chunks: each starts with an uncompressed point, so the file bounds their number."""
+    stream.seek(header.points_at)
+    (table_at,) = struct.unpack("<q", stream.read(8))
+    if table_at == -1:  # a file that was written to a pipe: the position is at the end
+        stream.seek(size - 8)
+        (table_at,) = struct.unpack("<q", stream.read(8))
+    if not header.points_at < table_at <= size - 8:
+        raise ValueError(f"truncated: expected the table of chunks at byte {table_at}, got {size} bytes")
+    stream.seek(table_at)
+    _, num_chunks = struct.unpack("<II", stream.read(8))
+    if num_chunks * header.record_size > table_at - header.points_at:
+        raise ValueError(f"{num_chunks} chunks do not fit into {table_at - header.points_at} bytes")

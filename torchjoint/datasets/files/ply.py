@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -156,15 +157,17 @@ def _assembled(elements: Mapping[str, Columns], name: str) -> CloudFile:
     cloud = cloud_of(vertex, name)
     if not len(cloud.points):
         raise ValueError("no points")
-    return cloud._replace(faces=_faces(elements, len(cloud.points)))
+    return cloud._replace(faces=_faces(elements, len(cloud.points), name))
 
 
-def _faces(elements: Mapping[str, Columns], num_points: int) -> Tensor | None:
+def _faces(elements: Mapping[str, Columns], num_points: int, name: str) -> Tensor | None:
     """The triangles [F, 3] int64 of polygons, from the first corner of each; and those of strips."""
     found = []
     for element, triangles_of in (("face", _fans), ("tristrips", _strips)):
         columns = elements.get(element, {})
-        lists = next((columns[name] for name in _FACE_LISTS if name in columns), None)
+        lists = next((columns[one] for one in _FACE_LISTS if one in columns), None)
+        if lists is None and columns:
+            warnings.warn(f"{name}: element {element}: no list {_FACE_LISTS[0]}; triangles are not read", stacklevel=5)
         if isinstance(lists, Lists) and len(triangles := triangles_of(lists)):
             low, high = triangles.min(), triangles.max()
             if not 0 <= low <= high < num_points:

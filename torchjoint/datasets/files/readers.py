@@ -1,28 +1,65 @@
-"""Reads single files: images, depth, matrices, arrays. Errors name the file and what is wrong."""
+"""Reads single files: images, depth, matrices, arrays. Content does not choose the decoder. Errors name the file."""
 
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import stat
+import struct
+import warnings
+import zlib
 from collections.abc import Iterable, Iterator, Set
 from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import ExifTags, Image, ImageOps
+from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 
 from torchjoint.datasets.files import las
-from torchjoint.datasets.files.rasters import read_raster
 from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.archives import as_int64, read_npy
-from torchjoint.runtime.foreign_files import damage_is, has_file, has_folder, is_there, present, read_text
+from torchjoint.runtime.foreign_files import damage_is, has_file, has_folder, is_there, present, read_file, read_text
 
+#: Formats of images that are read. The content must not choose another decoder: Pillow gives EPS to Ghostscript, which
+#: runs it; a TIFF file can name the same bytes 65,000 times.
+RASTERS = ("PNG", "JPEG", "WEBP", "BMP", "PPM")
 #: Folders with one of these files hold results, of one recording or of many. They are no part of a recording.
 RESULTS = frozenset({"run.yaml", "batch.yaml"})
 #: Suffixes of clouds and recordings that stand alone: no other file belongs to them.
-ALONE = (".ply", ".npy", ".npz", ".xyz", ".txt", *las.SUFFIXES, ".e57", ".off", ".stl", ".r3d")
+ALONE = (".ply", ".npy", ".npz", ".xyz", ".txt", ".asc", ".csv", ".pts", *las.SUFFIXES, ".e57", ".off", ".stl", ".r3d")
+
+
+def read_raster(path: Path, *, header_only: bool = False) -> Image.Image:
+    """Reads an image file (or only its header); errors as of :func:`decode_image`, also if it is missing."""
+    return decode_image(read_file(path, "an image", bounds.IMAGE_BYTES), str(path), header_only=header_only)
+
+
+def decode_image(
+    data: bytes, name: str, *, header_only: bool = False, formats: tuple[str, ...] = RASTERS
+) -> Image.Image:
+    """Decodes an image file's bytes (or only its header); errors begin with `name`.
+
+    Raises:
+        ValueError: a damaged image, one of another format, or one that is too large.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the check below is stricter
+            image = Image.open(io.BytesIO(data), formats=formats)
+            bounds.check_pixels(image.height, image.width)
+            bounds.check(len(image.info.get("exif", b"")), bounds.EXIF_BYTES, "bytes of EXIF")
+            if not header_only:
+                if image.format == "PNG":  # Pillow compares the checksums of pixels only if it is asked to
+                    Image.open(io.BytesIO(data), formats=("PNG",)).verify()
+                image.load()
+    except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
+            Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
+        # Pillow's own message names the buffer in memory.
+        reason = f"expected one of {', '.join(formats)}" if isinstance(error, UnidentifiedImageError) else error
+        raise ValueError(f"{name}: not a whole image: {reason}") from error
+    return image
 
 
 def read_image(path: Path, camera_size: tuple[int, int] | None = None) -> Tensor:

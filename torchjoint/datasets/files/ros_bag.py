@@ -1,22 +1,29 @@
-"""Reads the messages of a ROS 1 or ROS 2 recording (.bag, .mcap, .db3, or a folder with metadata.yaml) with rosbags."""
+"""Reads the messages of a ROS 1 or ROS 2 recording (.bag, .mcap, .db3, or a folder with metadata.yaml) with rosbags.
+
+rosbags has no limit for what compressed parts of a recording become in memory; here they have one.
+"""
 
 from __future__ import annotations
 
+import bz2
 import os
 import struct
-from collections.abc import Iterator, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Lock
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from torchjoint.datasets.files.ros_packing import bound_unpacking
 from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder, present, read_file
 from torchjoint.runtime.messages import needed_for
 
 #: Suffixes of a recording in one file, and of the files that a ROS 2 recording's folder lists.
 SUFFIXES = (".bag", ".mcap", ".db3")
+#: Bytes that are unpacked at a time: lz4 allocates so many in advance.
+STEP = 1 << 24
 
 
 class Stamp(NamedTuple):
@@ -146,3 +153,48 @@ def _header_time(data: bytes, is_ros2: bool) -> float:
     order = "<" if not is_ros2 or data[1] & 1 else ">"
     seconds, nanoseconds = struct.unpack_from(f"{order}{'i' if is_ros2 else 'I'}I", data, 4)
     return float(seconds + nanoseconds * 1e-9)
+
+
+def unpack(make: Callable[[], Any], packed: bytes) -> bytes:
+    """Decompresses bytes.
+
+    Args:
+        make: makes a decompressor, such as bz2.BZ2Decompressor; each stream in the bytes gets a new one.
+        packed: a chunk of a recording, or a message.
+
+    Raises:
+        ValueError: the bytes are truncated, or their decompressed size exceeds the limit.
+    """
+    most = bounds.RATIO * len(packed) + bounds.FREE
+    parts, count, left = [], 0, packed
+    while left:
+        unpacker = make()
+        while not unpacker.eof:
+            parts.append(unpacker.decompress(left, max_length=min(STEP, most + 1 - count)))
+            count, left = count + len(parts[-1]), b""
+            if count > most:
+                raise ValueError(f"{len(packed)} packed bytes have more than {most} when they are unpacked")
+            if unpacker.needs_input and not unpacker.eof:
+                raise ValueError("packed bytes are truncated")
+        left = unpacker.unused_data or b""
+    return b"".join(parts)
+
+
+def bound_unpacking() -> None:
+    """Makes rosbags use :func:`unpack` for chunks (ROS 1, MCAP) and messages (ROS 2)."""
+    from lz4.frame import LZ4FrameDecompressor
+    from rosbags.rosbag1 import reader as ros_1
+    from rosbags.rosbag2 import reader as ros_2
+    from rosbags.rosbag2 import storage_mcap as mcap
+
+    if sys.version_info >= (3, 14):
+        from compression import zstd
+    else:
+        from backports import zstd
+
+    ros_1.decompressors["bz2"] = lambda packed: unpack(bz2.BZ2Decompressor, packed)
+    ros_1.decompressors["lz4"] = lambda packed: unpack(LZ4FrameDecompressor, packed)
+    mcap.DECOMPRESSORS["lz4"] = lambda packed, _: unpack(LZ4FrameDecompressor, packed)
+    mcap.DECOMPRESSORS["zstd"] = lambda packed, _: unpack(zstd.ZstdDecompressor, packed)
+    messages: Any = SimpleNamespace(open=zstd.open, decompress=lambda packed: unpack(zstd.ZstdDecompressor, packed))
+    ros_2.zstd = messages

@@ -11,8 +11,7 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.columns import POINTS, CloudFile, cloud_of, plain, repaired
-from torchjoint.datasets.files.rasters import decode_image
-from torchjoint.datasets.files.readers import rgb_of
+from torchjoint.datasets.files.readers import decode_image, rgb_of
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 #: By encoding of a colour image: numbers per pixel, and the indices of red, green and blue among them.

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files.binary import BinaryFile
-from torchjoint.datasets.files.rasters import decode_image
-from torchjoint.datasets.files.readers import rgb_of
+from torchjoint.datasets.files.readers import decode_image, rgb_of
 from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.foreign_files import damage_is, open_file
 from torchjoint.scene.checks import as_intrinsics

@@ -1,15 +1,25 @@
-"""Reads text files with one record per line. Errors name the file and the line."""
+"""Reads text: files with one record per line, JSON of other programs, and the paths that both contain.
+
+Errors name the file, and the line or the key.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
 
 from torchjoint.runtime import foreign_files as bounds
-from torchjoint.runtime.foreign_files import damage_is, open_file
+from torchjoint.runtime.foreign_files import damage_is, open_file, parse_json, read_json
 
 
 def read_lines(path: Path, expected: str) -> Iterator[tuple[str, str]]:
@@ -50,3 +60,160 @@ def parse_integer(word: str, name: str) -> int:
     if not (word.isascii() and word.removeprefix("-").isdigit() and len(word) < 19):
         raise ValueError(f"{name}: expected an integer, got {word[:100]!r}")
     return int(word)
+
+
+class Record:
+    """A JSON object. A missing value, or a value of the wrong type, raises ValueError with file and key.
+
+    Args:
+        values: the object.
+        name: the file, and the place in it.
+    """
+
+    def __init__(self, values: Mapping[str, Any], name: str) -> None:
+        self.values = values
+        self.name = name
+
+    def __contains__(self, key: str) -> bool:
+        return self.values.get(key) is not None
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """Returns a finite number; `default` if the key is missing."""
+        value = self._get(key, default)
+        return _number(value, f"{self.name}: {key}")
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """Returns a string; `default` if the key is missing."""
+        value = self._get(key, default)
+        if not isinstance(value, str):
+            raise ValueError(f"{self.name}: {key}: expected a string, got {_brief(value)}")
+        return value
+
+    def numbers(self, key: str, count: int) -> Tensor:
+        """Returns a list of `count` numbers as [count] float64."""
+        values = self._get(key)
+        if not isinstance(values, list) or len(values) != count:
+            raise ValueError(f"{self.name}: {key}: expected {count} numbers, got {_brief(values)}")
+        return torch.tensor([_number(value, f"{self.name}: {key}") for value in values], dtype=torch.float64)
+
+    def integers(self, key: str) -> npt.NDArray[np.int64]:
+        """Returns a list of integers, of any length, as [length] int64."""
+        values = self.values.get(key)
+        try:
+            if isinstance(values, list) and all(type(value) is int for value in values):
+                return np.array(values, dtype=np.int64)
+        except OverflowError:
+            pass
+        raise ValueError(f"{self.name}: {key}: expected a list of integers of at most 64 bits")
+
+    def matrix(self, key: str, columns: int) -> Tensor:
+        """Returns rows of numbers as [rows, columns] float64."""
+        rows = self._get(key)
+        if not isinstance(rows, list) or not all(isinstance(row, list) and len(row) == columns for row in rows):
+            raise ValueError(f"{self.name}: {key}: expected rows of {columns} numbers, got {_brief(rows)}")
+        values = [[_number(value, f"{self.name}: {key}") for value in row] for row in rows]
+        return torch.tensor(values, dtype=torch.float64).reshape(-1, columns)
+
+    def record(self, key: str) -> Record:
+        """Returns a nested object."""
+        return _as_record(self._get(key), f"{self.name}: {key}")
+
+    def records(self, key: str) -> list[Record]:
+        """Returns a list of objects."""
+        values = self._get(key)
+        if not isinstance(values, list):
+            raise ValueError(f"{self.name}: {key}: expected a list, got {_brief(values)}")
+        return [_as_record(value, f"{self.name}: {key}[{index}]") for index, value in enumerate(values)]
+
+    def _get(self, key: str, default: object = None) -> object:
+        value = self.values.get(key)
+        if value is None and default is None:
+            raise ValueError(f"{self.name}: {key}: missing")
+        return default if value is None else value
+
+
+def read_record(path: Path, expected: str) -> Record:
+    """Reads a JSON file that holds an object; messages use `expected` to describe it.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is too large, is not JSON, or holds no object.
+    """
+    return _as_record(read_json(path, expected), str(path))
+
+
+def parse_record(data: bytes, name: str) -> Record:
+    """Reads the bytes of a JSON file that holds an object.
+
+    Raises:
+        ValueError: the bytes are not JSON, or hold no object.
+    """
+    return _as_record(parse_json(data, name), name)
+
+
+def _as_record(values: object, name: str) -> Record:
+    if not isinstance(values, dict):
+        raise ValueError(f"{name}: expected an object, got {_brief(values)}")
+    return Record(values, name)
+
+
+def _number(value: object, name: str) -> float:
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if math.isfinite(number):
+            return number
+    raise ValueError(f"{name}: expected a finite number, got {_brief(value)}")
+
+
+def _brief(value: object) -> str:
+    # avoids repr of values that may take megabytes, or that are nested too deep for repr
+    return type(value).__name__ if isinstance(value, (list, dict)) else repr(value)[:60]
+
+
+def path_inside(folder: Path, name: str, source: str, *, or_inside: Sequence[Path] = ()) -> Path:
+    """Resolves path `name` in file `source`, which is relative to `folder`; links within the folder are followed.
+
+    A name with the backslashes of Windows is one with slashes, unless there is a file of that name.
+
+    Raises:
+        ValueError: `name` is not a file name, or it leads out of the folder and of `or_inside`: untrusted data must not
+            read other files.
+    """
+    if not _is_file_name(name):
+        raise ValueError(f"{source}: expected a path of a file, got {name[:100]!r}")
+    if "\\" in name and not os.path.exists(os.path.join(folder, name)):
+        name = name.replace("\\", "/")
+    target = os.path.normpath(os.path.join(os.path.abspath(folder), name))
+    for root in (folder, *or_inside):
+        relative = os.path.relpath(target, os.path.abspath(root))
+        if relative != os.curdir and relative.split(os.sep)[0] != os.pardir:
+            return root / relative
+    raise ValueError(f"{source}: expected a file inside {folder}, got {name!r}; give a relative path, without `..`")
+
+
+def frame_names(files: Sequence[str]) -> list[str]:
+    """Returns frame names that are valid file names: paths below the common folder, without suffix, `_` for `/`.
+
+    Suffixes are kept if two names would otherwise be equal.
+
+    Example:
+        >>> frame_names(["./images/left/1.jpg", "images/right/1.jpg"])
+        ['left_1', 'right_1']
+    """
+    paths = [os.path.normpath(file.replace("\\", "/")) for file in files]
+    common = os.path.commonpath([os.path.dirname(path) for path in paths]) if paths else ""
+    below = [os.path.relpath(path, common or ".").replace(os.sep, "_") for path in paths]
+    stems = [os.path.splitext(name)[0] for name in below]
+    return stems if len(set(stems)) == len(stems) else below
+
+
+def _is_file_name(name: str) -> bool:
+    try:
+        raw = os.fsencode(name)
+    except UnicodeEncodeError:
+        return False
+    # File systems allow 255 bytes per name and 4096 per path; a suffix and a folder may be added to this name.
+    return bool(raw) and b"\0" not in raw and len(raw) < 2048 and max(map(len, raw.split(b"/"))) < 250

@@ -22,13 +22,10 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.boxes import instances_in_boxes
-from torchjoint.datasets.cameras import Camera, pinhole_matrix
-from torchjoint.datasets.files.json_record import read_record
+from torchjoint.datasets.cameras import Camera, interpolate_poses, pinhole_matrix
 from torchjoint.datasets.files.readers import read_depth, read_image
-from torchjoint.datasets.files.text import parse_numbers, read_lines
-from torchjoint.datasets.pose_interpolation import interpolate_poses
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
-from torchjoint.datasets.shots import tell_left_out
+from torchjoint.datasets.files.text import parse_numbers, read_lines, read_record
+from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth

@@ -6,7 +6,7 @@ sparse/N, sparse, or the folder itself    the model: cameras, images and points3
 images, or images_2, _4, _8               the images, in the first folder that holds the model's names; or in the folder
                                           itself
 cloud.ply, fused.ply, dense/fused.ply,    the cloud, the first that exists; otherwise the model's sparse points, which
-dense/0/fused.ply                         are few for a segmentation
+dense/N/fused.ply                         are few for a segmentation; N is that of sparse/N; of several models only this
 
 If the given folder is the model itself, images and clouds are also searched in its parent and grandparent folders.
 Images may be resized, but not cropped; lens distortion is removed. The scale of a reconstruction is arbitrary: its
@@ -20,16 +20,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from torchjoint.datasets.files.colmap_model import has_model, read_images, read_points
-from torchjoint.datasets.paths import frame_names, path_inside
-from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames
-from torchjoint.datasets.shots import Shot, read_shots, tell_unlisted
+from torchjoint.datasets.files.text import frame_names, path_inside
+from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
 WHAT = "COLMAP's cameras and images (.bin or .txt) in sparse/0, in sparse, or in the folder itself"
 
 _IMAGES = ("images", "images_2", "images_4", "images_8", ".")
-_CLOUDS = ("fused.ply", "dense/fused.ply", "dense/0/fused.ply")
 
 
 def recognizes(path: Path) -> bool:
@@ -39,10 +37,13 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     """Loads the folder; see :func:`torchjoint.load_scene`."""
-    model = _largest(path, _models(path))
+    models = _models(path)
+    model = _largest(path, models)
     around = list(path.absolute().parents)[:2] if model == path else []
     frames = _read_frames(model, [path, *around])
-    clouds = [base / name for base in (path, *around) for name in _CLOUDS]
+    number = model.name if model.name.isdigit() else "0"
+    names = ["fused.ply", "dense/fused.ply"] if len(models) == 1 and number == "0" else []
+    clouds = [base / name for base in (path, *around) for name in (*names, f"dense/{number}/fused.ply")]
     if find_cloud(path, options, clouds) is not None:
         return scene_of_frames(path, frames, options, clouds)
     points, colors = read_points(model)

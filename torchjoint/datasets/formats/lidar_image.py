@@ -22,9 +22,9 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.columns import repaired
-from torchjoint.datasets.files.json_record import read_record
 from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.readers import read_image, read_matrix
+from torchjoint.datasets.files.text import read_record
 from torchjoint.datasets.recording import Options
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence

@@ -28,11 +28,9 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import FLIP_YZ, Camera, pinhole_matrix
-from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_image_size
-from torchjoint.datasets.paths import frame_names, path_inside
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
-from torchjoint.datasets.shots import tell_unlisted
+from torchjoint.datasets.files.text import Record, frame_names, path_inside, read_record
+from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene

@@ -25,10 +25,8 @@ from torch import Tensor
 from torchjoint.datasets.boxes import instances_in_boxes
 from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.clouds import read_scan
-from torchjoint.datasets.files.json_record import Record, read_record
-from torchjoint.datasets.paths import path_inside
-from torchjoint.datasets.recording import Options
-from torchjoint.datasets.shots import Shot, read_shots
+from torchjoint.datasets.files.text import Record, path_inside, read_record
+from torchjoint.datasets.recording import Options, Shot, read_shots
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_pose

@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import FLIP_YZ, Camera, pinhole_matrix, resize_depth
-from torchjoint.datasets.files.json_record import Record, read_record
 from torchjoint.datasets.files.readers import read_depth, read_image, read_label_image
+from torchjoint.datasets.files.text import Record, read_record
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence

@@ -16,12 +16,10 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_depth, read_image, read_matrix
-from torchjoint.datasets.formats.exported_frames import make_frame
-from torchjoint.datasets.formats.scannet import CLOUD
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.datasets.formats.scannet import CLOUD, make_frame
+from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_left_out
 from torchjoint.datasets.scannet_cameras import COLOR_SIZE, DEPTH_SIZE, Calibration, Cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, read_point_instances
-from torchjoint.datasets.shots import tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder, read_text
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth

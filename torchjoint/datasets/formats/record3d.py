@@ -24,11 +24,10 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import FLIP_YZ, Camera, pinhole_matrix, rotations_from_quaternions
 from torchjoint.datasets.files.exr import read_exr
-from torchjoint.datasets.files.json_record import Record, parse_record
 from torchjoint.datasets.files.lzfse import decompress
 from torchjoint.datasets.files.members import Members
-from torchjoint.datasets.files.rasters import decode_image
-from torchjoint.datasets.files.readers import rgb_of
+from torchjoint.datasets.files.readers import decode_image, rgb_of
+from torchjoint.datasets.files.text import Record, parse_record
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
 from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder

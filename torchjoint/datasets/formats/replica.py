@@ -15,10 +15,8 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, pinhole_matrix
-from torchjoint.datasets.files.json_record import Record, read_record
-from torchjoint.datasets.files.text import parse_numbers, read_lines
-from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
-from torchjoint.datasets.shots import Shot, read_shots, tell_left_out
+from torchjoint.datasets.files.text import Record, parse_numbers, read_lines, read_record
+from torchjoint.datasets.recording import Options, Shot, invert_pose, read_shots, scene_of_frames, tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import as_pose

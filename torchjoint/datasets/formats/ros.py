@@ -39,9 +39,8 @@ from torchjoint.datasets.files.ros_messages import (
     is_depth,
 )
 from torchjoint.datasets.formats.tum import associate
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_left_out
 from torchjoint.datasets.ros_poses import ODOMETRY, Poses
-from torchjoint.datasets.shots import tell_left_out
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene

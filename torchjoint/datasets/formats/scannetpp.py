@@ -23,11 +23,18 @@ from pathlib import Path
 
 from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.colmap_model import ColmapImage, has_model, read_images
-from torchjoint.datasets.files.json_record import read_record
+from torchjoint.datasets.files.text import read_record
 from torchjoint.datasets.formats.nerfstudio import read_camera
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
+from torchjoint.datasets.recording import (
+    Options,
+    Shot,
+    find_cloud,
+    invert_pose,
+    read_shots,
+    scene_of_frames,
+    tell_unlisted,
+)
 from torchjoint.datasets.scannet_truth import point_instances
-from torchjoint.datasets.shots import Shot, read_shots, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder, or_unreadable
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth

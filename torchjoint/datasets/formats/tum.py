@@ -27,13 +27,10 @@ from typing import NamedTuple
 import numpy as np
 from torch import Tensor
 
-from torchjoint.datasets.cameras import Camera, pinhole_matrix
+from torchjoint.datasets.cameras import Camera, interpolate_poses, pinhole_matrix
 from torchjoint.datasets.files.readers import read_matrix
-from torchjoint.datasets.files.text import parse_numbers, read_lines
-from torchjoint.datasets.paths import frame_names, path_inside
-from torchjoint.datasets.pose_interpolation import interpolate_poses
-from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
-from torchjoint.datasets.shots import Shot, read_shots, tell_left_out
+from torchjoint.datasets.files.text import frame_names, parse_numbers, path_inside, read_lines
+from torchjoint.datasets.recording import Options, Shot, invert_pose, read_shots, scene_of_frames, tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 

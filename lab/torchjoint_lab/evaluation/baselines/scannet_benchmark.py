@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.paths import path_inside
+from torchjoint.datasets.files.text import path_inside
 from torchjoint_lab.datasets.vertex_numbers import read_text, read_vertex_numbers
 
 

@@ -8,9 +8,8 @@ from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 
-from torchjoint.datasets.files import ros_packing
-from torchjoint.datasets.files.ros_bag import Bag
-from torchjoint.datasets.files.ros_packing import unpack
+from torchjoint.datasets.files import ros_bag
+from torchjoint.datasets.files.ros_bag import Bag, unpack
 from torchjoint.runtime import foreign_files as bounds
 
 TEXT = "a" * 300_000  # packs well
@@ -58,7 +57,7 @@ def test_packed_recordings(name, write, arguments, tmp_path, monkeypatch):
 )
 @pytest.mark.parametrize("step", [1000, 1 << 24])
 def test_the_bound_is_exact(pack, make, step, monkeypatch):
-    monkeypatch.setattr(ros_packing, "STEP", step)
+    monkeypatch.setattr(ros_bag, "STEP", step)
     packed = pack(bytes(5000)) + pack(b"ab")  # two streams
     assert unpack(make, packed) == bytes(5000) + b"ab"
     monkeypatch.setattr(bounds, "RATIO", 0)
