@@ -144,7 +144,7 @@ AS_IT_IS = Reading()
 FlatReading = tyro.conf.OmitArgPrefixes[Reading]
 
 
-def completion(shell: tyro.conf.Positional[Literal[bash, zsh]]) -> None:
+def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
     """Prints a script for a shell; docs/installation.md says where it belongs.
 
     Args:
