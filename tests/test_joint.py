@@ -188,7 +188,7 @@ class TestOtherSegmentations:
 
     def test_frames_that_bring_labels(self):
         """With true image labels even what geometry cannot see is found."""
-        made = make_domain_scene("shelf", 42, num_views=6, num_points=10_000)
+        made = make_domain_scene("desk", 42, num_views=6, num_points=10_000)
         frames = [
             dataclasses.replace(frame, labels=labels)
             for frame, labels in zip(made.scene.frames, made.image_labels, strict=True)
@@ -196,8 +196,8 @@ class TestOtherSegmentations:
         plain, helped = (
             tj.JointSegmenter()(scene) for scene in (made.scene, dataclasses.replace(made.scene, frames=frames))
         )
-        f_plain, f_helped = (tj.metrics.objects_and_parts(r.points, made.point_labels).f for r in (plain, helped))
-        assert f_helped > f_plain  # by .04 to .07: the rays of the scene differ by processor
+        iou_plain, iou_helped = (tj.metrics.mean_best_iou(r.points, made.point_labels) for r in (plain, helped))
+        assert iou_helped > iou_plain  # by .06; the rays of the scene differ by processor
         covering = [
             [tj.metrics.segmentation_covering(image, truth).symmetric for image, truth in pairs]
             for pairs in (zip(result.images, made.image_labels, strict=True) for result in (plain, helped))

@@ -9,7 +9,7 @@ simple Python version of each operator is in ``tests/reference/``.
 
 from torchjoint.ops import _extension  # noqa: F401  must come first: it registers the operators
 from torchjoint.ops.graphs import connected_components, felzenszwalb, merge_regions, min_cut, region_dendrogram
-from torchjoint.ops.images import felzenszwalb_image, match_pixels, propagate_labels, ultrametric_contours
+from torchjoint.ops.images import felzenszwalb_image, propagate_labels, ultrametric_contours
 from torchjoint.ops.points import fit_normals, nearest_neighbors, neighbor_edges, project, splat_depth
 
 __all__ = [
@@ -17,7 +17,6 @@ __all__ = [
     "felzenszwalb",
     "felzenszwalb_image",
     "fit_normals",
-    "match_pixels",
     "merge_regions",
     "min_cut",
     "nearest_neighbors",

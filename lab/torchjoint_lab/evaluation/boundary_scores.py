@@ -15,11 +15,14 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import maximum_bipartite_matching
+from scipy.spatial import cKDTree
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from torchjoint import ops
 from torchjoint.images.contours import suppress_non_maxima
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint_lab.datasets.bsds import BsdsImage
@@ -105,13 +108,31 @@ def boundary_counts(
             any_matched = torch.zeros_like(mask)
             target_matched = 0
             for boundary in boundaries:
-                matched, found = ops.match_pixels(lines, boundary, radius)
+                matched, found = matched_pixels(lines, boundary, radius)
                 any_matched |= matched
                 target_matched += int(found.sum())
             row = (int(lines.sum()), int(any_matched.sum()), target, target_matched)
         rows.append(row)
         last_area = area
     return BoundaryCounts(*torch.tensor(rows, dtype=torch.int64).reshape(-1, 4).unbind(1))
+
+
+def matched_pixels(pred: Tensor, target: Tensor, radius: float) -> tuple[Tensor, Tensor]:
+    """Pairs set pixels of two maps [H, W] bool within a radius, pixels; the number of pairs is the largest possible.
+
+    Returns:
+        the pixels of each map that have a partner, [H, W] bool.
+    """
+    own, other = pred.nonzero(), target.nonzero()
+    found = torch.zeros_like(pred), torch.zeros_like(target)
+    if len(own) and len(other):
+        trees = [cKDTree(places.double().numpy()) for places in (own, other)]
+        near = trees[0].sparse_distance_matrix(trees[1], radius, output_type="coo_matrix")
+        graph = csr_matrix((np.ones(len(near.row)), (near.row, near.col)), shape=near.shape)
+        partner = torch.from_numpy(maximum_bipartite_matching(graph, perm_type="column")).long()
+        found[0][own[partner >= 0].unbind(1)] = True
+        found[1][other[partner[partner >= 0]].unbind(1)] = True
+    return found
 
 
 def boundary_scores(counts: Sequence[BoundaryCounts], thresholds: Tensor) -> BoundaryScores:
