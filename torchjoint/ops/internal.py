@@ -26,24 +26,7 @@ MAX_WEIGHT = 2**16
 WEIGHT_UNIT = 256
 
 
-# Before step 3: files and depth images
-
-
-def parse_numbers(text: Tensor, num_rows: int, num_columns: int) -> tuple[Tensor, Tensor]:
-    """Read the numbers of the first ``num_rows`` lines of a text; every character of these lines is checked.
-
-    Words are separated by blanks (space, tab, vertical tab, form feed, carriage return), lines by a line feed. A number
-    is decimal with an optional sign, point and exponent, or ``nan``, ``inf`` or ``infinity`` in small letters or
-    capitals. It is rounded to the nearest float64, ties to even.
-
-    Args:
-        text: ``[B]`` uint8, ASCII. The text after the lines is ignored; the last line feed may be missing.
-        num_rows, num_columns: lines to read, and numbers in each.
-
-    Returns:
-        ``[num_columns, num_rows]`` float64; ``[1]`` int64, the number of characters that were read.
-    """
-    return cast("tuple[Tensor, Tensor]", call(torch.ops.torchjoint.parse_numbers.default, text, num_rows, num_columns))
+# Before step 3: depth images
 
 
 def integrate_depth(
@@ -493,10 +476,6 @@ def _segment_graphs(labels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Ten
 
 
 register_fakes(
-    parse_numbers=lambda text, num_rows, num_columns: (
-        text.new_empty(num_columns, num_rows, dtype=torch.float64),
-        text.new_empty(1, dtype=torch.int64),
-    ),
     integrate_depth=lambda *_: None,
     structured_forest=lambda images, *_: images.new_empty(images[:, 0].shape),
     window_overlaps=lambda order, *_: _edges_in_image(order, torch.float64),
